@@ -1,0 +1,1 @@
+"""The application: document, worker, main window, command line."""

@@ -1,0 +1,32 @@
+"""The errors that Tactune raises on purpose.
+
+Every message names the field or file, the value found there and what to do.
+"""
+
+
+class TactuneError(Exception):
+    """Root of every error that a person or a program can act on."""
+
+
+class PresetError(TactuneError):
+    """A preset file or a preset value that cannot be used."""
+
+
+class RigMismatchError(TactuneError):
+    """A preset or a frame that belongs to another rig."""
+
+
+class FrameError(TactuneError):
+    """A frame whose arrays have the wrong type or size."""
+
+
+class SourceError(TactuneError):
+    """A source of frames that cannot be opened or read."""
+
+
+class ExportError(TactuneError):
+    """A file that cannot be written."""
+
+
+class MissingExtraError(TactuneError):
+    """An optional dependency that is not installed."""

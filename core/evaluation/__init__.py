@@ -1,0 +1,1 @@
+"""Ground truth and the metrics that compare a patch with it."""

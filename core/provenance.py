@@ -1,0 +1,42 @@
+"""Why each pixel was kept or dropped."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Provenance(IntEnum):
+    """The verdict on one proximity pixel, in the order in which the tests are made."""
+
+    NO_PROXIMITY_DEPTH = 0
+    OUTSIDE_REGION = 1
+    OUTSIDE_RANGE = 2
+    NO_TACTILE_DEPTH = 3
+    OUTSIDE_TOLERANCE = 4
+    MASKED = 5
+    OUTLIER = 6
+    SMALL_CLUSTER = 7
+    CONTACT = 8
+
+    @property
+    def label(self) -> str:
+        """A short name for legends."""
+        return self.name.replace("_", " ").lower()
+
+    @property
+    def explanation(self) -> str:
+        """One sentence for the person who asks why."""
+        return _EXPLANATIONS[self]
+
+
+_EXPLANATIONS = {
+    Provenance.NO_PROXIMITY_DEPTH: "Dropped: the proximity camera measured no depth here.",
+    Provenance.OUTSIDE_REGION: "Dropped: outside the region of interest.",
+    Provenance.OUTSIDE_RANGE: "Dropped: the proximity depth is outside the working range.",
+    Provenance.NO_TACTILE_DEPTH: "Dropped: the tactile camera has no depth where this point would be.",
+    Provenance.OUTSIDE_TOLERANCE: "Dropped: the two distances differ by more than the tolerance.",
+    Provenance.MASKED: "Dropped: the colour is the bare membrane's, which reflects infrared.",
+    Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours.",
+    Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
+    Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
+}

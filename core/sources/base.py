@@ -1,0 +1,135 @@
+"""The one interface through which frames reach the pipeline, whatever they come from."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Self
+
+from ..errors import SourceError
+from ..frames import Rig, SensorFrame
+
+
+@dataclass(frozen=True)
+class Health:
+    """How a source is doing, in words that can be shown as they are.
+
+    ``message`` is empty while all is well; ``dropped`` counts frames lost before they got here.
+    """
+
+    ok: bool = True
+    message: str = ""
+    dropped: int = 0
+
+
+class FrameSource(ABC):
+    """A sequence of frames from one rig.
+
+    A source with a ``length`` can ``seek``; a live one has ``length`` None. `next_frame` may block
+    for as long as the next frame takes to arrive, so it belongs on a worker thread. It never paces
+    a recording: the caller decides how fast to play. Sources are context managers.
+    """
+
+    #: How the source was asked for, such as ``"sim:cup"`` or ``"folder:/data/scene"``.
+    name: str
+
+    @property
+    @abstractmethod
+    def rig(self) -> Rig:
+        """The rig that took the frames."""
+
+    @property
+    def length(self) -> int | None:
+        """Number of frames, or None for a live source."""
+        return None
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate at which frames were taken, in Hz."""
+        return 30.0
+
+    @property
+    def position(self) -> int:
+        """Index of the frame that `next_frame` will return."""
+        raise SourceError(f"{self.name}: a live source has no position")
+
+    @abstractmethod
+    def next_frame(self) -> SensorFrame | None:
+        """Return the next frame, or None at the end.
+
+        Raises
+        ------
+        SourceError
+            The frame cannot be read; the message names it and the remedy.
+        """
+
+    def seek(self, index: int) -> None:
+        """Make frame ``index`` (from 0) the next one; clamps nothing.
+
+        Raises
+        ------
+        SourceError
+            The source is live, or has no such frame.
+        """
+        raise SourceError(f"{self.name}: a live source cannot seek to frame {index}")
+
+    def health(self) -> Health:
+        """Report how the source is doing."""
+        return Health()
+
+    def close(self) -> None:
+        """Release files and devices. Closing twice is harmless."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def __iter__(self) -> Iterator[SensorFrame]:
+        while (frame := self.next_frame()) is not None:
+            yield frame
+
+
+class SeekableSource(FrameSource):
+    """A source of known length that reads any frame by its index."""
+
+    def __init__(self, name: str, rig: Rig, length: int) -> None:
+        self.name = name
+        self._rig = rig
+        self._length = length
+        self._position = 0
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that took the frames."""
+        return self._rig
+
+    @property
+    def length(self) -> int:
+        """Number of frames."""
+        return self._length
+
+    @property
+    def position(self) -> int:
+        """Index of the frame that `next_frame` will return."""
+        return self._position
+
+    @abstractmethod
+    def read(self, index: int) -> SensorFrame:
+        """Return frame ``index``, 0 <= index < length."""
+
+    def next_frame(self) -> SensorFrame | None:
+        """Return the next frame, or None at the end."""
+        if self._position >= self._length:
+            return None
+        frame = self.read(self._position)
+        self._position += 1
+        return frame
+
+    def seek(self, index: int) -> None:
+        """Make frame ``index`` the next one."""
+        if not 0 <= index < self._length:
+            raise SourceError(f"{self.name}: there is no frame {index}; frames run from 0 to {self._length - 1}")
+        self._position = index

@@ -1,0 +1,1 @@
+"""Presets shipped with Tactune, and their JSON Schema."""

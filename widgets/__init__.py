@@ -1,0 +1,1 @@
+"""Qt widgets that know no application: value(), setValue(), valueChanged."""
