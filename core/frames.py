@@ -46,7 +46,7 @@ def rigid_transform(matrix: Any) -> Matrix4:
         raise ValueError("a pose has finite entries, this one contains nan or inf")
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if deviation > 1e-4 or np.linalg.det(rotation) < 0:
+    if deviation > 1e-3 or np.linalg.det(rotation) < 0:
         raise ValueError(f"the upper left 3 x 3 is no rotation (R R^T differs from I by {deviation:.2g})")
     if not np.array_equal(array[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"the last row of a pose is 0 0 0 1, this one is {array[3].tolist()}")
