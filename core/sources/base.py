@@ -74,6 +74,10 @@ class FrameSource(ABC):
         """
         raise SourceError(f"{self.name}: a live source cannot seek to frame {index}")
 
+    def reference(self) -> SensorFrame | None:
+        """Return a frame of the untouched membrane, or None where the source has none."""
+        return None
+
     def health(self) -> Health:
         """Report how the source is doing."""
         return Health()

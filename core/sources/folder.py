@@ -1,0 +1,354 @@
+"""Recordings as folders of PNG images that anyone can open, make or hand on.
+
+A recording is a folder with ``rig.json`` (see `tactune.core.rig_file`) and either one frame or
+numbered subfolders with one frame each; a subfolder ``reference`` may hold a frame of the untouched
+membrane. A frame is::
+
+    proximity_depth.png   16 bit, counts
+    proximity_color.png   8 bit, colour
+    tactile_depth.png     16 bit, counts
+    tactile_color.png     8 bit, colour, aligned to the tactile depth image        (optional)
+    truth_contact.png     8 bit, 0 or 255, proximity pixels                        (optional)
+    truth_depth.png       16 bit, proximity pixels and unit, 0 where unknown       (optional)
+    truth_depth.npy       the same in float32 metres, nan where unknown; used in
+                          place of the PNG where counts are too coarse             (optional)
+    frame.json            sequence, proximity_time_s, tactile_time_s               (optional)
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import re
+import secrets
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..clouds import valid_depth
+from ..errors import ExportError, FrameError, SourceError
+from ..frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
+from ..rig_file import json_text, load_rig, read_json_object, rig_to_json
+from .base import FrameSource, SeekableSource
+
+Progress = Callable[[float, str], None]
+_NOMINAL_RATE_HZ = 30.0
+_REQUIRED = ("proximity_depth.png", "proximity_color.png", "tactile_depth.png")
+
+
+@dataclass(frozen=True)
+class _Stamp:
+    """What ``frame.json`` says of a frame."""
+
+    sequence: int
+    proximity_time_s: float
+    tactile_time_s: float
+
+
+class FolderSource(SeekableSource):
+    """A recording in a folder, as this module describes it.
+
+    Parameters
+    ----------
+    path : path of the folder
+
+    Raises
+    ------
+    SourceError
+        Something is missing or cannot be read; the message names the file and the remedy.
+    """
+
+    def __init__(self, path: Path | str) -> None:
+        self._path = Path(path).expanduser()
+        name = f"folder:{path}"
+        if not self._path.is_dir():
+            raise SourceError(f"{name}: there is no folder {self._path}; check the path")
+        rig = load_rig(self._path / "rig.json")
+        self._folders = _frame_folders(self._path)
+        self._stamps = [_read_stamp(folder, index) for index, folder in enumerate(self._folders)]
+        super().__init__(name, rig, len(self._folders))
+        self.read(0)
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """Rate from the median distance of the time stamps; 30 Hz where they do not tell."""
+        gaps = np.diff([stamp.proximity_time_s for stamp in self._stamps])
+        median = float(np.median(gaps)) if len(gaps) else 0.0
+        return 1.0 / median if median > 0 else _NOMINAL_RATE_HZ
+
+    def read(self, index: int) -> SensorFrame:
+        """Read frame ``index`` from its images."""
+        return _read_frame(self._folders[index], self._stamps[index], self._rig)
+
+    def reference(self) -> SensorFrame | None:
+        """Return the frame in the subfolder ``reference``, or None where there is none."""
+        folder = self._path / "reference"
+        if not folder.is_dir():
+            return None
+        _require_images(folder)
+        return _read_frame(folder, _read_stamp(folder, 0), self._rig)
+
+
+def export_folder(
+    source: FrameSource, path: Path | str, frames: int | None = None, progress: Progress | None = None
+) -> int:
+    """Write a source's frames as a folder that `FolderSource` reads back bit for bit.
+
+    Everything goes to a temporary folder beside ``path``, which gets its name only when it is complete.
+
+    Parameters
+    ----------
+    source : FrameSource
+        Read from its present position.
+    path : path of the new folder
+        Must not exist yet, or be empty.
+    frames : int, optional
+        At most this many frames; a live source needs it. None: all up to the end.
+    progress : callable, optional
+        Told the share done, 0 to 1, and what is being done.
+
+    Returns
+    -------
+    int
+        The number of frames written.
+
+    Raises
+    ------
+    ExportError
+        The folder is not empty or cannot be written, or there is nothing to write.
+    SourceError
+        The source cannot be read.
+    """
+    target = Path(path).expanduser()
+    if frames is not None and frames < 1:
+        raise ExportError(f"cannot export {frames} frames of {source.name}; ask for 1 or more")
+    if frames is None and source.length is None:
+        raise ExportError(f"{source.name} is live and has no end; say how many frames to export")
+    temporary = target.with_name(f".{target.name}-{secrets.token_hex(4)}.partial")
+    try:
+        if target.exists() and (not target.is_dir() or any(target.iterdir())):
+            raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
+        temporary.mkdir(parents=True)
+        count = _write_recording(source, temporary, frames, progress)
+        if target.exists():
+            target.rmdir()
+        temporary.rename(target)
+    except OSError as error:
+        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+    return count
+
+
+def _frame_folders(path: Path) -> list[Path]:
+    """Find the frames of a recording, in the order of their numbers."""
+    try:
+        numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
+    except OSError as error:
+        raise SourceError(f"cannot list {path}: {error.strerror or error}; check its permissions") from error
+    single = any((path / name).exists() for name in _REQUIRED)
+    if single and numbered:
+        raise SourceError(f"{path} has images and numbered subfolders ({numbered[0].name}); keep one of the two")
+    if not single and not numbered:
+        raise SourceError(
+            f"{path} has no frames: neither {_REQUIRED[0]} nor numbered subfolders such as 000000; "
+            "export or copy the recording again"
+        )
+    folders = [path] if single else sorted(numbered, key=lambda folder: int(folder.name))
+    for first, second in itertools.pairwise(folders):
+        if int(first.name) == int(second.name):
+            raise SourceError(f"{path}: {first.name} and {second.name} are the same number; rename one of them")
+    for folder in folders:
+        _require_images(folder)
+    return folders
+
+
+def _require_images(folder: Path) -> None:
+    for name in _REQUIRED:
+        if not (folder / name).is_file():
+            raise SourceError(f"there is no file {folder / name}; every frame needs {', '.join(_REQUIRED)}")
+
+
+def _read_stamp(folder: Path, index: int) -> _Stamp:
+    """Read ``frame.json``; without one, frames follow each other at 30 Hz."""
+    path = folder / "frame.json"
+    if not path.exists():
+        time_s = index / _NOMINAL_RATE_HZ
+        return _Stamp(index, time_s, time_s)
+    data = read_json_object(path)
+    expected = ("sequence", "proximity_time_s", "tactile_time_s")
+    for key in expected:
+        if key not in data:
+            raise SourceError(f"{path}: {key} is missing; add it or remove the file")
+    for key, value in data.items():
+        if key not in expected:
+            raise SourceError(f"{path}: {key} is no field of a frame; it has {', '.join(expected)}")
+        whole = key == "sequence"
+        good = type(value) is int or (not whole and type(value) is float and math.isfinite(value))
+        if not good or (whole and value < 0):
+            kind = "a whole number from 0" if whole else "a number of seconds"
+            raise SourceError(f"{path}: {key} is {value!r}, but it should be {kind}; correct it")
+    return _Stamp(data["sequence"], float(data["proximity_time_s"]), float(data["tactile_time_s"]))
+
+
+def _read_frame(folder: Path, stamp: _Stamp, rig: Rig) -> SensorFrame:
+    proximity, tactile = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
+    tactile_color = folder / "tactile_color.png"
+    return SensorFrame(
+        sequence=stamp.sequence,
+        proximity_depth=_read_counts(folder / "proximity_depth.png", proximity),
+        tactile_depth=_read_counts(folder / "tactile_depth.png", tactile),
+        proximity_color=_read_color(folder / "proximity_color.png", rig.proximity_color_shape),
+        tactile_color=_read_color(tactile_color, tactile) if tactile_color.exists() else None,
+        proximity_time_s=stamp.proximity_time_s,
+        tactile_time_s=stamp.tactile_time_s,
+        truth=_read_truth(folder, rig),
+    )
+
+
+def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
+    shape = rig.proximity.intrinsics.shape
+    contact, counts, metres = (folder / name for name in ("truth_contact.png", "truth_depth.png", "truth_depth.npy"))
+    if not contact.exists():
+        orphan = next((path for path in (counts, metres) if path.exists()), None)
+        if orphan is not None:
+            raise SourceError(f"{orphan} has no {contact.name} beside it; add that or remove this")
+        return None
+    mask = _read_image(contact, np.dtype(np.uint8), 1, shape)
+    strange = mask[(mask != 0) & (mask != 255)]
+    if strange.size:
+        raise SourceError(f"{contact} contains the value {strange[0]}; only 0 and 255 have a meaning, write it again")
+    if metres.exists():
+        return GroundTruth(mask == 255, _read_metres(metres, shape))
+    depth = _metres(_read_counts(counts, shape), rig.proximity.depth_unit_m) if counts.exists() else None
+    return GroundTruth(mask == 255, depth)
+
+
+def _read_counts(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.uint16]:
+    return _read_image(path, np.dtype(np.uint16), 1, shape)
+
+
+def _read_color(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
+    return np.ascontiguousarray(_read_image(path, np.dtype(np.uint8), 3, shape)[:, :, ::-1])
+
+
+def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> npt.NDArray[Any]:
+    """Read one image and insist on its bit depth, its channels and the size that the rig states."""
+    if not path.is_file():
+        raise SourceError(f"there is no file {path}; export or copy the recording again")
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise SourceError(f"{path} is no readable PNG image; export or copy it again")
+    found = image.shape[2] if image.ndim == 3 else 1
+    if image.dtype != dtype or found != channels:
+        raise SourceError(
+            f"{path} has {found} channels of {image.dtype.itemsize * 8} bits, "
+            f"but {channels} of {dtype.itemsize * 8} bits are needed; write it again in that form"
+        )
+    if image.shape[:2] != shape:
+        height, width = image.shape[:2]
+        raise SourceError(
+            f"{path} is {width} x {height} pixels, but rig.json says {shape[1]} x {shape[0]}; "
+            "use the rig of the camera that took it"
+        )
+    return image
+
+
+def _read_metres(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
+    try:
+        depth = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise SourceError(f"{path} is no readable NumPy array; export or copy it again") from error
+    if not isinstance(depth, np.ndarray) or depth.dtype != np.float32 or depth.shape != shape:
+        found = f"{depth.dtype}, {depth.shape}" if isinstance(depth, np.ndarray) else "an archive"
+        raise SourceError(f"{path} holds {found}, but float32, {shape} is needed; write it again in that form")
+    return depth
+
+
+def _metres(counts: npt.NDArray[np.uint16], unit_m: float) -> npt.NDArray[np.float32]:
+    metres = counts.astype(np.float32) * np.float32(unit_m)
+    return np.where(valid_depth(counts), metres, np.float32(np.nan))
+
+
+def _counts(depth_m: npt.NDArray[np.float32], unit_m: float) -> npt.NDArray[np.uint16]:
+    """Round metres to counts; 0 where there is no depth or too much for 16 bits."""
+    with np.errstate(invalid="ignore"):
+        counts = np.rint(depth_m.astype(np.float64) / unit_m)
+        return np.where((counts >= 1) & (counts < NO_DEPTH_COUNTS[1]), counts, 0).astype(np.uint16)
+
+
+def _write_recording(source: FrameSource, folder: Path, frames: int | None, progress: Progress | None) -> int:
+    available = math.inf if source.length is None else source.length - source.position
+    total = int(min(math.inf if frames is None else frames, available))
+    _write_file(folder / "rig.json", json_text(rig_to_json(source.rig)))
+    reference = source.reference()
+    if reference is not None:
+        _write_frame(folder / "reference", reference, source.rig)
+    count = 0
+    while count < total and (frame := source.next_frame()) is not None:
+        _write_frame(folder / f"{count:06d}", frame, source.rig)
+        count += 1
+        if progress is not None:
+            progress(count / total, f"frame {count} of {total}")
+    if count == 0:
+        raise ExportError(f"{source.name} has no frames left to export; seek to the first one")
+    return count
+
+
+def _write_frame(folder: Path, frame: SensorFrame, rig: Rig) -> None:
+    frame.check_against(rig)
+    folder.mkdir()
+    stamp = {
+        "sequence": int(frame.sequence),
+        "proximity_time_s": float(frame.proximity_time_s),
+        "tactile_time_s": float(frame.tactile_time_s),
+    }
+    _write_file(folder / "frame.json", json_text(stamp))
+    _write_image(folder / "proximity_depth.png", frame.proximity_depth)
+    _write_image(folder / "tactile_depth.png", frame.tactile_depth)
+    _write_image(folder / "proximity_color.png", frame.proximity_color[:, :, ::-1])
+    if frame.tactile_color is not None:
+        if frame.tactile_color.shape[:2] != frame.tactile_depth.shape:
+            raise FrameError(f"frame {frame.sequence}: tactile_color is not aligned to the tactile depth; leave it out")
+        _write_image(folder / "tactile_color.png", frame.tactile_color[:, :, ::-1])
+    if frame.truth is not None:
+        if frame.truth.contact.shape != frame.proximity_depth.shape:
+            raise FrameError(f"frame {frame.sequence}: its truth is not in proximity depth pixels; leave it out")
+        _write_truth(folder, frame.truth, rig.proximity.depth_unit_m)
+
+
+def _write_truth(folder: Path, truth: GroundTruth, unit_m: float) -> None:
+    _write_image(folder / "truth_contact.png", truth.contact.astype(np.uint8) * np.uint8(255))
+    if truth.depth_m is None:
+        return
+    counts = _counts(truth.depth_m, unit_m)
+    _write_image(folder / "truth_depth.png", counts)
+    if not np.array_equal(_metres(counts, unit_m), truth.depth_m, equal_nan=True):
+        path = folder / "truth_depth.npy"
+        np.save(path, truth.depth_m)
+        _flush(path)
+
+
+def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
+    encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
+    if not encoded:
+        raise ExportError(f"cannot write {path}: an image of {image.shape} pixels cannot be a PNG")
+    _write_file(path, data.tobytes())
+
+
+def _write_file(path: Path, data: bytes | str) -> None:
+    path.write_bytes(data.encode() if isinstance(data, str) else data)
+    _flush(path)
+
+
+def _flush(path: Path) -> None:
+    """Have the disk hold the file before the folder gets its final name."""
+    with path.open("rb+") as file:
+        os.fsync(file.fileno())
