@@ -1,0 +1,39 @@
+# make run: set up and start. make test: set up and run every test. make help: the rest.
+
+SOURCE ?= sim
+PRESET ?= simulator
+OUT ?= out
+
+# Another environment's packages (a sourced ROS workspace, say) must not reach this one.
+unexport PYTHONPATH
+export PYTHONNOUSERSITE = 1
+
+.PHONY: run test lint format setup lock clean help
+.DEFAULT_GOAL := help
+
+run: setup  ## start the application on the simulator; without a display do the same job headless, into out/
+	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
+
+test: setup  ## run the OpenGL tests under Xvfb, then all others offscreen
+	@scripts/test.sh
+
+lint: setup  ## ruff, its formatter, mypy and the import rules
+	@scripts/lint.sh
+
+format: setup  ## let ruff order imports and format
+	@.venv/bin/ruff check --fix --quiet . && .venv/bin/ruff format --quiet .
+
+setup:  ## system libraries, .venv, the locked packages; returns at once when all is there
+	@PYTHON="$(PYTHON)" scripts/setup.sh
+
+lock: setup  ## write requirements.lock from the ranges in pyproject.toml
+	@.venv/bin/python -m pip install --quiet uv
+	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \
+	  --python-platform x86_64-manylinux_2_31 --no-emit-index-url --no-header --output-file requirements.lock
+
+clean:  ## remove .venv and everything that was made
+	rm -rf .venv .typing out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+help:
+	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 14

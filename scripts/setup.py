@@ -1,0 +1,197 @@
+"""Make everything that Tactune needs to run from a clone: system libraries, .venv, the locked packages.
+
+Runs on the standard library alone, before anything is installed. A second run finds its own stamp and
+returns at once, without the network.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+import platform
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / ".venv"
+VENV_PYTHON = VENV / "bin" / "python"
+LOCK = ROOT / "requirements.lock"
+LOCKED_PYTHON = (3, 11)
+LOCKED_MACHINE = ("Linux", "x86_64")
+TYPED_FOLDERS = ("core", "widgets", "app", "presets")
+
+
+class SetupError(Exception):
+    """One sentence on what stopped the set-up and what to do."""
+
+
+def main() -> int:
+    """Set up; return the exit status."""
+    with Path(__file__).open() as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        try:
+            set_up()
+        except SetupError as error:
+            print(f"Set-up stopped: {error}", file=sys.stderr)
+            return 1
+    return 0
+
+
+def set_up() -> None:
+    """Do what is not done yet."""
+    link_for_type_checkers()
+    packages_stamp, project_stamp = Stamp("packages", LOCK), Stamp("project", ROOT / "pyproject.toml")
+    missing = missing_system_packages()
+    if missing and packages_stamp.holds():
+        print(f"System packages still missing: {install_hint(missing)}", file=sys.stderr)
+    elif missing:
+        install_system_packages(missing)
+    if packages_stamp.holds() and project_stamp.holds():
+        return
+    if not packages_stamp.holds():
+        make_venv()
+        install_packages()
+        packages_stamp.set()
+    editable = ["--quiet", "--no-deps", "--no-build-isolation", "--editable", str(ROOT)]
+    pip("install", *editable, what="Tactune itself")
+    project_stamp.set()
+
+
+class Stamp:
+    """Remembers in the virtual environment what it was made from."""
+
+    def __init__(self, name: str, source: Path) -> None:
+        self._path = VENV / f"tactune-{name}.stamp"
+        self._text = f"{ROOT} {hashlib.sha256(source.read_bytes()).hexdigest()}\n"
+
+    def holds(self) -> bool:
+        """Whether the environment is there and was made here from the present file."""
+        return VENV_PYTHON.exists() and self._path.exists() and self._path.read_text() == self._text
+
+    def set(self) -> None:
+        """Note that the environment was made from the present file."""
+        self._path.write_text(self._text)
+
+
+def succeeds(*command: str | Path, silent: bool = False, env: dict[str, str] | None = None) -> bool:
+    """Run a command and tell whether it exits with 0; a silent one prints nothing."""
+    output = subprocess.DEVNULL if silent else None
+    return subprocess.run(command, check=False, env=env, stdout=output, stderr=output).returncode == 0
+
+
+def output_of(*command: str | Path) -> str:
+    """Return what a command prints."""
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True).stdout
+
+
+def link_for_type_checkers() -> None:
+    """Make .typing/tactune/<folder>, the layout that type checkers can follow."""
+    typing = ROOT / ".typing" / "tactune"
+    typing.mkdir(parents=True, exist_ok=True)
+    for folder in TYPED_FOLDERS:
+        link = typing / folder
+        if not link.is_symlink():
+            link.symlink_to(Path("..", "..", folder))
+
+
+def missing_system_packages() -> list[tuple[str, ...]]:
+    """Return, for each system library or command that is missing, the names of packages that have it."""
+    ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin")
+    known = output_of(ldconfig, "-p") if ldconfig else ""
+    libraries = {line.split()[0] for line in known.splitlines() if line.startswith("\t")}
+    missing = []
+    for line in (ROOT / "scripts" / "system-libraries.txt").read_text().splitlines():
+        if line and not line.startswith("#"):
+            name, *packages = line.split()
+            found = name in libraries if ".so" in name else shutil.which(name)
+            if not found:
+                missing.append(tuple(packages))
+    return missing
+
+
+def install_system_packages(missing: list[tuple[str, ...]]) -> None:
+    """Install with apt where there is one; otherwise say what is missing and go on."""
+    if not shutil.which("apt-get"):
+        print(f"This is no Debian or Ubuntu: install these with your package manager: {install_hint(missing)}")
+        return
+    prefix = [] if os.geteuid() == 0 else sudo()
+    if prefix is None:
+        print(f"System packages are missing and neither root nor sudo is at hand: {install_hint(missing)}")
+        return
+    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
+    print("Installing system packages (once) ...", flush=True)
+    apt_get = [*prefix, "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
+    succeeds(*apt_get, "update", env=environment)
+    names = [known_to_apt(alternatives) for alternatives in missing]
+    if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names, env=environment):
+        print(f"apt-get failed (its message is above); going on without: {install_hint(missing)}", file=sys.stderr)
+
+
+def sudo() -> list[str] | None:
+    """Return the words to put before a command that needs root, or None if there is no way."""
+    if not shutil.which("sudo"):
+        return None
+    return ["sudo"] if sys.stdin.isatty() else ["sudo", "--non-interactive"]
+
+
+def known_to_apt(alternatives: tuple[str, ...]) -> str:
+    """Return the first of several package names that this release of Debian or Ubuntu has."""
+    known = (name for name in alternatives if succeeds("apt-cache", "show", name, silent=True))
+    return next(known, alternatives[-1])
+
+
+def install_hint(missing: list[tuple[str, ...]]) -> str:
+    """Return the command that installs what is missing."""
+    return "sudo apt-get install " + " ".join(alternatives[0] for alternatives in missing)
+
+
+def make_venv() -> None:
+    """Make .venv, unless a working one is there."""
+    if VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
+        return
+    print(f"Making .venv with Python {platform.python_version()} ...", flush=True)
+    # Debian's python3.11 comes without ensurepip; its own pip can then install into the environment from outside.
+    has_ensurepip = succeeds(sys.executable, "-c", "import ensurepip", silent=True)
+    options = ["--clear"] if has_ensurepip else ["--clear", "--without-pip"]
+    if not succeeds(sys.executable, "-m", "venv", *options, VENV):
+        raise SetupError(f"{sys.executable} cannot make a virtual environment: sudo apt-get install python3.11-venv")
+
+
+def install_packages() -> None:
+    """Install the locked packages, or the ranges of pyproject.toml where the lock does not apply."""
+    found = output_of(VENV_PYTHON, "-c", "import sys; print(*sys.version_info[:2])")
+    python = tuple(int(part) for part in found.split())
+    if python == LOCKED_PYTHON and (platform.system(), platform.machine()) == LOCKED_MACHINE:
+        print("Installing the locked packages into .venv (once; about 1 GB to download) ...", flush=True)
+        locked = ["--require-hashes", "--no-deps", "--only-binary", ":all:", "--requirement", str(LOCK)]
+        pip("install", *locked, what="the locked packages")
+    else:
+        print(
+            f"The lock is for Python 3.11 on Linux x86-64; on Python {'.'.join(map(str, python))}, {platform.system()} "
+            f"{platform.machine()} the newest versions that pyproject.toml allows are installed instead ...",
+            flush=True,
+        )
+        pip("install", "--editable", f"{ROOT}[gui,dev]", "setuptools>=77", what="the packages of pyproject.toml")
+
+
+def pip(*arguments: str, what: str) -> None:
+    """Run pip for .venv, its own or else the one of the Python that made it."""
+    own = succeeds(VENV_PYTHON, "-m", "pip", "--version", silent=True)
+    words = [str(VENV_PYTHON), "-m", "pip"] if own else [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
+    quiet = [] if sys.stdout.isatty() else ["--quiet"]
+    environment = {key: value for key, value in os.environ.items() if key not in ("PYTHONPATH", "PIP_TARGET")}
+    environment |= {
+        "PYTHONWARNINGS": "ignore",
+        "PIP_USER": "0",
+        "PIP_DISABLE_PIP_VERSION_CHECK": "1",
+        "PIP_ROOT_USER_ACTION": "ignore",
+    }
+    if not succeeds(*words, *arguments, *quiet, env=environment):
+        raise SetupError(f"pip could not install {what} (its message is above); check the network and run make again")
+
+
+if __name__ == "__main__":
+    sys.exit(main())
