@@ -115,18 +115,19 @@ def missing_system_packages() -> list[tuple[str, ...]]:
 def install_system_packages(missing: list[tuple[str, ...]]) -> None:
     """Install with apt where there is one; otherwise say what is missing and go on."""
     if not shutil.which("apt-get"):
-        print(f"This is no Debian or Ubuntu: install these with your package manager: {install_hint(missing)}")
+        print(
+            f"This is no Debian or Ubuntu; install what these are called here: {' '.join(map(known_to_apt, missing))}"
+        )
         return
     prefix = [] if os.geteuid() == 0 else sudo()
     if prefix is None:
         print(f"System packages are missing and neither root nor sudo is at hand: {install_hint(missing)}")
         return
-    environment = {**os.environ, "DEBIAN_FRONTEND": "noninteractive"}
     print("Installing system packages (once) ...", flush=True)
-    apt_get = [*prefix, "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
-    succeeds(*apt_get, "update", env=environment)
+    apt_get = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
+    succeeds(*apt_get, "update")
     names = [known_to_apt(alternatives) for alternatives in missing]
-    if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names, env=environment):
+    if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names):
         print(f"apt-get failed (its message is above); going on without: {install_hint(missing)}", file=sys.stderr)
 
 
@@ -139,13 +140,15 @@ def sudo() -> list[str] | None:
 
 def known_to_apt(alternatives: tuple[str, ...]) -> str:
     """Return the first of several package names that this release of Debian or Ubuntu has."""
+    if not shutil.which("apt-cache"):
+        return alternatives[-1]
     known = (name for name in alternatives if succeeds("apt-cache", "show", name, silent=True))
     return next(known, alternatives[-1])
 
 
 def install_hint(missing: list[tuple[str, ...]]) -> str:
     """Return the command that installs what is missing."""
-    return "sudo apt-get install " + " ".join(alternatives[0] for alternatives in missing)
+    return "sudo apt-get install " + " ".join(map(known_to_apt, missing))
 
 
 def make_venv() -> None:
