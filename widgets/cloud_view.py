@@ -1,0 +1,362 @@
+"""A 3D view of one organised point cloud, with an orbiting camera."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from math import pi, radians
+from typing import Literal
+
+import numpy as np
+from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import (
+    QColor,
+    QFocusEvent,
+    QKeyEvent,
+    QMouseEvent,
+    QPainter,
+    QPaintEvent,
+    QPalette,
+    QPen,
+    QResizeEvent,
+    QWheelEvent,
+)
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+
+from .cloud_data import DepthCloud
+from .cloud_legend import LegendLine
+from .cloud_scene import CloudScene
+from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
+
+BackendChoice = Literal["auto", "opengl", "software"]
+
+_ORBIT_STEP = radians(5.0)
+_ZOOM_STEP = 1.15
+_RING = 2
+#: Every how many rows and columns a cloud is sampled to frame it.
+_FRAMING_STEP = 8
+
+_HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
+<b>double click</b> to reset.</p>
+<p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
+
+_ORBIT_KEYS: dict[int, tuple[float, float]] = {
+    Qt.Key.Key_Left: (-1, 0),
+    Qt.Key.Key_Right: (1, 0),
+    Qt.Key.Key_Up: (0, 1),
+    Qt.Key.Key_Down: (0, -1),
+}
+_ZOOM_KEYS: dict[int, float] = {
+    Qt.Key.Key_Plus: _ZOOM_STEP,
+    Qt.Key.Key_Equal: _ZOOM_STEP,
+    Qt.Key.Key_Minus: 1 / _ZOOM_STEP,
+}
+_VIEWPOINT_KEYS: dict[int, Viewpoint] = {Qt.Key.Key_R: "reset", Qt.Key.Key_T: "top", Qt.Key.Key_S: "side"}
+
+
+class CloudView(QWidget):
+    """Title, number of points, the cloud itself and a legend.
+
+    The cloud is drawn by OpenGL, or by the software painter where OpenGL is missing, merely emulated,
+    or fails while running; `backend_name` and `backend_reason` tell. Until somebody steers it, the
+    camera frames the cloud by itself, and again whenever the view is resized.
+
+    Parameters
+    ----------
+    title : str
+        Shown above the cloud and read by screen readers.
+    backend : "auto", "opengl" or "software"
+        "opengl" insists even on emulated OpenGL, yet falls back where there is none.
+    """
+
+    #: The camera moved, by hand, by call or by a linked view; carries the `ViewCamera`.
+    cameraChanged = pyqtSignal(object)
+
+    def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._scene = CloudScene()
+        self._message = ""
+        self._steered = False
+        self._companions: list[CloudView] = []
+        self._drag_from: QPointF | None = None
+        self._drag_pans = False
+        self.backend_name = ""
+        self.backend_reason = ""
+
+        self._title = QLabel(title)
+        font = self._title.font()
+        font.setBold(True)
+        self._title.setFont(font)
+        self._count = QLabel()
+        self._legend = LegendLine()
+        self._canvas = self._choose_canvas(backend)
+        self._lay_out()
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setAccessibleName(f"3D view: {title}")
+        self._show_count()
+
+    def _lay_out(self) -> None:
+        header = QHBoxLayout()
+        header.setContentsMargins(4, 2, 4, 0)
+        header.addWidget(self._title)
+        header.addStretch(1)
+        header.addWidget(self._count)
+        for label in (self._title, self._count):
+            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+            header.setStretchFactor(label, 1)
+        self._count.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+        self._body = QVBoxLayout(self)
+        self._body.setContentsMargins(_RING, 0, _RING, 0)
+        self._body.setSpacing(_RING + 1)
+        self._body.addLayout(header)
+        self._body.addWidget(self._canvas, 1)
+        self._body.addWidget(self._legend)
+
+    # What is shown
+
+    def set_cloud(self, cloud: DepthCloud | None) -> None:
+        """Show another cloud, or none."""
+        arrives = cloud is not None and self._scene.cloud is None
+        self._scene.cloud = cloud
+        self._show_count()
+        if arrives and not self._steered:
+            self.fit()
+        self._canvas.update()
+
+    def cloud(self) -> DepthCloud | None:
+        """Return the cloud that is shown."""
+        return self._scene.cloud
+
+    def point_count(self) -> int:
+        """Return the number of points that the view states."""
+        return self._scene.cloud.point_count if self._scene.cloud else 0
+
+    def set_point_size(self, size: float) -> None:
+        """Draw points as squares of this edge length, in device-independent pixels, at least 1."""
+        self._scene.point_size = max(1.0, float(size))
+        self._canvas.update()
+
+    def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
+        """Explain the colours in one line, the most important first."""
+        self._legend.setValue(entries)
+
+    def legend(self) -> list[tuple[str, QColor]]:
+        """Return the entries of the legend."""
+        return self._legend.value()
+
+    def set_message(self, message: str) -> None:
+        """Say what to do while the view states no points."""
+        self._message = message
+        self._show_count()
+        self._canvas.update()
+
+    def message(self) -> str:
+        """Return the message that is visible now: empty while there are points."""
+        return self._scene.message
+
+    def _show_count(self) -> None:
+        count = self.point_count()
+        self._count.setText(f"{count:,} point{'' if count == 1 else 's'}")
+        self._scene.message = self._message if count == 0 else ""
+
+    # Camera
+
+    def camera(self) -> ViewCamera:
+        """Return the camera."""
+        return self._scene.camera
+
+    def set_camera(self, camera: ViewCamera) -> None:
+        """Move the camera, and those of linked views; from now on it does not frame by itself."""
+        self._move(camera, steered=True)
+
+    def look_from(self, viewpoint: Viewpoint) -> None:
+        """Turn to a named viewpoint and frame the cloud."""
+        if viewpoint not in VIEWPOINTS:
+            raise ValueError(f"there is no viewpoint {viewpoint!r}; choose one of {', '.join(VIEWPOINTS)}")
+        self._frame(self.camera().looking_from(viewpoint), steered=viewpoint != "reset")
+
+    def fit(self) -> None:
+        """Frame the clouds of this and all linked views, keeping the direction of view."""
+        self._frame(self.camera(), self._steered)
+
+    def _frame(self, camera: ViewCamera, steered: bool) -> None:
+        clouds = [view.cloud() for view in (self, *self._companions)]
+        points = [cloud.points(_FRAMING_STEP) for cloud in clouds if cloud is not None]
+        if points:
+            camera = camera.framing(np.concatenate(points), self._canvas.width(), self._canvas.height())
+        self._move(camera, steered)
+
+    def _move(self, camera: ViewCamera, steered: bool) -> None:
+        for view in (self, *self._companions):
+            view._place(camera, steered)
+
+    def _place(self, camera: ViewCamera, steered: bool) -> None:
+        self._steered = steered
+        if camera != self._scene.camera:
+            self._scene.camera = camera
+            self._canvas.update()
+            self.cameraChanged.emit(camera)
+
+    # Back ends
+
+    def _choose_canvas(self, backend: BackendChoice) -> QWidget:
+        if backend != "software":
+            try:
+                from .gl_backend import GLCanvas, probe_opengl
+            except ImportError as error:
+                return self._software_canvas(f"Software view: OpenGL cannot be loaded ({error})")
+            probe = probe_opengl()
+            if probe.usable and (backend == "opengl" or not probe.emulated):
+                canvas = GLCanvas(self._scene, self)
+                canvas.failed.connect(self._fall_back, Qt.ConnectionType.QueuedConnection)
+                self._note_backend("opengl", "")
+                return canvas
+            return self._software_canvas(f"Software view: {probe.reason}")
+        return self._software_canvas("")
+
+    def _software_canvas(self, reason: str) -> QWidget:
+        from .software_backend import SoftwareCanvas
+
+        self._note_backend("software", reason)
+        return SoftwareCanvas(self._scene, self)
+
+    def _note_backend(self, name: str, reason: str) -> None:
+        self.backend_name, self.backend_reason = name, reason
+        self._scene.note = reason
+        self.setToolTip(_HELP + (f"<p>{reason}.</p>" if reason else ""))
+
+    def _fall_back(self, reason: str) -> None:
+        """Go on in software when OpenGL fails while running."""
+        if self.backend_name == "software":
+            return
+        broken = self._canvas
+        self._canvas = self._software_canvas(f"Software view: {reason}")
+        self._body.replaceWidget(broken, self._canvas)
+        broken.hide()
+        QTimer.singleShot(0, broken.deleteLater)
+        self._canvas.show()
+
+    # Events
+
+    def sizeHint(self) -> QSize:
+        """Large: the clouds are what one looks at."""
+        return QSize(420, 440)
+
+    def minimumSizeHint(self) -> QSize:
+        """Small enough for three views in a small window."""
+        return QSize(160, 160)
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Frame again, unless somebody steered."""
+        super().resizeEvent(event)
+        if not self._steered and self._scene.cloud is not None:
+            QTimer.singleShot(0, self, self._frame_after_resize)
+
+    def _frame_after_resize(self) -> None:
+        if not self._steered:
+            self.fit()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Keep our keys for ourselves where the application has shortcuts on them."""
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and self._knows(event):
+            event.accept()
+            return True
+        return super().event(event)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Orbit, zoom or change the viewpoint."""
+        if event is None or not self._knows(event):
+            super().keyPressEvent(event)
+            return
+        key = event.key()
+        if key in _ORBIT_KEYS:
+            right, up = _ORBIT_KEYS[key]
+            self.set_camera(self.camera().orbited(right * _ORBIT_STEP, up * _ORBIT_STEP))
+        elif key in _ZOOM_KEYS:
+            middle = QPointF(self._canvas.width() / 2, self._canvas.height() / 2)
+            self._zoom(_ZOOM_KEYS[key], middle)
+        else:
+            self.look_from(_VIEWPOINT_KEYS[key])
+
+    @staticmethod
+    def _knows(event: QKeyEvent) -> bool:
+        plain = Qt.KeyboardModifier.ShiftModifier | Qt.KeyboardModifier.KeypadModifier
+        if event.modifiers() & ~plain:
+            return False
+        return any(event.key() in keys for keys in (_ORBIT_KEYS, _ZOOM_KEYS, _VIEWPOINT_KEYS))
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:
+        """Begin to orbit or to pan."""
+        if event is None or event.button() not in (Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton):
+            super().mousePressEvent(event)
+            return
+        shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
+        self._drag_from = event.position()
+        self._drag_pans = shift or event.button() == Qt.MouseButton.MiddleButton
+        self._canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
+        """Orbit or pan by what the mouse moved."""
+        if event is None or self._drag_from is None:
+            super().mouseMoveEvent(event)
+            return
+        moved = event.position() - self._drag_from
+        self._drag_from = event.position()
+        width, height = self._canvas.width(), self._canvas.height()
+        if self._drag_pans:
+            self.set_camera(self.camera().panned(moved.x(), moved.y(), width, height))
+        else:
+            turn = pi / max(1, min(width, height))
+            self.set_camera(self.camera().orbited(-moved.x() * turn, moved.y() * turn))
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
+        """End a drag."""
+        self._drag_from = None
+        self._canvas.unsetCursor()
+        super().mouseReleaseEvent(event)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
+        """Reset the view."""
+        if event is not None and event.button() == Qt.MouseButton.LeftButton:
+            self.look_from("reset")
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:
+        """Zoom about the cursor."""
+        if event is None or event.angleDelta().y() == 0:
+            super().wheelEvent(event)
+            return
+        cursor = self._canvas.mapFrom(self, event.position())
+        self._zoom(_ZOOM_STEP ** (event.angleDelta().y() / 120), cursor)
+        event.accept()
+
+    def _zoom(self, factor: float, at: QPointF) -> None:
+        size = self._canvas.width(), self._canvas.height()
+        self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *size))
+
+    def focusInEvent(self, event: QFocusEvent | None) -> None:
+        """Show the focus ring."""
+        super().focusInEvent(event)
+        self.update()
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:
+        """Take the focus ring away."""
+        super().focusOutEvent(event)
+        self.update()
+
+    def paintEvent(self, _event: QPaintEvent | None) -> None:
+        """Paint the frame around the canvas, as a ring in the accent colour when focused."""
+        role = QPalette.ColorRole.Highlight if self.hasFocus() else QPalette.ColorRole.Mid
+        width = _RING if self.hasFocus() else 1
+        painter = QPainter(self)
+        painter.setPen(QPen(self.palette().color(role), width))
+        grown = self._canvas.geometry().toRectF().adjusted(-width / 2, -width / 2, width / 2, width / 2)
+        painter.drawRect(grown)
+        painter.end()
+
+
+def link_cameras(views: Sequence[CloudView]) -> None:
+    """Let all views share one camera: move one and the others follow. The first one's camera is taken."""
+    for view in views:
+        view._companions = [other for other in views if other is not view]
+    if views:
+        first = views[0]
+        first._move(first.camera(), first._steered)
