@@ -1,0 +1,50 @@
+from __future__ import annotations
+
+import pyqtgraph as pg
+import pytest
+from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtWidgets import QApplication, QWidget
+from tactune.widgets.theme import ACCENT, apply_theme, contrast_ratio, theme_colors, theme_name
+
+NAMES = ("light", "dark")
+
+
+def test_contrast_ratio_has_its_known_values() -> None:
+    assert contrast_ratio("#ffffff", "#000000") == pytest.approx(21.0, abs=1e-4)
+    assert contrast_ratio("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
+    assert contrast_ratio("#123456", "#123456") == 1.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("background", ["window", "base", "alternate", "button"])
+@pytest.mark.parametrize("text", ["text", "muted", "accent_text", "error"])
+def test_text_is_readable_on_every_background(name: str, background: str, text: str) -> None:
+    colors = theme_colors(name)
+    assert contrast_ratio(getattr(colors, text), getattr(colors, background)) >= 4.5
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_accent_stands_out_and_carries_text(name: str) -> None:
+    colors = theme_colors(name)
+    assert contrast_ratio(ACCENT, colors.on_accent) >= 4.5
+    assert contrast_ratio(ACCENT, colors.window) >= 3.0
+    assert contrast_ratio(ACCENT, colors.base) >= 3.0
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) -> None:
+    widget = QWidget()
+    qtbot.addWidget(widget)
+    assert apply_theme(qapp, name) == name
+    assert theme_name() == name
+    colors = theme_colors()
+    assert colors == theme_colors(name)
+    assert widget.palette().color(QPalette.ColorRole.Window) == QColor(colors.window)
+    assert widget.palette().color(QPalette.ColorRole.Highlight) == QColor(ACCENT)
+    assert pg.getConfigOption("background") == colors.base
+    assert qapp.style().name() == "fusion"
+
+
+def test_system_resolves_to_a_theme(qapp: QApplication) -> None:
+    assert apply_theme(qapp, "system") in NAMES
+    assert theme_name() in NAMES

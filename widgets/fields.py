@@ -1,0 +1,190 @@
+"""What a widget has to know of a preset field: read from the pydantic model, so that both never differ."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+Kind = Literal["flag", "choice", "number", "range", "rectangle", "matrix"]
+
+#: Model unit -> (factor, suffix) of what people read.
+_SHOWN_UNITS: dict[str, tuple[float, str]] = {
+    "": (1.0, ""),
+    "m": (1000.0, " mm"),
+    "mm2": (1.0, " mm²"),
+    "px": (1.0, " px"),
+    "points": (1.0, ""),
+    "sigma": (1.0, " σ"),
+    "deg/2": (1.0, ""),
+}
+
+_UNIT_WORDS = {
+    "m": "millimetres",
+    "mm2": "square millimetres",
+    "px": "pixels",
+    "points": "a number of points",
+    "sigma": "standard deviations",
+    "deg/2": "half degrees, 0 to 179",
+}
+
+
+@dataclass(frozen=True)
+class FieldSpec:
+    """One field of the preset, as a widget shows it.
+
+    Bounds, ``slider`` and ``step`` are in the model's unit; a value times ``factor`` is what people read,
+    followed by ``suffix``.
+    """
+
+    path: str
+    title: str
+    description: str
+    kind: Kind
+    default: Any
+    unit: str = ""
+    factor: float = 1.0
+    suffix: str = ""
+    minimum: float = 0.0
+    maximum: float = 1.0
+    open_minimum: bool = False
+    slider: tuple[float, float] = (0.0, 1.0)
+    step: float = 1.0
+    log: bool = False
+    wraps: bool = False
+    integer: bool = False
+    choices: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """The last part of the path."""
+        return self.path.rpartition(".")[2]
+
+    @property
+    def tooltip(self) -> str:
+        """The meaning, the unit and the allowed values, for a tooltip."""
+        parts = [self.description]
+        if self.unit in _UNIT_WORDS and self.kind != "matrix":
+            parts.append(f"In {_UNIT_WORDS[self.unit]}.")
+        if self.kind in ("number", "range"):
+            low, high = (format_number(bound * self.factor) for bound in (self.minimum, self.maximum))
+            parts.append(f"Allowed: {'above ' if self.open_minimum else ''}{low} to {high}{self.suffix}.")
+        return " ".join(parts)
+
+    def allows(self, value: float) -> bool:
+        """Whether one number lies within the bounds."""
+        return value <= self.maximum and (value > self.minimum if self.open_minimum else value >= self.minimum)
+
+    def shown(self, value: float) -> str:
+        """Write one number as people read it, with its unit."""
+        return format_number(value * self.factor) + self.suffix
+
+    def from_shown(self, number: float) -> float | int:
+        """Take a number that a person typed to the model's unit."""
+        if self.integer:
+            return round(number)
+        return number if self.factor == 1.0 else float(f"{number / self.factor:.12g}")
+
+
+def format_number(value: float, digits: int = 6) -> str:
+    """Write a number without exponent, to so many significant digits, without trailing zeros."""
+    text = f"{float(f'{value:.{digits}g}'):.12f}".rstrip("0").rstrip(".")
+    return "0" if text in ("-0", "") else text
+
+
+def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
+    """Yield the fields of a preset section, nested models included, in their order.
+
+    Raises
+    ------
+    TypeError
+        A field of a type that has no widget yet.
+    """
+    for name, info in model.model_fields.items():
+        path = f"{prefix}.{name}"
+        if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
+            yield from section_fields(info.annotation, path)
+        else:
+            yield _read_field(path, info)
+
+
+def _read_field(path: str, info: FieldInfo) -> FieldSpec:
+    extra: dict[str, Any] = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+    unit = str(extra.get("unit", ""))
+    factor, suffix = _SHOWN_UNITS.get(unit, (1.0, f" {unit}"))
+    title = info.title or path.rpartition(".")[2].replace("_", " ").capitalize()
+    default = info.get_default(call_default_factory=True)
+    common: dict[str, Any] = {
+        "path": path,
+        "title": title,
+        "description": info.description or "",
+        "default": default,
+        "unit": unit,
+        "factor": factor,
+        "suffix": suffix,
+    }
+    kind = _kind_of(path, info.annotation)
+    if kind == "choice":
+        return FieldSpec(kind=kind, choices=tuple(get_args(info.annotation)), **common)
+    if kind in ("flag", "matrix"):
+        return FieldSpec(kind=kind, **common)
+
+    element, metadata = _element_of(info)
+    bounds = _bounds_of(metadata)
+    slider = extra.get("slider", (bounds["minimum"], bounds["maximum"]))
+    integer = element is int
+    span = float(slider[1]) - float(slider[0])
+    return FieldSpec(
+        kind=kind,
+        integer=integer,
+        slider=(float(slider[0]), float(slider[1])),
+        step=float(extra.get("step", 1.0 if integer else span / 200.0)),
+        log=extra.get("scale") == "log",
+        wraps=bool(extra.get("wraps", False)),
+        **bounds,
+        **common,
+    )
+
+
+def _kind_of(path: str, annotation: Any) -> Kind:
+    if annotation is bool:
+        return "flag"
+    if annotation in (int, float):
+        return "number"
+    if get_origin(annotation) is Literal:
+        return "choice"
+    if get_origin(annotation) is tuple:
+        kinds: dict[int, Kind] = {2: "range", 4: "rectangle"}
+        count = len(get_args(annotation))
+        if count in kinds:
+            return kinds[count]
+    if type(None) in get_args(annotation):
+        return "matrix"
+    raise TypeError(f"{path}: no widget for a field of type {annotation}")
+
+
+def _element_of(info: FieldInfo) -> tuple[Any, list[Any]]:
+    """Return the number type of a field or of a tuple's items, and what bounds it."""
+    if get_origin(info.annotation) is not tuple:
+        return info.annotation, list(info.metadata)
+    item = get_args(info.annotation)[0]
+    if get_origin(item) is not Annotated:
+        return item, []
+    element, *annotations = get_args(item)
+    metadata: list[Any] = []
+    for annotation in annotations:
+        metadata += annotation.metadata if isinstance(annotation, FieldInfo) else [annotation]
+    return element, metadata
+
+
+def _bounds_of(metadata: list[Any]) -> dict[str, Any]:
+    bounds: dict[str, Any] = {"minimum": float("-inf"), "maximum": float("inf"), "open_minimum": False}
+    for entry in metadata:
+        for attribute, target in (("ge", "minimum"), ("gt", "minimum"), ("le", "maximum")):
+            if hasattr(entry, attribute):
+                bounds[target] = float(getattr(entry, attribute))
+                bounds["open_minimum"] |= attribute == "gt"
+    return bounds

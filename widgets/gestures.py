@@ -1,0 +1,48 @@
+"""Numbers for gestures: all edits of one drag, or of one burst of keys, carry the same number."""
+
+from __future__ import annotations
+
+import itertools
+import time
+
+_numbers = itertools.count(1)
+
+#: Key presses or wheel steps that follow each other within this time belong to one gesture.
+BURST_S = 0.8
+
+
+def new_gesture() -> int:
+    """Return a number that no gesture of this process has had yet; never 0."""
+    return next(_numbers)
+
+
+class GestureClock:
+    """Tells one gesture of a widget from the next."""
+
+    def __init__(self) -> None:
+        self._number = 0
+        self._held = False
+        self._last_s = 0.0
+
+    def hold(self) -> None:
+        """Begin a drag: every edit until `release` is one gesture."""
+        self._number = new_gesture()
+        self._held = True
+
+    def release(self) -> None:
+        """End the drag, or the burst of keys; the next edit is another gesture."""
+        self._held = False
+        self._number = 0
+
+    @property
+    def held(self) -> bool:
+        """Whether a drag is going on."""
+        return self._held
+
+    def number(self) -> int:
+        """Return the number for an edit that happens now."""
+        now_s = time.monotonic()
+        if not self._held and (self._number == 0 or now_s - self._last_s > BURST_S):
+            self._number = new_gesture()
+        self._last_s = now_s
+        return self._number

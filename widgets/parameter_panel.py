@@ -1,0 +1,316 @@
+"""The panel in which a preset is tuned, generated from the preset's model."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
+from PyQt6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ..core.preset import Preset
+from .collapsible import CollapsibleSection
+from .fields import section_fields
+from .gestures import new_gesture
+from .histogram import DifferenceHistogram
+from .parameter_row import FlagEditor, ParameterRow
+from .range_row import RangeEditor
+
+#: The sections of the panel, top to bottom: part of the preset, title.
+SECTIONS = (
+    ("alignment", "Alignment"),
+    ("mask", "Mask"),
+    ("tolerance", "Tolerance"),
+    ("outliers", "Outliers"),
+    ("range", "Range"),
+    ("region", "Region"),
+)
+
+_EYEDROPPERS = {
+    "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc leaves."),
+    "expand": ("+", "Expand: click membrane that the mask misses, and the ranges grow to cover it. Esc leaves."),
+    "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is cut so that it is left. Esc leaves."),
+}
+
+
+class ParameterPanel(QScrollArea):
+    """Shows and edits every tunable value of a preset.
+
+    The panel holds no preset of its own: it shows the one given to `set_preset` and tells what a person does.
+    Whoever listens answers with `set_preset`, or with `show_error` where the value is refused.
+
+    Signals
+    -------
+    valueEdited(path: str, value: object, gesture: int)
+        All edits of one drag, one burst of keys or one typed number carry the same gesture number.
+    valuesEdited(values: dict[str, object], gesture: int)
+        A section was reset: several fields at once.
+    eyedropperRequested(mode: str)
+        "set", "expand", "shrink", or "off".
+    """
+
+    valueEdited = pyqtSignal(str, object, int)
+    valuesEdited = pyqtSignal(object, int)
+    eyedropperRequested = pyqtSignal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._preset = Preset()
+        self._median_m = float("nan")
+        self.rows: dict[str, ParameterRow] = {}
+        self.sections: dict[str, CollapsibleSection] = {}
+        self._section_resets: dict[str, QToolButton] = {}
+        self._eyedroppers: dict[str, QToolButton] = {}
+        self._info = _note()
+        self._tolerance_mm = _note()
+        self.histogram = DifferenceHistogram()
+        self.histogram.toleranceEdited.connect(self._histogram_dragged)
+
+        content = QWidget()
+        column = QVBoxLayout(content)
+        column.setContentsMargins(4, 4, 4, 4)
+        column.setSpacing(6)
+        for name, title in SECTIONS:
+            section = self._make_section(name, title)
+            self.sections[name] = section
+            column.addWidget(section)
+        column.addStretch(1)
+        self.setWidget(content)
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setMinimumWidth(340)
+        self.setAccessibleName("Parameters")
+
+        self._escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
+        self._escape.activated.connect(lambda: self._choose_eyedropper("off"))
+        self._escape.setEnabled(False)
+        self.set_baseline(None)
+        self._refresh()
+
+    # --- what is shown -----------------------------------------------------------------------------------------
+
+    def set_preset(self, preset: Preset) -> None:
+        """Show a preset; never emits."""
+        self._preset = preset
+        for path, row in self.rows.items():
+            row.show_value(preset.value(path))
+        self._refresh()
+
+    def set_baseline(self, preset: Preset | None) -> None:
+        """Say what the reset buttons go back to: the loaded or saved preset, or with None the defaults."""
+        for path, row in self.rows.items():
+            if preset is None:
+                row.set_reset_target(Preset().value(path), "default")
+            else:
+                row.set_reset_target(preset.value(path), f"as in {preset.name}")
+        self._refresh()
+
+    def show_error(self, path: str, sentence: str) -> None:
+        """Show why a value was refused, below its row, and put the row back to the preset's value."""
+        row = self.rows[path]
+        row.show_value(self._preset.value(path))
+        row.message.show_sentence(sentence)
+        self.sections[_section_of(path)].set_collapsed(False)
+        self._refresh()
+
+    def set_alignment_info(self, text: str) -> None:
+        """Say how good the alignment is, below the choice of its model."""
+        self._info.setText(text)
+        self._info.setVisible(bool(text))
+
+    def set_median_distance_m(self, distance_m: float) -> None:
+        """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
+        if distance_m != self._median_m:
+            self._median_m = distance_m
+            self._show_tolerance_mm()
+
+    def set_histogram(self, counts: npt.NDArray[Any], edges: npt.NDArray[np.floating], t: float) -> None:
+        """Show the relative differences of the latest frame.
+
+        Parameters
+        ----------
+        counts : array, shape (N,)
+        edges : array, shape (N + 1,)
+            Relative differences (dp - dt) / dp.
+        t : float
+            The tolerance that the counts were made with; the lines follow the slider, not this.
+        """
+        self.histogram.set_data(counts, edges, t)
+
+    def collapsed_sections(self) -> list[str]:
+        """Return which sections are folded, to be remembered."""
+        return [name for name, section in self.sections.items() if section.collapsed]
+
+    def set_collapsed_sections(self, names: list[str]) -> None:
+        """Fold these sections and unfold the others."""
+        for name, section in self.sections.items():
+            section.set_collapsed(name in names)
+
+    def set_eyedropper(self, mode: str) -> None:
+        """Show which eyedropper is in use ("off" for none); never emits."""
+        for name, button in self._eyedroppers.items():
+            button.setChecked(name == mode)
+        self._escape.setEnabled(mode != "off")
+
+    # --- building ----------------------------------------------------------------------------------------------
+
+    def _make_section(self, name: str, title: str) -> CollapsibleSection:
+        section = CollapsibleSection(title)
+        grid = QGridLayout(section.body)
+        grid.setContentsMargins(6, 4, 4, 4)
+        grid.setHorizontalSpacing(6)
+        grid.setVerticalSpacing(3)
+        grid.setColumnStretch(1, 1)
+        for spec in section_fields(type(getattr(Preset(), name)), name):
+            row = ParameterRow(spec, section)
+            row.edited.connect(self._row_edited)
+            self.rows[spec.path] = row
+            if isinstance(row.widget, FlagEditor) and spec.name == "enabled":
+                section.add_header_widget(row.widget)
+                grid.addWidget(row.message, grid.rowCount(), 0, 1, 3)
+            else:
+                row.add_to(grid)
+            if spec.path == "alignment.model":
+                grid.addWidget(self._info, grid.rowCount(), 0, 1, 3)
+        if name == "mask":
+            grid.addWidget(self._make_eyedropper_bar(), grid.rowCount(), 0, 1, 3)
+        if name == "tolerance":
+            grid.addWidget(self._tolerance_mm, grid.rowCount(), 0, 1, 3)
+            grid.addWidget(self.histogram, grid.rowCount(), 0, 1, 3)
+        reset = QToolButton()
+        reset.setText("↺")
+        reset.setAutoRaise(True)
+        reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        reset.setAccessibleName(f"Reset section {title.lower()}")
+        reset.setToolTip(f"Reset everything in {title.lower()}")
+        reset.clicked.connect(lambda: self._reset_section(name))
+        section.add_header_widget(reset)
+        self._section_resets[name] = reset
+        return section
+
+    def _make_eyedropper_bar(self) -> QWidget:
+        bar = QWidget()
+        layout = QHBoxLayout(bar)
+        layout.setContentsMargins(0, 2, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(QLabel("Eyedropper"))
+        for mode, (text, tooltip) in _EYEDROPPERS.items():
+            button = QToolButton()
+            button.setText(text)
+            button.setToolTip(tooltip)
+            button.setCheckable(True)
+            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+            button.setAccessibleName(f"Eyedropper: {mode}")
+            button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
+            self._eyedroppers[mode] = button
+            layout.addWidget(button, 1)
+        return bar
+
+    # --- reacting ----------------------------------------------------------------------------------------------
+
+    def _row_edited(self, path: str, value: object, gesture: int) -> None:
+        self._refresh()
+        self.valueEdited.emit(path, value, gesture)
+
+    def _histogram_dragged(self, t: float, gesture: int) -> None:
+        row = self.rows["tolerance.t"]
+        row.show_value(t)
+        row.message.show_sentence("")
+        self._row_edited("tolerance.t", t, gesture)
+
+    def _reset_section(self, name: str) -> None:
+        changed = {
+            path: row.reset_target
+            for path, row in self.rows.items()
+            if _section_of(path) == name and row.editor.value() != row.reset_target
+        }
+        for path, value in changed.items():
+            self.rows[path].show_value(value)
+            self.rows[path].message.show_sentence("")
+        self._refresh()
+        if changed:
+            self.valuesEdited.emit(changed, new_gesture())
+
+    def _choose_eyedropper(self, mode: str) -> None:
+        self.set_eyedropper(mode)
+        self.eyedropperRequested.emit(mode)
+
+    def _refresh(self) -> None:
+        """Bring everything that depends on other values up to date."""
+        for name, reset in self._section_resets.items():
+            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+            enabled = self.rows.get(f"{name}.enabled")
+            on = enabled is None or bool(enabled.editor.value())
+            for row in rows:
+                if row is not enabled:
+                    row.set_editable(on)
+            reset.setEnabled(any(row.editor.value() != row.reset_target for row in rows))
+            if name == "mask":
+                self._enable_eyedroppers(on)
+        model = self.rows["alignment.model"].editor.value()
+        for path, row in self.rows.items():
+            if path.startswith(("alignment.rigid.", "alignment.homography.")):
+                row.set_shown(path.split(".")[1] == model)
+        self.rows["alignment.homography.plane_distance_m"].set_editable(
+            self.rows["alignment.homography.H_p_t"].editor.value() is None
+        )
+        self.histogram.set_tolerance(float(self.rows["tolerance.t"].editor.value()))
+        self._show_tolerance_mm()
+        self._paint_mask_colors()
+
+    def _enable_eyedroppers(self, enabled: bool) -> None:
+        for button in self._eyedroppers.values():
+            button.setEnabled(enabled)
+        if not enabled and any(button.isChecked() for button in self._eyedroppers.values()):
+            self._choose_eyedropper("off")
+
+    def _show_tolerance_mm(self) -> None:
+        known = np.isfinite(self._median_m) and self._median_m > 0
+        t = float(self.rows["tolerance.t"].editor.value())
+        self._tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
+        self._tolerance_mm.setVisible(bool(known))
+
+    def _paint_mask_colors(self) -> None:
+        """Show on the mask's sliders the colours that their positions mean."""
+        ranges = {name: self.rows[f"mask.{name}"].editor.value() for name in ("hue", "saturation", "value")}
+        hue_low, hue_high = ranges["hue"]
+        hue = (hue_low + ((hue_high - hue_low) % 180) // 2) % 180
+        saturation, value = (sum(ranges[name]) // 2 for name in ("saturation", "value"))
+        colors = {
+            "hue": [QColor.fromHsv(2 * (h % 180), 230, 230) for h in range(0, 180, 15)]
+            + [QColor.fromHsv(358, 230, 230)],
+            "saturation": [QColor.fromHsv(2 * hue, s, max(value, 120)) for s in range(0, 256, 51)],
+            "value": [QColor.fromHsv(2 * hue, saturation, v) for v in range(0, 256, 51)],
+        }
+        for name, stops in colors.items():
+            widget = self.rows[f"mask.{name}"].widget
+            if isinstance(widget, RangeEditor):
+                widget.set_colors(stops)
+
+
+def _note() -> QLabel:
+    """Make an empty line of secondary text."""
+    label = QLabel()
+    label.setWordWrap(True)
+    label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+    label.hide()
+    return label
+
+
+def _section_of(path: str) -> str:
+    return path.partition(".")[0]
