@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Self
 
 from ..errors import SourceError
 from ..frames import Rig, SensorFrame
+
+#: Told the share of a long task that is done, 0 to 1, and what is being done.
+Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)

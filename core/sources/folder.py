@@ -23,7 +23,6 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -36,9 +35,8 @@ from ..clouds import valid_depth
 from ..errors import ExportError, FrameError, SourceError
 from ..frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
 from ..rig_file import json_text, load_rig, read_json_object, rig_to_json
-from .base import FrameSource, SeekableSource
+from .base import FrameSource, Progress, SeekableSource
 
-Progress = Callable[[float, str], None]
 _NOMINAL_RATE_HZ = 30.0
 _REQUIRED = ("proximity_depth.png", "proximity_color.png", "tactile_depth.png")
 
