@@ -1,0 +1,89 @@
+"""Questions to the person. None of them blocks: the answer comes to a function.
+
+Without nested event loops the worker's results, timers and shutdown go on while a question is
+open, and tests can answer with real keys.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtWidgets import QFileDialog, QMessageBox, QWidget
+
+PRESET_FILTER = "Presets (*.json)"
+
+
+class Dialogs:
+    """Opens dialogs over a window; ``native`` uses the operating system's file dialogs."""
+
+    def __init__(self, parent: QWidget, native: bool = True) -> None:
+        self._parent = parent
+        self._native = native
+
+    def ask_unsaved(self, name: str, save: Callable[[], None], discard: Callable[[], None]) -> None:
+        """Ask before losing changes; nothing happens on Cancel."""
+        box = QMessageBox(self._parent)
+        box.setIcon(QMessageBox.Icon.Warning)
+        box.setWindowTitle("Unsaved changes")
+        box.setText(f"Save the changes to “{name}”?")
+        box.setInformativeText("Without saving, they are lost.")
+        buttons = QMessageBox.StandardButton
+        box.setStandardButtons(buttons.Save | buttons.Discard | buttons.Cancel)
+        box.setDefaultButton(buttons.Save)
+        box.setEscapeButton(buttons.Cancel)
+
+        def answered(_: int) -> None:
+            answer = box.standardButton(box.clickedButton())
+            box.deleteLater()
+            if answer == buttons.Save:
+                save()
+            elif answer == buttons.Discard:
+                discard()
+
+        box.finished.connect(answered)
+        box.open()
+
+    def open_file(self, title: str, folder: Path, name_filter: str, use: Callable[[Path], None]) -> None:
+        """Ask for an existing file."""
+        self._ask_path(title, folder, name_filter, QFileDialog.FileMode.ExistingFile, use)
+
+    def open_folder(self, title: str, folder: Path, use: Callable[[Path], None]) -> None:
+        """Ask for an existing folder."""
+        self._ask_path(title, folder, "", QFileDialog.FileMode.Directory, use)
+
+    def save_file(self, title: str, suggestion: Path, name_filters: list[str], use: Callable[[Path], None]) -> None:
+        """Ask where to save; the suffix of the chosen filter is added where none was typed."""
+        dialog = self._dialog(title, suggestion.parent)
+        dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
+        dialog.setNameFilters(name_filters)
+        dialog.setDefaultSuffix(suggestion.suffix.removeprefix("."))
+        dialog.filterSelected.connect(lambda chosen: dialog.setDefaultSuffix(chosen.split("*.")[1].split(")")[0]))
+        dialog.selectFile(suggestion.name)
+        self._run(dialog, use)
+
+    def _ask_path(
+        self, title: str, folder: Path, name_filter: str, mode: QFileDialog.FileMode, use: Callable[[Path], None]
+    ) -> None:
+        dialog = self._dialog(title, folder)
+        dialog.setFileMode(mode)
+        if mode == QFileDialog.FileMode.Directory:
+            dialog.setOption(QFileDialog.Option.ShowDirsOnly)
+        else:
+            dialog.setNameFilters([name_filter, "All files (*)"])
+        self._run(dialog, use)
+
+    def _dialog(self, title: str, folder: Path) -> QFileDialog:
+        dialog = QFileDialog(self._parent, title, str(folder))
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog, not self._native)
+        return dialog
+
+    def _run(self, dialog: QFileDialog, use: Callable[[Path], None]) -> None:
+        def answered(result: int) -> None:
+            chosen = dialog.selectedFiles()
+            dialog.deleteLater()
+            if result and chosen:
+                use(Path(chosen[0]))
+
+        dialog.finished.connect(answered)
+        dialog.open()

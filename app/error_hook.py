@@ -1,0 +1,51 @@
+"""An error in a slot must not vanish: it goes to the window and to whoever listened before."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Callable
+from types import TracebackType
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+ExceptionHook = Callable[[type[BaseException], BaseException, TracebackType | None], object]
+
+
+class ErrorHook(QObject):
+    """Reports uncaught exceptions as a signal and passes them on to the hook that was there.
+
+    PyQt aborts the program on an exception in a slot unless a hook is installed; pyqtgraph installs
+    one that only prints. Without a window to show errors, nothing is swallowed either.
+
+    Signals
+    -------
+    raised(sentence: str, details: str)
+    """
+
+    raised = pyqtSignal(str, str)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._previous: ExceptionHook | None = None
+
+    def install(self) -> None:
+        """Become `sys.excepthook`."""
+        if self._previous is None:
+            self._previous = sys.excepthook
+            sys.excepthook = self._handle
+
+    def remove(self) -> None:
+        """Give `sys.excepthook` back."""
+        if self._previous is not None:
+            if sys.excepthook == self._handle:
+                sys.excepthook = self._previous
+            self._previous = None
+
+    def _handle(self, kind: type[BaseException], error: BaseException, trace: TracebackType | None) -> None:
+        if issubclass(kind, Exception):
+            details = "".join(traceback.format_exception(kind, error, trace))
+            sentence = f"Something went wrong ({kind.__name__}: {error}). Your work is kept; save it to be sure."
+            self.raised.emit(sentence, details)
+        if self._previous is not None:
+            self._previous(kind, error, trace)

@@ -1,0 +1,211 @@
+"""Turns a processed frame into what the widgets show, on the worker thread, as far as it is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..core.alignment import tactile_pose
+from ..core.clouds import ray_table, valid_depth
+from ..core.errors import TactuneError
+from ..core.frames import Rig, SensorFrame
+from ..core.pipeline import ContactPatch
+from ..core.preset import Preset
+from ..core.provenance import Provenance
+from ..widgets.cloud_data import DepthCloud
+from ..widgets.colormaps import Theme, depth_lut, difference_index, difference_lut, patch_lut, provenance_lut
+from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
+
+#: Row of a patch table that stands for the context around the patch.
+CONTEXT_ROW = 0
+HISTOGRAM_BINS = 160
+HISTOGRAM_LIMIT = 0.1
+_IDENTITY = np.eye(4)
+_SAMPLE = 6
+#: The depth colours span these percentiles of the scene, with a margin.
+_PERCENTILES = (1.0, 99.0)
+_DEPTH_MARGIN_M = 0.005
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One frame with all that decides how it looks."""
+
+    frame: SensorFrame
+    patch: ContactPatch | None
+    preset: Preset
+    rig: Rig
+    color_by: ColorBy
+    theme: Theme
+    depth_range_m: tuple[float, float]
+
+
+class Renderer:
+    """Draws frame after frame; keeps the depth colours steady within one source."""
+
+    def __init__(self) -> None:
+        self._rig: Rig | None = None
+        self._depth_range_m: tuple[float, float] | None = None
+
+    def render(
+        self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
+    ) -> Rendered:
+        """Return the pictures that are wanted; without a patch, what the cameras alone can show."""
+        sample_m = sampled_depth_m(frame.proximity_depth, rig.proximity.depth_unit_m)
+        depth_range_m = self._steady_depth_range(rig, sample_m)
+        theme: Theme = "dark" if wanted.dark else "light"
+        scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m)
+        clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
+        for cloud in clouds.values():
+            if cloud is not None:
+                _ = cloud.point_count  # counted here, so that the window need not
+        return Rendered(
+            clouds=clouds,
+            strip=None,
+            histogram=difference_histogram(patch, preset.tolerance.t) if wanted.histogram and patch else None,
+            median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
+            depth_range_m=depth_range_m,
+        )
+
+    def _steady_depth_range(self, rig: Rig, sample_m: npt.NDArray[np.float32]) -> tuple[float, float]:
+        """Return a depth range that only ever widens while the source stays the same."""
+        if rig is not self._rig:
+            self._rig, self._depth_range_m = rig, None
+        if len(sample_m) == 0:
+            return self._depth_range_m or (0.0, 1.0)
+        near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
+        near, far = near - _DEPTH_MARGIN_M, far + _DEPTH_MARGIN_M
+        if self._depth_range_m is not None:
+            near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
+        self._depth_range_m = near, far
+        return near, far
+
+
+def sampled_depth_m(counts: npt.NDArray[np.uint16], unit_m: float) -> npt.NDArray[np.float32]:
+    """Return the valid depths of every few pixels in metres, 1-D; enough for ranges and medians."""
+    sample = counts[::_SAMPLE, ::_SAMPLE]
+    return np.asarray(sample[valid_depth(sample)] * np.float32(unit_m))
+
+
+def proximity_view(scene: Scene) -> DepthCloud:
+    """Return the proximity cloud, coloured by depth, relative difference or provenance."""
+    patch, index, lut = scene.patch, None, depth_lut()
+    if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
+        index, lut = difference_index(patch.relative_difference), difference_lut(scene.preset.tolerance.t)
+    elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
+        index, lut = patch.provenance, provenance_lut(scene.theme)
+    return _proximity_cloud(scene, index, lut)
+
+
+def tactile_view(scene: Scene) -> DepthCloud | None:
+    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose."""
+    alignment, camera = scene.preset.alignment, scene.rig.tactile
+    try:
+        pose = tactile_pose(alignment, scene.rig)
+    except TactuneError:
+        return None
+    return DepthCloud(
+        depth=scene.frame.tactile_depth,
+        depth_unit_m=camera.depth_unit_m,
+        rays=ray_table(camera.intrinsics),
+        lut=depth_lut(),
+        pose=pose.astype(np.float64),
+        depth_scale=alignment.depth_scale,
+        depth_offset_m=alignment.depth_offset_m,
+        depth_range_m=scene.depth_range_m,
+    )
+
+
+def patch_view(scene: Scene) -> DepthCloud | None:
+    """Return the patch over the faint rest of the scene; None without a patch."""
+    patch = scene.patch
+    if patch is None:
+        return None
+    if scene.color_by is ColorBy.CONTACT:
+        index, lut = patch.provenance, patch_lut(scene.theme)
+    elif scene.color_by is ColorBy.PROVENANCE:
+        index, lut = patch.provenance, provenance_lut(scene.theme)
+    elif scene.color_by is ColorBy.DIFFERENCE:
+        limit = patch_difference_limit(scene.preset.tolerance.t)
+        index = _only_in_patch(difference_index(patch.relative_difference, limit), patch)
+        lut = patch_difference_lut(limit, scene.theme)
+    else:
+        index, lut = _only_in_patch(_depth_rows(scene), patch), patch_depth_lut(scene.theme)
+    return _proximity_cloud(scene, index, lut, count=len(patch.points))
+
+
+_VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {
+    CloudName.PROXIMITY: proximity_view,
+    CloudName.TACTILE: tactile_view,
+    CloudName.PATCH: patch_view,
+}
+
+
+def _proximity_cloud(
+    scene: Scene, index: npt.NDArray[np.uint8] | None, lut: npt.NDArray[np.uint8], count: int | None = None
+) -> DepthCloud:
+    camera = scene.rig.proximity
+    return DepthCloud(
+        depth=scene.frame.proximity_depth,
+        depth_unit_m=camera.depth_unit_m,
+        rays=ray_table(camera.intrinsics),
+        lut=lut,
+        pose=_IDENTITY,
+        index=index,
+        depth_range_m=scene.depth_range_m,
+        count=count,
+    )
+
+
+def patch_difference_limit(t: float) -> float:
+    """Return the end of the colour scale inside the patch, where all differences are within ±t."""
+    return max(t, 1e-4)
+
+
+def difference_histogram(patch: ContactPatch, t: float) -> Histogram:
+    """Count the relative differences of one frame, over a range that shows both ±t lines."""
+    limit = max(HISTOGRAM_LIMIT, 1.5 * t)
+    values = patch.relative_difference
+    values = values[np.isfinite(values)]
+    edges = np.linspace(-limit, limit, HISTOGRAM_BINS + 1)
+    if len(values) == 0:
+        return Histogram(np.zeros(HISTOGRAM_BINS, np.int64), edges)
+    counts = cv2.calcHist([values[None]], [0], None, [HISTOGRAM_BINS], [-limit, limit])
+    return Histogram(counts.ravel().astype(np.int64), edges)
+
+
+def _depth_rows(scene: Scene) -> npt.NDArray[np.uint8]:
+    """Return the row of a depth table for every proximity pixel."""
+    near, far = scene.depth_range_m
+    step = np.float32(scene.rig.proximity.depth_unit_m * 255 / (far - near))
+    rows = scene.frame.proximity_depth * step - np.float32(near * 255 / (far - near))
+    return np.clip(rows, 0, 255).astype(np.uint8)
+
+
+def _only_in_patch(rows: npt.NDArray[np.uint8], patch: ContactPatch) -> npt.NDArray[np.uint8]:
+    return np.where(patch.mask, np.maximum(rows, np.uint8(1)), np.uint8(CONTEXT_ROW))
+
+
+@lru_cache(maxsize=16)
+def patch_difference_lut(limit: float, theme: Theme) -> npt.NDArray[np.uint8]:
+    """Return the colours of relative differences within a patch, over its context: uint8 (256, 4)."""
+    return _over_context(difference_lut(0.0, limit), theme)
+
+
+@cache
+def patch_depth_lut(theme: Theme) -> npt.NDArray[np.uint8]:
+    """Return the colours of depth within a patch, over its context: uint8 (256, 4)."""
+    return _over_context(depth_lut(), theme)
+
+
+def _over_context(lut: npt.NDArray[np.uint8], theme: Theme) -> npt.NDArray[np.uint8]:
+    """Give a table's first row the colour of the context around the patch."""
+    mixed = lut.copy()
+    mixed[CONTEXT_ROW] = patch_lut(theme)[Provenance.OUTSIDE_TOLERANCE]
+    mixed.flags.writeable = False
+    return mixed

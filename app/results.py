@@ -1,0 +1,133 @@
+"""What the worker hands to the window: one object per frame, complete and never changed again."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from ..core.frames import Rig, SensorFrame
+from ..core.pipeline import ContactPatch
+from ..core.preset import Preset
+from .playback import PlaybackState
+
+if TYPE_CHECKING:
+    from ..widgets.cloud_data import DepthCloud
+    from ..widgets.image_strip import StripImages
+
+
+class CloudName(StrEnum):
+    """The three views, left to right."""
+
+    PROXIMITY = "proximity"
+    TACTILE = "tactile"
+    PATCH = "patch"
+
+
+class ColorBy(StrEnum):
+    """What the colour of a point means."""
+
+    CONTACT = "contact"
+    DEPTH = "depth"
+    DIFFERENCE = "relative difference"
+    PROVENANCE = "provenance"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the window shows now; nothing else is computed for it."""
+
+    clouds: frozenset[CloudName] = frozenset(CloudName)
+    color_by: ColorBy = ColorBy.CONTACT
+    strip: bool = True
+    histogram: bool = True
+    dark: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Counts of the relative differences of one frame; ``edges`` has one entry more."""
+
+    counts: npt.NDArray[np.int64]
+    edges: npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """The pictures of one frame; what nobody wanted is missing."""
+
+    clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
+    strip: StripImages | None = None
+    histogram: Histogram | None = None
+    median_distance_m: float = float("nan")
+    depth_range_m: tuple[float, float] = (0.0, 1.0)
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """What is known of a source once it is open."""
+
+    name: str
+    rig: Rig
+    length: int | None
+    frame_rate_hz: float
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One processed frame.
+
+    Attributes
+    ----------
+    patch : ContactPatch or None
+        None where the preset cannot be used with this rig; ``problem`` says why.
+    warnings : tuple of str
+        What the pipeline has to say about the preset and the rig, such as another serial.
+    playback : PlaybackState
+        As it was when the frame was taken.
+    processed, dropped : int
+        Frames processed since the start, and those never shown because newer ones came first.
+    """
+
+    source: SourceInfo
+    frame: SensorFrame
+    preset: Preset
+    patch: ContactPatch | None
+    area_mm2: float
+    rendered: Rendered
+    playback: PlaybackState
+    problem: str = ""
+    warnings: tuple[str, ...] = ()
+    health: str = ""
+    processed: int = 0
+    dropped: int = 0
+    processed_fps: float = 0.0
+    read_ms: float = 0.0
+    render_ms: float = 0.0
+
+
+class RateMeter:
+    """Events per second over the last two seconds."""
+
+    WINDOW_S = 2.0
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque()
+
+    def tick(self) -> None:
+        """Note an event now."""
+        self._times.append(time.perf_counter())
+
+    def rate(self) -> float:
+        """Return the events per second; 0 once the last one is older than the window."""
+        now = time.perf_counter()
+        while self._times and now - self._times[0] > self.WINDOW_S:
+            self._times.popleft()
+        if len(self._times) < 2:
+            return 0.0
+        return (len(self._times) - 1) / max(now - self._times[0], 1e-6)

@@ -1,0 +1,65 @@
+"""What the window remembers from one start to the next, and the folders it keeps things in."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import platformdirs
+from PyQt6.QtCore import QByteArray, QSettings
+
+RECENT_LIMIT = 10
+
+
+def default_data_folder() -> Path:
+    """Return the folder for unsaved work, by the habits of the operating system."""
+    return Path(platformdirs.user_data_dir("tactune"))
+
+
+def default_settings_file() -> Path:
+    """Return the file for window layout, theme and recent files."""
+    return Path(platformdirs.user_config_dir("tactune")) / "window.ini"
+
+
+class Settings:
+    """Typed access to the remembered values; a file that is missing or damaged means defaults."""
+
+    def __init__(self, path: Path | None = None) -> None:
+        self._store = QSettings(str(path or default_settings_file()), QSettings.Format.IniFormat)
+
+    def text(self, key: str, default: str = "") -> str:
+        """Return a remembered string."""
+        value = self._store.value(key)
+        return value if isinstance(value, str) else default
+
+    def number(self, key: str, default: float) -> float:
+        """Return a remembered number."""
+        try:
+            return float(self.text(key))
+        except ValueError:
+            return default
+
+    def blob(self, key: str) -> QByteArray:
+        """Return remembered bytes (window geometry); empty where there are none."""
+        value = self._store.value(key)
+        return value if isinstance(value, QByteArray) else QByteArray()
+
+    def set(self, key: str, value: str | float | QByteArray) -> None:
+        """Remember a value."""
+        self._store.setValue(key, value if isinstance(value, QByteArray) else str(value))
+
+    def recent(self, kind: str) -> list[str]:
+        """Return the things of one kind used lately, newest first."""
+        return [item for item in self.text(f"recent/{kind}").split("\n") if item]
+
+    def add_recent(self, kind: str, item: str) -> None:
+        """Put an item on top of the list of its kind."""
+        items = [item, *(other for other in self.recent(kind) if other != item)]
+        self.set(f"recent/{kind}", "\n".join(items[:RECENT_LIMIT]))
+
+    def remove_recent(self, kind: str, item: str) -> None:
+        """Take an item that no longer exists off the list."""
+        self.set(f"recent/{kind}", "\n".join(other for other in self.recent(kind) if other != item))
+
+    def sync(self) -> None:
+        """Write to disk now."""
+        self._store.sync()

@@ -1,0 +1,85 @@
+"""The status bar: where the frames come from, how fast, and what was found."""
+
+from __future__ import annotations
+
+import time
+
+from PyQt6.QtWidgets import QLabel, QSizePolicy, QStatusBar, QWidget
+
+from .results import RateMeter, Result
+
+#: Numbers that change thirty times a second cannot be read; a few times is enough.
+INTERVAL_S = 0.2
+
+
+class FrameStatus(QStatusBar):
+    """Shows the numbers of the newest result, a few times a second."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setSizeGripEnabled(False)
+        self._shown_rate = RateMeter()
+        self._last_s = 0.0
+        self._source = self._label("", "Source of the frames")
+        self._source.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self.addWidget(self._source, 1)
+        self._rates = self._number("00.0 shown / 00.0 processed fps", "Frames per second drawn, and processed")
+        self._dropped = self._number("0000 dropped", "Frames not drawn because a newer one was ready")
+        self._stages = self._number(
+            "align 00.0  tolerance 00.0  mask 00.0  outliers 00.0 ms", "Milliseconds per stage; 0 is cached or skipped"
+        )
+        self._skew = self._number("skew 00.0 ms", "Tactile minus proximity time stamp")
+        self._points = self._number("000000 points", "Points of the patch")
+        self._area = self._number("patch 000.0 cm²", "Area of the patch, projected along the optical axis")
+
+    @property
+    def shown_fps(self) -> float:
+        """Frames drawn per second, over the last two seconds."""
+        return self._shown_rate.rate()
+
+    def show_source(self, text: str) -> None:
+        """Name the source."""
+        self._source.setText(text)
+        self._source.setToolTip(text)
+
+    def show_result(self, result: Result) -> None:
+        """Count a frame as shown and refresh the numbers when it is time."""
+        self._shown_rate.tick()
+        now = time.perf_counter()
+        running = result.playback.playing and not result.playback.frozen
+        if running and now - self._last_s < INTERVAL_S:
+            return
+        self._last_s = now
+        rates = (
+            f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "standing still"
+        )
+        self._rates.setText(rates)
+        self._dropped.setText(f"{result.dropped} dropped")
+        self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
+        if result.patch is None:
+            for label in (self._stages, self._points, self._area):
+                label.setText("")
+            return
+        times = result.patch.stage_ms
+        self._stages.setText(
+            "  ".join(f"{stage} {ms:.1f}" for stage, ms in times.items() if ms or stage != "clusters") + " ms"
+        )
+        self._stages.setToolTip(
+            "Milliseconds per stage (0: cached or skipped)\n"
+            + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())
+            + f"\nreading: {result.read_ms:.2f}\ndrawing for the window: {result.render_ms:.2f}"
+        )
+        self._points.setText(f"{len(result.patch.points)} points")
+        self._area.setText(f"patch {result.area_mm2 / 100:.1f} cm²")
+
+    def _number(self, widest: str, tip: str) -> QLabel:
+        """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
+        label = self._label("", tip)
+        label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
+        self.addPermanentWidget(label)
+        return label
+
+    def _label(self, text: str, tip: str) -> QLabel:
+        label = QLabel(text)
+        label.setToolTip(tip)
+        return label

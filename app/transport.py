@@ -1,0 +1,124 @@
+"""The playback controls: previous, play, next, loop, freeze, and the frame slider."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from PyQt6.QtCore import QRect, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QMouseEvent
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QStyle, QStyleOptionSlider, QToolButton, QWidget
+
+from .actions import Actions
+from .icons import icon
+from .playback import PlaybackState
+
+
+class FrameSlider(QSlider):
+    """A slider that jumps to where it is clicked."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(Qt.Orientation.Horizontal, parent)
+        self.setAccessibleName("Frame")
+        self.setToolTip("Frame of the recording: drag or click to seek")
+        self.setMinimumWidth(90)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:
+        """Jump to the clicked place, then drag on from there."""
+        if event is not None and event.button() == Qt.MouseButton.LeftButton and not self._on_handle(event):
+            self.setValue(self._value_at(event.position().x()))
+        super().mousePressEvent(event)
+
+    def _on_handle(self, event: QMouseEvent) -> bool:
+        return self._handle().contains(event.position().toPoint())
+
+    def _handle(self) -> QRect:
+        option = QStyleOptionSlider()
+        self.initStyleOption(option)
+        style = self.style()
+        assert style is not None
+        return style.subControlRect(QStyle.ComplexControl.CC_Slider, option, QStyle.SubControl.SC_SliderHandle, self)
+
+    def _value_at(self, x: float) -> int:
+        half = self._handle().width() / 2
+        span = max(1.0, self.width() - 2 * half)
+        return QStyle.sliderValueFromPosition(self.minimum(), self.maximum(), round(x - half), round(span))
+
+
+class Transport(QWidget):
+    """Shows where playback stands and says where the person wants it.
+
+    Signals
+    -------
+    seekRequested(index: int)
+    held(bool)
+        The slider is held down: playback waits meanwhile.
+    """
+
+    seekRequested = pyqtSignal(int)
+    held = pyqtSignal(bool)
+
+    def __init__(self, actions: Actions, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._actions = actions
+        self._state = PlaybackState(length=1)
+        self.slider = FrameSlider()
+        self.slider.valueChanged.connect(self.seekRequested)
+        self.slider.sliderPressed.connect(lambda: self.held.emit(True))
+        self.slider.sliderReleased.connect(lambda: self.held.emit(False))
+        self._frame = QLabel()
+        self._frame.setToolTip("Frame shown / last frame, counted from 0")
+        self._frame.setMinimumWidth(self._frame.fontMetrics().horizontalAdvance("000 / 000"))
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        for action in (actions.previous, actions.play, actions.next, actions.loop, actions.freeze):
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setAutoRaise(True)
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            layout.addWidget(button)
+        layout.addSpacing(4)
+        layout.addWidget(self.slider, 1)
+        layout.addSpacing(4)
+        layout.addWidget(self._frame)
+        self._show_mode()
+
+    @property
+    def state(self) -> PlaybackState:
+        """What is shown now."""
+        return self._state
+
+    def show_state(self, state: PlaybackState) -> None:
+        """Show a state of playback; the slider stays put while the person drags it."""
+        changed = replace(state, index=0) != replace(self._state, index=0)
+        self._state = state
+        if changed:
+            self._show_mode()
+        if state.length is None:
+            self._frame.setText(f"{state.index}" if state.index >= 0 else "")
+            return
+        last = max(0, state.length - 1)
+        self._frame.setText(f"{max(0, state.index)} / {last}")
+        if not self.slider.isSliderDown():
+            with QSignalBlocker(self.slider):
+                self.slider.setRange(0, last)
+                self.slider.setValue(max(0, state.index))
+
+    def _show_mode(self) -> None:
+        """Show what can be done now; everything but the frame number."""
+        state, actions = self._state, self._actions
+        several = state.length is None or state.length > 1
+        running = state.playing and not state.frozen
+        word = "Pause" if running else "Play"
+        actions.play.setEnabled(several)
+        actions.play.setIcon(icon(word.lower()))
+        actions.play.setText(f"&{word}\tSpace")
+        actions.play.setToolTip(f"{word} (Space)")
+        for action in (actions.previous, actions.next, actions.first, actions.loop):
+            action.setEnabled(state.seekable and several)
+        actions.freeze.setEnabled(several)
+        actions.freeze.setChecked(state.frozen)
+        actions.loop.setChecked(state.loop)
+        self.slider.setEnabled(state.seekable and several)
