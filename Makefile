@@ -27,7 +27,6 @@ setup:  ## system libraries, .venv, the locked packages; returns at once when al
 	@PYTHON="$(PYTHON)" scripts/setup.sh
 
 lock: setup  ## write requirements.lock from the ranges in pyproject.toml
-	@.venv/bin/python -m pip install --quiet uv
 	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \
 	  --python-platform x86_64-manylinux_2_31 --no-emit-index-url --no-header --output-file requirements.lock
 

@@ -77,9 +77,9 @@ class Stamp:
 
 
 def succeeds(*command: str | Path, silent: bool = False, env: dict[str, str] | None = None) -> bool:
-    """Run a command and tell whether it exits with 0; a silent one prints nothing."""
-    output = subprocess.DEVNULL if silent else None
-    return subprocess.run(command, check=False, env=env, stdout=output, stderr=output).returncode == 0
+    """Run a command and tell whether it exits with 0; of a silent one, not even errors are shown."""
+    errors = subprocess.DEVNULL if silent else None
+    return subprocess.run(command, check=False, env=env, stdout=subprocess.DEVNULL, stderr=errors).returncode == 0
 
 
 def output_of(*command: str | Path) -> str:
@@ -192,7 +192,7 @@ def pip(*arguments: str, what: str) -> None:
         "PIP_DISABLE_PIP_VERSION_CHECK": "1",
         "PIP_ROOT_USER_ACTION": "ignore",
     }
-    if not succeeds(*words, *arguments, *quiet, env=environment):
+    if subprocess.run([*words, *arguments, *quiet], check=False, env=environment).returncode != 0:
         raise SetupError(f"pip could not install {what} (its message is above); check the network and run make again")
 
 
