@@ -10,6 +10,7 @@ import numpy.typing as npt
 from ..clouds import deproject, valid_depth
 from ..errors import SourceError
 from ..frames import ColorCamera, Rig, SensorFrame, rigid_transform
+from ..masking import colors_at
 from .bag_reader import Camera, RealSenseBag, Stream
 from .base import Health, Progress, SeekableSource
 
@@ -142,15 +143,10 @@ def _color_on_depth(
     color: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], camera: Camera
 ) -> npt.NDArray[np.uint8]:
     """Bring a camera's colour image to its depth pixels; black where there is no depth or no colour."""
-    if camera.color is None or camera.color_is_aligned:
+    if camera.color_is_aligned:
         return color
     pixels = np.flatnonzero(valid_depth(depth))
-    pose = np.asarray(camera.T_color_depth)
-    points = deproject(depth, camera.info, pixels) @ pose[:3, :3].T + pose[:3, 3]
-    in_front = points[:, 2] > 0
-    columns, rows = np.rint(camera.color.intrinsics.project(points[in_front])).astype(np.intp).T
-    height, width = camera.color.intrinsics.shape
-    seen = (columns >= 0) & (columns < width) & (rows >= 0) & (rows < height)
+    points = deproject(depth, camera.info, pixels)
     aligned = np.zeros((*depth.shape, 3), np.uint8)
-    aligned.reshape(-1, 3)[pixels[in_front][seen]] = color[rows[seen], columns[seen]]
+    aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, _rig(camera, None))
     return aligned

@@ -1,0 +1,193 @@
+"""Sources by name: ``sim:cup``, ``folder:PATH``, ``bag:PATH`` or just a path.
+
+A new kind of source, live or recorded, is one more entry in ``_KINDS``.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+from urllib.parse import parse_qsl
+
+from ..errors import SourceError
+from .base import FrameSource, Progress
+
+SCENES = ("cube", "cup", "octopus")
+_DEFAULT_SCENE = "cup"
+
+
+@dataclass(frozen=True)
+class SourceKind:
+    """One kind of source, as help texts and menus need it.
+
+    Attributes
+    ----------
+    scheme : str
+        What stands before the colon of a name.
+    form : str
+        How a name is written.
+    needs : {"nothing", "folder", "file"}
+        What a person has to point at to open one.
+    pattern : str
+        Names of the files that it opens, such as ``"*.bag"``; empty where it opens none.
+    examples : tuple of str
+        Names that can be offered as they are.
+    """
+
+    scheme: str
+    title: str
+    form: str
+    description: str
+    needs: Literal["nothing", "folder", "file"]
+    pattern: str = ""
+    examples: tuple[str, ...] = ()
+
+
+def source_kinds() -> tuple[SourceKind, ...]:
+    """Return every kind of source that `open_source` can open, the default first."""
+    return tuple(kind for kind, _ in _KINDS.values())
+
+
+def open_source(name: str, progress: Progress | None = None) -> FrameSource:
+    """Open a source by its name.
+
+    Parameters
+    ----------
+    name : str
+        ``"sim"``, ``"sim:cup?seed=3&noise=0.5"``, ``"folder:PATH"``, ``"bag:PATH"``, or a path whose
+        kind is plain: a folder with ``rig.json``, that file itself, or a ``.bag``.
+    progress : callable, optional
+        Told the share done, 0 to 1, and what is being done, where opening takes long.
+
+    Raises
+    ------
+    SourceError
+        Unknown kind, scene or option, nothing at that path, or unreadable; the message says what to do.
+    """
+    scheme, _, rest = name.partition(":")
+    if scheme in _KINDS:
+        _, opener = _KINDS[scheme]
+        return opener(rest, progress)
+    scheme, path = _guess(name)
+    return _KINDS[scheme][1](path, progress)
+
+
+def _guess(name: str) -> tuple[str, str]:
+    """Return the scheme and path of a name without a scheme."""
+    forms = ", ".join(kind.form for kind in source_kinds())
+    path = Path(name).expanduser()
+    if not name or not path.exists():
+        kind, colon, _ = name.partition(":")
+        if colon and kind.isalnum() and len(kind) > 1:
+            raise SourceError(f"{name!r}: there is no kind of source called {kind!r}; known are {forms}")
+        raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
+    if path.suffix == ".bag" and path.is_file():
+        return "bag", name
+    if (path / "rig.json").is_file():
+        return "folder", name
+    if path.name == "rig.json":
+        return "folder", str(path.parent)
+    raise SourceError(f"{name!r} is neither a folder with rig.json nor a RealSense .bag; known sources are {forms}")
+
+
+def _open_simulator(rest: str, progress: Progress | None) -> FrameSource:
+    """Open ``SCENE?seed=N&noise=X``; every part may be left out."""
+    name = f"sim:{rest}"
+    scene, _, query = rest.partition("?")
+    scene = scene or _DEFAULT_SCENE
+    if scene not in SCENES:
+        raise SourceError(f"{name}: there is no scene {scene!r}; known are {', '.join(SCENES)}")
+    seed, noise = 0, 1.0
+    seen = set()
+    try:
+        options = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+    except ValueError as error:
+        raise SourceError(f"{name}: {query!r} are no options; write them as seed=3&noise=0.5") from error
+    for key, value in options:
+        if key in seen:
+            raise SourceError(f"{name}: {key} is given twice; keep one")
+        seen.add(key)
+        if key == "seed":
+            seed = _seed(name, value)
+        elif key == "noise":
+            noise = _noise(name, value)
+        else:
+            raise SourceError(f"{name}: the simulator has no option {key!r}; known are seed and noise")
+    from .simulator.source import SimulatorSource
+
+    return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress)
+
+
+def _seed(name: str, text: str) -> int:
+    if not (text.isascii() and text.isdigit() and len(text) <= 10):
+        raise SourceError(f"{name}: seed is {text!r}, but it must be a whole number from 0, such as seed=3")
+    return int(text)
+
+
+def _noise(name: str, text: str) -> float:
+    try:
+        noise = float(text)
+    except ValueError:
+        noise = math.nan
+    if not (math.isfinite(noise) and noise >= 0.0):
+        raise SourceError(f"{name}: noise is {text!r}, but it must be a number from 0 (none), such as noise=0.5")
+    return noise
+
+
+def _open_folder(rest: str, _: Progress | None) -> FrameSource:
+    from .folder import FolderSource
+
+    return FolderSource(_path("folder", rest))
+
+
+def _open_bag(rest: str, progress: Progress | None) -> FrameSource:
+    from .bag import BagSource
+
+    return BagSource(_path("bag", rest), progress)
+
+
+def _path(scheme: str, rest: str) -> str:
+    if not rest:
+        raise SourceError(f"{scheme}: needs a path, as in {_KINDS[scheme][0].form}")
+    return rest
+
+
+_Opener = Callable[[str, Progress | None], FrameSource]
+_KINDS: dict[str, tuple[SourceKind, _Opener]] = {
+    "sim": (
+        SourceKind(
+            scheme="sim",
+            title="Simulator",
+            form="sim:SCENE[?seed=N&noise=X]",
+            description=f"A simulated sensor pressed by an object, with ground truth: {', '.join(SCENES)}.",
+            needs="nothing",
+            examples=tuple(f"sim:{scene}" for scene in SCENES),
+        ),
+        _open_simulator,
+    ),
+    "folder": (
+        SourceKind(
+            scheme="folder",
+            title="Folder of images",
+            form="folder:PATH",
+            description="PNG images with rig.json beside them: one frame, or numbered subfolders.",
+            needs="folder",
+            pattern="rig.json",
+        ),
+        _open_folder,
+    ),
+    "bag": (
+        SourceKind(
+            scheme="bag",
+            title="RealSense recording",
+            form="bag:PATH",
+            description="A RealSense .bag with two depth cameras or, for viewing only, one.",
+            needs="file",
+            pattern="*.bag",
+        ),
+        _open_bag,
+    ),
+}
