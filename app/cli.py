@@ -1,0 +1,170 @@
+"""The command ``tactune``: what it understands, and how it ends.
+
+Everything heavy is imported inside the commands, so that ``tactune --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import re
+import sys
+from enum import StrEnum
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..core.errors import MissingExtraError, TactuneError
+from .cli_preset import preset_commands
+
+#: Exit status for anything that the person can put right: a wrong option, a wrong file.
+USAGE_STATUS = 2
+
+commands = typer.Typer(
+    help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
+    "Without a command: open the window.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+commands.add_typer(preset_commands, name="preset")
+
+Source = Annotated[
+    str,
+    typer.Option(
+        "--source",
+        "-s",
+        metavar="SOURCE",
+        help="Where frames come from: sim, sim:cube, sim:cup, sim:octopus (options as in 'sim:cup?seed=3'), "
+        "folder:PATH, bag:PATH, or a path.",
+    ),
+]
+FrameCount = Annotated[int | None, typer.Option("--frames", "-n", min=1, help="Stop after so many; default: all.")]
+
+
+class Format(StrEnum):
+    """File formats of a patch."""
+
+    NPZ = "npz"
+    PLY = "ply"
+    PCD = "pcd"
+    CSV = "csv"
+
+
+class Theme(StrEnum):
+    """Looks of the window."""
+
+    LIGHT = "light"
+    DARK = "dark"
+
+
+def main() -> int:
+    """Run the command line and return its exit status.
+
+    0: done; 2: something that the person can put right, said in one sentence; 130: interrupted.
+    """
+    try:
+        commands(prog_name="tactune")
+    except TactuneError as error:
+        typer.echo(f"tactune: {error}", err=True)
+        return USAGE_STATUS
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+@commands.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context,
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if show_version:
+        typer.echo(f"tactune {version('tactune')}")
+    elif context.invoked_subcommand is None:
+        raise typer.Exit(_open_window("sim", None, None, 0))
+
+
+@commands.command()
+def gui(
+    *,
+    source: Source = "sim",
+    preset: Annotated[str | None, typer.Option("--preset", "-p", help="A preset file or a shipped name.")] = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save a picture of the window to a .png file and close it.")
+    ] = None,
+    after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
+    theme: Annotated[Theme | None, typer.Option(help="Default: as it was left.")] = None,
+) -> None:
+    """Open the window."""
+    raise typer.Exit(
+        _open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme and theme.value)
+    )
+
+
+@commands.command()
+def run(
+    *,
+    source: Source = "sim",
+    preset: Annotated[str, typer.Option("--preset", "-p", help="A preset file or a shipped name.")] = "default",
+    frames: FrameCount = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write a file a frame: patch_000012.npz.")
+    ] = None,
+    file_format: Annotated[Format, typer.Option("--format", help="Of the files.")] = Format.NPZ,
+    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
+    ] = False,
+) -> None:
+    """Compute contact patches without a window, for robots and scripts."""
+    from .cli_run import RunOptions, run_frames
+
+    if out is None and not json_lines:
+        raise typer.BadParameter("give --out DIR for patch files, --json for lines of numbers, or both")
+    run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))
+
+
+@commands.command("export-folder")
+def export_folder(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
+    source: Source = "sim",
+    frames: FrameCount = None,
+) -> None:
+    """Write any source's frames as a folder of PNG images, to hand a scene to someone else."""
+    from .cli_run import export_frames
+
+    export_frames(source, out, frames)
+
+
+def _open_window(
+    source: str,
+    preset: str | None,
+    screenshot: Path | None,
+    after: int,
+    *,
+    size: tuple[int, int] | None = None,
+    theme: str | None = None,
+) -> int:
+    try:
+        from .gui import run_gui
+    except ImportError as error:
+        raise MissingExtraError(
+            f'the window needs packages that are not installed ({error}): pip install "tactune[gui]"; '
+            "tactune run works without them"
+        ) from error
+    return run_gui(source, preset, screenshot, after, size=size, theme=theme)
+
+
+def _parse_size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"([1-9][0-9]{2,4})x([1-9][0-9]{2,4})", text)
+    if match is None:
+        raise typer.BadParameter(f"--size is {text!r}; write width x height in pixels, such as 1280x800")
+    return int(match[1]), int(match[2])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

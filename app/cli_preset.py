@@ -1,0 +1,141 @@
+"""The commands ``tactune preset new | show | validate | schema``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..core.errors import PresetError, SourceError, TactuneError
+
+if TYPE_CHECKING:
+    from ..core.frames import Rig
+    from ..core.preset import Preset
+
+preset_commands = typer.Typer(
+    help="Make, show and check presets.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
+)
+
+
+@preset_commands.command()
+def new(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write.")],
+    rig: Annotated[
+        str,
+        typer.Option(
+            metavar="FILE|SOURCE", help="The rig it is for: a rig.json, another preset, or a source of frames."
+        ),
+    ],
+    alignment: Annotated[
+        str | None, typer.Option(metavar="homography|rigid", help="Short for --set alignment.model=...")
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--set",
+            metavar="FIELD=VALUE",
+            help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
+            "Setting a field of mask, outliers, range or region turns that section on.",
+        ),
+    ] = None,
+    name: Annotated[str | None, typer.Option(help="Default: the file's name.")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
+) -> None:
+    """Write a new preset: the paper's values, changed as you say."""
+    from ..core.preset import Preset
+    from ..core.preset_file import save_preset
+
+    if out.exists() and not force:
+        raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
+    values: dict[str, Any] = {"name": name or out.stem}
+    if alignment is not None:
+        values["alignment.model"] = alignment
+    values |= _turning_sections_on(dict(_parse_setting(text) for text in settings or []))
+    preset = Preset(rig=_find_rig(rig)).with_values(values)
+    save_preset(preset, out)
+    typer.echo(f"wrote {out}")
+
+
+@preset_commands.command()
+def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file or a shipped preset.")]) -> None:
+    """Print a preset as JSON, brought to the present schema version."""
+    from ..core.preset_file import load_preset, preset_json
+
+    typer.echo(preset_json(load_preset(preset)), nl=False)
+
+
+@preset_commands.command()
+def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
+    """Check preset files; the exit status is 2 if one of them cannot be used."""
+    from ..core.preset_file import load_preset
+
+    bad = 0
+    for origin in presets:
+        try:
+            preset = load_preset(origin)
+        except TactuneError as error:
+            bad += 1
+            typer.echo(f"tactune: {error}", err=True)
+        else:
+            typer.echo(f"{origin}: good, {_describe(preset)}")
+    if bad:
+        raise typer.Exit(2)
+
+
+@preset_commands.command()
+def schema() -> None:
+    """Print the JSON Schema of preset files."""
+    from ..core.preset_file import json_schema
+
+    typer.echo(json.dumps(json_schema(), indent=2))
+
+
+def _parse_setting(text: str) -> tuple[str, Any]:
+    """Split ``path=value``; the value is JSON, or else a bare word."""
+    path, separator, value = text.partition("=")
+    if not separator:
+        raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
+    try:
+        return path.strip(), json.loads(value)
+    except ValueError:
+        return path.strip(), value
+
+
+def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
+    """Add ``section.enabled`` for every section that a value is set in, unless it is set as well."""
+    from ..core.preset_file import preset_paths
+
+    switches = [f"{path.partition('.')[0]}.enabled" for path in values]
+    return {switch: True for switch in switches if switch in preset_paths()} | values
+
+
+def _find_rig(name: str) -> Rig:
+    from ..core.preset_file import load_preset
+    from ..core.rig_file import load_rig, read_json_object
+
+    path = Path(name)
+    if path.is_file() and path.suffix == ".json":
+        if "schema" not in read_json_object(path):
+            return load_rig(path)
+        rig = load_preset(path).rig
+        if rig is None:
+            raise SourceError(f"the preset {path} serves any rig and names none; give a rig.json or a source of frames")
+        return rig
+
+    from .cli_run import open_with_progress
+
+    with open_with_progress(name) as source:
+        return source.rig
+
+
+def _describe(preset: Preset) -> str:
+    cameras = (
+        f"for {preset.rig.proximity.model} {preset.rig.proximity.serial} and "
+        f"{preset.rig.tactile.model} {preset.rig.tactile.serial}".replace("  ", " ").rstrip()
+        if preset.rig
+        else "for any rig"
+    )
+    return f"preset {preset.name!r} {cameras}"

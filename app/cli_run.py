@@ -1,0 +1,162 @@
+"""The commands ``tactune run`` and ``tactune export-folder``: frames in, patches or images out."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from typing import Any
+
+import typer
+
+from ..core.errors import ExportError, SourceError
+from ..core.evaluation.metrics import compare_with_truth
+from ..core.export import write_cloud
+from ..core.frames import GroundTruth, Rig
+from ..core.pipeline import ContactPatch, ContactPipeline
+from ..core.preset_file import load_preset
+from ..core.sources import FrameSource
+from ..core.sources.folder import export_folder
+from ..core.sources.registry import open_source
+from .cli_progress import CliProgress
+from .patch_record import finite_or_none, patch_cloud, patch_record
+
+Record = dict[str, Any]
+
+#: What ``--truth`` adds to a record, and its unit.
+TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What ``tactune run`` is asked to do; see its help."""
+
+    source: str
+    preset: str
+    frames: int | None
+    out: Path | None
+    file_format: str
+    json_lines: bool
+    truth: bool
+
+
+def run_frames(options: RunOptions) -> None:
+    """Compute the patch of each frame; write files, JSON lines or a summary."""
+    preset = load_preset(options.preset)
+    if options.out is not None:
+        make_folder(options.out)
+    with open_with_progress(options.source) as source:
+        pipeline = ContactPipeline(preset, source.rig)
+        for sentence in pipeline.warnings:
+            warn(sentence)
+        records = process_frames(source, pipeline, options)
+        if not records:
+            raise SourceError(f"{source.name} gave no frames; check the source")
+        if source.health().message:
+            warn(source.health().message)
+        if not options.json_lines:
+            typer.echo(summary(records, source.name, preset.name, options))
+
+
+def process_frames(source: FrameSource, pipeline: ContactPipeline, options: RunOptions) -> list[Record]:
+    """Do what is asked for with each frame; return what can be said of it."""
+    records: list[Record] = []
+    total = number_of_frames(source, options.frames)
+    with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
+        for frame in itertools.islice(source, total):
+            patch = pipeline.process(frame)
+            record = patch_record(patch)
+            if options.truth:
+                record |= truth_record(patch, frame.truth, source.rig)
+            if options.out is not None:
+                write_cloud(patch_path(options.out, patch.sequence, options.file_format), patch_cloud(patch))
+            if options.json_lines:
+                typer.echo(json.dumps(record, allow_nan=False))
+            records.append(record)
+            progress.frames(len(records), total)
+    if options.truth and all(record["iou"] is None for record in records):
+        warn(f"{source.name} knows no truth; iou, precision, recall and rmse_mm are empty")
+    return records
+
+
+def export_frames(source_name: str, out: Path, frames: int | None) -> None:
+    """Write a source's frames as a folder of images."""
+    with open_with_progress(source_name) as source, CliProgress() as progress:
+        count = export_folder(source, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
+    typer.echo(f"wrote {count} frames of {source.name} to {out}")
+
+
+@contextmanager
+def open_with_progress(name: str) -> Iterator[FrameSource]:
+    """Open a source, showing how its preparation goes."""
+    with CliProgress() as progress:
+        source = open_source(name, progress.preparing)
+    with source:
+        yield source
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder for patches before anything is computed, and say what it already holds."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        older = sum(1 for _ in folder.glob("patch_[0-9]*"))
+    except OSError as error:
+        raise ExportError(f"cannot write to {folder}: {error.strerror or error}; choose another place") from error
+    if older:
+        warn(f"{folder} already holds {older} patch files; those of the same number are replaced")
+
+
+def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
+    """Return where the patch of a frame goes."""
+    return folder / f"patch_{sequence:06d}.{file_format}"
+
+
+def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
+    """Return how many frames there will be, None where nobody knows."""
+    known = [count for count in (source.length, asked) if count is not None]
+    return min(known, default=None)
+
+
+def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+    """Compare with the truth; every value is None where the source has none."""
+    if truth is None:
+        return dict.fromkeys(TRUTH_KEYS)
+    scores = compare_with_truth(patch, truth, rig)
+    return {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
+
+
+def summary(records: list[Record], source: str, preset: str, options: RunOptions) -> str:
+    """Return a few lines for a person."""
+    touched = [record["area_mm2"] for record in records if record["points"]]
+    # Medians, because the first frame also loads the compiled code and makes the tables.
+    stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
+    lines = [f"{len(records)} frames of {source} with preset {preset!r}"]
+    if touched:
+        lines.append(
+            f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
+            f"median {median(touched) / 100:.1f} cm2"
+        )
+    else:
+        lines.append("no contact in any of them")
+    details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
+    lines.append(f"{sum(stages.values()):.1f} ms a frame ({details})")
+    for key, unit in TRUTH_KEYS.items():
+        known = [record[key] for record in records if record.get(key) is not None]
+        if known:
+            lines.append(f"{key}: median {median(known):.3f}{unit} over {len(known)} frames")
+    if options.out is not None:
+        first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
+        lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
+    if options.frames is not None and len(records) < options.frames:
+        lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
+    return "\n".join(lines)
+
+
+def warn(sentence: str) -> None:
+    """Say something on standard error."""
+    typer.echo(f"tactune: {sentence}", err=True)

@@ -1,0 +1,129 @@
+"""``tactune preset new | show | validate | schema``."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tactune.core.preset import Preset
+from tactune.core.preset_file import json_schema, load_preset, save_preset
+from tactune.core.rig_file import load_rig
+
+Tactune = Callable[..., Any]
+
+
+def test_new_writes_a_preset_for_the_rig_with_what_was_set(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    finished = tactune(
+        *("preset", "new", "--rig", recording / "rig.json", "--alignment", "homography", "--out", file),
+        *("--set", "mask.hue=[150,170]", "--set", "tolerance.t=0.01", "--set", "notes=on the bench"),
+    )
+    assert finished.status == 0
+    preset = load_preset(file)
+    assert preset.name == "mine"
+    assert preset.rig == load_rig(recording / "rig.json")
+    assert preset.alignment.model == "homography"
+    assert preset.mask.hue == (150, 170)
+    assert preset.mask.enabled
+    assert preset.tolerance.t == 0.01
+    assert preset.notes == "on the bench"
+    assert not preset.range.enabled
+    assert preset.outliers == Preset().outliers
+
+
+def test_a_section_stays_off_when_told_so(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    words = ["--set", "mask.hue=[1,2]", "--set", "mask.enabled=false", "--name", "quiet"]
+    assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", tmp_path / "a.json", *words).status == 0
+    preset = load_preset(tmp_path / "a.json")
+    assert preset.mask.hue == (1, 2)
+    assert not preset.mask.enabled
+    assert preset.name == "quiet"
+
+
+def test_the_rig_comes_from_a_source_or_another_preset_too(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    assert tactune("preset", "new", "--rig", f"folder:{recording}", "--out", first).status == 0
+    assert tactune("preset", "new", "--rig", first, "--out", second).status == 0
+    assert load_preset(second).rig == load_rig(recording / "rig.json")
+
+
+def test_a_file_is_replaced_only_by_force(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    file = tmp_path / "mine.json"
+    words = ["preset", "new", "--rig", recording / "rig.json", "--out", file]
+    assert tactune(*words).status == 0
+    before = file.read_bytes()
+    assert "--force" in tactune(*words, "--set", "tolerance.t=0.5").sentence
+    assert file.read_bytes() == before
+    assert tactune(*words, "--set", "tolerance.t=0.5", "--force").status == 0
+    assert load_preset(file).tolerance.t == 0.5
+
+
+@pytest.mark.parametrize(
+    ("setting", "named"),
+    [
+        ("mask.hues=[1,2]", ["mask.hues", "mask.hue?"]),
+        ("tolerance.t=7", ["tolerance.t", "7", "0 to 1"]),
+        ("tolerance.t=high", ["tolerance.t", "high"]),
+        ("tolerance.t=NaN", ["tolerance.t"]),
+        ("mask.hue=[1,2,3]", ["mask.hue"]),
+        ("mask.hue=[1,180]", ["mask.hue[1]", "180", "0 to 179"]),
+        ("outliers.k=2.5", ["outliers.k", "2.5"]),
+        ("mask.enabled=maybe", ["mask.enabled", "maybe"]),
+        ("range.limits_m=[0.5,0.1]", ["range.limits_m"]),
+        ("alignment=rigid", ["alignment"]),
+        ("tolerance.t", ["tolerance.t", "FIELD=VALUE"]),
+    ],
+)
+def test_a_bad_setting_is_named_and_nothing_written(
+    tactune: Tactune, recording: Path, tmp_path: Path, setting: str, named: list[str]
+) -> None:
+    file = tmp_path / "mine.json"
+    sentence = tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, "--set", setting).sentence
+    for word in named:
+        assert word in sentence
+    assert not file.exists()
+
+
+def test_a_bad_alignment_a_bad_rig_and_a_bad_place_are_named(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    rig = recording / "rig.json"
+    out = tmp_path / "mine.json"
+    assert "sideways" in tactune("preset", "new", "--rig", rig, "--alignment", "sideways", "--out", out).sentence
+    assert "nowhere" in tactune("preset", "new", "--rig", "nowhere", "--out", out).sentence
+    assert "/dev/null" in tactune("preset", "new", "--rig", rig, "--out", "/dev/null/mine.json").sentence
+
+    for_any_rig = tmp_path / "any.json"
+    save_preset(Preset(), for_any_rig)
+    assert "any.json" in tactune("preset", "new", "--rig", for_any_rig, "--out", out).sentence
+    rig.write_text("{")
+    assert "rig.json" in tactune("preset", "new", "--rig", rig, "--out", out).sentence
+    assert not out.exists()
+
+
+def test_show_prints_a_file_that_loads_to_the_same_preset(tactune: Tactune, tmp_path: Path) -> None:
+    finished = tactune("preset", "show", "default")
+    (tmp_path / "copy.json").write_text(finished.out)
+    assert finished.status == 0
+    assert load_preset(tmp_path / "copy.json") == load_preset("default")
+    assert "nothing" in tactune("preset", "show", "nothing").sentence
+
+
+def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -> None:
+    good, bad, missing = tmp_path / "good.json", tmp_path / "bad.json", tmp_path / "missing.json"
+    save_preset(Preset(name="fine"), good)
+    document = json.loads(good.read_text())
+    document["tolerance"]["t"] = -1
+    bad.write_text(json.dumps(document))
+
+    assert tactune("preset", "validate", good, "default").status == 0
+    finished = tactune("preset", "validate", bad, good, missing)
+    assert finished.status == 2
+    assert f"{good}: good, preset 'fine'" in finished.out
+    assert "bad.json: tolerance.t is -1" in finished.err
+    assert "missing.json" in finished.err
+
+
+def test_schema_is_the_schema(tactune: Tactune) -> None:
+    assert json.loads(tactune("preset", "schema").out) == json_schema()

@@ -1,0 +1,90 @@
+"""The command as a whole: version, help, the window, and how quickly it starts."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Tactune = Callable[..., Any]
+HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph", "OpenGL")
+
+
+def test_version(tactune: Tactune) -> None:
+    assert tactune("--version").out == f"tactune {version('tactune')}\n"
+
+
+def test_help_names_every_command(tactune: Tactune) -> None:
+    finished = tactune("--help")
+    assert finished.status == 0
+    for command in ("gui", "run", "export-folder", "preset"):
+        assert f"\n  {command} " in finished.out
+
+
+def test_the_installed_command_is_the_module(tmp_path: Path) -> None:
+    command = Path(sys.executable).with_name("tactune")
+    words = ["preset", "validate", str(tmp_path / "missing.json")]
+    ends = [
+        subprocess.run([*start, *words], check=False, capture_output=True, text=True)
+        for start in ([str(command)], [sys.executable, "-m", "tactune.app"])
+    ]
+    assert ends[0].returncode == ends[1].returncode == 2
+    assert ends[0].stderr == ends[1].stderr != ""
+
+
+def test_help_imports_nothing_heavy() -> None:
+    program = (
+        "import sys; from tactune.app.cli import main; sys.argv = ['tactune', '--help']; main(); "
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Stand in for the window and note what it is asked to show."""
+    from tactune.app import gui
+
+    calls: list[tuple[Any, ...]] = []
+
+    def run_gui(*words: object, **options: object) -> int:
+        calls.append((*words, options))
+        return 0
+
+    monkeypatch.setattr(gui, "run_gui", run_gui)
+    return calls
+
+
+def test_without_a_command_the_window_opens_on_the_simulator(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+    assert tactune().status == 0
+    assert [call[:3] for call in opened] == [("sim", None, None)]
+
+
+def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+    words = ["--source", "sim:cup", "--preset", "default", "--screenshot", "window.png", "--after", "7"]
+    assert tactune("gui", *words, "--size", "1280x800", "--theme", "dark").status == 0
+    options = {"size": (1280, 800), "theme": "dark"}
+    assert opened == [("sim:cup", "default", Path("window.png"), 7, options)]
+
+
+@pytest.mark.parametrize(
+    "words", [["--size", "big"], ["--size", "1280x"], ["--theme", "pink"], ["--after", "0"], ["--after", "-3"]]
+)
+def test_gui_refuses_what_it_cannot_do(tactune: Tactune, opened: list[tuple[Any, ...]], words: list[str]) -> None:
+    finished = tactune("gui", *words)
+    assert finished.status == 2
+    assert words[1] in finished.err
+    assert opened == []
+
+
+def test_a_window_without_qt_says_what_to_install(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "PyQt6", None)
+    for name in [name for name in sys.modules if name.startswith("tactune.app.gui")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert 'pip install "tactune[gui]"' in tactune("gui").sentence
