@@ -1,0 +1,179 @@
+"""Bringing tactile measurements to proximity pixels, by one of two models.
+
+`HomographyModel` is the paper's: both images are laid over each other by one plane's homography.
+`RigidModel` projects each proximity point into the tactile image and compares the depth expected
+there with the depth measured there, which is exact wherever the membrane touches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from . import kernels
+from .clouds import ray_table
+from .errors import RigMismatchError
+from .frames import Float64Array, Rig
+from .preset import AlignmentSection
+
+CountsImage = npt.NDArray[np.uint16]
+DepthImage = npt.NDArray[np.float32]
+Region = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedDepth:
+    """Both sides of the tolerance test, per proximity pixel; nan where there is none.
+
+    Attributes
+    ----------
+    expected_m : float32, shape (H, W)
+        dp: where the tactile camera would see the proximity point (rigid), or the proximity depth
+        itself (homography), metres.
+    measured_m : float32, shape (H, W)
+        dt: the tactile depth there, after scale and offset, metres.
+    """
+
+    expected_m: DepthImage
+    measured_m: DepthImage
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
+        """Return two unwritten images."""
+        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
+
+
+class AlignmentModel(Protocol):
+    """What the pipeline asks of either model."""
+
+    def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
+        """Return both depths for every proximity pixel of a region (left, top, right, bottom)."""
+        ...
+
+
+def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
+    """Build the model that a preset asks for, with its tables.
+
+    Raises
+    ------
+    RigMismatchError
+        The preset leaves the pose to the rig and the rig has none.
+    """
+    return RigidModel(section, rig) if section.model == "rigid" else HomographyModel(section, rig)
+
+
+def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
+    """Return ``T_p_t`` (4 x 4): the preset's own, or else the rig's.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither has one.
+    """
+    pose = section.rigid.T_proximity_tactile or rig.T_proximity_tactile
+    if pose is None:
+        raise RigMismatchError(
+            "alignment.rigid.T_proximity_tactile is empty and the rig states no pose either; "
+            "calibrate, or set the pose in the preset"
+        )
+    return np.asarray(pose)
+
+
+def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
+    """Return ``H_p_t`` (3 x 3): the preset's own, or else the one that the pose induces.
+
+    For the frontal plane z = d in the proximity frame, ``H_t_p = K_t (R + t n^T / d) K_p^-1`` with
+    ``T_t_p = [R | t]`` and n = (0, 0, 1) (Hartley and Zisserman, Multiple View Geometry, eq. 13.2).
+    """
+    if section.homography.H_p_t is not None:
+        return np.asarray(section.homography.H_p_t)
+    T_t_p = np.linalg.inv(tactile_pose(section, rig))
+    plane = np.outer(T_t_p[:3, 3], (0.0, 0.0, 1.0 / section.homography.plane_distance_m))
+    K_p, K_t = rig.proximity.intrinsics.camera_matrix(), rig.tactile.intrinsics.camera_matrix()
+    H_p_t = np.linalg.inv(K_t @ (T_t_p[:3, :3] + plane) @ np.linalg.inv(K_p))
+    return H_p_t / H_p_t[2, 2]
+
+
+@dataclass(frozen=True)
+class DepthScale:
+    """Raw tactile counts to corrected metres, ``counts * factor + offset``, in float32."""
+
+    factor: np.float32
+    offset: np.float32
+
+    @classmethod
+    def of(cls, section: AlignmentSection, rig: Rig) -> DepthScale:
+        """Join the depth unit and the preset's scale and offset."""
+        return cls(np.float32(rig.tactile.depth_unit_m * section.depth_scale), np.float32(section.depth_offset_m))
+
+
+class RigidModel:
+    """Depth-aware alignment through the tactile camera's pose."""
+
+    def __init__(self, section: AlignmentSection, rig: Rig) -> None:
+        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        self.unit = np.float32(rig.proximity.depth_unit_m)
+        self.directions = rotated_rays(T_t_p, rig)
+        self.translation = T_t_p[:3, 3].astype(np.float32)
+        self.lens, self.camera = kernels.lens_parameters(rig.tactile.intrinsics)
+        self.scale = DepthScale.of(section, rig)
+
+    def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
+        """Project, look up by nearest pixel, and return expected and measured tactile depth."""
+        aligned = AlignedDepth.empty(proximity.shape)
+        kernels.align_rigid(
+            proximity, self.unit, self.directions, self.translation, tactile, self.scale.factor, self.scale.offset,
+            self.lens, self.camera, region, aligned.expected_m, aligned.measured_m,
+        )  # fmt: skip
+        return aligned
+
+
+class HomographyModel:
+    """Alignment by a plane homography: a fixed table, made once."""
+
+    def __init__(self, section: AlignmentSection, rig: Rig) -> None:
+        self.unit = np.float32(rig.proximity.depth_unit_m)
+        self.table = homography_table(
+            tactile_homography(section, rig), rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
+        )
+        self.scale = DepthScale.of(section, rig)
+
+    def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
+        """Look up by nearest pixel and return proximity depth and measured tactile depth."""
+        aligned = AlignedDepth.empty(proximity.shape)
+        kernels.align_table(
+            proximity, self.unit, self.table, tactile, self.scale.factor, self.scale.offset,
+            region, aligned.expected_m, aligned.measured_m,
+        )  # fmt: skip
+        return aligned
+
+
+def rotated_rays(T_t_p: Float64Array, rig: Rig) -> DepthImage:
+    """Return each proximity ray ``(x/z, y/z, 1)`` rotated into the tactile frame, float32 (H, W, 3)."""
+    rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
+    homogeneous = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
+    return np.ascontiguousarray(homogeneous @ T_t_p[:3, :3].T, dtype=np.float32)
+
+
+def homography_table(
+    H_p_t: Float64Array, proximity_shape: tuple[int, int], tactile_shape: tuple[int, int]
+) -> npt.NDArray[np.int32]:
+    """Return the flat tactile pixel nearest to each proximity pixel's preimage, -1 outside the image.
+
+    Pixels whose preimage lies beyond the homography's horizon, seen from the tactile image's
+    centre, have no partner either.
+    """
+    (height, width), (tactile_height, tactile_width) = proximity_shape, tactile_shape
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    x, y, w = np.einsum("ij,jvu->ivu", np.linalg.inv(H_p_t), np.stack([u, v, np.ones_like(u)]))
+    centre_w = H_p_t[2] @ ((tactile_width - 1) / 2, (tactile_height - 1) / 2, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tactile_u, tactile_v = np.floor(x / w + 0.5), np.floor(y / w + 0.5)
+    inside = (w * centre_w > 0) & (tactile_u >= 0) & (tactile_u < tactile_width)
+    inside &= (tactile_v >= 0) & (tactile_v < tactile_height)
+    table = np.full(proximity_shape, -1, np.int32)
+    table[inside] = (tactile_v[inside] * tactile_width + tactile_u[inside]).astype(np.int32)
+    return table

@@ -1,0 +1,98 @@
+"""Depth images to point clouds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
+from .intrinsics import Intrinsics
+from .preset import Preset
+
+Float32Array = npt.NDArray[np.float32]
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points with optional colours and per-point attributes.
+
+    Attributes
+    ----------
+    points : float32, shape (N, 3)
+        Metres, proximity depth frame.
+    colors : uint8, shape (N, 3), or None
+        RGB.
+    attributes : dict of str to 1-D array of length N
+    """
+
+    points: Float32Array
+    colors: npt.NDArray[np.uint8] | None = None
+    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@lru_cache(maxsize=8)
+def ray_table(intrinsics: Intrinsics) -> Float32Array:
+    """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only."""
+    table = intrinsics.rays()
+    table.flags.writeable = False
+    return table
+
+
+def valid_depth(counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
+    """Return where raw counts are a depth: neither 0 nor 65535."""
+    no_depth, saturated = NO_DEPTH_COUNTS
+    return (counts != no_depth) & (counts != saturated)
+
+
+def deproject(counts: npt.NDArray[np.uint16], camera: DepthCamera, pixels: npt.NDArray[np.intp]) -> Float32Array:
+    """Deproject the selected pixels of a depth image.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+        Raw depth.
+    camera : DepthCamera
+    pixels : int, shape (N,)
+        Flat pixel numbers; each must have a depth.
+
+    Returns
+    -------
+    float32, shape (N, 3)
+        Metres in the camera's frame.
+    """
+    depth = counts.ravel()[pixels].astype(np.float32) * np.float32(camera.depth_unit_m)
+    points = np.empty((len(pixels), 3), np.float32)
+    np.multiply(ray_table(camera.intrinsics).reshape(-1, 2)[pixels], depth[:, None], out=points[:, :2])
+    points[:, 2] = depth
+    return points
+
+
+def proximity_cloud(frame: SensorFrame, rig: Rig) -> PointCloud:
+    """Return every proximity point, in the proximity depth frame."""
+    pixels = np.flatnonzero(valid_depth(frame.proximity_depth))
+    return PointCloud(deproject(frame.proximity_depth, rig.proximity, pixels))
+
+
+def tactile_cloud(frame: SensorFrame, rig: Rig, preset: Preset) -> PointCloud:
+    """Return every tactile point brought to the proximity depth frame, depth correction included.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither the preset nor the rig knows the tactile camera's pose.
+    """
+    from .alignment import tactile_pose
+
+    pixels = np.flatnonzero(valid_depth(frame.tactile_depth))
+    points = deproject(frame.tactile_depth, rig.tactile, pixels).astype(np.float64)
+    depth = points[:, 2] * preset.alignment.depth_scale + preset.alignment.depth_offset_m
+    points *= (depth / points[:, 2])[:, None]
+    pose = tactile_pose(preset.alignment, rig)
+    colors = frame.tactile_color.reshape(-1, 3)[pixels] if frame.tactile_color is not None else None
+    return PointCloud((points @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32), colors)

@@ -1,0 +1,252 @@
+"""Presets as files: strict parsing, migration of older versions, atomic saving, shipped presets."""
+
+from __future__ import annotations
+
+import difflib
+import importlib.resources
+import json
+from collections.abc import Callable, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field, ValidationError
+
+from .atomic import atomic_path
+from .errors import PresetError
+from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset
+
+Document = dict[str, Any]
+
+#: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
+MIGRATIONS: tuple[Callable[[Document], Document], ...] = ()
+
+
+class PresetDocument(Preset):
+    """A preset as it stands in a file: the preset and what identifies the format."""
+
+    schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
+    schema_version: Literal[1] = SCHEMA_VERSION
+    tool_version: str = ""
+
+
+def load_preset(path_or_name: Path | str) -> Preset:
+    """Load a preset file, or a shipped preset by its name.
+
+    Parameters
+    ----------
+    path_or_name : path or str
+        A file, or one of `shipped_presets`. A file of that name in the working folder wins.
+
+    Raises
+    ------
+    PresetError
+        No such file, not a preset, or a field that is unknown or out of range.
+    """
+    path = Path(path_or_name)
+    if str(path_or_name) in shipped_presets() and not path.is_file():
+        resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
+        return preset_from_text(resource.read_text("utf-8"), origin=f"shipped preset {path_or_name}")
+    try:
+        text = path.read_text("utf-8")
+    except OSError as error:
+        raise PresetError(
+            f"cannot read preset {path}: {error.strerror or error}; "
+            f"name a file or one of the shipped presets: {', '.join(shipped_presets())}"
+        ) from error
+    except UnicodeDecodeError as error:
+        raise PresetError(
+            f"{path} is no preset: it is not a text file (byte {error.start}); choose a .json file"
+        ) from error
+    return preset_from_text(text, origin=str(path))
+
+
+def shipped_presets() -> list[str]:
+    """Return the names of the presets that come with Tactune, ``default`` first."""
+    folder = importlib.resources.files("tactune.presets")
+    names = [file.name.removesuffix(".json") for file in folder.iterdir() if file.name.endswith(".json")]
+    return sorted((name for name in names if not name.endswith(".schema")), key=lambda name: (name != "default", name))
+
+
+def preset_from_text(text: str, origin: str) -> Preset:
+    """Parse the text of a preset file; ``origin`` names it in messages."""
+    try:
+        document = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as error:
+        place = (
+            f"line {error.lineno}, column {error.colno}: {error.msg}"
+            if isinstance(error, json.JSONDecodeError)
+            else "too deep"
+        )
+        raise PresetError(f"{origin} is no preset: not valid JSON ({place})") from error
+    if not isinstance(document, dict) or document.get("schema") != SCHEMA_NAME:
+        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
+        raise PresetError(f'{origin} is no preset: "schema" should be "{SCHEMA_NAME}", it is {found!r}')
+    return parse_preset(migrate(document, origin), origin)
+
+
+def migrate(document: Document, origin: str) -> Document:
+    """Bring a document of an older schema version to the present one, step by step."""
+    found = document.get("schema_version")
+    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
+        raise PresetError(
+            f"{origin}: schema_version is {found!r}; it should be a whole number from 1 to {SCHEMA_VERSION}"
+        )
+    if found > SCHEMA_VERSION:
+        raise PresetError(
+            f"{origin}: schema_version is {found}, this Tactune reads up to {SCHEMA_VERSION}; "
+            f"update Tactune (the file was written by version {document.get('tool_version', 'unknown')})"
+        )
+    for step in MIGRATIONS[found - 1 :]:
+        document = step(document)
+    return {**document, "schema_version": SCHEMA_VERSION}
+
+
+def parse_preset(document: Document, origin: str) -> Preset:
+    """Validate plain data as a preset.
+
+    Raises
+    ------
+    PresetError
+        Names every bad field with its path, its value and what is allowed.
+    """
+    text = json.dumps(document, default=_plain)
+    try:
+        parsed = PresetDocument.model_validate_json(text, strict=True, by_alias=True)
+    except ValidationError as error:
+        sentences = [_explain(detail) for detail in error.errors(include_url=False)]
+        raise PresetError(f"{origin}: " + "; ".join(dict.fromkeys(sentences))) from error
+    return Preset.model_construct(**{name: getattr(parsed, name) for name in Preset.model_fields})
+
+
+def preset_json(preset: Preset) -> str:
+    """Return the text of a preset file."""
+    document = {
+        "schema": SCHEMA_NAME,
+        "schema_version": SCHEMA_VERSION,
+        "tool_version": version("tactune"),
+        **preset.model_dump(mode="json"),
+    }
+    return json.dumps(document, indent=2, ensure_ascii=False) + "\n"
+
+
+def save_preset(preset: Preset, path: Path | str) -> None:
+    """Save atomically. A file of an older schema version there is kept as ``NAME.schema-N.json``.
+
+    Raises
+    ------
+    ExportError
+        The file cannot be written; whatever was there before is still there.
+    """
+    path = Path(path)
+    _keep_older_version(path)
+    with atomic_path(path) as temporary:
+        temporary.write_text(preset_json(preset), "utf-8")
+
+
+def json_schema() -> Document:
+    """Return the JSON Schema of preset files (draft 2020-12)."""
+    schema = PresetDocument.model_json_schema(by_alias=True, mode="validation")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "Tactune preset",
+        "required": ["schema", "schema_version"],
+    }
+
+
+def set_path(document: Document, path: str, value: Any) -> None:
+    """Set the value at a dotted path in plain preset data.
+
+    Raises
+    ------
+    PresetError
+        No such field; the message suggests the nearest.
+    """
+    known = preset_paths()
+    if path not in known:
+        hint = difflib.get_close_matches(path, known, n=1)
+        remedy = f"did you mean {hint[0]}?" if hint else f"fields are {', '.join(known)}"
+        raise PresetError(f"a preset has no field {path!r}; {remedy}")
+    *parents, last = path.split(".")
+    for parent in parents:
+        document = document[parent]
+    document[last] = value
+
+
+def preset_paths() -> list[str]:
+    """Return the dotted path of every field that can be set by itself."""
+
+    def walk(model: Any, prefix: str) -> list[str]:
+        paths = []
+        for name, field in model.model_fields.items():
+            inner = field.annotation
+            if isinstance(inner, type) and hasattr(inner, "model_fields"):
+                paths += walk(inner, f"{prefix}{name}.")
+            else:
+                paths.append(prefix + name)
+        return paths
+
+    return walk(Preset, "")
+
+
+def _keep_older_version(path: Path) -> None:
+    try:
+        document = json.loads(path.read_text("utf-8"))
+        found = document["schema_version"] if document["schema"] == SCHEMA_NAME else SCHEMA_VERSION
+    except (OSError, ValueError, KeyError, TypeError):
+        return  # nothing there, or no preset: there is no older preset to keep
+    if isinstance(found, int) and found < SCHEMA_VERSION:
+        kept = path.with_name(f"{path.stem}.schema-{found}{path.suffix}")
+        with atomic_path(kept) as temporary:
+            temporary.write_bytes(path.read_bytes())
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if hasattr(value, "isoformat"):
+        return value.isoformat()
+    raise PresetError(f"a preset cannot hold {value!r} of type {type(value).__name__}; use numbers, texts and lists")
+
+
+def _explain(error: Any) -> str:
+    """Turn one pydantic error into words: path, value, what is allowed."""
+    location: Sequence[str | int] = error["loc"]
+    path = (
+        "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "the preset"
+    )
+    if error["type"] == "extra_forbidden":
+        hint = difflib.get_close_matches(path, preset_paths(), n=1)
+        return f"{path} is not a field of a preset" + (f" (did you mean {hint[0]}?)" if hint else "; remove it")
+    if error["type"] == "missing":
+        return f"{path} is missing"
+    shown = repr(error["input"])
+    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    return f"{path} is {shown}: {message}{_allowed(location)}"
+
+
+def _allowed(location: Sequence[str | int]) -> str:
+    """Say the allowed range of the field at a location, from the JSON Schema."""
+    schema = json_schema()
+    node: Any = schema
+    for part in location:
+        node = _resolve(node, schema)
+        if isinstance(part, int):
+            node = node["prefixItems"][part] if part < len(node.get("prefixItems", ())) else {}
+        else:
+            node = node.get("properties", {}).get(part, {})
+    node = _resolve(node, schema)
+    low = node.get("minimum", node.get("exclusiveMinimum"))
+    high = node.get("maximum", node.get("exclusiveMaximum"))
+    if low is None or high is None:
+        return ""
+    return f" (allowed: {'above ' if 'exclusiveMinimum' in node else ''}{low:g} to {high:g})"
+
+
+def _resolve(node: Any, schema: Any) -> Any:
+    while "$ref" in node or "anyOf" in node:
+        node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]] if "$ref" in node else node["anyOf"][0]
+    return node
