@@ -105,7 +105,9 @@ class DepthCloud:
             return self.index
         a, b = self.index_from_depth
         depth = self.depth * np.float32(self.metres_per_count) + np.float32(self.depth_offset_m)
-        return np.floor(np.clip(a * depth + b, 0.0, 1.0) * 255 + 0.5).astype(np.uint8)
+        share = np.clip(depth * np.float32(a) + np.float32(b), np.float32(0), np.float32(1))
+        rows: npt.NDArray[np.uint8] = (share * np.float32(255) + np.float32(0.5)).astype(np.uint8)
+        return rows
 
     def points(self, step: int = 1) -> npt.NDArray[np.float64]:
         """Deproject the drawn pixels of every ``step``-th row and column.

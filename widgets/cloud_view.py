@@ -77,6 +77,9 @@ class CloudView(QWidget):
         self._message = ""
         self._steered = False
         self._companions: list[CloudView] = []
+        self._resized = QTimer(self)
+        self._resized.setSingleShot(True)
+        self._resized.timeout.connect(self._frame_after_resize)
         self._drag_from: QPointF | None = None
         self._drag_pans = False
         self.backend_name = ""
@@ -207,7 +210,7 @@ class CloudView(QWidget):
             probe = probe_opengl()
             if probe.usable and (backend == "opengl" or not probe.emulated):
                 canvas = GLCanvas(self._scene, self)
-                canvas.failed.connect(self._fall_back, Qt.ConnectionType.QueuedConnection)
+                canvas.failed.connect(self._fall_back, Qt.ConnectionType.QueuedConnection)  # type: ignore[call-arg]
                 self._note_backend("opengl", "")
                 return canvas
             return self._software_canvas(f"Software view: {probe.reason}")
@@ -249,7 +252,7 @@ class CloudView(QWidget):
         """Frame again, unless somebody steered."""
         super().resizeEvent(event)
         if not self._steered and self._scene.cloud is not None:
-            QTimer.singleShot(0, self, self._frame_after_resize)
+            self._resized.start()
 
     def _frame_after_resize(self) -> None:
         if not self._steered:

@@ -29,10 +29,13 @@ DIFFERENCE_LIMIT: Final = 0.10
 #: The row of a difference table that stands for *undefined*.
 UNDEFINED_ROW: Final = 0
 
-_DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.08)
+#: The row of a patch table that stands for *contact*.
+CONTACT_ROW: Final = 255
+
+_DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 _DIFFERENCE_MAP = "CET-D13"
 #: Where the map continues outside the band: its pale middle would vanish on a light background.
-_DIFFERENCE_STARTS = 0.35
+_DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.35, 0.85
 _CANDIDATE_RGB = (245, 158, 120)
 _UNDEFINED_RGBA = (128, 128, 128, 70)
 
@@ -57,6 +60,8 @@ _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
         Provenance.OUTSIDE_TOLERANCE: (82, 82, 80),
     },
 }
+#: Near and far end of the relief around a patch.
+_RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
 _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.CONTACT: "contact",
     Provenance.OUTSIDE_TOLERANCE: "not touching",
@@ -121,7 +126,7 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Lut:
     """
     relative = (np.arange(256) - 128.0) * (limit / 127.0)
     beyond = np.clip((np.abs(relative) - t) / max(limit - t, 1e-9), 0.0, 1.0)
-    away = _DIFFERENCE_STARTS + (1 - _DIFFERENCE_STARTS) * beyond
+    away = _DIFFERENCE_STARTS + (_DIFFERENCE_ENDS - _DIFFERENCE_STARTS) * beyond
     lut = _sample(_DIFFERENCE_MAP, 0.5 + 0.5 * np.sign(relative) * away)
     lut[np.abs(relative) <= t] = (*_CANDIDATE_RGB, 255)
     lut[UNDEFINED_ROW] = _UNDEFINED_RGBA
@@ -150,13 +155,37 @@ def provenance_lut(theme: Theme) -> Lut:
     return _frozen(lut)
 
 
+def patch_index(
+    contact: npt.NDArray[np.bool_], depth: npt.NDArray[np.uint16], near: float, far: float
+) -> npt.NDArray[np.uint8]:
+    """Take a contact mask and the depth around it to rows of `patch_lut`.
+
+    Parameters
+    ----------
+    contact : bool, shape (H, W)
+    depth : uint16, shape (H, W)
+        Raw counts.
+    near, far : float
+        Raw counts at both ends of the context's shades.
+
+    Returns
+    -------
+    uint8, shape (H, W)
+        `CONTACT_ROW` for contact, rows below it for the context by depth.
+    """
+    shades = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
+    rows = shades.astype(np.uint8)[depth]
+    rows[contact] = CONTACT_ROW
+    return rows
+
+
 @cache
 def patch_lut(theme: Theme) -> Lut:
-    """Return colours for a `Provenance` index that show contact over one faint context: uint8 (256, 4)."""
-    lut = np.zeros((256, 4), np.uint8)
-    for provenance in Provenance:
-        lut[provenance] = (*_CONTEXT_RGB[theme][Provenance.OUTSIDE_TOLERANCE], 255)
-    lut[Provenance.CONTACT] = (*CONTACT_RGB, 255)
+    """Return the colours of `patch_index`: uint8 (256, 4). Contact stands out from a faint gray relief."""
+    near, far = _RELIEF_GRAY[theme]
+    lut = np.full((256, 4), 255, np.uint8)
+    lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
+    lut[CONTACT_ROW, :3] = CONTACT_RGB
     return _frozen(lut)
 
 
@@ -169,7 +198,7 @@ def provenance_legend(theme: Theme) -> Legend:
 def patch_legend(theme: Theme) -> Legend:
     """Return the legend of `patch_lut`."""
     lut = patch_lut(theme)
-    return [("contact", CONTACT_COLOR), ("not touching", _color(lut, Provenance.OUTSIDE_TOLERANCE))]
+    return [("contact", CONTACT_COLOR), ("not touching", _color(lut, CONTACT_ROW / 2))]
 
 
 def over_background(lut: Lut, background: tuple[int, int, int]) -> Lut:

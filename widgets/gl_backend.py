@@ -24,6 +24,7 @@ from PyQt6.QtOpenGL import (
 )
 from PyQt6.QtOpenGLWidgets import QOpenGLWidget
 from PyQt6.QtWidgets import QWidget
+from PyQt6.sip import voidptr
 
 from .cloud_data import DepthCloud
 from .cloud_scene import CloudScene, paint_overlay
@@ -103,7 +104,7 @@ def probe_opengl() -> GLProbe:
     finally:
         context.doneCurrent()
     if any(name in renderer.lower() for name in _EMULATORS):
-        return GLProbe(True, True, renderer, f"OpenGL is only emulated here ({renderer.split(' (')[0]})")
+        return GLProbe(True, True, renderer, f"OpenGL is only emulated here ({renderer.partition(' (')[0]})")
     return GLProbe(True, False, renderer, "")
 
 
@@ -133,7 +134,7 @@ class _VertexImage:
     ) -> None:
         self._buffer.bind()
         if array is not self._array:
-            self._buffer.allocate(array.data, array.nbytes)
+            self._buffer.allocate(voidptr(array.data), array.nbytes)
             self._array = array
         location = program.attributeLocation(name)
         program.enableAttributeArray(location)
@@ -173,7 +174,8 @@ class GLRenderer:
         """
         gl = self._gl
         gl.glViewport(0, 0, *size)
-        gl.glClearColor(*(channel / 255 for channel in background), 1.0)
+        red, green, blue = background
+        gl.glClearColor(red / 255, green / 255, blue / 255, 1.0)
         gl.glDepthMask(True)
         gl.glClear(_GL_COLOR_AND_DEPTH)
         if cloud is not None:
@@ -217,7 +219,7 @@ class GLRenderer:
             if self._texture is not None:
                 self._texture.destroy()
             table = over_background(cloud.lut, background)
-            image = QImage(table.data, 256, 1, 1024, QImage.Format.Format_RGBA8888)
+            image = QImage(table.tobytes(), 256, 1, 1024, QImage.Format.Format_RGBA8888)
             self._texture = QOpenGLTexture(image, QOpenGLTexture.MipMapGeneration.DontGenerateMipMaps)
             self._texture.setMinMagFilters(QOpenGLTexture.Filter.Nearest, QOpenGLTexture.Filter.Nearest)
             self._texture.setWrapMode(QOpenGLTexture.WrapMode.ClampToEdge)

@@ -61,11 +61,12 @@ class ViewCamera:
     def axes(self) -> Float64Array:
         """Return the unit vectors right, up and back (towards the eye) as rows: float64 (3, 3)."""
         ca, sa, ce, se = cos(self.azimuth), sin(self.azimuth), cos(self.elevation), sin(self.elevation)
-        return np.array([[ca, 0.0, sa], [se * sa, -ce, -se * ca], [sa * ce, -se, -ca * ce]])
+        return np.array([[ca, 0.0, sa], [-se * sa, -ce, se * ca], [sa * ce, -se, -ca * ce]])
 
     def eye(self) -> Float64Array:
         """Return where the camera stands, metres: float64 (3,)."""
-        return np.array(self.target) + self.distance * self.axes()[2]
+        eye: Float64Array = np.array(self.target) + self.distance * self.axes()[2]
+        return eye
 
     def pixel_matrix(self, width: int, height: int) -> Float64Array:
         """Return the projection to the pixels of a view: float64 (3, 4).
@@ -76,10 +77,10 @@ class ViewCamera:
         """
         right, up, back = self.axes()
         focal = self._focal(width, height)
-        rotation = np.stack(
-            [focal * right - width / 2 * back, -focal * up - height / 2 * back, -back],
-        )
-        return np.column_stack([rotation, -rotation @ self.eye()])
+        matrix = np.empty((3, 4))
+        matrix[:, :3] = focal * right - width / 2 * back, -focal * up - height / 2 * back, -back
+        matrix[:, 3] = -matrix[:, :3] @ self.eye()
+        return matrix
 
     def clip_matrix(self, width: int, height: int) -> Float64Array:
         """Return the same projection to OpenGL's clip coordinates: float64 (4, 4)."""
