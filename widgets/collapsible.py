@@ -20,13 +20,12 @@ class CollapsibleSection(QFrame):
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.title = title
+        self._collapsed = False
         self.button = QToolButton()
         self.button.setText(title)
         self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
         self.button.setArrowType(Qt.ArrowType.DownArrow)
         self.button.setAutoRaise(True)
-        self.button.setCheckable(True)
-        self.button.setChecked(True)
         self.button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.button.setAccessibleName(f"{title} section")
@@ -48,7 +47,7 @@ class CollapsibleSection(QFrame):
         layout.setSpacing(0)
         layout.addWidget(header)
         layout.addWidget(self.body)
-        self.button.toggled.connect(self._toggled)
+        self.button.clicked.connect(lambda: self.set_collapsed(not self._collapsed))
 
     def add_header_widget(self, widget: QWidget) -> None:
         """Put a widget at the right end of the header, where it stays when the section is folded."""
@@ -57,13 +56,13 @@ class CollapsibleSection(QFrame):
     @property
     def collapsed(self) -> bool:
         """Whether the body is folded away."""
-        return not self.button.isChecked()
+        return self._collapsed
 
     def set_collapsed(self, collapsed: bool) -> None:
         """Fold or unfold the body."""
-        self.button.setChecked(not collapsed)
-
-    def _toggled(self, unfolded: bool) -> None:
-        self.body.setVisible(unfolded)
-        self.button.setArrowType(Qt.ArrowType.DownArrow if unfolded else Qt.ArrowType.RightArrow)
-        self.collapsedChanged.emit(not unfolded)
+        if collapsed == self._collapsed:
+            return
+        self._collapsed = collapsed
+        self.body.setVisible(not collapsed)
+        self.button.setArrowType(Qt.ArrowType.RightArrow if collapsed else Qt.ArrowType.DownArrow)
+        self.collapsedChanged.emit(collapsed)

@@ -78,9 +78,17 @@ class FieldSpec:
         """Whether one number lies within the bounds."""
         return value <= self.maximum and (value > self.minimum if self.open_minimum else value >= self.minimum)
 
+    @property
+    def decimals(self) -> int:
+        """How many decimals people read: one more than the step has, and what a logarithmic slider resolves."""
+        of_step = len(format_number(self.step * self.factor).partition(".")[2])
+        return of_step + (2 if self.log else 0 if self.integer else 1)
+
     def shown(self, value: float) -> str:
-        """Write one number as people read it, with its unit."""
-        return format_number(value * self.factor) + self.suffix
+        """Write one number as people read it, with its unit; rounded, but never to zero."""
+        number = value * self.factor
+        rounded = round(number, self.decimals)
+        return format_number(rounded or float(f"{number:.2g}"), 15) + self.suffix
 
     def from_shown(self, number: float) -> float | int:
         """Take a number that a person typed to the model's unit."""

@@ -11,11 +11,17 @@ from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QWidget
 
+from .fields import format_number
 from .gestures import GestureClock
 from .theme import theme_colors
 
 _SMALLEST_T = 0.001
 _LARGEST_T = 1.0
+
+
+class _PercentAxis(pg.AxisItem):  # type: ignore[misc]
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
+        return [f"{format_number(value, 3)} %" for value in values]
 
 
 class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
@@ -30,7 +36,7 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
     toleranceEdited = pyqtSignal(float, int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
+        super().__init__(parent, axisItems={"bottom": _PercentAxis("bottom")})
         self._t = 0.03
         self._counts: npt.NDArray[np.float64] = np.zeros(1)
         self._edges: npt.NDArray[np.float64] = np.array([-0.1, 0.1])
@@ -59,6 +65,9 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
         for line in self.lines:
             line.sigDragged.connect(self._dragged)
             line.sigPositionChangeFinished.connect(self._clock.release)
+        self._caption = pg.TextItem("(dp − dt) / dp", anchor=(0, 0))
+        self._caption.setParentItem(plot.getViewBox())
+        self._caption.setPos(2, 0)
         self._place_lines()
         self._recolor()
 
@@ -141,6 +150,7 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
         axis = self.getPlotItem().getAxis("bottom")
         axis.setPen(colors.border)
         axis.setTextPen(colors.text)
+        self._caption.setColor(colors.muted)
         for curve, value in ((self._outside, colors.outside), (self._inside, colors.accent)):
             curve.setPen(None)
             curve.setBrush(QColor(value))

@@ -42,7 +42,6 @@ class NumberEntry(QAbstractSpinBox):
         self._edit.textEdited.connect(self._typing_started)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(self._title)
-        self.setToolTip(spec.tooltip)
         self.editingFinished.connect(self._commit)
         self._show_value()
 
@@ -116,9 +115,8 @@ class NumberEntry(QAbstractSpinBox):
 
     def _sample_texts(self) -> list[str]:
         spec = self._spec
-        finest = format_number(spec.step * spec.factor)
-        decimals = len(finest.partition(".")[2])
-        return [f"{end * spec.factor:.{decimals}f}{spec.suffix}" for end in (*spec.slider, -spec.step)]
+        ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
+        return [f"{end * spec.factor:.{spec.decimals}f}{spec.suffix}" for end in ends]
 
     def _typing_started(self, _: str) -> None:
         self._typing = True
@@ -127,6 +125,9 @@ class NumberEntry(QAbstractSpinBox):
         self._typing = False
         self._edit.setText(self._spec.shown(self._value))
         self._edit.setCursorPosition(0)
+        exact = format_number(self._value * self._spec.factor, 15) + self._spec.suffix
+        rounded = "" if exact == self._edit.text() else f"Exactly {exact}. "
+        self.setToolTip(rounded + self._spec.tooltip)
 
     def _commit(self) -> None:
         if not self._typing:

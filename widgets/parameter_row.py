@@ -115,8 +115,9 @@ class MatrixView(QLabel):
         self.setText("\n".join(self._line(row) for row in self._value[:3]))
 
     def _line(self, row: tuple[float, ...]) -> str:
-        cells = " ".join(f"{cell:>8}" for cell in (format_number(entry, 5)[:8] for entry in row[:3]))
-        return cells if len(row) == 3 else f"{cells} | {row[3] * self._factor:8.2f}{self._suffix}"
+        if len(row) == 3:
+            return " ".join(f"{cell:>10.5g}" for cell in row)
+        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {row[3] * self._factor:8.2f}{self._suffix}"
 
 
 _EDITORS: dict[str, Any] = {
@@ -201,7 +202,7 @@ class ParameterRow(QObject):
     def add_to(self, grid: QGridLayout) -> None:
         """Append the row to a grid of three columns."""
         line = grid.rowCount()
-        if self.spec.kind == "matrix":
+        if self.spec.kind in ("matrix", "rectangle"):
             grid.addWidget(self.label, line, 0)
             grid.addWidget(self.reset, line, 2)
             grid.addWidget(self.widget, line + 1, 0, 1, 3)

@@ -1,0 +1,118 @@
+"""The line above an image: its title, and a legend as long as there is room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtCore import QRectF, QSize, Qt
+from PyQt6.QtGui import QColor, QImage, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QSizePolicy, QWidget
+
+from .theme import theme_colors
+
+_BAR_WIDTH = 48
+_SHORTEST_BAR = 24
+_SWATCH = 10
+_GAP = 5
+
+
+@dataclass(frozen=True)
+class Swatch:
+    """A colour and its name."""
+
+    text: str
+    rgb: tuple[int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class ColorBar:
+    """A colour table with the texts of both ends; ``marks`` are fractions along the bar."""
+
+    low: str
+    high: str
+    lut: npt.NDArray[np.uint8]
+    marks: tuple[float, ...] = ()
+
+
+class PaneHeader(QWidget):
+    """Paints a title at the left and a legend at the right; what does not fit is left out, last things first."""
+
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._title = title
+        self._bar: ColorBar | None = None
+        self._swatches: tuple[Swatch, ...] = ()
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+        self._describe()
+
+    def set_legend(self, bar: ColorBar | None, swatches: tuple[Swatch, ...] = ()) -> None:
+        """Show a colour bar, swatches, or both."""
+        self._bar, self._swatches = bar, swatches
+        self._describe()
+        self.update()
+
+    def sizeHint(self) -> QSize:
+        """One line of text."""
+        return QSize(200, self.fontMetrics().height() + 4)
+
+    def minimumSizeHint(self) -> QSize:
+        """The width is up to the pane."""
+        return QSize(0, self.sizeHint().height())
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        """Paint the title and what fits of the legend."""
+        painter = QPainter(self)
+        colors = theme_colors()
+        metrics = self.fontMetrics()
+        painter.setPen(QColor(colors.text))
+        title = metrics.elidedText(self._title, Qt.TextElideMode.ElideRight, self.width() - 2)
+        painter.drawText(QRectF(2, 0, self.width(), self.height()), Qt.AlignmentFlag.AlignVCenter, title)
+        left = metrics.horizontalAdvance(title) + 2 + 2 * _GAP
+        right = float(self.width() - 2)
+        painter.setPen(QColor(colors.muted))
+        if self._bar is not None:
+            right = self._paint_bar(painter, self._bar, left, right)
+        for swatch in self._swatches:
+            right = self._paint_swatch(painter, swatch, left, right)
+
+    def _paint_bar(self, painter: QPainter, bar: ColorBar, left: float, right: float) -> float:
+        """Paint the bar right-aligned; return where the space left of it ends."""
+        metrics = self.fontMetrics()
+        low, high = metrics.horizontalAdvance(bar.low), metrics.horizontalAdvance(bar.high)
+        length = min(_BAR_WIDTH, right - left - low - high - 2 * _GAP)
+        if length < _SHORTEST_BAR:
+            return right
+        flags = Qt.AlignmentFlag.AlignVCenter
+        painter.drawText(QRectF(right - high, 0, high + 1, self.height()), flags, bar.high)
+        frame = QRectF(right - high - _GAP - length, self.height() / 2 - 4, length, 8)
+        painter.drawText(QRectF(frame.left() - _GAP - low, 0, low + 1, self.height()), flags, bar.low)
+        strip = np.ascontiguousarray(bar.lut[None, 1:])
+        painter.drawImage(frame, QImage(strip.tobytes(), strip.shape[1], 1, QImage.Format.Format_RGBX8888))
+        painter.save()
+        painter.setPen(QPen(QColor(theme_colors().text), 1.5))
+        for mark in bar.marks:
+            x = frame.left() + mark * length
+            painter.drawLine(round(x), round(frame.top() - 2), round(x), round(frame.bottom() + 2))
+        painter.restore()
+        return frame.left() - _GAP - low - 2 * _GAP
+
+    def _paint_swatch(self, painter: QPainter, swatch: Swatch, left: float, right: float) -> float:
+        advance = self.fontMetrics().horizontalAdvance(swatch.text)
+        start = right - advance - _SWATCH - _GAP
+        if start < left:
+            return right
+        painter.fillRect(QRectF(start, (self.height() - _SWATCH) / 2, _SWATCH, _SWATCH), QColor(*swatch.rgb))
+        box = QRectF(right - advance, 0, advance + 1, self.height())
+        painter.drawText(box, Qt.AlignmentFlag.AlignVCenter, swatch.text)
+        return start - 2 * _GAP
+
+    def _describe(self) -> None:
+        """Say the legend in words, for the tooltip and for screen readers."""
+        parts = [swatch.text for swatch in self._swatches]
+        if self._bar is not None:
+            parts.insert(0, f"{self._bar.low} to {self._bar.high}")
+        self.setToolTip(f"{self._title}: {', '.join(parts)}" if parts else self._title)
+        self.setAccessibleName(self._title)
+        self.setAccessibleDescription(", ".join(parts))
