@@ -20,6 +20,9 @@ from .cli_preset import preset_commands
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
 USAGE_STATUS = 2
 
+#: What the extra ``gui`` installs.
+GUI_PACKAGES = ("PyQt6", "pyqtgraph", "OpenGL", "superqt")
+
 commands = typer.Typer(
     help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
     "Without a command: open the window.",
@@ -149,10 +152,19 @@ def _open_window(
 ) -> int:
     try:
         from .gui import run_gui
-    except ImportError as error:
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] not in GUI_PACKAGES:
+            raise
         raise MissingExtraError(
-            f'the window needs packages that are not installed ({error}): pip install "tactune[gui]"; '
-            "tactune run works without them"
+            f'the window needs {error.name}, which is not installed: pip install "tactune[gui]"; '
+            "tactune run works without it"
+        ) from error
+    except ImportError as error:
+        if "shared object file" not in str(error):
+            raise
+        raise MissingExtraError(
+            f"the window needs a library of the operating system ({error}); install it, "
+            "or use tactune run, which works without it"
         ) from error
     return run_gui(source, preset, screenshot, after, size=size, theme=theme)
 

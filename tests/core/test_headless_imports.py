@@ -1,0 +1,36 @@
+"""The core stays headless: importing every module of it brings in no window system and no Open3D."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+WALK = """
+import importlib, pkgutil, sys
+import tactune.core
+names = [module.name for module in pkgutil.walk_packages(tactune.core.__path__, "tactune.core.")]
+for name in names:
+    importlib.import_module(name)
+roots = {name.partition(".")[0] for name in sys.modules}
+print(len(names), sorted(roots & {"PyQt6", "pyqtgraph", "OpenGL", "superqt", "qtpy", "open3d", "pyrealsense2"}))
+print(sorted(name for name in sys.modules if name.startswith(("tactune.widgets", "tactune.app"))))
+"""
+
+
+def test_importing_all_of_the_core_imports_nothing_of_the_window() -> None:
+    done = subprocess.run([sys.executable, "-c", WALK], check=True, capture_output=True, text=True)
+    counted, upwards = done.stdout.splitlines()
+    number, _, heavy = counted.partition(" ")
+    assert int(number) > 20
+    assert heavy == "[]"
+    assert upwards == "[]"
+
+
+def test_opening_and_processing_needs_no_open3d_either() -> None:
+    program = """
+import sys
+from tactune.app import cli_preset, cli_run
+print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "pyqtgraph", "OpenGL", "open3d"}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"

@@ -1,0 +1,56 @@
+"""What pyproject.toml says agrees with the folders and with the lock."""
+
+from __future__ import annotations
+
+import re
+import tomllib
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+FOLDERS = ("core", "widgets", "app", "presets")
+
+
+@pytest.fixture(scope="module")
+def pyproject() -> dict[str, Any]:
+    return tomllib.loads((ROOT / "pyproject.toml").read_text())
+
+
+def test_every_folder_with_code_is_a_package_and_listed(pyproject: dict[str, Any]) -> None:
+    with_code = {file.parent.relative_to(ROOT) for name in FOLDERS for file in (ROOT / name).rglob("*.py")}
+    listed = pyproject["tool"]["setuptools"]["packages"]
+    assert sorted(listed) == sorted(".".join(("tactune", *folder.parts)) for folder in with_code)
+    assert [folder for folder in with_code if not (ROOT / folder / "__init__.py").is_file()] == []
+
+
+def test_no_two_packages_are_mapped_to_one_folder(pyproject: dict[str, Any]) -> None:
+    mapped = pyproject["tool"]["setuptools"]["package-dir"]
+    assert mapped == {f"tactune.{name}": name for name in FOLDERS}
+
+
+def test_the_lock_holds_what_pyproject_allows(pyproject: dict[str, Any]) -> None:
+    locked = dict(re.findall(r"^([a-z0-9-]+)==(\S+)", (ROOT / "requirements.lock").read_text(), re.MULTILINE))
+    project = pyproject["project"]
+    wanted = [
+        *project["dependencies"],
+        *(line for extra in project["optional-dependencies"].values() for line in extra),
+    ]
+    environment = {"python_version": "3.11", "sys_platform": "linux", "platform_machine": "x86_64"}
+    for requirement in map(Requirement, wanted):
+        if requirement.name != project["name"] and (not requirement.marker or requirement.marker.evaluate(environment)):
+            assert requirement.specifier.contains(locked[canonicalize_name(requirement.name)]), str(requirement)
+
+
+def test_every_locked_package_has_a_hash() -> None:
+    pins = re.split(r"^(?=[a-z0-9-]+==)", (ROOT / "requirements.lock").read_text(), flags=re.MULTILINE)[1:]
+    assert len(pins) > 50
+    assert [pin.partition(" ")[0] for pin in pins if "--hash=sha256:" not in pin] == []
+
+
+def test_the_installed_version_is_this_one(pyproject: dict[str, Any]) -> None:
+    assert version("tactune") == pyproject["project"]["version"]

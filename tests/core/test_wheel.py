@@ -1,0 +1,110 @@
+"""The wheel without extras is enough for a robot: it does the headless job and brings no window system.
+
+The wheel is built and installed by pip into an empty virtual environment. Its dependencies are not downloaded:
+starting from the wheel's own metadata, without extras, the distributions it needs are looked up among the installed
+ones, and only those are linked into a folder on the empty environment's path. So the test is quick and works
+offline, and whatever the wheel does not ask for (Qt, OpenGL, Open3D) cannot be imported there, by anyone.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from importlib.metadata import Distribution, distribution
+from pathlib import Path
+
+import numpy as np
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+
+ROOT = Path(__file__).resolve().parents[2]
+SOURCES = ("core", "widgets", "app", "presets", "pyproject.toml", "README.md", "LICENSE")
+FORBIDDEN = ("PyQt6", "pyqtgraph", "OpenGL", "superqt", "open3d", "pyrealsense2")
+
+
+def needed_by(requirements: list[str]) -> dict[str, Distribution]:
+    """Return every installed distribution that the requirements need, directly or not."""
+    found: dict[str, Distribution] = {}
+    waiting = [Requirement(text) for text in requirements]
+    while waiting:
+        requirement = waiting.pop()
+        name = canonicalize_name(requirement.name)
+        extras = requirement.extras or {""}
+        if requirement.marker and not any(requirement.marker.evaluate({"extra": extra}) for extra in ("", *extras)):
+            continue
+        if name not in found:
+            found[name] = distribution(name)
+            inner = [Requirement(text) for text in found[name].requires or []]
+            waiting += [r for r in inner if not r.marker or any(r.marker.evaluate({"extra": e}) for e in extras)]
+    return found
+
+
+def link(found: dict[str, Distribution], folder: Path) -> None:
+    """Link what belongs to the distributions, and nothing else, into a folder."""
+    folder.mkdir()
+    for installed in found.values():
+        tops = {file.parts[0] for file in installed.files or [] if file.parts[0] not in ("..", "__pycache__")}
+        for top in tops:
+            target = folder / top
+            if not target.exists():
+                target.symlink_to(Path(str(installed.locate_file(top))))
+
+
+@pytest.fixture(scope="module")
+def robot(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Build the wheel, install it without extras into an empty environment, return that environment's bin."""
+    folder = tmp_path_factory.mktemp("robot")
+    source = folder / "source"
+    source.mkdir()
+    for name in SOURCES:
+        path = ROOT / name
+        if path.is_dir():
+            shutil.copytree(path, source / name, ignore=shutil.ignore_patterns("__pycache__"))
+        else:
+            shutil.copy(path, source / name)
+    build = [sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", str(folder), str(source)]
+    subprocess.run(build, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    return environment_with(wheel, folder / "environment")
+
+
+def environment_with(wheel: Path, environment: Path) -> Path:
+    subprocess.run([sys.executable, "-m", "venv", "--without-pip", str(environment)], check=True)
+    python = environment / "bin" / "python"
+    site = next((environment / "lib").glob("python*/site-packages"))
+    assert not list(site.iterdir())
+    install = [sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", "--no-index", str(wheel)]
+    subprocess.run(install, check=True, capture_output=True)
+    (metadata,) = site.glob("tactune-*.dist-info")
+    asked_for = Distribution.at(metadata).requires or []
+    found = needed_by([text for text in asked_for if "extra ==" not in text])
+    link(found, environment / "dependencies")
+    (site / "dependencies.pth").write_text(f"{environment / 'dependencies'}\n")
+    return environment / "bin"
+
+
+def test_nothing_of_the_window_is_importable_there(robot: Path) -> None:
+    program = f"import importlib.util as u; print([n for n in {FORBIDDEN} if u.find_spec(n)])"
+    done = subprocess.run([robot / "python", "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
+
+
+def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
+    words = ["run", "--source", "sim", "--preset", "simulator", "--frames", "3", "--out", str(tmp_path), "--json"]
+    done = subprocess.run([robot / "tactune", *words], check=False, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    assert [line["sequence"] for line in lines] == [0, 1, 2]
+    for line in lines:
+        with np.load(tmp_path / f"patch_{line['sequence']:06d}.npz") as saved:
+            assert saved["points"].shape == (line["points"], 3)
+
+
+def test_the_window_says_what_it_lacks_there(robot: Path) -> None:
+    done = subprocess.run([robot / "tactune"], check=False, capture_output=True, text=True)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert 'pip install "tactune[gui]"' in done.stderr
