@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QWidget
+from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from .fields import format_number
 from .gestures import GestureClock
@@ -19,12 +19,12 @@ _SMALLEST_T = 0.001
 _LARGEST_T = 1.0
 
 
-class _PercentAxis(pg.AxisItem):  # type: ignore[misc]
+class _PercentAxis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
         return [f"{format_number(value, 3)} %" for value in values]
 
 
-class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
+class DifferenceHistogram(QWidget):
     """Counts of (dp - dt) / dp in percent; inside +-t in the accent colour.
 
     Signals
@@ -36,21 +36,25 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
     toleranceEdited = pyqtSignal(float, int)
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent, axisItems={"bottom": _PercentAxis("bottom")})
+        super().__init__(parent)
         self._t = 0.03
         self._counts: npt.NDArray[np.float64] = np.zeros(1)
         self._edges: npt.NDArray[np.float64] = np.array([-0.1, 0.1])
         self._stale = False
         self._clock = GestureClock()
+        self.plot_widget = pg.PlotWidget(axisItems={"bottom": _PercentAxis("bottom")})
+        self.plot_widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.plot_widget.setMinimumWidth(200)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.plot_widget)
         self.setFixedHeight(120)
-        self.setMinimumWidth(200)
-        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.setAccessibleName("Histogram of relative differences")
         self.setToolTip(
             "Relative differences (dp - dt) / dp of the latest frame in percent. "
             "What lies between the lines passes the tolerance test; drag a line to change t."
         )
-        plot = self.getPlotItem()
+        plot = self._plot = self.plot_widget.getPlotItem()
         plot.setMenuEnabled(False)
         plot.hideButtons()
         plot.hideAxis("left")
@@ -103,7 +107,7 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.ApplicationPaletteChange:
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
             self._recolor()
 
     def showEvent(self, event: Any) -> None:
@@ -141,13 +145,13 @@ class DifferenceHistogram(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has
         reach = max(abs(percent[0]), abs(percent[-1]), self._t * 110.0, 0.1)
         top = float(counts.max(initial=1.0))
         if not self._dragging():  # a scale that moved under the mouse would run away with the line
-            self.getPlotItem().getViewBox().setXRange(-reach, reach, padding=0)
-        self.getPlotItem().getViewBox().setYRange(0.0, top * 1.05, padding=0)
+            self._plot.getViewBox().setXRange(-reach, reach, padding=0)
+        self._plot.getViewBox().setYRange(0.0, top * 1.05, padding=0)
 
     def _recolor(self) -> None:
         colors = theme_colors()
-        self.setBackground(colors.base)
-        axis = self.getPlotItem().getAxis("bottom")
+        self.plot_widget.setBackground(colors.base)
+        axis = self._plot.getAxis("bottom")
         axis.setPen(colors.border)
         axis.setTextPen(colors.text)
         self._caption.setColor(colors.muted)

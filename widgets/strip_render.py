@@ -143,12 +143,12 @@ def _depth_index(depth_m: npt.NDArray[np.float32], range_m: tuple[float, float])
 
 
 def _colored(color: Pixels, mask: npt.NDArray[np.bool_] | None, stride: int) -> _Packed:
-    rgb = np.ascontiguousarray(color[::stride, ::stride])
+    bgra = cv2.cvtColor(np.ascontiguousarray(color[::stride, ::stride]), cv2.COLOR_RGB2BGRA)
     if mask is not None:
-        tinted = cv2.addWeighted(rgb, 1.0 - MASK_TINT, np.broadcast_to(_mask_rgb(), rgb.shape).copy(), MASK_TINT, 0.0)
-        rgb = np.where(mask[::stride, ::stride, None], tinted, rgb)
-    bgra = np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2BGRA), dtype=np.uint8)
-    return bgra.view(np.uint32)[:, :, 0]
+        tint = [MASK_TINT * channel for channel in (*masked_rgb()[::-1], 255)]
+        tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
+        cv2.copyTo(tinted, np.ascontiguousarray(mask[::stride, ::stride]).view(np.uint8), bgra)
+    return np.asarray(bgra, dtype=np.uint8).view(np.uint32)[:, :, 0]
 
 
 def _outline(region: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
@@ -171,14 +171,8 @@ def _pack_rgb(rgb: tuple[int, int, int]) -> np.uint32:
 
 def masked_rgb() -> tuple[int, int, int]:
     """Return the tint of what the mask covers, for a legend."""
-    red, green, blue = (int(channel) for channel in _mask_rgb())
-    return red, green, blue
-
-
-@lru_cache(maxsize=1)
-def _mask_rgb() -> Pixels:
     color = QColor(ACCENT)
-    return np.array([color.red(), color.green(), color.blue()], np.uint8)
+    return color.red(), color.green(), color.blue()
 
 
 @lru_cache(maxsize=1)

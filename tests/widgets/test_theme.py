@@ -2,8 +2,11 @@ from __future__ import annotations
 
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QApplication, QWidget
+from tactune.widgets.histogram import DifferenceHistogram
+from tactune.widgets.image_pane import ImagePane
+from tactune.widgets.parameter_row import MessageLabel
 from tactune.widgets.theme import ACCENT, apply_theme, contrast_ratio, theme_colors, theme_name
 
 NAMES = ("light", "dark")
@@ -36,13 +39,28 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
     widget = QWidget()
     qtbot.addWidget(widget)
     assert apply_theme(qapp, name) == name
+    qapp.processEvents()
     assert theme_name() == name
     colors = theme_colors()
     assert colors == theme_colors(name)
-    assert widget.palette().color(QPalette.ColorRole.Window) == QColor(colors.window)
-    assert widget.palette().color(QPalette.ColorRole.Highlight) == QColor(ACCENT)
+    assert widget.palette().color(QPalette.ColorRole.Window).name() == colors.window
+    assert widget.palette().color(QPalette.ColorRole.Highlight).name() == ACCENT
     assert pg.getConfigOption("background") == colors.base
     assert qapp.style().name() == "fusion"
+
+
+def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
+    histogram, message = DifferenceHistogram(), MessageLabel()
+    pane = ImagePane("Proximity depth")
+    for widget in (histogram, message, pane):
+        qtbot.addWidget(widget)
+    for name in ("dark", "light", "dark"):
+        apply_theme(qapp, name)
+        qapp.processEvents()
+        colors = theme_colors(name)
+        assert histogram.plot_widget.backgroundBrush().color().name() == colors.base
+        assert pane.view.backgroundBrush().color().name() == colors.base
+        assert message.palette().color(QPalette.ColorRole.WindowText).name() == colors.error
 
 
 def test_system_resolves_to_a_theme(qapp: QApplication) -> None:
