@@ -16,7 +16,7 @@ import typer
 
 from ..core.errors import ExportError, SourceError
 from ..core.evaluation.metrics import compare_with_truth
-from ..core.export import write_cloud
+from ..core.export import patch_cloud, write_cloud
 from ..core.frames import GroundTruth, Rig
 from ..core.pipeline import ContactPatch, ContactPipeline
 from ..core.preset_file import load_preset
@@ -24,7 +24,7 @@ from ..core.sources import FrameSource
 from ..core.sources.folder import export_folder
 from ..core.sources.registry import open_source
 from .cli_progress import CliProgress
-from .patch_record import finite_or_none, patch_cloud, patch_record
+from .patch_record import finite_or_none, patch_record
 
 Record = dict[str, Any]
 
@@ -74,7 +74,9 @@ def process_frames(source: FrameSource, pipeline: ContactPipeline, options: RunO
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
             if options.out is not None:
-                write_cloud(patch_path(options.out, patch.sequence, options.file_format), patch_cloud(patch))
+                write_cloud(
+                    patch_path(options.out, patch.sequence, options.file_format), patch_cloud(patch, frame, source.rig)
+                )
             if options.json_lines:
                 typer.echo(json.dumps(record, allow_nan=False))
             records.append(record)
