@@ -12,5 +12,5 @@ else
     echo "The OpenGL tests need xvfb-run or a display: install xvfb with your package manager." >&2
     exit 1
 fi
-eval "QT_QPA_PLATFORM=xcb $xvfb $pytest -q -m gl"
+eval "QT_QPA_PLATFORM=xcb $xvfb $pytest -m gl"
 QT_QPA_PLATFORM=offscreen exec $pytest -m "not gl"
