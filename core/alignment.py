@@ -94,7 +94,7 @@ def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
     plane = np.outer(T_t_p[:3, 3], (0.0, 0.0, 1.0 / section.homography.plane_distance_m))
     K_p, K_t = rig.proximity.intrinsics.camera_matrix(), rig.tactile.intrinsics.camera_matrix()
     H_p_t = np.linalg.inv(K_t @ (T_t_p[:3, :3] + plane) @ np.linalg.inv(K_p))
-    return H_p_t / H_p_t[2, 2]
+    return np.asarray(H_p_t / H_p_t[2, 2])
 
 
 @dataclass(frozen=True)
@@ -151,11 +151,11 @@ class HomographyModel:
         return aligned
 
 
-def rotated_rays(T_t_p: Float64Array, rig: Rig) -> DepthImage:
+def rotated_rays(T_t_p: npt.ArrayLike, rig: Rig) -> DepthImage:
     """Return each proximity ray ``(x/z, y/z, 1)`` rotated into the tactile frame, float32 (H, W, 3)."""
     rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
     homogeneous = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
-    return np.ascontiguousarray(homogeneous @ T_t_p[:3, :3].T, dtype=np.float32)
+    return np.ascontiguousarray(homogeneous @ np.asarray(T_t_p)[:3, :3].T, dtype=np.float32)
 
 
 def homography_table(

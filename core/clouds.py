@@ -47,7 +47,7 @@ def ray_table(intrinsics: Intrinsics) -> Float32Array:
 def valid_depth(counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
     """Return where raw counts are a depth: neither 0 nor 65535."""
     no_depth, saturated = NO_DEPTH_COUNTS
-    return (counts != no_depth) & (counts != saturated)
+    return np.asarray((counts != no_depth) & (counts != saturated))
 
 
 def deproject(counts: npt.NDArray[np.uint16], camera: DepthCamera, pixels: npt.NDArray[np.intp]) -> Float32Array:

@@ -80,7 +80,9 @@ class Intrinsics(BaseModel):
         """Take pixels to ``(x / z, y / z)`` on the plane z = 1, lens distortion removed.
 
         Follows librealsense's ``rs2_deproject_pixel_to_point`` step by step, ten fixed-point
-        steps included, so both agree to single precision.
+        steps included, so both agree to single precision. Like librealsense, it leaves the modified
+        Brown-Conrady model's distortion in place: its images count as already distorted forward, and
+        the driver's own point clouds ignore it, too.
 
         Parameters
         ----------
@@ -93,7 +95,7 @@ class Intrinsics(BaseModel):
         """
         pixels = np.asarray(pixels, dtype=np.float64)
         x, y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
-        if self.has_distortion:
+        if self.has_distortion and self.distortion is not Distortion.MODIFIED_BROWN_CONRADY:
             x, y = self._undistort(x, y)
         return np.stack([x, y], axis=1)
 

@@ -34,7 +34,7 @@ def in_hsv_range(colors: Rgb, section: MaskSection) -> Bools:
     inside = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
     inside &= (saturation >= section.saturation[0]) & (saturation <= section.saturation[1])
     inside &= (value >= section.value[0]) & (value <= section.value[1])
-    return inside.reshape(colors.shape[:-1])
+    return np.asarray(inside.reshape(colors.shape[:-1]))
 
 
 def colors_at(points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], image: Rgb, rig: Rig) -> tuple[Rgb, Bools]:

@@ -53,7 +53,7 @@ def statistical_inliers(
     if len(points) == 0:
         return np.zeros(0, bool)
     means = mean_neighbour_distances(points, pixels, rays, min(k, len(points)))
-    return _below_threshold(means, ratio)
+    return np.asarray(_below_threshold(means, ratio))
 
 
 def mean_neighbour_distances(
@@ -71,7 +71,7 @@ def mean_neighbour_distances(
     uncertain = np.isnan(means)
     if uncertain.any():
         distances, _ = cKDTree(points).query(points[uncertain], k)
-        means[uncertain] = distances.reshape(-1, k).mean(axis=1)
+        means[uncertain] = np.reshape(distances, (-1, k)).mean(axis=1)
     return means
 
 
@@ -89,7 +89,7 @@ def _side_planes(rays: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float64]
         left = np.stack([-np.ones_like(farther_left), farther_left], axis=1)
         right = np.stack([np.ones_like(farther_right), -farther_right], axis=1)
         both = np.stack([left, right])
-        return both / np.linalg.norm(both, axis=2, keepdims=True)
+        return np.asarray(both / np.linalg.norm(both, axis=2, keepdims=True))
 
     wide = rays.astype(np.float64)
     return planes(wide[:, :, 0]), planes(wide[:, :, 1].T)

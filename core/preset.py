@@ -14,9 +14,6 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator, model_valida
 
 from .frames import Matrix4, Rig, rigid_transform
 
-SCHEMA_NAME = "tactune.preset"
-SCHEMA_VERSION = 1
-
 Row3 = tuple[float, float, float]
 Matrix3 = tuple[Row3, Row3, Row3]
 
@@ -172,9 +169,9 @@ class ToleranceSection(Section):
 class OutlierSection(Section):
     """Statistical outlier removal (Open3D's definition) and the smallest cluster kept."""
 
-    enabled: Annotated[
-        bool, _field("Remove outliers", "Drop points that lie unusually far from their neighbours.")
-    ] = True
+    enabled: Annotated[bool, _field("Remove outliers", "Drop points that lie unusually far from their neighbours.")] = (
+        True
+    )
     k: Annotated[
         int,
         _field(

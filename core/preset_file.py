@@ -15,9 +15,12 @@ from pydantic import Field, ValidationError
 
 from .atomic import atomic_path
 from .errors import PresetError
-from .preset import SCHEMA_NAME, SCHEMA_VERSION, Preset
+from .preset import Preset
 
 Document = dict[str, Any]
+
+SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
+SCHEMA_VERSION: Literal[1] = 1
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
 MIGRATIONS: tuple[Callable[[Document], Document], ...] = ()

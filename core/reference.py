@@ -153,7 +153,7 @@ def _inliers(points: Array, k: int, ratio: float) -> Array:
     if count < 2:
         return np.zeros(count, bool)
     k = min(k, count)
-    distances = cKDTree(points).query(points, k)[0].reshape(count, k)
+    distances = np.reshape(cKDTree(points).query(points, k)[0], (count, k))
     means = distances.mean(axis=1)
     mean = means.mean()
     deviation = np.sqrt(np.sum((means[means > 0] - mean) ** 2) / (count - 1))

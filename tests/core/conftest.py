@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame
+from tactune.core.intrinsics import Intrinsics
+
+
+def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:
+    angle = np.deg2rad(turn_deg)
+    cos, sin = float(np.cos(angle)), float(np.sin(angle))
+    return [[cos, 0.0, sin, baseline_m], [0.0, 1.0, 0.0, 0.0], [-sin, 0.0, cos, 0.002], [0.0, 0.0, 0.0, 1.0]]
+
+
+@pytest.fixture(scope="session")
+def make_rig() -> Callable[..., Rig]:
+    """Make a small rig; lenses and the colour camera can be chosen."""
+
+    def make(width: int = 80, height: int = 60, color: bool = True, distortion: str = "none", bend: float = 0.0) -> Rig:
+        def lens(focal: float, shift: float) -> Intrinsics:
+            return Intrinsics(
+                width=width, height=height, fx=focal, fy=focal * 1.01, cx=width / 2 - shift, cy=height / 2 + shift,
+                distortion=distortion, coefficients=(bend, -bend, bend / 50, -bend / 60, bend / 3),
+            )  # fmt: skip
+
+        focal = 0.72 * width
+        color_camera = ColorCamera(intrinsics=lens(focal * 1.1, 1.3), T_color_depth=_pose(0.014, 0.5))
+        return Rig(
+            proximity=DepthCamera(model="L515", serial="P1", intrinsics=lens(focal, 0.4), depth_unit_m=0.00025),
+            tactile=DepthCamera(model="D405", serial="T1", intrinsics=lens(focal * 0.95, -0.7), depth_unit_m=0.0001),
+            proximity_color=color_camera if color else None,
+            T_proximity_tactile=_pose(0.04, -1.0),
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def make_frame() -> Callable[..., SensorFrame]:
+    """Make a frame of a bumpy surface that both cameras see at nearly the same depth, with holes."""
+
+    def make(rig: Rig, seed: int = 0, noise_m: float = 0.004, share_missing: float = 0.1) -> SensorFrame:
+        rng = np.random.default_rng(seed)
+        height, width = rig.proximity.intrinsics.shape
+        v, u = np.mgrid[:height, :width]
+        depth = 0.28 + 0.03 * np.sin(u / width * 5) * np.cos(v / height * 4)
+
+        def counts(unit: float) -> np.ndarray:
+            image = np.rint((depth + rng.normal(0, noise_m, depth.shape)) / unit).astype(np.uint16)
+            image[rng.random(depth.shape) < share_missing / 2] = 0
+            image[rng.random(depth.shape) < share_missing / 2] = 65535
+            return image
+
+        return SensorFrame(
+            sequence=seed,
+            proximity_depth=counts(rig.proximity.depth_unit_m),
+            tactile_depth=counts(rig.tactile.depth_unit_m),
+            proximity_color=rng.integers(0, 256, (*rig.proximity_color_shape, 3), np.uint8),
+        )
+
+    return make

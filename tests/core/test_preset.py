@@ -1,0 +1,179 @@
+from __future__ import annotations
+
+import json
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from tactune.core import preset_file
+from tactune.core.errors import ExportError, PresetError
+from tactune.core.preset import Preset
+from tactune.core.preset_file import (
+    json_schema,
+    load_preset,
+    preset_from_text,
+    preset_json,
+    preset_paths,
+    save_preset,
+    shipped_presets,
+)
+
+byte_range = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: tuple(sorted(pair)))
+presets = st.fixed_dictionaries(
+    {
+        "name": st.text(min_size=1, max_size=40).filter(lambda text: text.isprintable()),
+        "tolerance.t": st.floats(0, 1),
+        "mask.enabled": st.booleans(),
+        "mask.hue": st.tuples(st.integers(0, 179), st.integers(0, 179)),
+        "mask.saturation": byte_range,
+        "mask.value": byte_range,
+        "outliers.k": st.integers(1, 1000),
+        "outliers.ratio": st.floats(0.01, 100),
+        "outliers.min_cluster_area_mm2": st.floats(0, 1e6),
+        "alignment.model": st.sampled_from(["rigid", "homography"]),
+        "alignment.depth_scale": st.floats(0.8, 1.25),
+        "alignment.depth_offset_m": st.floats(-0.1, 0.1),
+        "region.rectangle": st.tuples(*[st.integers(1, 400)] * 4),
+    }
+).map(lambda values: Preset().with_values(values))
+
+
+@given(presets)
+def test_a_preset_survives_its_file_bit_for_bit(preset):
+    assert preset_from_text(preset_json(preset), "memory") == preset
+
+
+@given(presets)
+def test_every_preset_file_satisfies_the_shipped_schema(preset):
+    jsonschema.validate(json.loads(preset_json(preset)), json_schema())
+
+
+def test_the_checked_in_schema_is_the_models():
+    shipped = json.loads((preset_file.importlib.resources.files("tactune.presets") / "preset.schema.json").read_text())
+    assert shipped == json_schema(), "run `tactune preset schema > presets/preset.schema.json`"
+
+
+def test_a_rig_survives_the_file(make_rig, tmp_path):
+    preset = Preset(name="mine", rig=make_rig(distortion="brown_conrady", bend=0.01))
+    save_preset(preset, tmp_path / "mine.json")
+    assert load_preset(tmp_path / "mine.json") == preset
+
+
+def test_the_default_preset_holds_the_papers_values():
+    default = load_preset("default")
+    assert (default.tolerance.t, default.outliers.k, default.outliers.ratio) == (0.03, 20, 2.0)
+    assert shipped_presets()[:2] == ["default", "simulator"]
+    for name in shipped_presets():
+        assert load_preset(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("tolerance.t", 2, ["tolerance.t is 2", "0 to 1"]),
+        ("tolerance.t", float("nan"), ["tolerance.t is nan"]),
+        ("tolerance.t", "0.1", ["tolerance.t is '0.1'", "number"]),
+        ("mask.hue", [1, 200], ["mask.hue[1] is 200", "0 to 179"]),
+        ("mask.hue", [1], ["mask.hue"]),
+        ("mask.value", [9, 2], ["value", "9", "2", "swap"]),
+        ("outliers.k", 0, ["outliers.k is 0", "1 to 1000"]),
+        ("outliers.k", True, ["outliers.k is True"]),
+        ("outliers.ratio", 0, ["outliers.ratio is 0", "above 0 to 100"]),
+        ("range.limits_m", [0.4, 0.1], ["0.4", "0.1", "swap"]),
+        ("region.rectangle", [0, 0, 0, 5], ["region.rectangle", "empty"]),
+        ("alignment.model", "affine", ["alignment.model is 'affine'", "rigid"]),
+        ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
+        ("alignment.rigid.T_proximity_tactile", np.diag([2.0, 1, 1, 1]), ["no rotation"]),
+        ("alignment.rigid.T_proximity_tactile", np.eye(3), ["4 x 4"]),
+        ("mask.hu", [0, 1], ["no field 'mask.hu'", "mask.hue"]),
+        ("mask", {}, ["no field 'mask'"]),
+    ],
+)
+def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
+    with pytest.raises(PresetError) as caught:
+        Preset().with_value(path, value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "line 1"),
+        ("[]", "schema"),
+        ('{"schema": "other"}', "'other'"),
+        ('{"schema": "tactune.preset"}', "schema_version is None"),
+        ('{"schema": "tactune.preset", "schema_version": true}', "schema_version is True"),
+        ('{"schema": "tactune.preset", "schema_version": 99, "tool_version": "7.1"}', "update Tactune .*7.1"),
+        ('{"schema": "tactune.preset", "schema_version": 1, "toleranc": {}}', "toleranc is not a field.*tolerance"),
+        ('{"schema": "tactune.preset", "schema_version": 1, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
+        ("[" * 100_000, "JSON"),
+    ],
+)
+def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(PresetError, match=words) as caught:
+        load_preset(tmp_path / "bad.json")
+    assert "bad.json" in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+def test_missing_and_binary_files_are_refused_in_words(tmp_path):
+    with pytest.raises(PresetError, match=r"nowhere\.json.*No such file.*default"):
+        load_preset(tmp_path / "nowhere.json")
+    (tmp_path / "photo.json").write_bytes(b"\xff\xd8\xff")
+    with pytest.raises(PresetError, match="not a text file"):
+        load_preset(tmp_path / "photo.json")
+
+
+def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatch):
+    def rename_t(document):
+        tolerance = dict(document["tolerance"])
+        return {**document, "tolerance": {"share": tolerance.pop("t"), **tolerance}}
+
+    def rename_back_and_halve(document):
+        return {**document, "tolerance": {"t": document["tolerance"]["share"] / 2}}
+
+    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.04)))
+    path = tmp_path / "cup.json"
+    path.write_text(json.dumps(old))
+    monkeypatch.setattr(preset_file, "MIGRATIONS", (rename_t, rename_back_and_halve))
+    monkeypatch.setattr(preset_file, "SCHEMA_VERSION", 3)
+    migrated = preset_file.migrate(old, "cup.json")
+    assert migrated["schema_version"] == 3
+    assert migrated["tolerance"] == {"t": 0.02}
+
+    save_preset(Preset(name="new"), path)
+    assert json.loads((tmp_path / "cup.schema-1.json").read_text()) == old
+    assert json.loads(path.read_text())["name"] == "new"
+
+
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
+    path = tmp_path / "cup.json"
+    save_preset(Preset(name="first"), path)
+
+    def disk_full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tactune.core.atomic.os.fsync", disk_full)
+    with pytest.raises(ExportError, match="No space left"):
+        save_preset(Preset(name="second"), path)
+    assert load_preset(path).name == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_every_field_is_listed_and_described():
+    schema = json_schema()
+    assert "alignment.rigid.T_proximity_tactile" in preset_paths()
+    for path in preset_paths():
+        if "." not in path:
+            continue
+        node = schema
+        for part in path.split("."):
+            while "$ref" in node:
+                node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+            node = node["properties"][part]
+        assert node["title"]
+        assert node["description"].endswith("."), path
