@@ -1,0 +1,63 @@
+"""One real scene, seen by an L515 and a D435: the facts measured on it must stay true."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
+from tactune.core.preset_file import load_preset
+from tactune.core.reference import reference_patch
+from tactune.core.sources.registry import open_source
+
+ROOT = Path(__file__).resolve().parents[2]
+DATA = Path(os.environ.get("TACTUNE_TEST_DATA", ROOT.parent / "shared" / "data"))
+PRESET = ROOT / "tests" / "data" / "real_pair.json"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    if not (DATA / "real_pair").is_dir():
+        pytest.skip(f"the real recording is not at {DATA / 'real_pair'}")
+    with open_source(f"folder:{DATA / 'real_pair'}") as source:
+        frame = source.next_frame()
+        assert frame is not None
+        yield source.rig, frame
+
+
+def share_passing(rig, frame, **values) -> float:
+    """Share of the pixels with depth in both cameras that pass the tolerance test, per cent."""
+    preset = Preset().with_values(
+        {"outliers.enabled": False} | {path.replace("__", "."): v for path, v in values.items()}
+    )
+    patch = ContactPipeline(preset, rig).process(frame)
+    return float(100 * patch.mask.sum() / np.isfinite(patch.relative_difference).sum())
+
+
+@pytest.mark.parametrize(("t", "expected"), [(0.01, 2.1), (0.02, 7.7), (0.03, 46.9), (0.04, 80.0), (0.10, 95.3)])
+def test_the_share_that_passes_is_the_measured_one(scene, t, expected):
+    assert share_passing(*scene, tolerance__t=t) == pytest.approx(expected, abs=0.1)
+
+
+def test_a_depth_offset_mends_the_bias_between_the_cameras(scene):
+    rig, frame = scene
+    aligned = ContactPipeline(Preset(), rig).process(frame).aligned
+    offset = float(np.nanmedian(aligned.expected_m - aligned.measured_m))
+    assert offset == pytest.approx(0.0169, abs=0.0005)
+    assert share_passing(rig, frame, tolerance__t=0.02, alignment__depth_offset_m=offset) > 80
+
+
+def test_the_tuned_preset_gives_the_references_patch(scene):
+    rig, frame = scene
+    preset = load_preset(PRESET)
+    contact = ContactPipeline(preset, rig)
+    assert contact.warnings == []
+    patch = contact.process(frame)
+    reference = reference_patch(preset, rig, frame)
+    assert np.array_equal(patch.provenance, reference.provenance)
+    assert np.array_equal(patch.points, reference.points)
+    assert len(patch.points) > 300_000
