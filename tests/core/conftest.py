@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+
 from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tactune.core.intrinsics import Distortion, Intrinsics
 
 COEFFICIENTS = (0.12, -0.22, 0.001, -0.0007, 0.08)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tactune.core import outliers
 from tactune.core.clouds import deproject, ray_table
 from tactune.core.frames import DepthCamera

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tactune.core import pipeline as pipeline_module
 from tactune.core.alignment import homography_table, tactile_homography
 from tactune.core.clouds import proximity_cloud, tactile_cloud

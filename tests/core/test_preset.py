@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from tactune.core import preset_file
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset import Preset

@@ -9,6 +9,7 @@ offline, and whatever the wheel does not ask for (Qt, OpenGL, Open3D) cannot be 
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -104,7 +105,8 @@ def test_the_headless_job_runs_there(robot: Path, tmp_path: Path) -> None:
 
 
 def test_the_window_says_what_it_lacks_there(robot: Path) -> None:
-    done = subprocess.run([robot / "tactune"], check=False, capture_output=True, text=True)
+    environment = os.environ | {"QT_QPA_PLATFORM": "offscreen"}
+    done = subprocess.run([robot / "tactune"], check=False, capture_output=True, text=True, env=environment)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert 'pip install "tactune[gui]"' in done.stderr
