@@ -5,6 +5,7 @@ Everything heavy is imported inside the commands, so that ``tactune --help`` ans
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 from enum import StrEnum
@@ -15,6 +16,7 @@ from typing import Annotated
 import typer
 
 from ..core.errors import MissingExtraError, TactuneError
+from . import defaults
 from .cli_preset import preset_commands
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
@@ -42,6 +44,15 @@ Source = Annotated[
         "folder:PATH, bag:PATH, or a path.",
     ),
 ]
+PresetName = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        "-p",
+        metavar="FILE|NAME",
+        help="A preset file or a shipped name; without it, simulator for sim and default for others.",
+    ),
+]
 FrameCount = Annotated[int | None, typer.Option("--frames", "-n", min=1, help="Stop after so many; default: all.")]
 
 
@@ -59,6 +70,7 @@ class Theme(StrEnum):
 
     LIGHT = "light"
     DARK = "dark"
+    SYSTEM = "system"
 
 
 def main() -> int:
@@ -84,14 +96,14 @@ def _start(
     if show_version:
         typer.echo(f"tactune {version('tactune')}")
     elif context.invoked_subcommand is None:
-        raise typer.Exit(_open_window("sim", None, None, 0))
+        raise typer.Exit(_open_window(defaults.SOURCE, None, None, 0))
 
 
 @commands.command()
 def gui(
     *,
-    source: Source = "sim",
-    preset: Annotated[str | None, typer.Option("--preset", "-p", help="A preset file or a shipped name.")] = None,
+    source: Source = defaults.SOURCE,
+    preset: PresetName = None,
     screenshot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save a picture of the window to a .png file and close it.")
     ] = None,
@@ -108,8 +120,8 @@ def gui(
 @commands.command()
 def run(
     *,
-    source: Source = "sim",
-    preset: Annotated[str, typer.Option("--preset", "-p", help="A preset file or a shipped name.")] = "default",
+    source: Source = defaults.SOURCE,
+    preset: PresetName = None,
     frames: FrameCount = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write a file a frame: patch_000012.npz.")
@@ -125,6 +137,7 @@ def run(
 
     if out is None and not json_lines:
         raise typer.BadParameter("give --out DIR for patch files, --json for lines of numbers, or both")
+    preset = preset or defaults.default_preset(source)
     run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))
 
 
@@ -132,7 +145,7 @@ def run(
 def export_folder(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
-    source: Source = "sim",
+    source: Source = defaults.SOURCE,
     frames: FrameCount = None,
 ) -> None:
     """Write any source's frames as a folder of PNG images, to hand a scene to someone else."""
@@ -150,6 +163,10 @@ def _open_window(
     size: tuple[int, int] | None = None,
     theme: str | None = None,
 ) -> int:
+    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
+        raise TactuneError(
+            "there is no display to open a window on; use tactune run, or put xvfb-run before the command for a picture"
+        )
     try:
         from .gui import run_gui
     except ModuleNotFoundError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -49,6 +50,7 @@ def test_help_imports_nothing_heavy() -> None:
 @pytest.fixture
 def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     """Stand in for the window and note what it is asked to show."""
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
     from tactune.app import gui
 
     calls: list[tuple[Any, ...]] = []
@@ -74,17 +76,54 @@ def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any,
 
 
 @pytest.mark.parametrize(
-    "words", [["--size", "big"], ["--size", "1280x"], ["--theme", "pink"], ["--after", "0"], ["--after", "-3"]]
+    "words",
+    [
+        ["--size", "big"],
+        ["--size", "1280x"],
+        ["--theme", "pink"],
+        ["--size", "9x9"],
+        ["--after", "0"],
+        ["--after", "-3"],
+    ],
 )
 def test_gui_refuses_what_it_cannot_do(tactune: Tactune, opened: list[tuple[Any, ...]], words: list[str]) -> None:
     finished = tactune("gui", *words)
     assert finished.status == 2
-    assert words[1] in finished.err
+    assert words[0] in finished.err
     assert opened == []
 
 
-def test_a_window_without_qt_says_what_to_install(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "PyQt6", None)
-    for name in [name for name in sys.modules if name.startswith("tactune.app.gui")]:
-        monkeypatch.delitem(sys.modules, name)
-    assert 'pip install "tactune[gui]"' in tactune("gui").sentence
+@pytest.mark.parametrize(
+    ("obstacle", "remedy"),
+    [
+        ("sys.modules['PyQt6'] = None", 'pip install "tactune[gui]"'),
+        ("sys.modules['pyqtgraph'] = None", 'pip install "tactune[gui]"'),
+        ("sys.meta_path.insert(0, WithoutLibrary)", "libEGL.so.1"),
+    ],
+)
+def test_a_window_that_cannot_open_says_what_to_install(obstacle: str, remedy: str) -> None:
+    program = f"""
+import sys
+class WithoutLibrary:
+    def find_spec(name, path=None, target=None):
+        if name == "PyQt6.QtGui":
+            raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
+{obstacle}
+sys.argv = ["tactune", "gui"]
+from tactune.app.cli import main
+sys.exit(main())
+"""
+    environment = os.environ | {"QT_QPA_PLATFORM": "offscreen"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.startswith("tactune: ")
+    assert done.stderr.count("\n") == 1
+    assert remedy in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_the_window_is_declined(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    assert "tactune run" in tactune().sentence
