@@ -1,0 +1,10 @@
+"""What is taken where nobody says."""
+
+from __future__ import annotations
+
+SOURCE = "sim"
+
+
+def default_preset(source: str) -> str:
+    """Return the shipped preset that suits a source: the simulator has its own."""
+    return "simulator" if source.partition(":")[0] == "sim" else "default"
