@@ -7,6 +7,7 @@ contact is an empty cloud, which Open3D refuses to write, and a robot needs neit
 from __future__ import annotations
 
 import re
+import struct
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
@@ -110,7 +111,7 @@ def read_cloud(path: Path | str) -> PointCloud:
         return PointCloud(points, colors, dict(columns))
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except (ValueError, KeyError, IndexError, zipfile.BadZipFile) as error:
+    except (ValueError, KeyError, IndexError, TypeError, EOFError, struct.error, zipfile.BadZipFile) as error:
         detail = " ".join(str(error).split())
         raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
 
@@ -237,7 +238,7 @@ def _write_npz(path: Path, columns: Columns) -> None:
 
 
 def _read_npz(path: Path) -> Columns:
-    with np.load(path, allow_pickle=False) as archive:
+    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
         arrays = dict(archive)
     columns: Columns = dict(zip(_XYZ, arrays.pop("points").T, strict=True))
     if "colors" in arrays:

@@ -66,7 +66,7 @@ class BagSource(SeekableSource):
     @property
     def frame_rate_hz(self) -> float:
         """The nominal rate of the proximity depth stream."""
-        return self._proximity.depth.rate_hz
+        return self._proximity.depth.rate_hz or super().frame_rate_hz
 
     def health(self) -> Health:
         """Say what the recording lacks."""

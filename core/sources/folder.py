@@ -261,12 +261,14 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
 
 def _read_metres(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     try:
-        depth = np.load(path, allow_pickle=False)
+        with path.open("rb") as file:
+            depth = np.lib.format.read_array(file, allow_pickle=False)
     except (OSError, ValueError, EOFError) as error:
         raise SourceError(f"{path} is no readable NumPy array; export or copy it again") from error
-    if not isinstance(depth, np.ndarray) or depth.dtype != np.float32 or depth.shape != shape:
-        found = f"{depth.dtype}, {depth.shape}" if isinstance(depth, np.ndarray) else "an archive"
-        raise SourceError(f"{path} holds {found}, but float32, {shape} is needed; write it again in that form")
+    if depth.dtype != np.float32 or depth.shape != shape:
+        raise SourceError(
+            f"{path} holds {depth.dtype}, {depth.shape}, but float32, {shape} is needed; write it again in that form"
+        )
     return depth
 
 
