@@ -90,7 +90,7 @@ def export_frames(source_name: str, out: Path, frames: int | None) -> None:
     """Write a source's frames as a folder of images."""
     with open_with_progress(source_name) as source, CliProgress() as progress:
         count = export_folder(source, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
-    typer.echo(f"wrote {count} frames of {source.name} to {out}")
+    typer.echo(f"wrote {counted(count, 'frame')} of {source.name} to {out}")
 
 
 @contextmanager
@@ -110,7 +110,7 @@ def make_folder(folder: Path) -> None:
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror or error}; choose another place") from error
     if older:
-        warn(f"{folder} already holds {older} patch files; those of the same number are replaced")
+        warn(f"{folder} already holds {counted(older, 'patch file')}; those of the same number are replaced")
 
 
 def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
@@ -137,7 +137,7 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
-    lines = [f"{len(records)} frames of {source} with preset {preset!r}"]
+    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}"]
     if touched:
         lines.append(
             f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
@@ -150,13 +150,18 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     for key, unit in TRUTH_KEYS.items():
         known = [record[key] for record in records if record.get(key) is not None]
         if known:
-            lines.append(f"{key}: median {median(known):.3f}{unit} over {len(known)} frames")
+            lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')}")
     if options.out is not None:
         first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
         lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
     if options.frames is not None and len(records) < options.frames:
         lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
     return "\n".join(lines)
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number of things in words, such as ``"1 frame"`` or ``"2 frames"``."""
+    return f"{number} {thing}" + ("s" if number != 1 else "")
 
 
 def warn(sentence: str) -> None:
