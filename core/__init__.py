@@ -1,1 +1,51 @@
-"""The headless core: presets, the contact pipeline, sources. Never imports Qt or OpenGL."""
+"""The headless core: presets, the contact pipeline, sources. Never imports Qt or OpenGL.
+
+What a robot program needs is here: ``from tactune.core import ContactPipeline, load_preset, open_source``.
+Names are imported when first used, so that reading a preset does not load the compiled kernels.
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .errors import TactuneError
+    from .frames import Rig, SensorFrame
+    from .pipeline import ContactPatch, ContactPipeline
+    from .preset import Preset
+    from .preset_file import load_preset, save_preset
+    from .provenance import Provenance
+    from .sources.registry import open_source
+
+_HOME = {
+    "ContactPatch": ".pipeline",
+    "ContactPipeline": ".pipeline",
+    "Preset": ".preset",
+    "Provenance": ".provenance",
+    "Rig": ".frames",
+    "SensorFrame": ".frames",
+    "TactuneError": ".errors",
+    "load_preset": ".preset_file",
+    "open_source": ".sources.registry",
+    "save_preset": ".preset_file",
+}
+
+__all__ = [
+    "ContactPatch",
+    "ContactPipeline",
+    "Preset",
+    "Provenance",
+    "Rig",
+    "SensorFrame",
+    "TactuneError",
+    "load_preset",
+    "open_source",
+    "save_preset",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(_HOME[name], __name__), name)
