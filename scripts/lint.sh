@@ -1,7 +1,9 @@
 #!/bin/sh
-set -eu
+# Runs every check, even after one has failed, and fails if any of them did.
 bin=.venv/bin
-$bin/ruff check .
-$bin/ruff format --check .
-$bin/mypy -p tactune.core -p tactune.widgets -p tactune.app
-$bin/lint-imports
+status=0
+$bin/ruff check . || status=1
+$bin/ruff format --check . || status=1
+$bin/mypy -p tactune.core -p tactune.widgets -p tactune.app || status=1
+$bin/lint-imports || status=1
+exit $status
