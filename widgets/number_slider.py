@@ -95,7 +95,6 @@ class NumberSlider(QWidget):
         self.slider.setAccessibleName(f"{spec.title} slider")
         self.slider.setToolTip(spec.tooltip)
         self.entry = NumberEntry(spec)
-        self.setFocusProxy(self.entry)
 
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -108,6 +107,11 @@ class NumberSlider(QWidget):
         self.entry.edited.connect(self._entry_edited)
         self.entry.refused.connect(self.refused)
         self._place_slider(self.entry.value())
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """What takes the focus, in order."""
+        return [self.slider, self.entry]
 
     def value(self) -> float | int:
         """Return the exact value."""

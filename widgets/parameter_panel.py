@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from .collapsible import CollapsibleSection
 from .fields import section_fields
 from .gestures import new_gesture
 from .histogram import DifferenceHistogram
-from .parameter_row import FlagEditor, ParameterRow
+from .parameter_row import ParameterRow
 from .range_row import RangeEditor
 
 #: The sections of the panel, top to bottom: part of the preset, title.
@@ -87,6 +88,7 @@ class ParameterPanel(QScrollArea):
             self.sections[name] = section
             column.addWidget(section)
         column.addStretch(1)
+        self._order_tabs()
         self.setWidget(content)
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
@@ -147,7 +149,7 @@ class ParameterPanel(QScrollArea):
         edges : array, shape (N + 1,)
             Relative differences (dp - dt) / dp.
         t : float
-            The tolerance that the counts were made with; the lines follow the slider, not this.
+            The tolerance in force; a line that is being dragged stays with the mouse.
         """
         self.histogram.set_data(counts, edges, t)
 
@@ -179,7 +181,7 @@ class ParameterPanel(QScrollArea):
             row = ParameterRow(spec, section)
             row.edited.connect(self._row_edited)
             self.rows[spec.path] = row
-            if isinstance(row.widget, FlagEditor) and spec.name == "enabled":
+            if row.in_header:
                 section.add_header_widget(row.widget)
                 grid.addWidget(row.message, grid.rowCount(), 0, 1, 3)
             else:
@@ -220,6 +222,21 @@ class ParameterPanel(QScrollArea):
             self._eyedroppers[mode] = button
             layout.addWidget(button, 1)
         return bar
+
+    def _order_tabs(self) -> None:
+        """Let Tab go through the panel as one reads it."""
+        chain: list[QWidget] = []
+        for name, section in self.sections.items():
+            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+            header = [row.widget for row in rows if row.in_header]
+            chain += [section.button, *header, self._section_resets[name]]
+            for row in rows:
+                if not row.in_header:
+                    chain += [*row.tab_stops, row.reset]
+            if name == "mask":
+                chain += self._eyedroppers.values()
+        for first, second in pairwise(chain):
+            QWidget.setTabOrder(first, second)
 
     # --- reacting ----------------------------------------------------------------------------------------------
 

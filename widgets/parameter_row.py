@@ -183,7 +183,7 @@ class ParameterRow(QObject):
         self.editor = cast(Editor, self.widget)
         unit = spec.suffix if spec.kind in ("range", "rectangle") else ""
         self.label = QLabel(f"{spec.title} ({unit.strip()})" if unit else spec.title)
-        self.label.setBuddy(self.widget)
+        self.label.setBuddy(getattr(self.widget, "entry", self.tab_stops[0]))
         self.label.setToolTip(spec.tooltip)
         self.reset = QToolButton()
         self.reset.setText("↺")
@@ -198,6 +198,16 @@ class ParameterRow(QObject):
         if refused is not None:
             refused.connect(self.message.show_sentence)
         self.set_reset_target(spec.default, "default")
+
+    @property
+    def in_header(self) -> bool:
+        """Whether the editor turns its whole section on or off and so belongs into the header."""
+        return self.spec.kind == "flag" and self.spec.name == "enabled"
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """What takes the focus, in order."""
+        return list(getattr(self.widget, "tab_stops", [self.widget]))
 
     def add_to(self, grid: QGridLayout) -> None:
         """Append the row to a grid of three columns."""

@@ -43,10 +43,14 @@ class _Entries(QWidget):
             entry.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
             entry.edited.connect(self._entry_edited)
             entry.refused.connect(self.refused)
-        self.setFocusProxy(self.entries[0])
         self._value: Numbers = tuple(spec.default)
         for entry, number in zip(self.entries, self._value, strict=True):
             entry.setValue(number)
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """What takes the focus, in order."""
+        return list(self.entries)
 
     def value(self) -> Numbers:
         """Return the exact numbers."""
@@ -90,8 +94,11 @@ class RangeEditor(_Entries):
         layout.addWidget(self.entries[0])
         layout.addWidget(self.slider, 1)
         layout.addWidget(self.entries[1])
-        for first, second in ((self.entries[0], self.slider), (self.slider, self.entries[1])):
-            QWidget.setTabOrder(first, second)
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """What takes the focus, in order."""
+        return [self.entries[0], self.slider, self.entries[1]]
 
     def set_colors(self, colors: Sequence[QColor]) -> None:
         """Paint the groove with the colours that its positions mean."""

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+
 from tactune.core.errors import TactuneError
 from tactune.widgets.eyedropper import HsvRanges, neighbourhood, new_ranges, pick, take_sample
 

@@ -4,6 +4,7 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QApplication, QWidget
+
 from tactune.widgets.histogram import DifferenceHistogram
 from tactune.widgets.image_pane import ImagePane
 from tactune.widgets.parameter_row import MessageLabel

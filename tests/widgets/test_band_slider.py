@@ -1,0 +1,149 @@
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QColor
+from PyQt6.QtTest import QTest
+
+from tactune.widgets.band_slider import BandSlider
+from tactune.widgets.scales import Scale
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+def make(qtbot, *, wraps: bool, low: float = 0, high: float = 179, gap: float = 0.0) -> BandSlider:
+    slider = BandSlider(Scale(0, 179, step=1), wraps=wraps, gap=gap)
+    qtbot.addWidget(slider)
+    slider.resize(371, 24)  # two pixels a step
+    slider.setValue(low, high)
+    slider.show()
+    qtbot.waitExposed(slider)
+    slider.activateWindow()
+    qtbot.waitUntil(slider.isActiveWindow)
+    return slider
+
+
+def record(slider: BandSlider) -> list[tuple[float, float, int]]:
+    edits: list[tuple[float, float, int]] = []
+    slider.edited.connect(lambda low, high, gesture: edits.append((low, high, gesture)))
+    return edits
+
+
+def at(slider: BandSlider, value: float) -> QPoint:
+    present = slider.value()
+    slider._band = (value, value)
+    x = slider.handle_x(0)
+    slider._band = present
+    return QPoint(round(x), slider.height() // 2)
+
+
+def drag(slider: BandSlider, start: float, *targets: float) -> None:
+    QTest.mousePress(slider, LEFT, pos=at(slider, start))
+    for target in targets:
+        QTest.mouseMove(slider, at(slider, target))
+    QTest.mouseRelease(slider, LEFT, pos=at(slider, targets[-1]))
+
+
+def test_a_handle_is_dragged_in_one_gesture(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=50, high=120)
+    edits = record(slider)
+    drag(slider, 120, 130, 140, 150)
+    assert [(low, high) for low, high, _ in edits] == [(50, 130), (50, 140), (50, 150)]
+    assert len({gesture for *_, gesture in edits}) == 1
+    drag(slider, 50, 40)
+    assert slider.value() == (40, 150)
+    assert len({gesture for *_, gesture in edits}) == 2
+
+
+def test_handles_do_not_cross_without_wrapping(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=50, high=120)
+    drag(slider, 50, 100, 160)
+    assert slider.value() == (120, 120)
+    slider = make(qtbot, wraps=False, low=50, high=120, gap=5)
+    drag(slider, 120, 80, 10)
+    assert slider.value() == (50, 55)
+
+
+def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=100, high=100)
+    QTest.mousePress(slider, LEFT, pos=at(slider, 100) + QPoint(2, 0))
+    QTest.mouseMove(slider, at(slider, 130) + QPoint(2, 0))
+    QTest.mouseRelease(slider, LEFT, pos=at(slider, 130))
+    assert slider.value() == (100, 130)
+    slider.setValue(179, 179)
+    drag(slider, 179, 150)
+    assert slider.value() == (150, 179)
+
+
+def test_hue_handles_cross_and_the_band_wraps(qtbot) -> None:
+    slider = make(qtbot, wraps=True, low=150, high=170)
+    assert not slider.wrapped()
+    drag(slider, 170, 100, 10)
+    assert slider.value() == (150, 10)
+    assert slider.wrapped()
+
+
+def test_dragging_the_band_moves_both_ends(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=50, high=100)
+    drag(slider, 75, 85, 95)
+    assert slider.value() == (70, 120)
+    drag(slider, 95, 179)
+    assert slider.value() == (129, 179)
+
+
+def test_dragging_a_hue_band_rotates_it(qtbot) -> None:
+    slider = make(qtbot, wraps=True, low=140, high=170)
+    drag(slider, 155, 170)
+    assert slider.value() == (155, 5)
+    drag(slider, 0, 20)
+    assert slider.value() == (175, 25)
+
+
+def test_a_press_beside_the_band_brings_the_nearer_handle(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=50, high=100)
+    edits = record(slider)
+    QTest.mouseClick(slider, LEFT, pos=at(slider, 20))
+    QTest.mouseClick(slider, LEFT, pos=at(slider, 150))
+    assert [(low, high) for low, high, _ in edits] == [(20, 100), (20, 150)]
+
+
+def test_the_keyboard_reaches_both_handles(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=50, high=100)
+    edits = record(slider)
+    slider.setFocus(Qt.FocusReason.TabFocusReason)
+    QTest.keyClick(slider, Qt.Key.Key_Right)
+    QTest.keyClick(slider, Qt.Key.Key_PageDown)
+    assert slider.value() == (34, 100)
+    assert edits[0][2] == edits[1][2]
+    QTest.keyClick(slider, Qt.Key.Key_Tab)
+    QTest.keyClick(slider, Qt.Key.Key_Up)
+    QTest.keyClick(slider, Qt.Key.Key_PageUp)
+    assert slider.value() == (34, 118)
+    assert edits[2][2] != edits[1][2]
+    QTest.keyClick(slider, Qt.Key.Key_End)
+    assert slider.value() == (34, 179)
+    QTest.keyClick(slider, Qt.Key.Key_Tab, Qt.KeyboardModifier.ShiftModifier)
+    QTest.keyClick(slider, Qt.Key.Key_Home)
+    assert slider.value() == (0, 179)
+
+
+def test_a_handle_that_is_not_moved_keeps_its_exact_value(qtbot) -> None:
+    slider = make(qtbot, wraps=False, low=20.123456, high=99.87)
+    drag(slider, 100, 120)
+    assert slider.value()[0] == 20.123456
+    assert slider.value()[1] == pytest.approx(120, abs=1)
+
+
+@pytest.mark.parametrize(("low", "high", "inside", "outside"), [(40, 100, 70, 150), (150, 20, 170, 90)])
+def test_the_groove_shows_the_selected_colors_brightest(
+    qtbot, low: float, high: float, inside: float, outside: float
+) -> None:
+    slider = make(qtbot, wraps=True, low=low, high=high)
+    slider.set_colors([QColor("#ff0000"), QColor("#ff0000")])
+    image = slider.grab().toImage()
+
+    def saturation(value: float) -> int:
+        return image.pixelColor(at(slider, value)).saturation()
+
+    assert saturation(inside) > 240
+    assert saturation(outside) < 160

@@ -1,0 +1,103 @@
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph as pg
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtTest import QTest
+
+from tactune.widgets.histogram import DifferenceHistogram, split_at
+
+LEFT = Qt.MouseButton.LeftButton
+EDGES = np.linspace(-0.1, 0.1, 41)
+
+
+@pytest.fixture(autouse=True)
+def every_mouse_move_counts():
+    before = pg.getConfigOption("mouseRateLimit")
+    pg.setConfigOptions(mouseRateLimit=-1)
+    yield
+    pg.setConfigOptions(mouseRateLimit=before)
+
+
+@pytest.fixture
+def histogram(qtbot, qapp) -> DifferenceHistogram:
+    widget = DifferenceHistogram()
+    qtbot.addWidget(widget)
+    widget.resize(320, 120)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.set_data(np.arange(40), EDGES, 0.03)
+    qapp.processEvents()
+    return widget
+
+
+def at(histogram: DifferenceHistogram, percent: float) -> QPoint:
+    box = histogram.plot_widget.getPlotItem().getViewBox()
+    return histogram.plot_widget.mapFromScene(box.mapViewToScene(QPointF(percent, 15.0)))
+
+
+def drag(histogram: DifferenceHistogram, start: float, *targets: float) -> None:
+    viewport = histogram.plot_widget.viewport()
+    QTest.mouseMove(viewport, at(histogram, start))
+    QTest.mousePress(viewport, LEFT, pos=at(histogram, start))
+    for target in targets:
+        QTest.mouseMove(viewport, at(histogram, target))
+    QTest.mouseRelease(viewport, LEFT, pos=at(histogram, targets[-1]))
+
+
+@pytest.mark.parametrize(("start", "target"), [(3.0, 6.0), (-3.0, -6.0), (3.0, -6.0)])
+def test_dragging_a_line_moves_both_in_one_gesture(histogram: DifferenceHistogram, start: float, target: float) -> None:
+    edits: list[tuple[float, int]] = []
+    histogram.toleranceEdited.connect(lambda t, gesture: edits.append((t, gesture)))
+    drag(histogram, start, (start + target) / 2, target)
+    assert edits
+    assert edits[-1][0] == pytest.approx(0.06, abs=0.002)
+    assert len({gesture for _, gesture in edits}) == 1
+    low, high = sorted(line.value() for line in histogram.lines)
+    assert high == pytest.approx(100 * edits[-1][0])
+    assert low == -high
+    first = edits[0][1]
+    drag(histogram, high, 2.0)
+    assert edits[-1][1] != first
+
+
+def test_programmatic_changes_do_not_emit(histogram: DifferenceHistogram) -> None:
+    edits: list[float] = []
+    histogram.toleranceEdited.connect(lambda t, _: edits.append(t))
+    histogram.set_tolerance(0.05)
+    histogram.set_data(np.ones(40), EDGES, 0.02)
+    assert histogram.tolerance() == 0.02
+    assert sorted(line.value() for line in histogram.lines) == [-2.0, 2.0]
+    assert edits == []
+
+
+def test_what_arrives_while_hidden_is_drawn_when_shown(qtbot, histogram: DifferenceHistogram) -> None:
+    histogram.hide()
+    histogram.set_data(np.full(40, 7), EDGES)
+    assert histogram._outside.getData()[1].max() == 39
+    histogram.show()
+    assert histogram._outside.getData()[1].max() == 7
+
+
+def test_an_empty_histogram_is_no_error(histogram: DifferenceHistogram) -> None:
+    histogram.set_data(np.zeros(40), EDGES, 0.0)
+    assert histogram.tolerance() == 0.0
+
+
+@given(
+    counts=st.lists(st.integers(0, 1000), min_size=1, max_size=30),
+    cut=st.floats(0.0, 2.0),
+)
+def test_splitting_keeps_the_outline(counts: list[int], cut: float) -> None:
+    edges = np.linspace(-1.0, 1.0, len(counts) + 1)
+    split_edges, split_counts = split_at(edges, np.array(counts, float), (-cut, cut))
+    assert len(split_edges) == len(split_counts) + 1
+    assert (np.diff(split_edges) > 0).all()
+    if cut < 1.0:
+        assert {-cut + 0.0, cut} <= set(split_edges + 0.0)
+    middles = (split_edges[:-1] + split_edges[1:]) / 2
+    index = np.clip(np.searchsorted(edges, middles) - 1, 0, len(counts) - 1)
+    np.testing.assert_array_equal(split_counts, np.array(counts, float)[index])

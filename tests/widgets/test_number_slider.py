@@ -1,0 +1,252 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+
+from tactune.core.preset import Preset
+from tactune.widgets.fields import FieldSpec, format_number, section_fields
+from tactune.widgets.number_entry import NumberEntry, parse_number
+from tactune.widgets.number_slider import NumberSlider
+from tactune.widgets.scales import Scale
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+def spec_of(path: str) -> FieldSpec:
+    name = path.partition(".")[0]
+    return next(spec for spec in section_fields(type(getattr(Preset(), name)), name) if spec.path == path)
+
+
+def make_slider(qtbot, path: str) -> NumberSlider:
+    widget = NumberSlider(spec_of(path))
+    qtbot.addWidget(widget)
+    widget.resize(260, 30)
+    widget.setValue(spec_of(path).default)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.activateWindow()
+    qtbot.waitUntil(widget.isActiveWindow)
+    return widget
+
+
+def record(widget) -> list[tuple[object, int]]:
+    edits: list[tuple[object, int]] = []
+    widget.edited.connect(lambda value, gesture: edits.append((value, gesture)))
+    return edits
+
+
+def point_at(widget: NumberSlider, value: float) -> QPoint:
+    left, length = widget.slider.travel()
+    spec = widget.spec
+    fraction = Scale(*spec.slider, step=spec.step, log=spec.log).fraction(value)
+    return QPoint(round(left + length * fraction), widget.slider.height() // 2)
+
+
+def drag(widget: NumberSlider, start: float, *targets: float) -> None:
+    QTest.mousePress(widget.slider, LEFT, pos=point_at(widget, start))
+    for target in targets:
+        QTest.mouseMove(widget.slider, point_at(widget, target))
+    QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, targets[-1]))
+
+
+def type_into(entry: NumberEntry, text: str, end: Qt.Key = Qt.Key.Key_Return) -> None:
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, text)
+    QTest.keyClick(entry, end)
+
+
+def test_a_drag_is_one_gesture_with_plausible_values(qtbot) -> None:
+    widget = make_slider(qtbot, "tolerance.t")
+    edits = record(widget)
+    drag(widget, 0.03, 0.04, 0.06, 0.1)
+    values = [value for value, _ in edits]
+    assert len(values) >= 3
+    assert values == sorted(values)
+    assert values[0] > 0.03
+    assert values[-1] == pytest.approx(0.1, rel=0.08)
+    assert len({gesture for _, gesture in edits}) == 1
+    assert widget.value() == values[-1]
+    drag(widget, values[-1], 0.02)
+    assert len({gesture for _, gesture in edits}) == 2
+
+
+def test_gripping_the_handle_off_centre_does_not_move_it(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.ratio")
+    edits = record(widget)
+    QTest.mousePress(widget.slider, LEFT, pos=point_at(widget, 2.0) + QPoint(3, 0))
+    QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, 2.0) + QPoint(3, 0))
+    assert edits == []
+    assert widget.value() == 2.0
+
+
+def test_a_press_on_the_groove_brings_the_handle(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.k")
+    edits = record(widget)
+    QTest.mouseClick(widget.slider, LEFT, pos=point_at(widget, 80))
+    assert len(edits) == 1
+    value = edits[0][0]
+    assert isinstance(value, int)
+    assert abs(value - 80) <= 2
+
+
+def test_typing_takes_effect_on_enter(qtbot) -> None:
+    widget = make_slider(qtbot, "alignment.depth_offset_m")
+    edits = record(widget)
+    type_into(widget.entry, "-17.5")
+    assert [value for value, _ in edits] == [-0.0175]
+    assert widget.entry.text() == "-17.5 mm"
+    type_into(widget.entry, "3,25 mm", Qt.Key.Key_Tab)
+    assert widget.value() == 0.00325
+    assert edits[0][1] != edits[1][1]
+
+
+def test_escape_brings_back_the_text(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.ratio")
+    edits = record(widget)
+    type_into(widget.entry, "3.5", Qt.Key.Key_Escape)
+    assert widget.entry.text() == "2 σ"
+    QTest.keyClick(widget.entry, Qt.Key.Key_Return)
+    assert edits == []
+
+
+@pytest.mark.parametrize(
+    ("path", "text", "reason"),
+    [
+        ("tolerance.t", "1.5", "allowed is 0 to 1"),
+        ("tolerance.t", "much", "“much” is not a number"),
+        ("outliers.ratio", "0", "allowed is above 0 σ to 100 σ"),
+        ("outliers.k", "3.5", "not a whole number"),
+        ("alignment.depth_offset_m", "101", "allowed is -100 mm to 100 mm"),
+    ],
+)
+def test_what_is_not_allowed_is_refused_in_words(qtbot, path: str, text: str, reason: str) -> None:
+    widget = make_slider(qtbot, path)
+    before, shown = widget.value(), widget.entry.text()
+    edits, sentences = record(widget), []
+    widget.refused.connect(sentences.append)
+    type_into(widget.entry, text)
+    assert edits == []
+    assert widget.value() == before
+    assert widget.entry.text() == shown
+    assert len(sentences) == 1
+    assert widget.spec.title in sentences[0]
+    assert reason in sentences[0]
+
+
+def test_a_burst_of_arrows_is_one_gesture(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.k")
+    edits = record(widget)
+    widget.entry.setFocus()
+    for _ in range(4):
+        QTest.keyClick(widget.entry, Qt.Key.Key_Up)
+    assert [value for value, _ in edits] == [21, 22, 23, 24]
+    assert len({gesture for _, gesture in edits}) == 1
+    widget.slider.setFocus()
+    QTest.keyClick(widget.slider, Qt.Key.Key_Right)
+    QTest.keyClick(widget.slider, Qt.Key.Key_PageUp)
+    assert [value for value, _ in edits[4:]] == [25, 34]
+    assert len({gesture for _, gesture in edits}) == 2
+
+
+def test_arrows_step_without_rounding_noise_and_stop_at_the_bounds(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.ratio")
+    edits = record(widget)
+    widget.entry.setFocus()
+    widget.setValue(0.3)
+    for _ in range(5):
+        QTest.keyClick(widget.entry, Qt.Key.Key_Down)
+    assert [value for value, _ in edits] == [0.2, 0.1]
+    widget.setValue(0.2345)
+    QTest.keyClick(widget.entry, Qt.Key.Key_Up)
+    assert widget.value() == 0.3
+    widget.setValue(0.2345)
+    QTest.keyClick(widget.entry, Qt.Key.Key_Down)
+    assert widget.value() == 0.2
+
+
+def test_every_widget_is_reached_by_tab(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.ratio")
+    widget.slider.setFocus()
+    QTest.keyClick(widget.slider, Qt.Key.Key_Tab)
+    assert widget.entry.hasFocus()
+
+
+def test_an_out_of_focus_slider_leaves_the_wheel_to_the_page(qtbot) -> None:
+    widget = make_slider(qtbot, "outliers.k")
+    edits = record(widget)
+    widget.entry.setFocus()
+    point = widget.slider.rect().center().toPointF()
+    from PyQt6.QtGui import QWheelEvent
+
+    wheel = QWheelEvent(
+        point,
+        widget.slider.mapToGlobal(point),
+        QPoint(),
+        QPoint(0, 120),
+        Qt.MouseButton.NoButton,
+        Qt.KeyboardModifier.NoModifier,
+        Qt.ScrollPhase.NoScrollPhase,
+        False,
+    )
+    widget.slider.wheelEvent(wheel)
+    assert not wheel.isAccepted()
+    assert edits == []
+
+
+@given(value=st.floats(0.0, 1.0))
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=80)
+def test_showing_a_value_never_changes_it(qtbot, value: float) -> None:
+    widget = NumberSlider(spec_of("tolerance.t"))
+    edits = record(widget)
+    widget.setValue(value)
+    assert widget.value() == value
+    widget.entry.setFocus()
+    QTest.keyClick(widget.entry, Qt.Key.Key_Return)
+    QTest.keyClick(widget.entry, Qt.Key.Key_Tab)
+    widget.entry.clearFocus()
+    assert widget.value() == value
+    assert edits == []
+    widget.deleteLater()
+
+
+@given(low=st.floats(1e-3, 1.0), decades=st.floats(0.5, 4.0), fraction=st.floats(0.0, 1.0), step=st.floats(0.001, 0.2))
+def test_scales_take_positions_to_values_and_back(low: float, decades: float, fraction: float, step: float) -> None:
+    high = low * 10**decades
+    log = Scale(low, high, log=True)
+    assert low <= log.value(fraction) <= high
+    assert log.fraction(log.value(fraction)) == pytest.approx(fraction, abs=0.01)
+    linear = Scale(low, high, step=step)
+    assert abs(linear.value(fraction) - (low + fraction * (high - low))) <= step / 2 + 1e-9 or (
+        linear.value(fraction) == high
+    )
+
+
+@given(st.floats(-1e6, 1e6))
+def test_numbers_are_written_so_that_they_read_the_same(number: float) -> None:
+    read = parse_number(format_number(number, 6))
+    assert read == pytest.approx(number, rel=1e-5, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("12", 12.0), (" 7,5 mm ", 7.5), ("7.5mm", 7.5), ("−3", -3.0), ("1e3", 1000.0)]
+)
+def test_people_may_type_a_unit_or_a_comma(text: str, number: float) -> None:
+    assert parse_number(text, " mm") == number
+
+
+@pytest.mark.parametrize("text", ["", "mm", "1.2.3", "nan", "inf", "1 2"])
+def test_what_is_no_number_is_told(text: str) -> None:
+    assert parse_number(text, " mm") is None
+
+
+def test_very_small_numbers_are_not_shown_as_zero() -> None:
+    spec = spec_of("tolerance.t")
+    assert spec.shown(1.234e-6) == "0.0000012"
+    assert spec.shown(0.0) == "0"
+    assert replace(spec, suffix=" mm", factor=1000.0).shown(0.0071234) == "7.12 mm"

@@ -1,0 +1,359 @@
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QWidget
+from pyqtgraph import setConfigOptions
+
+from tactune.core.preset import (
+    AlignmentSection,
+    HomographyAlignment,
+    MaskSection,
+    OutlierSection,
+    Preset,
+    RangeSection,
+    RegionSection,
+    RigidAlignment,
+    ToleranceSection,
+)
+from tactune.widgets.fields import section_fields
+from tactune.widgets.parameter_panel import SECTIONS, ParameterPanel
+
+LEFT = Qt.MouseButton.LeftButton
+EYE4 = ((1.0, 0.0, 0.0, 0.04), (0.0, 1.0, 0.0, -0.00123), (0.0, 0.0, 1.0, 0.003), (0.0, 0.0, 0.0, 1.0))
+EYE3 = ((1.01, 0.0, 12.5), (0.0, 0.99, -3.25), (1e-5, 0.0, 1.0))
+
+
+class Recorder:
+    """Everything a panel emitted."""
+
+    def __init__(self, panel: ParameterPanel) -> None:
+        self.edits: list[tuple[str, Any, int]] = []
+        self.resets: list[tuple[dict[str, Any], int]] = []
+        self.modes: list[str] = []
+        panel.valueEdited.connect(lambda path, value, gesture: self.edits.append((path, value, gesture)))
+        panel.valuesEdited.connect(lambda values, gesture: self.resets.append((values, gesture)))
+        panel.eyedropperRequested.connect(self.modes.append)
+
+
+@pytest.fixture
+def panel(qtbot) -> ParameterPanel:
+    setConfigOptions(mouseRateLimit=-1)
+    widget = ParameterPanel()
+    qtbot.addWidget(widget)
+    widget.resize(340, 1000)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.activateWindow()
+    qtbot.waitUntil(widget.isActiveWindow)
+    return widget
+
+
+@pytest.fixture
+def seen(panel: ParameterPanel) -> Recorder:
+    return Recorder(panel)
+
+
+def drag(widget: QWidget, *xs: float) -> None:
+    points = [QPoint(round(x), widget.height() // 2) for x in xs]
+    QTest.mousePress(widget, LEFT, pos=points[0])
+    for point in points[1:]:
+        QTest.mouseMove(widget, point)
+    QTest.mouseRelease(widget, LEFT, pos=points[-1])
+
+
+def type_into(entry: Any, text: str) -> None:
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, text)
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+
+
+hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
+spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
+depths = st.tuples(st.floats(0, 10), st.floats(0, 10)).filter(lambda p: p[0] != p[1]).map(lambda p: (min(p), max(p)))
+pixels = st.integers(0, 16384)
+presets = st.builds(
+    Preset,
+    alignment=st.builds(
+        AlignmentSection,
+        model=st.sampled_from(["rigid", "homography"]),
+        rigid=st.builds(RigidAlignment, T_proximity_tactile=st.sampled_from([None, EYE4])),
+        homography=st.builds(
+            HomographyAlignment, H_p_t=st.sampled_from([None, EYE3]), plane_distance_m=st.floats(0.05, 2.0)
+        ),
+        depth_scale=st.floats(0.8, 1.25),
+        depth_offset_m=st.floats(-0.1, 0.1),
+    ),
+    mask=st.builds(MaskSection, enabled=st.booleans(), hue=hues, saturation=spans, value=spans),
+    tolerance=st.builds(ToleranceSection, t=st.floats(0.0, 1.0)),
+    outliers=st.builds(
+        OutlierSection,
+        enabled=st.booleans(),
+        k=st.integers(1, 1000),
+        ratio=st.floats(0.0, 100.0, exclude_min=True),
+        min_cluster_area_mm2=st.floats(0.0, 1e6),
+    ),
+    range=st.builds(RangeSection, enabled=st.booleans(), limits_m=depths),
+    region=st.builds(
+        RegionSection,
+        enabled=st.booleans(),
+        rectangle=st.tuples(pixels, pixels, st.integers(1, 16384), st.integers(1, 16384)),
+    ),
+)
+
+
+@given(preset=presets)
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture], max_examples=40, deadline=None)
+def test_every_preset_is_shown_exactly_and_silently(panel: ParameterPanel, seen: Recorder, preset: Preset) -> None:
+    panel.set_preset(preset)
+    for path, row in panel.rows.items():
+        assert row.editor.value() == preset.value(path), path
+    assert (seen.edits, seen.resets, seen.modes) == ([], [], [])
+
+
+def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
+    expected = [spec.path for name, _ in SECTIONS for spec in section_fields(type(getattr(Preset(), name)), name)]
+    assert list(panel.rows) == expected
+    assert "alignment.rigid.T_proximity_tactile" in expected
+    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig"}
+    assert {name for name, _ in SECTIONS} == tuned
+
+
+def test_visiting_every_widget_by_tab_changes_nothing(panel: ParameterPanel, seen: Recorder) -> None:
+    preset = Preset(
+        mask=MaskSection(enabled=True),
+        tolerance=ToleranceSection(t=0.0123456789),
+        alignment=AlignmentSection(depth_offset_m=-0.01234567),
+        range=RangeSection(enabled=True, limits_m=(0.1234567, 0.3333333)),
+        region=RegionSection(enabled=True),
+    )
+    panel.set_preset(preset)
+    visited = set()
+    for _ in range(120):
+        focused = QApplication.focusWidget()
+        assert focused is not None
+        visited.add(focused)
+        QTest.keyClick(focused, Qt.Key.Key_Tab)
+    assert seen.edits == []
+    for path, row in panel.rows.items():
+        assert row.editor.value() == preset.value(path)
+        for name in ("slider", "entry"):
+            part = getattr(row.widget, name, None)
+            if part is not None and part.isVisible():
+                assert part in visited, (path, name)
+        for entry in getattr(row.widget, "entries", []):
+            assert entry in visited, path
+    assert all(button in visited for button in panel._eyedroppers.values())
+    assert all(section.button in visited for section in panel.sections.values())
+
+
+def test_tab_goes_down_the_panel(panel: ParameterPanel) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True), outliers=OutlierSection(k=30)))
+    stops = []
+    panel.sections["mask"].button.setFocus()
+    for _ in range(60):
+        focused = QApplication.focusWidget()
+        stops.append(focused.mapTo(panel.widget(), QPoint(0, focused.height() // 2)).y())
+        if focused is panel.rows["region.enabled"].widget:
+            break
+        QTest.keyClick(focused, Qt.Key.Key_Tab)
+    assert focused is panel.rows["region.enabled"].widget
+    assert all(later >= earlier - 4 for earlier, later in pairwise(stops))
+
+
+def test_everything_that_takes_the_focus_has_a_name(panel: ParameterPanel) -> None:
+    for widget in panel.findChildren(QWidget):
+        takes_focus = (
+            widget.isVisible() and widget.focusProxy() is None and widget.focusPolicy() & Qt.FocusPolicy.TabFocus
+        )
+        if takes_focus and not widget.objectName().startswith("qt_") and not isinstance(widget, QLabel):
+            assert widget.accessibleName(), widget
+            assert widget.toolTip(), widget.accessibleName()
+
+
+def test_dragging_a_slider_is_one_gesture(panel: ParameterPanel, seen: Recorder) -> None:
+    slider = panel.rows["tolerance.t"].widget.slider
+    left, length = slider.travel()
+    drag(slider, left + 0.3 * length, left + 0.4 * length, left + 0.5 * length)
+    values = [value for _, value, _ in seen.edits]
+    assert {path for path, *_ in seen.edits} == {"tolerance.t"}
+    assert len(values) >= 2
+    assert values == sorted(values)
+    assert 0.001 < values[0] < values[-1] < 0.3
+    assert len({gesture for *_, gesture in seen.edits}) == 1
+    assert panel.histogram.tolerance() == values[-1]
+
+
+def test_dragging_hue_over_red_wraps(panel: ParameterPanel, seen: Recorder) -> None:
+    preset = Preset(mask=MaskSection(enabled=True, hue=(150, 170)))
+    panel.set_preset(preset)
+    slider = panel.rows["mask.hue"].widget.slider
+    drag(slider, slider.handle_x(1), slider.handle_x(0) - 20, 10)
+    path, value, _ = seen.edits[-1]
+    assert path == "mask.hue"
+    assert value[0] == 150
+    assert value[1] < 20
+    assert all(isinstance(end, int) for end in value)
+    assert preset.mask.model_copy(update={"hue": value}).hue == value
+
+
+def test_typing_and_reset(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_baseline(Preset(name="bench", tolerance=ToleranceSection(t=0.0123)))
+    row = panel.rows["tolerance.t"]
+    assert "0.0123" in row.reset.toolTip()
+    assert "bench" in row.reset.toolTip()
+    type_into(row.widget.entry, "0.07")
+    assert seen.edits[-1][:2] == ("tolerance.t", 0.07)
+    QTest.mouseClick(row.reset, LEFT)
+    assert seen.edits[-1][:2] == ("tolerance.t", 0.0123)
+    assert row.editor.value() == 0.0123
+    assert not row.reset.isEnabled()
+    panel.set_baseline(None)
+    QTest.mouseClick(row.reset, LEFT)
+    assert seen.edits[-1][:2] == ("tolerance.t", Preset().tolerance.t)
+
+
+def test_millimetres_are_shown_and_metres_are_told(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(range=RangeSection(enabled=True, limits_m=(0.1, 0.5))))
+    low, high = panel.rows["range.limits_m"].widget.entries
+    assert (low.text(), high.text()) == ("100", "500")
+    type_into(high, "333.5")
+    assert seen.edits[-1][:2] == ("range.limits_m", (0.1, 0.3335))
+
+
+def test_a_section_is_reset_at_once(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(outliers=OutlierSection(k=33, ratio=1.5)))
+    QTest.mouseClick(panel._section_resets["outliers"], LEFT)
+    assert [values for values, _ in seen.resets] == [{"outliers.k": 20, "outliers.ratio": 2.0}]
+    assert seen.edits == []
+    assert not panel._section_resets["outliers"].isEnabled()
+
+
+def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True, saturation=(10, 100))))
+    row = panel.rows["mask.saturation"]
+    type_into(row.widget.entries[0], "200")
+    assert seen.edits[-1][1] == (200, 100)
+    panel.show_error("mask.saturation", "saturation has its low end 200 above its high end 100")
+    assert row.message.isVisible()
+    assert "200" in row.message.text()
+    assert row.editor.value() == (10, 100)
+    type_into(row.widget.entries[0], "20")
+    assert not row.message.isVisible()
+    assert seen.edits[-1][1] == (20, 100)
+
+
+def test_a_typing_error_is_explained_below_the_row(panel: ParameterPanel, seen: Recorder) -> None:
+    row = panel.rows["outliers.k"]
+    type_into(row.widget.entry, "5000")
+    assert seen.edits == []
+    assert row.message.isVisible()
+    assert "1 to 1000" in row.message.text()
+    panel.set_preset(Preset(outliers=OutlierSection(k=21)))
+    assert not row.message.isVisible()
+
+
+def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
+    QTest.mouseClick(panel.sections["mask"].button, LEFT)
+    assert panel.collapsed_sections() == ["mask"]
+    assert not panel.rows["mask.hue"].widget.isVisible()
+    panel.show_error("mask.enabled", "no")
+    assert panel.rows["mask.enabled"].message.isVisible()
+    panel.set_collapsed_sections(["alignment", "region"])
+    assert panel.collapsed_sections() == ["alignment", "region"]
+
+
+def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
+    assert panel.rows["mask.hue"].widget.isEnabled()
+    QTest.mouseClick(panel.rows["mask.enabled"].widget, LEFT, pos=QPoint(8, 8))
+    assert seen.edits[-1][:2] == ("mask.enabled", False)
+    assert not panel.rows["mask.hue"].widget.isEnabled()
+    assert panel.rows["tolerance.t"].widget.isEnabled()
+    assert not panel._eyedroppers["set"].isEnabled()
+
+
+def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
+    pose, plane = (
+        panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
+    )
+    assert pose.isVisible()
+    assert not plane.isVisible()
+    assert pose.text() == "from the rig"
+    box = panel.rows["alignment.model"].widget
+    assert isinstance(box, QComboBox)
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Down)
+    assert seen.edits[-1][:2] == ("alignment.model", "homography")
+    assert not pose.isVisible()
+    assert plane.isVisible()
+    assert plane.isEnabled()
+    panel.set_preset(Preset(alignment=AlignmentSection(model="homography", homography=HomographyAlignment(H_p_t=EYE3))))
+    assert not plane.isEnabled()
+    assert "12.5" in panel.rows["alignment.homography.H_p_t"].widget.text()
+    panel.set_preset(Preset(alignment=AlignmentSection(rigid=RigidAlignment(T_proximity_tactile=EYE4))))
+    assert "40.00 mm" in pose.text()
+    assert "-1.23 mm" in pose.text()
+
+
+def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
+    for mode in ("set", "expand", "shrink"):
+        QTest.mouseClick(panel._eyedroppers[mode], LEFT)
+        assert [name for name, button in panel._eyedroppers.items() if button.isChecked()] == [mode]
+    QTest.keyClick(panel, Qt.Key.Key_Escape)
+    assert seen.modes == ["set", "expand", "shrink", "off"]
+    assert not any(button.isChecked() for button in panel._eyedroppers.values())
+    QTest.mouseClick(panel._eyedroppers["set"], LEFT)
+    QTest.mouseClick(panel._eyedroppers["set"], LEFT)
+    assert seen.modes[-2:] == ["set", "off"]
+    panel.set_eyedropper("expand")
+    assert seen.modes[-1] == "off"
+    panel.set_preset(Preset(mask=MaskSection(enabled=False)))
+    assert not panel._eyedroppers["expand"].isChecked()
+
+
+def test_tolerance_is_told_in_millimetres(panel: ParameterPanel) -> None:
+    assert not panel._tolerance_mm.isVisible()
+    panel.set_preset(Preset(tolerance=ToleranceSection(t=0.03)))
+    panel.set_median_distance_m(0.236)
+    assert panel._tolerance_mm.text() == "= 7.1 mm at 0.236 m"
+    assert panel._tolerance_mm.isVisible()
+    panel.set_median_distance_m(float("nan"))
+    assert not panel._tolerance_mm.isVisible()
+
+
+def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
+    qapp: QApplication, panel: ParameterPanel, seen: Recorder
+) -> None:
+    panel.set_histogram(np.ones(40), np.linspace(-0.1, 0.1, 41), 0.03)
+    qapp.processEvents()
+    plot = panel.histogram.plot_widget
+    box = plot.getPlotItem().getViewBox()
+    from PyQt6.QtCore import QPointF
+
+    start, end = (plot.mapFromScene(box.mapViewToScene(QPointF(x, 0.5))) for x in (3.0, 5.0))
+    QTest.mouseMove(plot.viewport(), start)
+    QTest.mousePress(plot.viewport(), LEFT, pos=start)
+    QTest.mouseMove(plot.viewport(), (start + end) / 2)
+    QTest.mouseMove(plot.viewport(), end)
+    QTest.mouseRelease(plot.viewport(), LEFT, pos=end)
+    assert {path for path, *_ in seen.edits} == {"tolerance.t"}
+    assert len({gesture for *_, gesture in seen.edits}) == 1
+    assert seen.edits[-1][1] == pytest.approx(0.05, abs=0.003)
+    assert panel.rows["tolerance.t"].editor.value() == seen.edits[-1][1]
+
+
+def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
+    panel.set_preset(Preset(alignment=AlignmentSection(model="homography"), region=RegionSection(enabled=True)))
+    QApplication.processEvents()
+    assert panel.viewport().width() <= 340
+    assert panel.widget().width() <= panel.viewport().width()
