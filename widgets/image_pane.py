@@ -15,6 +15,9 @@ from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 from .pane_header import PaneHeader
 from .theme import theme_colors
 
+_SMALLEST_VIEW = 6.0
+_LARGEST_VIEW = 20_000.0
+
 Rectangle = tuple[int, int, int, int]
 
 
@@ -99,7 +102,7 @@ class ImagePane(QWidget):
         self.view.setAccessibleName(title)
         self.view.setMinimumSize(80, 60)
         self.box = pg.ViewBox(lockAspect=True, invertY=True, enableMenu=False, defaultPadding=0.0)
-        self.box.setDefaultPadding(0.0)
+        self.box.setLimits(minXRange=_SMALLEST_VIEW, minYRange=_SMALLEST_VIEW, maxXRange=_LARGEST_VIEW)
         self.view.setCentralItem(self.box)
         self._pixels = PixelItem()
         self.box.addItem(self._pixels, ignoreBounds=True)

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 
 from tactune.core.preset import Preset
@@ -182,8 +183,6 @@ def test_an_out_of_focus_slider_leaves_the_wheel_to_the_page(qtbot) -> None:
     edits = record(widget)
     widget.entry.setFocus()
     point = widget.slider.rect().center().toPointF()
-    from PyQt6.QtGui import QWheelEvent
-
     wheel = QWheelEvent(
         point,
         widget.slider.mapToGlobal(point),

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QWidget
 from pyqtgraph import setConfigOptions
@@ -338,8 +338,6 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
     qapp.processEvents()
     plot = panel.histogram.plot_widget
     box = plot.getPlotItem().getViewBox()
-    from PyQt6.QtCore import QPointF
-
     start, end = (plot.mapFromScene(box.mapViewToScene(QPointF(x, 0.5))) for x in (3.0, 5.0))
     QTest.mouseMove(plot.viewport(), start)
     QTest.mousePress(plot.viewport(), LEFT, pos=start)

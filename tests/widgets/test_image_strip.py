@@ -1,0 +1,319 @@
+from __future__ import annotations
+
+import numpy as np
+import pyqtgraph as pg
+import pytest
+from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
+from PyQt6.QtGui import QWheelEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from tactune.widgets.image_strip import PANES, ImageStrip, StripImages, render_strip
+
+LEFT = Qt.MouseButton.LeftButton
+NONE = Qt.KeyboardModifier.NoModifier
+HEIGHT, WIDTH = 480, 640
+
+
+def scene(height: int = HEIGHT, width: int = WIDTH) -> StripImages:
+    v, u = np.mgrid[:height, :width]
+    depth = (0.2 + 0.0001 * u + 0.0001 * v).astype(np.float32)
+    return StripImages(
+        color=np.dstack([u % 256, v % 256, np.zeros_like(u)]).astype(np.uint8),
+        mask_overlay=None,
+        proximity_m=depth,
+        tactile_m=depth,
+        relative=np.zeros_like(depth),
+        tolerance=0.03,
+    )
+
+
+@pytest.fixture(autouse=True)
+def every_mouse_move_counts():
+    before = pg.getConfigOption("mouseRateLimit")
+    pg.setConfigOptions(mouseRateLimit=-1)
+    yield
+    pg.setConfigOptions(mouseRateLimit=before)
+
+
+@pytest.fixture
+def strip(qtbot, qapp: QApplication) -> ImageStrip:
+    widget = ImageStrip()
+    qtbot.addWidget(widget)
+    widget.resize(1280, 260)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.set_images(render_strip(scene(), widget.width_hint()))
+    widget.reset_view()
+    qapp.processEvents()
+    return widget
+
+
+def viewport(strip: ImageStrip, pane: str):
+    return strip.panes[pane].view.viewport()
+
+
+def at(strip: ImageStrip, pane: str, u: float, v: float) -> QPoint:
+    return strip.panes[pane].widget_position(u, v).toPoint()
+
+
+def zoom_in(strip: ImageStrip, pane: str, u: float, v: float, notches: int = 10) -> None:
+    point = QPointF(at(strip, pane, u, v))
+    for _ in range(notches):
+        event = QWheelEvent(
+            point,
+            viewport(strip, pane).mapToGlobal(point),
+            QPoint(),
+            QPoint(0, 120),
+            Qt.MouseButton.NoButton,
+            NONE,
+            Qt.ScrollPhase.NoScrollPhase,
+            False,
+        )
+        QApplication.sendEvent(viewport(strip, pane), event)
+    QApplication.processEvents()
+
+
+def seen_rect(strip: ImageStrip, pane: str) -> tuple[float, float, float, float]:
+    rect = strip.panes[pane].box.viewRect()
+    return rect.left(), rect.top(), rect.width(), rect.height()
+
+
+@pytest.mark.parametrize("pane", PANES)
+def test_hover_tells_the_exact_pixel_in_every_pane(strip: ImageStrip, pane: str) -> None:
+    zoom_in(strip, pane, 320, 240)
+    found: list[tuple[int, int]] = []
+    strip.hovered.connect(lambda u, v: found.append((u, v)))
+    expected = [(u, v) for u, v in ((320, 240), (321, 240), (318, 243), (323, 238))]
+    for u, v in expected:
+        QTest.mouseMove(viewport(strip, pane), at(strip, pane, u, v))
+    assert found == expected
+
+
+def test_a_pixel_reaches_half_a_pixel_around_its_centre(strip: ImageStrip) -> None:
+    zoom_in(strip, "color", 100, 100, notches=12)
+    found: list[tuple[int, int]] = []
+    strip.hovered.connect(lambda u, v: found.append((u, v)))
+    for du, dv, expected in ((-0.4, 0.4, (100, 100)), (0.6, 0.0, (101, 100)), (0.0, -0.6, (100, 99))):
+        QTest.mouseMove(viewport(strip, "color"), at(strip, "color", 100 + du, 100 + dv))
+        assert found[-1] == expected
+
+
+def test_corners_are_inside_and_beyond_is_not(strip: ImageStrip) -> None:
+    found: list[tuple[int, int]] = []
+    strip.hovered.connect(lambda u, v: found.append((u, v)))
+    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", 1, 1))
+    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", -8, 200))
+    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", WIDTH - 2, HEIGHT - 2))
+    QTest.mouseMove(viewport(strip, "tactile"), at(strip, "tactile", WIDTH + 8, 200))
+    assert found[1] == found[3] == (-1, -1)
+    assert max(found[0]) <= 3
+    assert found[2][0] >= WIDTH - 5
+    assert found[2][1] >= HEIGHT - 5
+
+
+def test_leaving_clears_the_crosshair(strip: ImageStrip) -> None:
+    found: list[tuple[int, int]] = []
+    strip.hovered.connect(lambda u, v: found.append((u, v)))
+    QTest.mouseMove(viewport(strip, "color"), at(strip, "color", 300, 200))
+    assert all(pane._cross.isVisible() for pane in strip.panes.values())
+    QApplication.sendEvent(strip.panes["color"].view, QEvent(QEvent.Type.Leave))
+    assert found[-1] == (-1, -1)
+    assert not any(pane._cross.isVisible() for pane in strip.panes.values())
+
+
+@pytest.mark.parametrize("pane", PANES)
+def test_a_click_tells_pane_pixel_and_modifiers(strip: ImageStrip, pane: str) -> None:
+    zoom_in(strip, pane, 150, 350)
+    clicks: list[tuple[object, ...]] = []
+    strip.clicked.connect(lambda *click: clicks.append(click))
+    QTest.mouseClick(viewport(strip, pane), LEFT, pos=at(strip, pane, 150, 350))
+    QTest.mouseClick(viewport(strip, pane), LEFT, Qt.KeyboardModifier.ShiftModifier, at(strip, pane, 152, 349))
+    assert clicks == [(pane, 150, 350, NONE), (pane, 152, 349, Qt.KeyboardModifier.ShiftModifier)]
+
+
+def test_a_click_beside_the_image_is_none(strip: ImageStrip) -> None:
+    clicks: list[tuple[object, ...]] = []
+    strip.clicked.connect(lambda *click: clicks.append(click))
+    QTest.mouseClick(viewport(strip, "color"), LEFT, pos=at(strip, "color", -8, 100))
+    assert clicks == []
+
+
+def test_all_panes_zoom_and_pan_together_and_a_double_click_resets(strip: ImageStrip, qapp: QApplication) -> None:
+    whole = {pane: seen_rect(strip, pane) for pane in PANES}
+    zoom_in(strip, "proximity", 200, 100, notches=8)
+    zoomed = seen_rect(strip, "proximity")
+    assert zoomed[2] < 0.9 * whole["proximity"][2]
+    for pane in PANES:
+        assert seen_rect(strip, pane) == pytest.approx(zoomed, abs=0.5)
+    start = at(strip, "difference", 200, 100)
+    QTest.mouseMove(viewport(strip, "difference"), start)
+    QTest.mousePress(viewport(strip, "difference"), LEFT, pos=start)
+    for step in (10, 20, 30):
+        QTest.mouseMove(viewport(strip, "difference"), start + QPoint(step, 0))
+    QTest.mouseRelease(viewport(strip, "difference"), LEFT, pos=start + QPoint(30, 0))
+    qapp.processEvents()
+    panned = seen_rect(strip, "difference")
+    assert panned[0] < zoomed[0] - 1
+    for pane in PANES:
+        assert seen_rect(strip, pane) == pytest.approx(panned, abs=0.5)
+    QTest.mouseDClick(viewport(strip, "tactile"), LEFT, pos=at(strip, "tactile", panned[0] + 5, panned[1] + 5))
+    qapp.processEvents()
+    assert {pane: seen_rect(strip, pane) for pane in PANES} == whole
+
+
+def test_zooming_ends_at_a_few_pixels(strip: ImageStrip) -> None:
+    zoom_in(strip, "color", 200, 100, notches=60)
+    for pane in PANES:
+        assert 5.0 <= min(seen_rect(strip, pane)[2:]) <= 10.0
+
+
+def test_the_whole_image_stays_in_view_when_resized(strip: ImageStrip, qapp: QApplication) -> None:
+    for size in ((900, 200), (1500, 400)):
+        strip.resize(*size)
+        qapp.processEvents()
+        for pane in PANES:
+            left, top, width, height = seen_rect(strip, pane)
+            assert left <= 0
+            assert top <= 0
+            assert left + width >= WIDTH - 1
+            assert top + height >= HEIGHT - 1
+
+
+def test_zooming_asks_for_more_resolution(strip: ImageStrip) -> None:
+    hints: list[int] = []
+    strip.widthHintChanged.connect(hints.append)
+    before = strip.width_hint()
+    assert before < WIDTH / 2 * 1.1
+    assert render_strip(scene(), before).stride == 2
+    zoom_in(strip, "color", 320, 240)
+    assert hints
+    assert hints[-1] == strip.width_hint() > 2 * before
+    assert render_strip(scene(), strip.width_hint()).stride == 1
+
+
+@pytest.mark.parametrize("hint", [0, 300])
+def test_the_pixels_on_the_screen_are_those_of_the_image(strip: ImageStrip, qapp: QApplication, hint: int) -> None:
+    strip.set_images(render_strip(scene(), hint))
+    zoom_in(strip, "color", 200, 100, notches=12)
+    grabbed = strip.panes["color"].view.grab().toImage()
+    for u, v in ((200, 100), (202, 102), (198, 98)):
+        color = grabbed.pixelColor(at(strip, "color", u, v))
+        assert (color.red(), color.green(), color.blue()) == (u % 256, v % 256, 0)
+
+
+def test_images_of_another_size_and_none_at_all(strip: ImageStrip, qapp: QApplication) -> None:
+    strip.set_images(render_strip(scene(240, 424)))
+    qapp.processEvents()
+    assert strip.width_hint() > 0
+    left, _, width, _ = seen_rect(strip, "color")
+    assert left + width >= 423
+    strip.set_images(None)
+    assert strip.panes["proximity"]._empty.text() == "No frame yet"
+    strip.set_images(render_strip(scene(240, 424)))
+    assert strip.panes["proximity"]._empty.text() == ""
+
+
+def test_the_keyboard_points_clicks_and_zooms(strip: ImageStrip, qapp: QApplication) -> None:
+    found: list[tuple[int, int]] = []
+    clicks: list[tuple[object, ...]] = []
+    strip.hovered.connect(lambda u, v: found.append((u, v)))
+    strip.clicked.connect(lambda *click: clicks.append(click))
+    QTest.keyClick(strip, Qt.Key.Key_Right)
+    QTest.keyClick(strip, Qt.Key.Key_Up, Qt.KeyboardModifier.ShiftModifier)
+    assert found == [(321, 240), (321, 230)]
+    QTest.keyClick(strip, Qt.Key.Key_Return)
+    assert clicks == [("color", 321, 230, NONE)]
+    whole = seen_rect(strip, "difference")
+    QTest.keyClick(strip, Qt.Key.Key_Plus)
+    qapp.processEvents()
+    assert seen_rect(strip, "difference")[2] < whole[2]
+    QTest.keyClick(strip, Qt.Key.Key_0)
+    qapp.processEvents()
+    assert seen_rect(strip, "difference") == pytest.approx(whole, abs=0.5)
+
+
+def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip: ImageStrip, qapp: QApplication) -> None:
+    strip.set_region((100, 80, 400, 300))
+    qapp.processEvents()
+    edits: list[tuple[tuple[int, ...], int]] = []
+    strip.regionEdited.connect(lambda rectangle, gesture: edits.append((rectangle, gesture)))
+    port = viewport(strip, "proximity")
+    start, end = at(strip, "proximity", 499.5, 379.5), at(strip, "proximity", 560, 420)
+    QTest.mouseMove(port, start)
+    QTest.mousePress(port, LEFT, pos=start)
+    for share in (0.3, 0.7, 1.0):
+        QTest.mouseMove(port, start + (end - start) * share)
+    QTest.mouseRelease(port, LEFT, pos=end)
+    assert edits
+    rectangle = edits[-1][0]
+    assert rectangle[:2] == (100, 80)
+    assert rectangle[2] == pytest.approx(460, abs=4)
+    assert rectangle[3] == pytest.approx(340, abs=4)
+    assert all(isinstance(number, int) for number in rectangle)
+    assert len({gesture for _, gesture in edits}) == 1
+    for region in strip._regions.values():
+        assert region._rectangle == rectangle
+
+
+def test_a_region_beyond_the_image_is_cut_to_it(strip: ImageStrip, qapp: QApplication) -> None:
+    strip.set_region((100, 80, 400, 300))
+    qapp.processEvents()
+    edits: list[tuple[int, ...]] = []
+    strip.regionEdited.connect(lambda rectangle, _: edits.append(rectangle))
+    port = viewport(strip, "color")
+    start, end = at(strip, "color", 499.5, 379.5), at(strip, "color", 660, 475)
+    QTest.mouseMove(port, start)
+    QTest.mousePress(port, LEFT, pos=start)
+    for share in (0.5, 1.0):
+        QTest.mouseMove(port, start + (end - start) * share)
+    QTest.mouseRelease(port, LEFT, pos=end)
+    left, top, width, height = edits[-1]
+    assert left + width == WIDTH
+    assert top + height <= HEIGHT
+
+
+def test_showing_a_region_is_silent(strip: ImageStrip) -> None:
+    edits: list[object] = []
+    strip.regionEdited.connect(lambda *edit: edits.append(edit))
+    strip.set_region((10, 20, 30, 40))
+    assert all(region.roi.isVisible() for region in strip._regions.values())
+    strip.set_region((0, 0, 640, 480))
+    strip.set_region(None)
+    assert not any(region.roi.isVisible() for region in strip._regions.values())
+    assert edits == []
+
+
+def test_a_region_over_everything_does_not_stop_panning_and_clicks(strip: ImageStrip, qapp: QApplication) -> None:
+    strip.set_region((0, 0, 640, 480))
+    qapp.processEvents()
+    clicks: list[tuple[object, ...]] = []
+    strip.clicked.connect(lambda *click: clicks.append(click))
+    QTest.mouseClick(viewport(strip, "color"), LEFT, pos=at(strip, "color", 150, 100))
+    assert len(clicks) == 1
+    start = at(strip, "color", 150, 100)
+    before = seen_rect(strip, "color")
+    QTest.mouseMove(viewport(strip, "color"), start)
+    QTest.mousePress(viewport(strip, "color"), LEFT, pos=start)
+    for step in (10, 20, 30):
+        QTest.mouseMove(viewport(strip, "color"), start + QPoint(step, step))
+    QTest.mouseRelease(viewport(strip, "color"), LEFT, pos=start + QPoint(30, 30))
+    qapp.processEvents()
+    assert seen_rect(strip, "color")[0] < before[0] - 10
+
+
+def test_the_readout_is_elided_with_the_whole_in_the_tooltip(strip: ImageStrip) -> None:
+    strip.resize(700, 260)
+    sentence = "pixel (312, 240) " + "very long " * 40
+    strip.set_readout(sentence)
+    strip.grab()
+    assert strip._readout.toolTip() == sentence
+    strip.set_readout("short")
+    strip.grab()
+    assert strip._readout.toolTip() == ""
+
+
+def test_legends_say_range_and_band(strip: ImageStrip) -> None:
+    assert strip.panes["proximity"].header.accessibleDescription() == "200 to 310 mm, no depth"
+    assert "±3 %" in strip.panes["difference"].header.accessibleDescription()
+    assert "contact" in strip.panes["color"].header.toolTip()

@@ -1,0 +1,129 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactune.widgets.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from tactune.widgets.strip_render import NO_VALUE_RGB, StripImages, depth_range_of, masked_rgb, render_strip
+
+HEIGHT, WIDTH = 48, 64
+
+
+def images(**changes) -> StripImages:
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    depth = (0.2 + 0.001 * u).astype(np.float32)
+    values = {
+        "color": np.dstack([u, v, u + v]).astype(np.uint8),
+        "mask_overlay": None,
+        "proximity_m": depth,
+        "tactile_m": depth + np.float32(0.01),
+        "relative": (0.002 * (u - 32)).astype(np.float32),
+        "tolerance": 0.03,
+        "depth_range_m": (0.2, 0.3),
+    }
+    return StripImages(**(values | changes))
+
+
+def rgb(pane: np.ndarray) -> np.ndarray:
+    return pane[:, :, 2::-1].astype(int)
+
+
+def test_the_color_image_is_shown_as_it_is() -> None:
+    scene = images()
+    np.testing.assert_array_equal(rgb(render_strip(scene).panes[0]), scene.color)
+
+
+def test_panes_are_opaque_bytes_for_qt() -> None:
+    for pane in render_strip(images()).panes:
+        assert pane.dtype == np.uint8
+        assert pane.shape == (HEIGHT, WIDTH, 4)
+        assert pane.flags.c_contiguous
+        assert (pane[:, :, 3] == 255).all()
+
+
+def test_masked_pixels_are_tinted_and_others_are_not() -> None:
+    mask = np.zeros((HEIGHT, WIDTH), bool)
+    mask[10:20, 30:40] = True
+    scene = images(mask_overlay=mask)
+    shown = rgb(render_strip(scene).panes[0])
+    np.testing.assert_array_equal(shown[~mask], scene.color[~mask])
+    expected = 0.4 * scene.color[mask] + 0.6 * np.array(masked_rgb())
+    assert np.abs(shown[mask] - expected).max() <= 1.0
+
+
+def test_depth_has_the_colors_of_the_table_and_none_is_flat() -> None:
+    proximity = images().proximity_m.copy()
+    proximity[5:9, 7:13] = np.nan
+    shown = rgb(render_strip(images(proximity_m=proximity, depth_range_m=(0.2, 0.263))).panes[1])
+    lut = depth_lut()[:, :3].astype(int)
+    np.testing.assert_array_equal(shown[0, 0], lut[1])
+    np.testing.assert_array_equal(shown[0, -1], lut[255])
+    rows = 1 + np.arange(WIDTH) / 63 * 254
+    assert np.abs(shown[0] - lut[np.rint(rows).astype(int)]).max() <= 3
+    assert (shown[5:9, 7:13] == NO_VALUE_RGB).all()
+    assert not (lut == NO_VALUE_RGB).all(axis=1).any()
+
+
+def test_both_depths_share_one_range() -> None:
+    rendered = render_strip(images(tactile_m=images().proximity_m))
+    np.testing.assert_array_equal(rendered.panes[1], rendered.panes[2])
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.01, 0.03, 0.2])
+def test_the_band_is_one_color_and_nothing_else_has_it(tolerance: float) -> None:
+    scene = images(tolerance=tolerance)
+    rendered = render_strip(scene)
+    shown = rgb(rendered.panes[3])
+    band = difference_lut(tolerance, rendered.difference_limit)[128, :3]
+    in_band = (shown == band).all(axis=2)
+    quantum = rendered.difference_limit / 127
+    magnitude = np.abs(scene.relative)
+    assert in_band[magnitude < tolerance - quantum].all()
+    assert not in_band[magnitude > tolerance + quantum].any()
+
+
+def test_contact_is_outlined_in_every_pane() -> None:
+    contact = np.zeros((HEIGHT, WIDTH), bool)
+    contact[10:30, 20:50] = True
+    plain, outlined = render_strip(images()), render_strip(images(contact=contact))
+    for before, after in zip(plain.panes, outlined.panes, strict=True):
+        changed = (before != after).any(axis=2)
+        assert (rgb(after)[changed] == CONTACT_RGB).all()
+        assert changed[10, 20:50].all()
+        assert not changed[14:26, 24:46].any()
+        assert not changed[~contact].any()
+
+
+@given(hint=st.integers(1, 200))
+@settings(max_examples=30, deadline=None)
+def test_a_small_pane_gets_every_nth_pixel(hint: int) -> None:
+    full, small = render_strip(images()), render_strip(images(), hint)
+    stride = small.stride
+    assert small.size == full.size == (WIDTH, HEIGHT)
+    assert stride == 1 or WIDTH / stride >= 0.9 * hint
+    for large, reduced in zip(full.panes, small.panes, strict=True):
+        np.testing.assert_array_equal(reduced, large[::stride, ::stride])
+
+
+def test_a_scene_without_anything_is_no_error() -> None:
+    nothing = np.full((HEIGHT, WIDTH), np.nan, np.float32)
+    rendered = render_strip(
+        images(color=None, proximity_m=nothing, tactile_m=nothing, relative=nothing, depth_range_m=None)
+    )
+    assert rendered.panes[0] is None
+    for pane in rendered.panes[1:]:
+        assert (rgb(pane) == NO_VALUE_RGB).all()
+
+
+@given(low=st.floats(0.1, 1.0), span=st.floats(0.0, 1.0))
+@settings(deadline=None)
+def test_the_depth_range_holds_the_scene_in_whole_centimetres(low: float, span: float) -> None:
+    depth = np.linspace(low, low + span, 480 * 640, dtype=np.float32).reshape(480, 640)
+    near, far = depth_range_of(depth)
+    assert far > near
+    assert near <= low + 0.02 * span + 1e-6
+    assert far >= low + 0.95 * span - 1e-6
+    for end in (near, far):
+        assert end * 100 == pytest.approx(round(end * 100), abs=1e-6)
