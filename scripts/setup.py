@@ -52,7 +52,7 @@ def set_up() -> None:
     if packages_stamp.holds() and project_stamp.holds():
         return
     if not packages_stamp.holds():
-        make_venv()
+        make_venv(anew=packages_stamp.is_from_elsewhere())
         install_packages()
         packages_stamp.set()
     editable = ["--quiet", "--no-deps", "--no-build-isolation", "--editable", str(ROOT)]
@@ -70,6 +70,10 @@ class Stamp:
     def holds(self) -> bool:
         """Whether the environment is there and was made here from the present file."""
         return VENV_PYTHON.exists() and self._path.exists() and self._path.read_text() == self._text
+
+    def is_from_elsewhere(self) -> bool:
+        """Whether the environment was made in another folder: its commands then point there."""
+        return self._path.exists() and not self._path.read_text().startswith(f"{ROOT} ")
 
     def set(self) -> None:
         """Note that the environment was made from the present file."""
@@ -151,9 +155,9 @@ def install_hint(missing: list[tuple[str, ...]]) -> str:
     return "sudo apt-get install " + " ".join(map(known_to_apt, missing))
 
 
-def make_venv() -> None:
-    """Make .venv, unless a working one is there."""
-    if VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
+def make_venv(anew: bool) -> None:
+    """Make .venv, unless a working one is there and need not be made anew."""
+    if not anew and VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
         return
     print(f"Making .venv with Python {platform.python_version()} ...", flush=True)
     # Debian's python3.11 comes without ensurepip; its own pip can then install into the environment from outside.

@@ -132,3 +132,15 @@ def test_the_stamp_follows_the_file(setup_script: ModuleType, tmp_path: Path, mo
     assert setup_script.Stamp("packages", lock).holds()
     lock.write_text("two")
     assert not setup_script.Stamp("packages", lock).holds()
+
+
+def test_an_environment_that_was_moved_is_noticed(
+    setup_script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(setup_script, "VENV", tmp_path)
+    lock = tmp_path / "lock"
+    lock.write_text("one")
+    setup_script.Stamp("packages", lock).set()
+    assert not setup_script.Stamp("packages", lock).is_from_elsewhere()
+    monkeypatch.setattr(setup_script, "ROOT", tmp_path / "moved")
+    assert setup_script.Stamp("packages", lock).is_from_elsewhere()
