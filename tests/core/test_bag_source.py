@@ -53,6 +53,7 @@ class Images:
     padding: int = 0
     big_endian: bool = False
     size: tuple[int, int] | None = None
+    missing_bytes: int = 0
 
 
 @dataclass(frozen=True)
@@ -148,7 +149,7 @@ class BagMaker:
                 encoding=stream.encoding,
                 is_bigendian=int(stream.big_endian),
                 step=rows.shape[1],
-                data=rows.reshape(-1),
+                data=rows.reshape(-1)[: rows.size - stream.missing_bytes],
             )
             if stream.clock is not None:
                 for key, value in (("system_time", "1"), ("timestamp_domain", stream.clock)):
@@ -286,6 +287,25 @@ def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, 
     in_depth = turn_depth.apply(at_reference) + np.array([0.01, 0.02, 0.03])
     in_color = turn_color.apply(at_reference) + np.array([-0.04, 0.05, 0.06])
     np.testing.assert_allclose(T_c_d[:3, :3] @ in_depth + T_c_d[:3, 3], in_color, atol=1e-12)
+
+
+def test_tactile_colour_belongs_to_the_tactile_depth_image(open_bag: Opener, tmp_path: Path) -> None:
+    lens = {"K": (20.0, 21.0, 3.5, 2.5)}
+    colors = [np.full((6, 8, 3), value, np.uint8) for value in (10, 20, 30)]
+    tactile = Device("D405", depth_images(5, [1.0, 2.0, 3.0]), color_images(6, [1.0, 2.0, 3.0], images=colors, **lens))
+    source = open_bag(make_bag(tmp_path / "two.bag", Device("L515", depth_images(4, [2.9])), tactile))
+    frame = source.read(0)
+    np.testing.assert_array_equal(frame.tactile_depth, tactile.depth.images[2])
+    assert frame.tactile_color is not None
+    assert (frame.tactile_color == 30).all()
+
+
+def test_a_colour_camera_beside_depth_is_not_aligned_even_with_the_same_lens(open_bag: Opener, tmp_path: Path) -> None:
+    pose = (Rotation.identity(), (0.015, 0.0, 0.0))
+    color = Images([np.full((6, 8, 3), 9, np.uint8)], [1.0], [1.0], "rgb8", pose=pose)
+    rig = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).rig
+    assert rig.proximity_color is not None
+    assert rig.proximity_color.T_color_depth[0][3] == 0.015
 
 
 def test_colour_in_the_depth_cameras_own_pixels_needs_no_colour_camera(open_bag: Opener, tmp_path: Path) -> None:
@@ -470,6 +490,7 @@ def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path: P
     [
         (Device("L515", depth_images(1, ONE, encoding="32FC1")), "'32FC1', not as 16 bit depth"),
         (Device("L515", depth_images(1, ONE, size=(6, 9))), "an image of 8 x 6 pixels, .* 9 x 6"),
+        (Device("L515", depth_images(1, ONE, missing_bytes=16)), "an image of 80 bytes, too few for its size"),
         (Device("L515", depth_images(1, ONE), color_images(1, ONE, encoding="jpeg")), "'jpeg'; known are rgb8"),
         (Device("L515", depth_images(1, ONE), color_images(1, ONE, encoding="rgba8")), "too few for its size"),
     ],

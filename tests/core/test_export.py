@@ -79,6 +79,15 @@ def test_any_float32_comes_back(tmp_path: Path, points: np.ndarray, suffix: str)
     np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, points)
 
 
+@pytest.mark.parametrize("suffix", BINARY)
+def test_truth_values_become_bytes(tmp_path: Path, suffix: str) -> None:
+    cloud = PointCloud(np.zeros((2, 3), np.float32), None, {"touched": np.array([True, False])})
+    write_cloud(tmp_path / f"cloud{suffix}", cloud)
+    touched = read_cloud(tmp_path / f"cloud{suffix}").attributes["touched"]
+    assert touched.dtype == np.uint8
+    assert touched.tolist() == [1, 0]
+
+
 def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
     cloud = PointCloud(
         np.float32([[0.1, 0.2, 0.3]]),
@@ -205,6 +214,15 @@ def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, suffix: str) 
         assert "\n" not in str(caught.value)
     with pytest.raises(SourceError, match=r"missing.*check the path"):
         read_cloud(tmp_path / f"missing{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_a_short_file_is_told_with_its_number_of_points(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, PointCloud(np.zeros((7, 3), np.float32)))
+    path.write_bytes(path.read_bytes()[:-25])
+    with pytest.raises(SourceError, match="it ends after 4 of 7 points"):
+        read_cloud(path)
 
 
 @pytest.mark.parametrize(

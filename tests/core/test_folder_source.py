@@ -149,6 +149,18 @@ def test_fine_truth_is_rounded_in_the_png_for_other_programs(recording: Path) ->
     np.testing.assert_allclose(counts.ravel()[1:] * UNIT_M, truth.depth_m.ravel()[1:], atol=UNIT_M / 2 + 1e-6)
 
 
+def test_truth_beyond_16_bits_is_unknown_in_the_png_but_kept(tmp_path: Path) -> None:
+    depth_m = np.full((5, 7), 0.25, np.float32)
+    depth_m[1, 2] = 65535 * UNIT_M
+    depth_m[3, 4] = 20.0
+    frame = make_frame(0, truth=GroundTruth(np.ones((5, 7), bool), depth_m))
+    export_folder(ListSource([frame]), tmp_path / "out")
+    counts = cv2.imread(str(tmp_path / "out/000000/truth_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert np.argwhere(counts != 1000).tolist() == [[1, 2], [3, 4]]
+    assert counts[1, 2] == counts[3, 4] == 0
+    assert_same(frame, FolderSource(tmp_path / "out").read(0))
+
+
 def test_truth_in_a_png_is_in_counts_with_0_and_65535_unknown(recording: Path) -> None:
     folder = recording / "000000"
     (folder / "truth_depth.npy").unlink()
@@ -259,7 +271,7 @@ def test_one_frame_may_lie_beside_rig_json(recording: Path) -> None:
 
 def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> None:
     (recording / "000000").rename(recording / "10")
-    (recording / "000001").rename(recording / "0009")
+    (recording / "000001").rename(recording / "9")
     (recording / "notes").mkdir()
     (recording / "10" / "frame.json").unlink()
     source = FolderSource(recording)
@@ -421,6 +433,8 @@ def test_a_path_that_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
 
 BAD_CAMERA = {
     "fx": ("wide", "proximity.fx is 'wide', but it should be a valid number"),
+    "model": (515, "proximity.model is 515, but it should be a valid string"),
+    "height": ("480", "proximity.height is '480', but it should be a valid integer"),
     "width": (6.5, "proximity.width is 6.5, but it should be a valid integer"),
     "fy": (-1.0, "proximity.fy is -1.0, but it should be greater than 0"),
     "depth_unit_m": (0, "proximity.depth_unit_m is 0, but it should be greater than 0"),

@@ -135,6 +135,8 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("sim:cup?noise=loud", r"noise is 'loud', but it must be a number from 0"),
         ("sim:cup?noise=-1", r"noise is '-1'"),
         ("sim:cup?noise=nan", r"noise is 'nan'"),
+        ("sim:cup?noise=inf", r"noise is 'inf'"),
+        ("C:/data/scene", r"'C:/data/scene' is no source"),
     ],
 )
 def test_a_name_that_opens_nothing_is_answered_in_one_sentence(
