@@ -1,1 +1,1 @@
-"""A simulated sensor with ground truth."""
+"""The live simulator: a membrane pressed by an object, seen by two noisy cameras, with ground truth."""

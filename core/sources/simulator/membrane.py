@@ -1,0 +1,406 @@
+"""The inflated membrane: mesh, rubber, air, and the contact problem that gives its shape.
+
+The sheet is a mesh of constant-strain triangles with three displacements a node, made of
+incompressible neo-Hookean rubber without bending stiffness and clamped at its rim. Air in the
+chamber obeys p (V + V_dead) = const, so that pressing at one place bulges the rest. A rigid object
+must not be penetrated: signed distance >= 0 at every node, reaction >= 0, one of the two zero.
+
+The equilibrium minimises the energy of rubber, air and atmosphere under that inequality, by
+Nesterov's accelerated gradient with projection to the object's surface and restarts.
+Lengths are metres in the membrane's frame: origin in the middle of the rim's plane, x along the
+long side, z outward, away from the cameras. Everything is float64 and single-threaded, so that the
+same input gives the same bits.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from .objects import NO_OBJECT, distance, njit_kernel, normal
+
+Float64Array = npt.NDArray[np.float64]
+Int32Array = npt.NDArray[np.int32]
+
+ATMOSPHERE_PA: Final = 101_325.0
+#: Nodes closer than this to the object count as touching, metres.
+TOUCH_GAP_M: Final = 1e-7
+
+
+@dataclass(frozen=True)
+class MembraneDesign:
+    """Size, material and air of the membrane.
+
+    Attributes
+    ----------
+    width_m, height_m : float
+        Free size of the rubber between the clamps.
+    apex_m : float
+        Height of the inflated, untouched membrane above the rim's plane.
+    dead_volume_m3 : float
+        Air in the housing below the rim's plane.
+    stiffness_n_m : float
+        Shear modulus times thickness.
+    prestretch : float
+        How far the sheet was stretched, in both directions, when it was clamped.
+    cells : tuple of int
+        Quads along width and height; both even keep the mesh mirror-symmetric.
+    """
+
+    width_m: float = 0.355
+    height_m: float = 0.205
+    apex_m: float = 0.060
+    dead_volume_m3: float = 0.0090
+    stiffness_n_m: float = 220.0
+    prestretch: float = 1.04
+    cells: tuple[int, int] = (118, 68)
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """The sheet as triangles.
+
+    Attributes
+    ----------
+    flat : float64, shape (N, 3)
+        Clamped, not inflated: node positions in the rim's plane.
+    triangles : int32, shape (T, 3)
+        Node numbers; the normals of the inflated sheet point outward.
+    inverse : float64, shape (T, 2, 2)
+        Inverse of the unstretched edge matrix.
+    area : float64, shape (T,)
+        Unstretched areas, square metres.
+    free : bool, shape (N,)
+        False on the rim.
+    """
+
+    flat: Float64Array
+    triangles: Int32Array
+    inverse: Float64Array
+    area: Float64Array
+    free: npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class MembraneState:
+    """One equilibrium.
+
+    Attributes
+    ----------
+    nodes : float64, shape (N, 3)
+        Positions in the membrane's frame, metres.
+    reaction_n : float64, shape (N,)
+        Force with which the object pushes each node along its normal, newtons; 0 where free.
+    gap_m : float64, shape (N,)
+        Signed distance of each node to the object.
+    pressure_pa : float
+        Absolute air pressure.
+    volume_m3 : float
+        Air volume, dead volume included.
+    residual : float
+        Largest unbalanced nodal force over the gauge pressure's force on a mean node.
+    iterations : int
+    """
+
+    nodes: Float64Array
+    reaction_n: Float64Array
+    gap_m: Float64Array
+    pressure_pa: float
+    volume_m3: float
+    residual: float
+    iterations: int
+
+
+def build_mesh(design: MembraneDesign) -> Mesh:
+    """Cut the sheet into quads of alternating diagonals and these into triangles."""
+    nx, ny = design.cells
+    xs = np.linspace(-design.width_m / 2, design.width_m / 2, nx + 1)
+    ys = np.linspace(-design.height_m / 2, design.height_m / 2, ny + 1)
+    grid_x, grid_y = np.meshgrid(xs, ys)
+    flat = np.stack([grid_x.ravel(), grid_y.ravel(), np.zeros(grid_x.size)], axis=1)
+
+    j, i = np.mgrid[:ny, :nx]
+    a = (j * (nx + 1) + i).ravel()
+    b, c, d = a + 1, a + nx + 2, a + nx + 1
+    rising = ((i + j) % 2 == 0).ravel()[:, None]
+    first = np.where(rising, np.stack([a, b, c], 1), np.stack([a, b, d], 1))
+    second = np.where(rising, np.stack([a, c, d], 1), np.stack([b, c, d], 1))
+    triangles = np.stack([first, second], 1).reshape(-1, 3).astype(np.int32)
+
+    unstretched = flat[:, :2] / design.prestretch
+    corners = unstretched[triangles]
+    edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    free = (np.abs(flat[:, 0]) < design.width_m / 2 - 1e-9) & (np.abs(flat[:, 1]) < design.height_m / 2 - 1e-9)
+    return Mesh(flat, triangles, np.linalg.inv(edges), np.linalg.det(edges) / 2, free)
+
+
+@njit_kernel
+def _forces(
+    nodes: Float64Array,
+    triangles: Int32Array,
+    inverse: Float64Array,
+    area: Float64Array,
+    stiffness: float,
+    elastic: Float64Array,
+    swept: Float64Array,
+) -> float:
+    """Fill in the gradients of the elastic energy and of the volume over the rim's plane; return that volume."""
+    elastic[:] = 0.0
+    swept[:] = 0.0
+    volume = 0.0
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy, uz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
+        vx, vy, vz = nodes[c, 0] - nodes[a, 0], nodes[c, 1] - nodes[a, 1], nodes[c, 2] - nodes[a, 2]
+        i00, i01, i10, i11 = inverse[t, 0, 0], inverse[t, 0, 1], inverse[t, 1, 0], inverse[t, 1, 1]
+        # Columns of the deformation gradient F.
+        px, py, pz = ux * i00 + vx * i10, uy * i00 + vy * i10, uz * i00 + vz * i10
+        qx, qy, qz = ux * i01 + vx * i11, uy * i01 + vy * i11, uz * i01 + vz * i11
+        c00, c01, c11 = px * px + py * py + pz * pz, px * qx + py * qy + pz * qz, qx * qx + qy * qy + qz * qz
+        det = c00 * c11 - c01 * c01
+        # First Piola-Kirchhoff stress mu (F - F C^-1 / det C) of W = mu/2 (tr C + 1/det C - 3).
+        scale = 1.0 / (det * det)
+        s00, s01, s11 = 1.0 - c11 * scale, c01 * scale, 1.0 - c00 * scale
+        weight = stiffness * area[t]
+        ax, ay, az = px * s00 + qx * s01, py * s00 + qy * s01, pz * s00 + qz * s01
+        bx, by, bz = px * s01 + qx * s11, py * s01 + qy * s11, pz * s01 + qz * s11
+        fbx, fby, fbz = weight * (ax * i00 + bx * i01), weight * (ay * i00 + by * i01), weight * (az * i00 + bz * i01)
+        fcx, fcy, fcz = weight * (ax * i10 + bx * i11), weight * (ay * i10 + by * i11), weight * (az * i10 + bz * i11)
+        elastic[b, 0] += fbx
+        elastic[b, 1] += fby
+        elastic[b, 2] += fbz
+        elastic[c, 0] += fcx
+        elastic[c, 1] += fcy
+        elastic[c, 2] += fcz
+        elastic[a, 0] -= fbx + fcx
+        elastic[a, 1] -= fby + fcy
+        elastic[a, 2] -= fbz + fcz
+        nx, ny, nz = (uy * vz - uz * vy) / 6.0, (uz * vx - ux * vz) / 6.0, (ux * vy - uy * vx) / 6.0
+        volume += nz * (nodes[a, 2] + nodes[b, 2] + nodes[c, 2])
+        for node in (a, b, c):
+            swept[node, 0] += nx
+            swept[node, 1] += ny
+            swept[node, 2] += nz
+    return volume
+
+
+@njit_kernel
+def _gradient(
+    nodes: Float64Array,
+    triangles: Int32Array,
+    inverse: Float64Array,
+    area: Float64Array,
+    free: npt.NDArray[np.bool_],
+    stiffness: float,
+    air: Float64Array,
+    swept: Float64Array,
+    out: Float64Array,
+) -> float:
+    """Fill in the gradient of the total energy (minus the nodal forces); return the gauge pressure."""
+    volume = _forces(nodes, triangles, inverse, area, stiffness, out, swept)
+    gas_joule, dead_volume, ambient = air[0], air[1], air[2]
+    gauge = gas_joule / (volume + dead_volume) - ambient
+    for n in range(nodes.shape[0]):
+        for k in range(3):
+            out[n, k] = out[n, k] - gauge * swept[n, k] if free[n] else 0.0
+    return gauge
+
+
+@njit_kernel
+def _project(
+    kind: int, pose: Float64Array, nodes: Float64Array, base: Float64Array, free: npt.NDArray[np.bool_]
+) -> None:
+    """Move penetrating nodes out to the surface, along the normals at ``base``.
+
+    With the step's own start as base a node rests only where its force is along the true normal, even
+    where the distance is a bound and its inner level sets are not parallel to the surface.
+    """
+    for n in range(nodes.shape[0]):
+        if not free[n]:
+            continue
+        depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+        if depth >= 0.0:
+            continue
+        nx, ny, nz = normal(kind, pose, base[n, 0], base[n, 1], base[n, 2])
+        for _ in range(8):
+            nodes[n, 0] -= depth * nx
+            nodes[n, 1] -= depth * ny
+            nodes[n, 2] -= depth * nz
+            depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+            if depth > -1e-12:
+                break
+
+
+@njit_kernel
+def _balance(
+    kind: int,
+    pose: Float64Array,
+    nodes: Float64Array,
+    gradient: Float64Array,
+    reaction: Float64Array,
+    gap: Float64Array,
+) -> float:
+    """Split the out-of-balance force of each node into reaction and residual; return the largest residual."""
+    worst = 0.0
+    for n in range(nodes.shape[0]):
+        gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
+        reaction[n] = 0.0
+        gap[n] = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+        if gap[n] <= TOUCH_GAP_M:
+            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+            push = gx * nx + gy * ny + gz * nz
+            if push > 0.0:
+                reaction[n] = push
+                gx, gy, gz = gx - push * nx, gy - push * ny, gz - push * nz
+        worst = max(worst, gx * gx + gy * gy + gz * gz)
+    return float(np.sqrt(worst))
+
+
+@njit_kernel
+def _relax(
+    nodes: Float64Array,
+    triangles: Int32Array,
+    inverse: Float64Array,
+    area: Float64Array,
+    free: npt.NDArray[np.bool_],
+    stiffness: float,
+    air: Float64Array,
+    kind: int,
+    pose: Float64Array,
+    step: float,
+    tolerance: float,
+    limit: int,
+    reaction: Float64Array,
+    gap: Float64Array,
+) -> tuple[int, float]:
+    """Descend to equilibrium in place; return the iterations and the relative residual."""
+    gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
+    ahead = nodes.copy()
+    _project(kind, pose, ahead, nodes, free)
+    nodes[:] = ahead
+    momentum = 1.0
+    nodal_area = np.sum(area) / nodes.shape[0]
+    relative = np.inf
+    done = 0
+    for iteration in range(limit):
+        gauge = _gradient(ahead, triangles, inverse, area, free, stiffness, air, swept, gradient)
+        if iteration % 20 == 19:
+            worst = _balance(kind, pose, ahead, gradient, reaction, gap)
+            relative = worst / (gauge * nodal_area)
+            done = iteration + 1
+            if relative < tolerance:
+                nodes[:] = ahead
+                return done, relative
+        fresh = ahead - step * gradient
+        _project(kind, pose, fresh, ahead, free)
+        uphill = 0.0
+        for n in range(nodes.shape[0]):
+            for k in range(3):
+                uphill += (ahead[n, k] - fresh[n, k]) * (fresh[n, k] - nodes[n, k])
+        following = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum * momentum))
+        beta = (momentum - 1.0) / following
+        if uphill > 0.0:
+            following, beta = 1.0, 0.0
+        momentum = following
+        for n in range(nodes.shape[0]):
+            for k in range(3):
+                ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
+                nodes[n, k] = fresh[n, k]
+        _project(kind, pose, ahead, nodes, free)
+    return done, relative
+
+
+class Membrane:
+    """The membrane filled with the air that brings its untouched apex to the design's height."""
+
+    def __init__(self, design: MembraneDesign | None = None, tolerance: float = 1e-3) -> None:
+        self.design = design or MembraneDesign()
+        self.mesh = build_mesh(self.design)
+        self.tolerance = tolerance
+        self._direction = np.random.default_rng(0).standard_normal(self.mesh.flat.shape) * self.mesh.free[:, None]
+        self._air = np.array([0.0, self.design.dead_volume_m3, ATMOSPHERE_PA])
+        self.rest = self._inflate()
+
+    def press(
+        self, kind: int, pose: Float64Array, start: Float64Array | None = None, limit: int = 6000
+    ) -> MembraneState:
+        """Solve the contact problem with an object in place.
+
+        Parameters
+        ----------
+        kind : int
+            One of the objects' kinds, or ``NO_OBJECT``.
+        pose : float64, shape (3, 4)
+            Takes points of the membrane's frame to the object's.
+        start : float64, shape (N, 3), optional
+            First guess; the untouched membrane by default.
+        limit : int
+            Most iterations; `MembraneState.residual` tells how far they got.
+        """
+        return self._solve(kind, pose, self.rest.nodes if start is None else start, self.tolerance, limit)
+
+    def _solve(self, kind: int, pose: Float64Array, start: Float64Array, tolerance: float, limit: int) -> MembraneState:
+        nodes = start.copy()
+        mesh, stiffness = self.mesh, self.design.stiffness_n_m
+        body = (mesh.triangles, mesh.inverse, mesh.area, mesh.free, stiffness, self._air)
+        step = 0.8 / self._curvature(nodes)
+        reaction, gap = np.zeros(len(nodes)), np.zeros(len(nodes))
+        iterations, residual = _relax(nodes, *body, kind, pose, step, tolerance, limit, reaction, gap)
+        scratch = np.empty_like(nodes)
+        volume = _forces(nodes, *body[:3], stiffness, scratch, np.empty_like(nodes)) + self.design.dead_volume_m3
+        return MembraneState(
+            nodes, reaction, gap, float(self._air[0] / volume), float(volume), float(residual), int(iterations)
+        )
+
+    def _curvature(self, nodes: Float64Array) -> float:
+        """Estimate the largest eigenvalue of the energy's Hessian by power iteration, warm from call to call."""
+        mesh, step = self.mesh, 1e-6
+        body = (mesh.triangles, mesh.inverse, mesh.area, mesh.free, self.design.stiffness_n_m, self._air)
+        here, there, swept = np.empty_like(nodes), np.empty_like(nodes), np.empty_like(nodes)
+        _gradient(nodes, *body, swept, here)
+        eigenvalue = 0.0
+        for _ in range(12):
+            self._direction /= np.linalg.norm(self._direction)
+            _gradient(nodes + step * self._direction, *body, swept, there)
+            self._direction = (there - here) / step
+            eigenvalue = float(np.linalg.norm(self._direction))
+        return eigenvalue
+
+    def _inflate(self) -> MembraneState:
+        """Find the amount of air, in p V, that lifts the apex to the design's height, by the secant rule."""
+        design = self.design
+        x, y = 2 * self.mesh.flat[:, 0] / design.width_m, 2 * self.mesh.flat[:, 1] / design.height_m
+        nodes = self.mesh.flat.copy()
+        nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
+        empty = np.zeros((3, 4))
+        dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
+        amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], []
+        for _ in range(12):
+            self._air[0] = amounts[len(errors)]
+            state = self._solve(NO_OBJECT, empty, nodes, self.tolerance / 10, 20_000)
+            nodes = state.nodes
+            errors.append(float(nodes[:, 2].max()) - design.apex_m)
+            if abs(errors[-1]) < 2e-7:
+                break
+            if len(errors) >= 2:
+                slope = (errors[-1] - errors[-2]) / (amounts[-1] - amounts[-2])
+                amounts.append(amounts[-1] - errors[-1] / slope)
+        return state
+
+    def stretches(self, nodes: Float64Array) -> Float64Array:
+        """Return the principal stretches of every triangle: float64, shape (T, 2), larger first."""
+        corners = nodes[self.mesh.triangles]
+        edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+        gradient = edges @ self.mesh.inverse
+        squares = np.linalg.eigvalsh(gradient.transpose(0, 2, 1) @ gradient)
+        stretches: Float64Array = np.sqrt(squares[:, ::-1])
+        return stretches
+
+
+def object_pose(rotation: Any, origin: Any) -> Float64Array:
+    """Return the 3 x 4 matrix that takes surrounding points to an object's frame."""
+    rotation, origin = np.asarray(rotation, dtype=np.float64), np.asarray(origin, dtype=np.float64)
+    return np.hstack([rotation.T, -(rotation.T @ origin)[:, None]])

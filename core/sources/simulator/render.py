@@ -1,0 +1,332 @@
+"""What each camera sees of the membrane and the object: rasterising, sphere tracing, shading.
+
+Everything here is clean; `noise` makes a measurement of it. Positions are metres in the membrane's
+frame unless a name says otherwise, and every camera looks from its own place.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ...intrinsics import Intrinsics
+from .objects import distance, njit_kernel, normal
+
+Float64Array = npt.NDArray[np.float64]
+Float32Array = npt.NDArray[np.float32]
+
+#: One count of the clean depth images, metres.
+CLEAN_UNIT_M: Final = 2e-5
+#: Contents of the flag images, bit by bit.
+CONTACT_FLAG: Final = 1
+EDGE_FLAG: Final = 2
+REFLECTIVE_FLAG: Final = 4
+
+#: Distance over which the object's tint fades to 1/e as the membrane leaves it, metres.
+_TINT_FADE_M: Final = 0.0035
+#: Share of the colour that the object gives where it touches.
+_TINT_SHARE: Final = 0.78
+#: A step of depth between neighbours that flying pixels bridge, metres.
+_EDGE_STEP_M: Final = 0.006
+#: Linear RGB of the bare membrane and of the dye printed on it.
+_BARE_COLOUR: Final = (0.72, 0.055, 0.40)
+_DYE_COLOUR: Final = (0.015, 0.02, 0.055)
+_HOUSING_LEVEL: Final = 0.012
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A camera in the membrane's frame.
+
+    Attributes
+    ----------
+    intrinsics : Intrinsics
+        A pinhole without distortion.
+    pose : float64, shape (3, 4)
+        Takes points of the membrane's frame to the camera's.
+    """
+
+    intrinsics: Intrinsics
+    pose: Float64Array
+
+    @property
+    def pinhole(self) -> Float64Array:
+        """Focal lengths and principal point ``(fx, fy, cx, cy)`` in pixels."""
+        i = self.intrinsics
+        return np.array([i.fx, i.fy, i.cx, i.cy])
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The membrane as one camera sees it, pixel by pixel.
+
+    Attributes
+    ----------
+    depth : float32, shape (H, W)
+        Metres; 0 where the camera sees the housing.
+    attributes : float32, shape (H, W, 6)
+        Place on the flat sheet (x, y, metres), touching (0 to 1) and unit normal.
+    """
+
+    depth: Float32Array
+    attributes: Float32Array
+
+
+def rasterise(camera: Camera, nodes: Float64Array, triangles: npt.NDArray[np.int32], values: Float64Array) -> Surface:
+    """Draw the membrane's triangles into a depth buffer and interpolate six values a node."""
+    height, width = camera.intrinsics.shape
+    depth = np.zeros((height, width), dtype=np.float32)
+    attributes = np.zeros((height, width, 6), dtype=np.float32)
+    seen = nodes @ camera.pose[:, :3].T + camera.pose[:, 3]
+    _rasterise(seen, triangles, values, camera.pinhole, depth, attributes)
+    return Surface(depth, attributes)
+
+
+@njit_kernel
+def _rasterise(
+    nodes: Float64Array,
+    triangles: npt.NDArray[np.int32],
+    values: Float64Array,
+    pinhole: Float64Array,
+    depth: Float32Array,
+    attributes: Float32Array,
+) -> None:
+    height, width = depth.shape
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        wa, wb, wc = 1.0 / nodes[a, 2], 1.0 / nodes[b, 2], 1.0 / nodes[c, 2]
+        ua, va = nodes[a, 0] * wa * pinhole[0] + pinhole[2], nodes[a, 1] * wa * pinhole[1] + pinhole[3]
+        ub, vb = nodes[b, 0] * wb * pinhole[0] + pinhole[2], nodes[b, 1] * wb * pinhole[1] + pinhole[3]
+        uc, vc = nodes[c, 0] * wc * pinhole[0] + pinhole[2], nodes[c, 1] * wc * pinhole[1] + pinhole[3]
+        doubled = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
+        if doubled == 0.0:
+            continue
+        left, right = max(math.ceil(min(ua, ub, uc)), 0), min(math.floor(max(ua, ub, uc)), width - 1)
+        top, bottom = max(math.ceil(min(va, vb, vc)), 0), min(math.floor(max(va, vb, vc)), height - 1)
+        for v in range(top, bottom + 1):
+            for u in range(left, right + 1):
+                kb = ((u - ua) * (vc - va) - (uc - ua) * (v - va)) / doubled
+                kc = ((ub - ua) * (v - va) - (u - ua) * (vb - va)) / doubled
+                ka = 1.0 - kb - kc
+                if ka < 0.0 or kb < 0.0 or kc < 0.0:
+                    continue
+                z = 1.0 / (ka * wa + kb * wb + kc * wc)
+                if depth[v, u] != 0.0 and depth[v, u] <= z:
+                    continue
+                depth[v, u] = z
+                ka, kb, kc = ka * wa * z, kb * wb * z, kc * wc * z
+                for k in range(6):
+                    attributes[v, u, k] = ka * values[a, k] + kb * values[b, k] + kc * values[c, k]
+
+
+@njit_kernel
+def node_normals(nodes: Float64Array, triangles: npt.NDArray[np.int32]) -> Float64Array:
+    """Return the membrane's outward unit normals at its nodes, weighted by triangle area."""
+    normals = np.zeros_like(nodes)
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        ux, uy, uz = nodes[b, 0] - nodes[a, 0], nodes[b, 1] - nodes[a, 1], nodes[b, 2] - nodes[a, 2]
+        vx, vy, vz = nodes[c, 0] - nodes[a, 0], nodes[c, 1] - nodes[a, 1], nodes[c, 2] - nodes[a, 2]
+        for n in (a, b, c):
+            normals[n, 0] += uy * vz - uz * vy
+            normals[n, 1] += uz * vx - ux * vz
+            normals[n, 2] += ux * vy - uy * vx
+    for n in range(nodes.shape[0]):
+        length = math.sqrt(normals[n, 0] ** 2 + normals[n, 1] ** 2 + normals[n, 2] ** 2)
+        if length > 0.0:
+            normals[n] /= length
+    return normals
+
+
+@njit_kernel
+def see_through(
+    camera_pose: Float64Array,
+    pinhole: Float64Array,
+    membrane: Float32Array,
+    kind: int,
+    pose: Float64Array,
+    backdrop: Float64Array,
+    depth: Float32Array,
+    cosine: npt.NDArray[np.uint8],
+) -> None:
+    """Trace each ray on behind the membrane to the object or the backdrop.
+
+    Parameters
+    ----------
+    membrane : float32, shape (H, W)
+        The membrane's depth in this camera, metres; 0 where the housing blocks the view.
+    backdrop : float64, shape (4,)
+        A plane n . x = d in the membrane's frame: n, d.
+    depth : float32, shape (H, W)
+        Filled in with the depth of what lies behind, metres; 0 where the housing is.
+    cosine : uint8, shape (H, W)
+        Filled in with the cosine of the angle of incidence times 255.
+    """
+    height, width = depth.shape
+    r = camera_pose
+    # The camera's centre in the membrane's frame: -R^T t.
+    ox = -(r[0, 0] * r[0, 3] + r[1, 0] * r[1, 3] + r[2, 0] * r[2, 3])
+    oy = -(r[0, 1] * r[0, 3] + r[1, 1] * r[1, 3] + r[2, 1] * r[2, 3])
+    oz = -(r[0, 2] * r[0, 3] + r[1, 2] * r[1, 3] + r[2, 2] * r[2, 3])
+    for v in range(height):
+        for u in range(width):
+            depth[v, u], cosine[v, u] = 0.0, 0
+            if membrane[v, u] == 0.0:
+                continue
+            x, y = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
+            length = math.sqrt(x * x + y * y + 1.0)
+            dx = (r[0, 0] * x + r[1, 0] * y + r[2, 0]) / length
+            dy = (r[0, 1] * x + r[1, 1] * y + r[2, 1]) / length
+            dz = (r[0, 2] * x + r[1, 2] * y + r[2, 2]) / length
+            facing = backdrop[0] * dx + backdrop[1] * dy + backdrop[2] * dz
+            end = (backdrop[3] - backdrop[0] * ox - backdrop[1] * oy - backdrop[2] * oz) / facing
+            reach = max(membrane[v, u] * length - 0.0008, 0.0)
+            for _ in range(96):
+                gap = distance(kind, pose, ox + reach * dx, oy + reach * dy, oz + reach * dz)
+                if gap < 2e-6 or reach > end:
+                    break
+                reach += gap
+            if reach < end:
+                nx, ny, nz = normal(kind, pose, ox + reach * dx, oy + reach * dy, oz + reach * dz)
+                facing = -(nx * dx + ny * dy + nz * dz)
+            else:
+                reach = end
+            depth[v, u] = reach / length
+            cosine[v, u] = int(255.0 * min(max(abs(facing), 0.0), 1.0))
+
+
+@njit_kernel
+def _sample(texture: npt.NDArray[np.uint8], channel: int, x: float, y: float, texel: float) -> float:
+    """Look up a texture, centred on the sheet's middle, bilinearly; 0 to 1."""
+    rows, columns = texture.shape[0], texture.shape[1]
+    s = min(max(x / texel + 0.5 * (columns - 1), 0.0), columns - 1.001)
+    t = min(max(y / texel + 0.5 * (rows - 1), 0.0), rows - 1.001)
+    i, j = int(s), int(t)
+    fs, ft = s - i, t - j
+    upper = (1.0 - fs) * texture[j, i, channel] + fs * texture[j, i + 1, channel]
+    lower = (1.0 - fs) * texture[j + 1, i, channel] + fs * texture[j + 1, i + 1, channel]
+    return ((1.0 - ft) * upper + ft * lower) / 255.0
+
+
+@njit_kernel
+def shade(
+    camera_pose: Float64Array,
+    pinhole: Float64Array,
+    membrane: Float32Array,
+    attributes: Float32Array,
+    kind: int,
+    pose: Float64Array,
+    tint: Float64Array,
+    texture: npt.NDArray[np.uint8],
+    texel: float,
+    gamma: npt.NDArray[np.uint8],
+    image: npt.NDArray[np.uint8],
+) -> None:
+    """Colour the membrane: bare or dyed rubber, tinted by an object close behind, lit from near the cameras.
+
+    ``tint`` is the object's linear RGB, ``gamma`` the table from 4096 linear levels to 8 bits.
+    """
+    height, width = membrane.shape
+    r = camera_pose
+    for v in range(height):
+        for u in range(width):
+            z = membrane[v, u]
+            if z == 0.0:
+                level = gamma[int(4095 * _HOUSING_LEVEL)]
+                image[v, u, 0], image[v, u, 1], image[v, u, 2] = level, level, level
+                continue
+            cx = (u - pinhole[2]) / pinhole[0] * z - r[0, 3]
+            cy = (v - pinhole[3]) / pinhole[1] * z - r[1, 3]
+            cz = z - r[2, 3]
+            x = r[0, 0] * cx + r[1, 0] * cy + r[2, 0] * cz
+            y = r[0, 1] * cx + r[1, 1] * cy + r[2, 1] * cz
+            w = r[0, 2] * cx + r[1, 2] * cy + r[2, 2] * cz
+            gap = max(distance(kind, pose, x, y, w), 0.0)
+            share = _TINT_SHARE * math.exp(-gap / _TINT_FADE_M)
+            dye = 0.94 * _sample(texture, 0, attributes[v, u, 0], attributes[v, u, 1], texel)
+            # A ring of lamps around the cameras, 0.25 m below the rim's plane.
+            lz = w + 0.25
+            far2 = x * x + y * y + lz * lz
+            far = math.sqrt(far2)
+            facing = (x * attributes[v, u, 3] + y * attributes[v, u, 4] + lz * attributes[v, u, 5]) / far
+            light = 0.30 + 0.62 * max(facing, 0.0) * 0.0986 / far2
+            for k in range(3):
+                rubber = (1.0 - share) * _BARE_COLOUR[k] + share * tint[k]
+                level_k = light * ((1.0 - dye) * rubber + dye * _DYE_COLOUR[k])
+                image[v, u, k] = gamma[int(4095.0 * min(max(level_k, 0.0), 1.0))]
+
+
+@njit_kernel
+def flag(
+    behind: Float32Array,
+    attributes: Float32Array,
+    texture: npt.NDArray[np.uint8],
+    texel: float,
+    flags: npt.NDArray[np.uint8],
+) -> None:
+    """Mark contact, steps of depth and infrared-reflective rubber in the proximity image."""
+    height, width = behind.shape
+    for v in range(height):
+        for u in range(width):
+            flags[v, u] = 0
+            z = behind[v, u]
+            if z == 0.0:
+                continue
+            bits = 0
+            if attributes[v, u, 2] >= 0.5:
+                bits |= CONTACT_FLAG
+            if _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1], texel) >= 0.5:
+                bits |= REFLECTIVE_FLAG
+            for dv in range(-1, 2):
+                for du in range(-1, 2):
+                    j, i = min(max(v + dv, 0), height - 1), min(max(u + du, 0), width - 1)
+                    if behind[j, i] > 0.0 and abs(behind[j, i] - z) > _EDGE_STEP_M:
+                        bits |= EDGE_FLAG
+            flags[v, u] = bits
+
+
+def gamma_table() -> npt.NDArray[np.uint8]:
+    """Return the table from 4096 linear levels to 8-bit display values."""
+    return np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)
+
+
+def paint_sheet(width_m: float, height_m: float, texel_m: float, seed: int) -> npt.NDArray[np.uint8]:
+    """Paint what is printed on the sheet: uint8, shape (rows, columns, 2), 0 to 255.
+
+    Channel 0 is the dye of the droplets, channel 1 the rubber that reflects infrared. The prints of
+    one seed are always the same.
+    """
+    rng = np.random.default_rng([seed, 1])
+    columns, rows = round(width_m / texel_m) + 1, round(height_m / texel_m) + 1
+    y, x = np.mgrid[:rows, :columns] * texel_m
+    x, y = x - x.mean(), y - y.mean()
+    sheet = np.zeros((rows, columns, 2), dtype=np.uint8)
+
+    spacing = 0.0105
+    for j in range(-10, 11):
+        for i in range(-17, 18):
+            px, py = (np.array([i + 0.5 * (j % 2), j]) + rng.uniform(-0.27, 0.27, 2)) * spacing
+            radius = rng.uniform(0.0013, 0.0025)
+            wobble, phase = rng.uniform(0.0, 0.18), rng.uniform(0.0, 2 * np.pi)
+            near = (slice(*_span(py, radius, rows, texel_m)), slice(*_span(px, radius, columns, texel_m)))
+            rim = radius * (1 + wobble * np.cos(3 * np.arctan2(y[near] - py, x[near] - px) + phase))
+            cover = np.clip((rim - np.hypot(x[near] - px, y[near] - py)) / texel_m + 0.5, 0, 1)
+            sheet[(*near, 0)] = np.maximum(sheet[(*near, 0)], np.round(255 * cover))
+
+    for px, py in ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084)):
+        px, py = px + rng.uniform(-0.006, 0.006), py + rng.uniform(-0.004, 0.004)
+        a, b, turn = rng.uniform(0.008, 0.014), rng.uniform(0.006, 0.009), rng.uniform(0, np.pi)
+        s, t = np.cos(turn) * (x - px) + np.sin(turn) * (y - py), np.cos(turn) * (y - py) - np.sin(turn) * (x - px)
+        rim = 1 + 0.16 * np.cos(5 * np.arctan2(t, s)) + 0.1 * np.cos(2 * np.arctan2(t, s) + turn)
+        sheet[np.hypot(s / a, t / b) < rim, 1] = 255
+    return sheet
+
+
+def _span(centre: float, radius: float, texels: int, texel_m: float) -> tuple[int, int]:
+    middle = centre / texel_m + 0.5 * (texels - 1)
+    reach = 1.3 * radius / texel_m + 2
+    return max(int(middle - reach), 0), max(min(int(middle + reach) + 1, texels), 0)

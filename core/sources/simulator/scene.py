@@ -1,0 +1,220 @@
+"""A press: the rig, the schedule of object positions and the clean images of every state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ...frames import ColorCamera, DepthCamera, Rig, rigid_transform
+from ...intrinsics import Intrinsics
+from .membrane import Membrane, MembraneDesign, MembraneState, object_pose
+from .objects import NO_OBJECT, PressedObject, distance
+from .render import (
+    CLEAN_UNIT_M,
+    Camera,
+    Surface,
+    flag,
+    gamma_table,
+    node_normals,
+    paint_sheet,
+    rasterise,
+    see_through,
+    shade,
+)
+
+Float64Array = npt.NDArray[np.float64]
+Progress = Callable[[float, str], None]
+
+#: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
+APEX_M: Final = 0.314
+#: Gaps before touch and depths after it, metres; one frame each, so the approach is 150 mm/s and the
+#: press 45 mm/s at 30 frames/s.
+HOVER_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
+PRESS_STEP_M: Final = 0.0015
+PRESS_STEPS: Final = 34
+HOLD_FRAMES: Final = 10
+
+_TEXEL_M: Final = 0.0004
+#: Far wall behind the sensor, as n . x = d in the membrane's frame.
+_BACKDROP: Final = (0.09, -0.05, 0.9946, 0.62)
+
+
+def simulator_rig() -> Rig:
+    """Return the rig with its true poses: an L515 and, 40 mm beside it and turned a little, a D405."""
+    return Rig(
+        proximity=DepthCamera(
+            model="Intel RealSense L515",
+            serial="SIM-L515",
+            intrinsics=Intrinsics(width=640, height=480, fx=460.3, fy=460.9, cx=325.6, cy=238.7),
+            depth_unit_m=0.00025,
+        ),
+        tactile=DepthCamera(
+            model="Intel RealSense D405",
+            serial="SIM-D405",
+            intrinsics=Intrinsics(width=640, height=480, fx=386.2, fy=386.2, cx=317.4, cy=241.9),
+            depth_unit_m=0.0001,
+        ),
+        proximity_color=ColorCamera(
+            intrinsics=Intrinsics(width=640, height=480, fx=451.7, fy=452.1, cx=318.9, cy=243.3),
+            T_color_depth=_rigid((0.35, -0.28, 0.12), (0.0004, 0.0139, -0.0017)),
+        ),
+        T_proximity_tactile=_rigid((0.5, -1.3, 0.4), (0.0400, 0.0006, -0.0012)),
+    )
+
+
+def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Any:
+    pressed = PressedObject(NO_OBJECT, degrees, (0.0, 0.0), (0.0, 0.0, 0.0))
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = pressed.rotation(), translation_m
+    return rigid_transform(matrix)
+
+
+def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
+    """Return proximity, tactile and proximity colour cameras in the membrane's frame.
+
+    The membrane's middle lies between the two depth cameras.
+    """
+    assert rig.proximity_color is not None
+    assert rig.T_proximity_tactile is not None
+    proximity_membrane = np.eye(4)
+    proximity_membrane[:3, 3] = 0.020, 0.0, APEX_M - design.apex_m
+    tactile = np.linalg.inv(np.array(rig.T_proximity_tactile)) @ proximity_membrane
+    colour = np.array(rig.proximity_color.T_color_depth) @ proximity_membrane
+    return (
+        Camera(rig.proximity.intrinsics, proximity_membrane[:3]),
+        Camera(rig.tactile.intrinsics, np.ascontiguousarray(tactile[:3])),
+        Camera(rig.proximity_color.intrinsics, np.ascontiguousarray(colour[:3])),
+    )
+
+
+def schedule() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+    """Return the depth of each state, metres past first touch, and the state of each frame.
+
+    Negative depths are gaps. Pressing in and pulling out pass through the same states.
+    """
+    depths = np.array([-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)])
+    inward = list(range(len(depths)))
+    frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
+    return depths, np.array(frames)
+
+
+@dataclass(frozen=True)
+class CleanState:
+    """What the cameras would see of one state without noise.
+
+    Attributes
+    ----------
+    behind, membrane : uint16, shape (H, W)
+        In the proximity camera: depth of what lies behind the membrane and of the membrane, in
+        ``CLEAN_UNIT_M``; 0 where neither.
+    cosine : uint8, shape (H, W)
+        Cosine of incidence at what lies behind, times 255.
+    flags : uint8, shape (H, W)
+        Contact, step of depth, reflective rubber.
+    proximity_color, tactile_color : uint8, shape (H, W, 3)
+    tactile : uint16, shape (H, W)
+        Depth of the membrane in the tactile camera, in ``CLEAN_UNIT_M``.
+    """
+
+    behind: npt.NDArray[np.uint16]
+    membrane: npt.NDArray[np.uint16]
+    cosine: npt.NDArray[np.uint8]
+    flags: npt.NDArray[np.uint8]
+    proximity_color: npt.NDArray[np.uint8]
+    tactile: npt.NDArray[np.uint16]
+    tactile_color: npt.NDArray[np.uint8]
+
+    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+        """Return the images by name."""
+        return {field.name: getattr(self, field.name) for field in fields(self)}
+
+
+class Press:
+    """One object, moved along z against one membrane, and three cameras that watch."""
+
+    def __init__(self, pressed: PressedObject, membrane: Membrane, rig: Rig) -> None:
+        self.pressed = pressed
+        self.membrane = membrane
+        self._cameras = cameras(rig, membrane.design)
+        design = membrane.design
+        self._sheet = paint_sheet(design.width_m, design.height_m, _TEXEL_M, 0)
+        self._gamma = gamma_table()
+        self._rotation = pressed.rotation()
+        self._touch_z = self._first_touch()
+
+    def pose(self, depth_m: float) -> Float64Array:
+        """Return the object's pose, shape (3, 4), when it has moved ``depth_m`` past first touch."""
+        return object_pose(self._rotation, (*self.pressed.offset_m, self._touch_z - depth_m))
+
+    def _first_touch(self) -> float:
+        """Lower the object by its distance from the membrane until that is nothing."""
+        z = self.membrane.design.apex_m + 0.2
+        for _ in range(200):
+            pose = object_pose(self._rotation, (*self.pressed.offset_m, z))
+            gap = min(distance(self.pressed.kind, pose, *node) for node in self.membrane.rest.nodes)
+            z -= gap
+            if gap < 1e-7:
+                break
+        return z
+
+    def states(self, depths_m: npt.ArrayLike) -> Iterator[tuple[Float64Array, MembraneState]]:
+        """Solve for each depth in turn, starting from the ones before; yield poses and equilibria."""
+        before: list[Float64Array] = []
+        for depth in np.asarray(depths_m, dtype=np.float64):
+            pose = self.pose(float(depth))
+            if depth <= 0.0:
+                yield pose, self.membrane.rest
+                continue
+            start = 2 * before[-1] - before[-2] if len(before) > 1 else None
+            state = self.membrane.press(self.pressed.kind, pose, start)
+            before = [*before[-1:], state.nodes]
+            yield pose, state
+
+    def picture(self, pose: Float64Array, state: MembraneState) -> CleanState:
+        """Draw one state in all cameras."""
+        mesh, kind = self.membrane.mesh, self.pressed.kind
+        touching = (state.reaction_n > 0.0).astype(np.float64)
+        normals = node_normals(state.nodes, mesh.triangles)
+        values = np.column_stack([mesh.flat[:, :2], touching, normals])
+        near, tactile, colour = self._cameras
+        sheets = [rasterise(camera, state.nodes, mesh.triangles, values) for camera in self._cameras]
+
+        behind, cosine = np.empty_like(sheets[0].depth), np.empty(sheets[0].depth.shape, dtype=np.uint8)
+        see_through(near.pose, near.pinhole, sheets[0].depth, kind, pose, np.array(_BACKDROP), behind, cosine)
+        flags = np.empty_like(cosine)
+        flag(behind, sheets[0].attributes, self._sheet, _TEXEL_M, flags)
+        return CleanState(
+            behind=_counts(behind),
+            membrane=_counts(sheets[0].depth),
+            cosine=cosine,
+            flags=flags,
+            proximity_color=self._colour(colour, sheets[2], pose),
+            tactile=_counts(sheets[1].depth),
+            tactile_color=self._colour(tactile, sheets[1], pose),
+        )
+
+    def _colour(self, camera: Camera, sheet: Surface, pose: Float64Array) -> npt.NDArray[np.uint8]:
+        image = np.empty((*sheet.depth.shape, 3), dtype=np.uint8)
+        shade(
+            camera.pose,
+            camera.pinhole,
+            sheet.depth,
+            sheet.attributes,
+            self.pressed.kind,
+            pose,
+            np.array(self.pressed.colour),
+            self._sheet,
+            _TEXEL_M,
+            self._gamma,
+            image,
+        )
+        return image
+
+
+def _counts(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+    return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)

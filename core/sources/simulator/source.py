@@ -1,0 +1,120 @@
+"""The simulator as a source of frames."""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import Future, ThreadPoolExecutor
+from typing import Final
+
+import numpy as np
+
+from ...errors import ExportError, SourceError
+from ...frames import GroundTruth, SensorFrame
+from ..base import Health, Progress, SeekableSource
+from .cache import cache_file, load_states, save_states
+from .membrane import Membrane, MembraneDesign
+from .noise import NoiseModel
+from .objects import PressedObject, find_object
+from .render import CLEAN_UNIT_M, CONTACT_FLAG
+from .scene import CleanState, Press, schedule, simulator_rig
+
+#: The tactile camera's exposure begins this much after the proximity camera's, seconds.
+_SKEW_S: Final = 0.0021
+
+
+class SimulatorSource(SeekableSource):
+    """A simulated sensor, pressed by an object that comes, presses, holds and leaves.
+
+    The clean images of a scene are computed once (some ten seconds) and kept in the user's cache
+    folder; the noise is added frame by frame. A frame depends on nothing but scene, seed, noise and
+    its index.
+
+    Parameters
+    ----------
+    scene : str
+        ``"cube"``, ``"cup"`` or ``"octopus"``.
+    seed : int
+        From 0; chooses the noise.
+    noise : float
+        1: as the cameras' data sheets give it; 0: none; 2: twice as much.
+    progress : callable, optional
+        Told the share done, 0 to 1, and what is being done.
+
+    Raises
+    ------
+    SourceError
+        No such scene, or a seed or noise that is not allowed.
+    """
+
+    def __init__(self, scene: str = "cup", seed: int = 0, noise: float = 1.0, progress: Progress | None = None) -> None:
+        if seed < 0:
+            raise SourceError(f"sim: the seed is {seed}; give a whole number from 0")
+        if not (math.isfinite(noise) and noise >= 0.0):
+            raise SourceError(f"sim: the noise is {noise}; give a number from 0, where 1 is as in the data sheets")
+        pressed = find_object(scene)
+        self._depths_m, self._state_of_frame = schedule()
+        super().__init__(_name(scene, seed, noise), simulator_rig(), len(self._state_of_frame))
+        self._message = ""
+        self._states = self._clean_states(scene, pressed, progress or (lambda share, words: None))
+        self._noise = NoiseModel(self.rig, seed, noise)
+
+    def press_depth_m(self, index: int) -> float:
+        """Return how far the object has moved past first touch in a frame, metres; a gap is negative."""
+        return float(self._depths_m[self._state_of_frame[index]])
+
+    def health(self) -> Health:
+        """Report that the cache could not be written, if so; all else is well."""
+        return Health(message=self._message)
+
+    def read(self, index: int) -> SensorFrame:
+        """Return frame ``index``, 0 <= index < length."""
+        state = self._states[self._state_of_frame[index]]
+        noise = self._noise
+        depth = state.membrane * np.float32(CLEAN_UNIT_M)
+        depth[state.membrane == 0] = np.nan
+        return SensorFrame(
+            sequence=index,
+            proximity_depth=noise.proximity_depth(index, state.behind, state.membrane, state.cosine, state.flags),
+            tactile_depth=noise.tactile_depth(index, state.tactile),
+            proximity_color=noise.colour(index, 0, state.proximity_color),
+            tactile_color=noise.colour(index, 1, state.tactile_color),
+            proximity_time_s=index / self.frame_rate_hz,
+            tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
+            truth=GroundTruth(contact=(state.flags & CONTACT_FLAG) != 0, depth_m=depth),
+        )
+
+    def _clean_states(self, scene: str, pressed: PressedObject, progress: Progress) -> list[CleanState]:
+        design = MembraneDesign()
+        path = cache_file(scene, f"{pressed} {design} {self.rig.model_dump_json()}")
+        progress(0.0, f"Looking for the {scene} scene in the cache")
+        states = load_states(path, len(self._depths_m))
+        if states is None:
+            states = self._compute(scene, pressed, design, progress)
+            try:
+                save_states(path, states)
+            except ExportError as error:
+                self._message = f"The scene was not kept, so the next start takes as long: {error}"
+        progress(1.0, f"The {scene} scene is ready")
+        return states
+
+    def _compute(
+        self, scene: str, pressed: PressedObject, design: MembraneDesign, progress: Progress
+    ) -> list[CleanState]:
+        """Solve state after state while a second thread draws the ones before."""
+        progress(0.0, "Inflating the simulated membrane")
+        press = Press(pressed, Membrane(design), self.rig)
+        drawn: list[Future[CleanState]] = []
+        pool = ThreadPoolExecutor(1)
+        try:
+            for pose, state in press.states(self._depths_m):
+                drawn.append(pool.submit(press.picture, pose, state))
+                done = len(drawn) / len(self._depths_m)
+                progress(0.05 + 0.9 * done, f"Pressing the {scene} into the simulated membrane")
+            return [future.result() for future in drawn]
+        finally:
+            pool.shutdown(cancel_futures=True)
+
+
+def _name(scene: str, seed: int, noise: float) -> str:
+    options = [f"seed={seed}"] * (seed != 0) + [f"noise={noise:g}"] * (noise != 1.0)
+    return f"sim:{scene}" + ("?" + "&".join(options) if options else "")
