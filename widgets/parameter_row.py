@@ -193,6 +193,9 @@ class ParameterRow(QObject):
         self.reset.clicked.connect(self._reset)
         self.message = MessageLabel()
         self._target: Any = spec.default
+        self._grid: QGridLayout | None = None
+        self._line = 0
+        self._is_wide: bool | None = None
         self.editor.edited.connect(self._edited)
         refused = getattr(self.widget, "refused", None)
         if refused is not None:
@@ -212,16 +215,11 @@ class ParameterRow(QObject):
     def add_to(self, grid: QGridLayout) -> None:
         """Append the row to a grid of three columns."""
         line = grid.rowCount()
-        if self.spec.kind in ("matrix", "rectangle"):
-            grid.addWidget(self.label, line, 0)
-            grid.addWidget(self.reset, line, 2)
-            grid.addWidget(self.widget, line + 1, 0, 1, 3)
-            line += 1
-        else:
-            grid.addWidget(self.label, line, 0)
-            grid.addWidget(self.widget, line, 1)
-            grid.addWidget(self.reset, line, 2)
-        grid.addWidget(self.message, line + 1, 0, 1, 3)
+        grid.addWidget(self.label, line, 0)
+        grid.addWidget(self.reset, line, 2)
+        grid.addWidget(self.message, line + 2, 0, 1, 3)
+        self._grid, self._line = grid, line
+        self._place_editor()
 
     def set_shown(self, shown: bool) -> None:
         """Show or hide the whole row."""
@@ -251,6 +249,7 @@ class ParameterRow(QObject):
         if value != self.editor.value():
             self.message.show_sentence("")
         self.editor.setValue(value)
+        self._place_editor()
         self._update_reset(self.widget.isEnabled())
 
     def describe(self, value: Any) -> str:
@@ -268,6 +267,18 @@ class ParameterRow(QObject):
             return "on" if value else "off"
         return "the saved matrix" if spec.kind == "matrix" else str(value)
 
+    def _place_editor(self) -> None:
+        """Put the editor beside the label, or below it where it is too wide for that."""
+        if self._grid is None:
+            return
+        wide = self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None)
+        if wide != self._is_wide:
+            self._is_wide = wide
+            if wide:
+                self._grid.addWidget(self.widget, self._line + 1, 0, 1, 3)
+            else:
+                self._grid.addWidget(self.widget, self._line, 1)
+
     def _update_reset(self, editable: bool) -> None:
         self.reset.setEnabled(editable and self.editor.value() != self._target)
 
@@ -278,5 +289,5 @@ class ParameterRow(QObject):
 
     def _reset(self) -> None:
         if self.editor.value() != self._target:
-            self.editor.setValue(self._target)
+            self.show_value(self._target)
             self._edited(self._target, new_gesture())

@@ -92,7 +92,7 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
         is coloured where more would not be seen; 0 colours all.
     """
     height, width = images.proximity_m.shape
-    stride = max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
+    stride = stride_for(width, width_hint)
     depth_range_m = images.depth_range_m or depth_range_of(images.proximity_m, images.tactile_m)
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
 
@@ -119,6 +119,11 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
         tolerance=images.tolerance,
         difference_limit=limit,
     )
+
+
+def stride_for(width: int, width_hint: int) -> int:
+    """Return which n makes every n-th pixel of an image ``width`` wide enough for the screen; 0 asks for all."""
+    return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
 
 
 def depth_range_of(*depths_m: npt.NDArray[np.float32]) -> tuple[float, float]:
