@@ -90,6 +90,7 @@ class CloudView(QWidget):
         font.setBold(True)
         self._title.setFont(font)
         self._count = QLabel()
+        self._count.setObjectName("count")
         self._legend = LegendLine()
         self._canvas = self._choose_canvas(backend)
         self._lay_out()
@@ -112,6 +113,7 @@ class CloudView(QWidget):
         self._body.setSpacing(_RING + 1)
         self._body.addLayout(header)
         self._body.addWidget(self._canvas, 1)
+        self._canvas.setObjectName("canvas")
         self._body.addWidget(self._legend)
 
     # What is shown
@@ -233,7 +235,9 @@ class CloudView(QWidget):
             return
         broken = self._canvas
         self._canvas = self._software_canvas(f"Software view: {reason}")
+        self._canvas.setObjectName("canvas")
         self._body.replaceWidget(broken, self._canvas)
+        broken.setObjectName("")
         broken.hide()
         QTimer.singleShot(0, broken.deleteLater)
         self._canvas.show()

@@ -174,7 +174,7 @@ def patch_index(
         `CONTACT_ROW` for contact, rows below it for the context by depth.
     """
     shades = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
-    rows = shades.astype(np.uint8)[depth]
+    rows: npt.NDArray[np.uint8] = shades.astype(np.uint8)[depth]
     rows[contact] = CONTACT_ROW
     return rows
 

@@ -1,10 +1,8 @@
-"""Draws a point cloud with OpenGL 2.1: the depth image goes up as it is, the vertex shader deprojects it.
-
-Only Qt's own OpenGL functions are used, so the library that Qt loaded is the one that draws.
-"""
+"""Draws a point cloud with OpenGL 2.1: the depth image goes up as it is, the vertex shader deprojects it."""
 
 from __future__ import annotations
 
+from ctypes import POINTER, c_float
 from dataclasses import dataclass
 from functools import cache
 from typing import Any
@@ -12,34 +10,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtGui import QImage, QMatrix4x4, QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent, QVector2D
-from PyQt6.QtOpenGL import (
-    QOpenGLBuffer,
-    QOpenGLFunctions_2_1,
-    QOpenGLShader,
-    QOpenGLShaderProgram,
-    QOpenGLTexture,
-    QOpenGLVersionFunctionsFactory,
-    QOpenGLVersionProfile,
-)
+from PyQt6.QtGui import QOffscreenSurface, QOpenGLContext, QPainter, QPaintEvent
+from PyQt6.QtOpenGL import QOpenGLPaintDevice
 from PyQt6.QtOpenGLWidgets import QOpenGLWidget
 from PyQt6.QtWidgets import QWidget
-from PyQt6.sip import voidptr
 
+from . import gl_functions as gl
 from .cloud_data import DepthCloud
 from .cloud_scene import CloudScene, paint_overlay
 from .colormaps import over_background
+from .gl_functions import GLError, GLFunctions
 from .view_camera import ViewCamera
 
-_GL_POINTS = 0x0000
-_GL_COLOR_AND_DEPTH = 0x4000 | 0x0100
-_GL_DEPTH_TEST = 0x0B71
-_GL_BLEND = 0x0BE2
-_GL_LESS = 0x0201
-_GL_UNSIGNED_BYTE, _GL_UNSIGNED_SHORT, _GL_FLOAT = 0x1401, 0x1403, 0x1406
-_GL_RENDERER = 0x1F01
-_GL_MAX_VERTEX_TEXTURE_IMAGE_UNITS = 0x8B4C
-_GL_ERRORS = {0x0505: "out of graphics memory", 0x0507: "the graphics driver was reset"}
+_ERRORS = {gl.OUT_OF_MEMORY: "out of graphics memory", gl.CONTEXT_LOST: "the graphics driver was reset"}
 
 #: What emulated OpenGL calls itself.
 _EMULATORS = ("llvmpipe", "softpipe", "swrast", "software rasterizer", "swiftshader", "gdi generic", "basic render")
@@ -75,10 +58,6 @@ void main() {
 """
 
 
-class GLError(Exception):
-    """OpenGL cannot draw, and why, in words for the person who looks at the view."""
-
-
 @dataclass(frozen=True)
 class GLProbe:
     """What OpenGL offers here. ``reason`` says why it is better not used, and is empty if it is fine."""
@@ -97,8 +76,7 @@ def probe_opengl() -> GLProbe:
     if not context.create() or not context.makeCurrent(surface):
         return GLProbe(False, False, "", "no OpenGL on this display")
     try:
-        functions = _functions(context)
-        renderer = str(functions.glGetString(_GL_RENDERER))
+        renderer = str(GLFunctions(context).glGetString(gl.RENDERER).decode(errors="replace"))
     except GLError as error:
         return GLProbe(False, False, "", str(error))
     finally:
@@ -108,53 +86,43 @@ def probe_opengl() -> GLProbe:
     return GLProbe(True, False, renderer, "")
 
 
-def _functions(context: QOpenGLContext) -> QOpenGLFunctions_2_1:
-    profile = QOpenGLVersionProfile()
-    profile.setVersion(2, 1)
-    functions: Any = QOpenGLVersionFunctionsFactory.get(profile, context)
-    if functions is None or not functions.initializeOpenGLFunctions():
-        raise GLError("this display has no OpenGL 2.1")
-    if not functions.glGetIntegerv(_GL_MAX_VERTEX_TEXTURE_IMAGE_UNITS):
-        raise GLError("this OpenGL has no textures in vertex shaders")
-    return functions  # type: ignore[no-any-return]
-
-
+@dataclass
 class _VertexImage:
     """One image as a vertex attribute; uploaded when another array arrives."""
 
-    def __init__(self, usage: QOpenGLBuffer.UsagePattern) -> None:
-        self._buffer = QOpenGLBuffer(QOpenGLBuffer.Type.VertexBuffer)
-        if not self._buffer.create():
-            raise GLError("no OpenGL buffer can be made")
-        self._buffer.setUsagePattern(usage)
-        self._array: npt.NDArray[Any] | None = None
+    location: int
+    kind: int
+    components: int
+    usage: int
+    buffer: int = 0
+    array: npt.NDArray[Any] | None = None
 
-    def attach(
-        self, program: QOpenGLShaderProgram, name: str, array: npt.NDArray[Any], kind: int, components: int
-    ) -> None:
-        self._buffer.bind()
-        if array is not self._array:
-            self._buffer.allocate(voidptr(array.data), array.nbytes)
-            self._array = array
-        location = program.attributeLocation(name)
-        program.enableAttributeArray(location)
-        program.setAttributeBuffer(location, kind, 0, components)
-        self._buffer.release()
+    def attach(self, functions: GLFunctions, array: npt.NDArray[Any]) -> None:
+        if not self.buffer:
+            self.buffer = functions.new_name("glGenBuffers")
+        functions.glBindBuffer(gl.ARRAY_BUFFER, self.buffer)
+        if array is not self.array:
+            functions.glBufferData(gl.ARRAY_BUFFER, array.nbytes, array.ctypes.data, self.usage)
+            self.array = array
+        functions.glEnableVertexAttribArray(self.location)
+        functions.glVertexAttribPointer(self.location, self.components, self.kind, True, 0, None)
+        functions.glBindBuffer(gl.ARRAY_BUFFER, 0)
 
-    def destroy(self) -> None:
-        self._buffer.destroy()
+    def detach(self, functions: GLFunctions) -> None:
+        functions.glDisableVertexAttribArray(self.location)
 
 
 class GLRenderer:
     """Shader, buffers and colour table of one view in one OpenGL context, which must be current."""
 
     def __init__(self, context: QOpenGLContext) -> None:
-        self._gl = _functions(context)
-        self._program = _linked_program()
-        self._depth = _VertexImage(QOpenGLBuffer.UsagePattern.StreamDraw)
-        self._index = _VertexImage(QOpenGLBuffer.UsagePattern.StreamDraw)
-        self._rays = _VertexImage(QOpenGLBuffer.UsagePattern.StaticDraw)
-        self._texture: QOpenGLTexture | None = None
+        self._gl = GLFunctions(context)
+        # Attribute 0 must be in use, or old drivers draw nothing; the depth always is.
+        self._program = self._gl.new_program(_VERTEX_SHADER, _FRAGMENT_SHADER, ("counts", "ray", "index"))
+        self._depth = _VertexImage(0, gl.UNSIGNED_SHORT, 1, gl.STREAM_DRAW)
+        self._rays = _VertexImage(1, gl.FLOAT, 2, gl.STATIC_DRAW)
+        self._index = _VertexImage(2, gl.UNSIGNED_BYTE, 1, gl.STREAM_DRAW)
+        self._texture = self._gl.new_name("glGenTextures")
         self._colors: tuple[object, tuple[int, int, int]] | None = None
 
     def render(
@@ -172,78 +140,66 @@ class GLRenderer:
         GLError
             The context was lost or has no memory left.
         """
-        gl = self._gl
-        gl.glViewport(0, 0, *size)
-        red, green, blue = background
-        gl.glClearColor(red / 255, green / 255, blue / 255, 1.0)
-        gl.glDepthMask(True)
-        gl.glClear(_GL_COLOR_AND_DEPTH)
+        functions = self._gl
+        functions.glViewport(0, 0, *size)
+        functions.glClearColor(*(channel / 255 for channel in background), 1.0)
+        functions.glDepthMask(True)
+        functions.glClear(gl.COLOR_AND_DEPTH)
         if cloud is not None:
-            gl.glEnable(_GL_DEPTH_TEST)
-            gl.glDepthFunc(_GL_LESS)
-            gl.glDisable(_GL_BLEND)
-            gl.glPointSize(float(point_size))
+            functions.glEnable(gl.DEPTH_TEST)
+            functions.glDepthFunc(gl.LESS)
+            functions.glDisable(gl.BLEND)
+            functions.glPointSize(float(point_size))
             self._draw(cloud, camera.clip_matrix(*size) @ cloud.pose, background)
-            gl.glDisable(_GL_DEPTH_TEST)
-        error = gl.glGetError()
+            functions.glDisable(gl.DEPTH_TEST)
+        error = functions.glGetError()
         if error:
-            raise GLError(_GL_ERRORS.get(error, f"OpenGL reported error 0x{error:04x}"))
+            raise GLError(_ERRORS.get(error, f"OpenGL reported error 0x{error:04x}"))
 
     def _draw(self, cloud: DepthCloud, clip: npt.NDArray[np.float64], background: tuple[int, int, int]) -> None:
-        program = self._program
-        program.bind()
+        functions = self._gl
+        functions.glUseProgram(self._program)
+        functions.glActiveTexture(gl.TEXTURE0)
         self._bind_colors(cloud, background)
-        self._depth.attach(program, "counts", cloud.depth, _GL_UNSIGNED_SHORT, 1)
-        self._rays.attach(program, "ray", cloud.rays, _GL_FLOAT, 2)
+        matrix = np.ascontiguousarray(clip.T, np.float32)
+        functions.glUniformMatrix4fv(
+            self._uniform("clip_from_camera"), 1, False, matrix.ctypes.data_as(POINTER(c_float))
+        )
+        functions.glUniform2f(self._uniform("metres"), cloud.metres_per_count, cloud.depth_offset_m)
+        functions.glUniform2f(self._uniform("index_from_depth"), *cloud.index_from_depth)
+        functions.glUniform1i(self._uniform("indexed"), cloud.index is not None)
+        functions.glUniform1i(self._uniform("lut"), 0)
+        images: list[tuple[_VertexImage, npt.NDArray[Any]]] = [(self._depth, cloud.depth), (self._rays, cloud.rays)]
         if cloud.index is not None:
-            self._index.attach(program, "index", cloud.index, _GL_UNSIGNED_BYTE, 1)
-        program.setUniformValue("clip_from_camera", QMatrix4x4(clip.ravel().tolist()))
-        program.setUniformValue("metres", QVector2D(cloud.metres_per_count, cloud.depth_offset_m))
-        program.setUniformValue("index_from_depth", QVector2D(*cloud.index_from_depth))
-        program.setUniformValue("indexed", int(cloud.index is not None))
-        program.setUniformValue("lut", 0)
-        self._gl.glDrawArrays(_GL_POINTS, 0, cloud.depth.size)
-        for name in ("counts", "ray", "index"):
-            program.disableAttributeArray(program.attributeLocation(name))
-        if self._texture is not None:
-            self._texture.release(0)
-        program.release()
+            images.append((self._index, cloud.index))
+        for image, array in images:
+            image.attach(functions, array)
+        functions.glDrawArrays(gl.POINTS, 0, cloud.depth.size)
+        for image, _ in images:
+            image.detach(functions)
+        functions.glBindTexture(gl.TEXTURE_2D, 0)
+        functions.glUseProgram(0)
+
+    def _uniform(self, name: str) -> int:
+        return int(self._gl.glGetUniformLocation(self._program, name.encode()))
 
     def _bind_colors(self, cloud: DepthCloud, background: tuple[int, int, int]) -> None:
-        if (
-            self._texture is None
-            or self._colors is None
-            or self._colors[0] is not cloud.lut
-            or self._colors[1] != background
-        ):
-            if self._texture is not None:
-                self._texture.destroy()
+        functions = self._gl
+        functions.glBindTexture(gl.TEXTURE_2D, self._texture)
+        if self._colors is None or self._colors[0] is not cloud.lut or self._colors[1] != background:
+            for name in (gl.TEXTURE_MIN_FILTER, gl.TEXTURE_MAG_FILTER):
+                functions.glTexParameteri(gl.TEXTURE_2D, name, gl.NEAREST)
             table = over_background(cloud.lut, background)
-            image = QImage(table.tobytes(), 256, 1, 1024, QImage.Format.Format_RGBA8888)
-            self._texture = QOpenGLTexture(image, QOpenGLTexture.MipMapGeneration.DontGenerateMipMaps)
-            self._texture.setMinMagFilters(QOpenGLTexture.Filter.Nearest, QOpenGLTexture.Filter.Nearest)
-            self._texture.setWrapMode(QOpenGLTexture.WrapMode.ClampToEdge)
+            functions.glTexImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, table.ctypes.data)
             self._colors = cloud.lut, background
-        self._texture.bind(0)
 
     def destroy(self) -> None:
         """Free what lies in graphics memory."""
-        for image in (self._depth, self._index, self._rays):
-            image.destroy()
-        if self._texture is not None:
-            self._texture.destroy()
-        self._program.removeAllShaders()
-
-
-def _linked_program() -> QOpenGLShaderProgram:
-    program = QOpenGLShaderProgram()
-    vertex = program.addShaderFromSourceCode(QOpenGLShader.ShaderTypeBit.Vertex, _VERTEX_SHADER)
-    fragment = program.addShaderFromSourceCode(QOpenGLShader.ShaderTypeBit.Fragment, _FRAGMENT_SHADER)
-    # Attribute 0 must be in use, or old drivers draw nothing.
-    program.bindAttributeLocation("counts", 0)
-    if not (vertex and fragment and program.link()):
-        raise GLError(f"the graphics driver refuses the shader: {program.log().strip()}")
-    return program
+        for image in (self._depth, self._rays, self._index):
+            if image.buffer:
+                self._gl.delete_name("glDeleteBuffers", image.buffer)
+        self._gl.delete_name("glDeleteTextures", self._texture)
+        self._gl.glDeleteProgram(self._program)
 
 
 class GLCanvas(QOpenGLWidget):
@@ -268,7 +224,7 @@ class GLCanvas(QOpenGLWidget):
         except GLError as error:
             self.failed.emit(str(error))
             return
-        context.aboutToBeDestroyed.connect(self._release)
+        context.aboutToBeDestroyed.connect(self.release)
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
         """Draw, or report that no context could be made."""
@@ -288,11 +244,15 @@ class GLCanvas(QOpenGLWidget):
         except GLError as error:
             self.failed.emit(str(error))
             return
-        painter = QPainter(self)
+        # Not on the widget itself: while it is grabbed, painters on it end up elsewhere.
+        device = QOpenGLPaintDevice(*size)
+        device.setDevicePixelRatio(ratio)
+        painter = QPainter(device)
         paint_overlay(painter, self, self._scene)
         painter.end()
 
-    def _release(self) -> None:
+    def release(self) -> None:
+        """Free what lies in graphics memory; drawing is over until Qt makes another context."""
         if self._renderer is not None:
             self.makeCurrent()
             self._renderer.destroy()

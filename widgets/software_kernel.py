@@ -36,13 +36,13 @@ _CLEAR: Any = types.void(types.Array(types.int64, 2, "C"), types.int64)
 _SQUARES: Any = types.void(_read_only(types.int64, 2), types.int64, types.Array(types.uint32, 2, "C"))
 
 
-@njit(_CLEAR, nogil=True, cache=True)  # type: ignore[untyped-decorator]
+@njit(_CLEAR, nogil=True, cache=True)
 def clear(pixels: Any, background: Any) -> None:
     """Fill ``pixels``, int64, with an ARGB background at an infinite distance."""
     pixels[:] = _FAR | background
 
 
-@njit(_SCATTER, nogil=True, cache=True, error_model="numpy")  # type: ignore[untyped-decorator]
+@njit(_SCATTER, nogil=True, cache=True, error_model="numpy")
 def scatter(
     depth: Any, rays: Any, index: Any, colors: Any, matrix: Any, depths: Any, near: Any, size: Any, pixels: Any
 ) -> None:  # fmt: skip
@@ -111,7 +111,7 @@ def scatter(
             flat[where] = min(flat[where], bits << np.int64(32) | color)
 
 
-@njit(_SQUARES, nogil=True, cache=True)  # type: ignore[untyped-decorator]
+@njit(_SQUARES, nogil=True, cache=True)
 def squares(pixels: Any, size: Any, image: Any) -> None:
     """Widen the points to squares, write their colours into ``image``.
 

@@ -1,0 +1,131 @@
+from __future__ import annotations
+
+from itertools import combinations
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tactune.core.provenance import Provenance
+from tactune.widgets import colormaps
+from tactune.widgets.colormaps import Theme
+
+THEMES: tuple[Theme, Theme] = ("light", "dark")
+BACKGROUND = {"light": (255, 255, 255), "dark": (30, 31, 34)}
+
+
+def lab(colors: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """CIE L*a*b* of RGB rows."""
+    rgb = (np.asarray(colors, dtype=np.float32) / 255).reshape(-1, 1, 3)
+    return np.asarray(cv2.cvtColor(rgb, cv2.COLOR_RGB2LAB)).reshape(-1, 3)
+
+
+def contrast(a: npt.ArrayLike, b: npt.ArrayLike) -> float:
+    """Contrast ratio as the web accessibility guidelines define it."""
+
+    def luminance(color: npt.ArrayLike) -> float:
+        c = np.asarray(color, dtype=float) / 255
+        return float(np.where(c <= 0.04045, c / 12.92, ((c + 0.055) / 1.055) ** 2.4) @ (0.2126, 0.7152, 0.0722))
+
+    high, low = sorted((luminance(a), luminance(b)), reverse=True)
+    return (high + 0.05) / (low + 0.05)
+
+
+def test_depth_colours_are_perceptually_uniform_and_get_darker() -> None:
+    colors = lab(colormaps.depth_lut()[:, :3])
+    assert (np.diff(colors[:, 0]) < 0.5).all(), "lightness falls from near to far, 8-bit rounding aside"
+    steps = np.linalg.norm(colors[8:] - colors[:-8], axis=1)
+    assert steps.max() / steps.min() < 2.5
+    assert (colormaps.depth_lut()[:, 3] == 255).all()
+
+
+def test_tables_cannot_be_changed_by_their_users() -> None:
+    for lut in (colormaps.depth_lut(), colormaps.difference_lut(), colormaps.provenance_lut("dark")):
+        assert lut.shape == (256, 4)
+        with pytest.raises(ValueError, match="read-only"):
+            lut[0] = 0
+
+
+def test_difference_index_is_symmetric_clips_and_marks_undefined() -> None:
+    values = np.array([[-1.0, -0.1, 0.0, 0.1, 1.0, np.nan, np.inf, -np.inf]], np.float32)
+    rows = colormaps.difference_index(values, limit=0.1)
+    assert rows.tolist() == [[1, 1, 128, 255, 255, colormaps.UNDEFINED_ROW, 255, 1]]
+    assert np.isnan(values[0, 5]), "the caller's array is not written to"
+
+
+@pytest.mark.parametrize("t", [0.01, 0.03, 0.08])
+def test_the_band_is_one_colour_and_ends_at_t(t: float) -> None:
+    lut = colormaps.difference_lut(t)
+    relative = np.array([[-t - 0.003, -t + 0.001, 0.0, t - 0.001, t + 0.003]], np.float32)
+    below, low, middle, high, above = lut[colormaps.difference_index(relative)[0], :3].tolist()
+    assert low == middle == high
+    assert below != middle != above
+    assert lab([below, middle])[1, 1] - lab([below, middle])[0, 1] > 10, "the band is redder than what is around it"
+    assert np.linalg.norm(lab([below])[0] - lab([above])[0]) > 20, "the sign is seen"
+
+
+def test_a_wide_tolerance_fills_the_whole_difference_table() -> None:
+    lut = colormaps.difference_lut(0.5)
+    assert len(np.unique(lut[1:], axis=0)) == 1
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_every_provenance_has_its_own_colour(theme: Theme) -> None:
+    colors = lab([colormaps.provenance_lut(theme)[p, :3] for p in Provenance])
+    distances = {(a, b): float(np.linalg.norm(colors[a] - colors[b])) for a, b in combinations(Provenance, 2)}
+    closest = min(distances, key=lambda pair: distances[pair])
+    assert distances[closest] > 4, f"{closest[0].label} and {closest[1].label} look the same"
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_context_is_faint_and_contact_strong(theme: Theme) -> None:
+    background, lut = BACKGROUND[theme], colormaps.provenance_lut(theme)
+    assert contrast(lut[Provenance.CONTACT, :3], background) > 3
+    assert 1.1 < contrast(lut[Provenance.OUTSIDE_TOLERANCE, :3], background) < 2.5
+    patch = colormaps.patch_lut(theme)
+    for row in (0, 127, 254):
+        assert 1.1 < contrast(patch[row, :3], background) < 4
+        assert contrast(patch[row, :3], background) < contrast(patch[colormaps.CONTACT_ROW, :3], background)
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_contact_has_the_same_colour_everywhere(theme: Theme) -> None:
+    contact = colormaps.CONTACT_RGB
+    assert tuple(colormaps.provenance_lut(theme)[Provenance.CONTACT, :3]) == contact
+    assert tuple(colormaps.patch_lut(theme)[colormaps.CONTACT_ROW, :3]) == contact
+    assert colormaps.CONTACT_COLOR.getRgb()[:3] == contact
+    assert dict(colormaps.patch_legend(theme))["contact"].getRgb()[:3] == contact
+    assert dict(colormaps.provenance_legend(theme))["contact"].getRgb()[:3] == contact
+
+
+@pytest.mark.parametrize("theme", THEMES)
+def test_the_provenance_legend_names_all_and_begins_with_contact(theme: Theme) -> None:
+    legend = colormaps.provenance_legend(theme)
+    assert len(legend) == len(Provenance)
+    assert legend[0][0] == "contact"
+    shown = {color.getRgb()[:3] for _, color in legend}
+    assert shown == {tuple(int(c) for c in colormaps.provenance_lut(theme)[p, :3]) for p in Provenance}
+
+
+def test_patch_index_shades_the_context_by_depth_and_marks_contact() -> None:
+    depth = np.array([[0, 1000, 1500, 2000, 65535, 1500]], np.uint16)
+    contact = np.array([[False, False, False, False, False, True]])
+    rows = colormaps.patch_index(contact, depth, near=1000, far=2000)
+    assert rows.tolist() == [[0, 0, 127, 254, 254, colormaps.CONTACT_ROW]]
+
+
+def test_legends_name_both_ends() -> None:
+    (near, near_color), _, (far, far_color) = colormaps.depth_legend(0.2, 0.32)
+    assert (near, far) == ("0.200 m", "0.320 m")
+    assert near_color.lightness() > far_color.lightness()
+    assert [text for text, _ in colormaps.difference_legend(0.03)] == ["−10%", "within ±3.0%", "+10%"]
+
+
+def test_translucent_colours_are_mixed_with_the_background() -> None:
+    lut = np.zeros((256, 4), np.uint8)
+    lut[1], lut[2] = (200, 0, 0, 255), (200, 0, 0, 51)
+    mixed = colormaps.over_background(lut, (0, 100, 50))
+    assert mixed[0, 3] == 0
+    assert mixed[1].tolist() == [200, 0, 0, 255]
+    assert mixed[2].tolist() == [40, 80, 40, 255]
