@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
 from .colormaps import CONTACT_RGB, depth_lut, difference_lut
@@ -198,9 +198,20 @@ class ImageStrip(QWidget):
     def _view_moved(self) -> None:
         self._fitted = False
 
+    def _fit_headers(self) -> None:
+        """Give all headers a second line where one does not do; panes of one height zoom alike."""
+        crowded = any(pane.header.full_width() > pane.width() for pane in self.panes.values())
+        for pane in self.panes.values():
+            pane.header.set_lines(2 if crowded else 1)
+
     def _pane_resized(self) -> None:
         if self._fitted:
             self.reset_view()
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Make room for the legends."""
+        super().resizeEvent(event)
+        self._fit_headers()
 
     def _zoom(self, factor: float) -> None:
         """Scale what is seen about the crosshair, or about the middle."""
@@ -225,7 +236,7 @@ class ImageStrip(QWidget):
         if key == self._legend_key:
             return
         self._legend_key = key
-        near, far = (format_number(round(end * 1000, 1)) for end in rendered.depth_range_m)
+        near, far = (format_number(round(end * 1000)) for end in rendered.depth_range_m)
         depth = ColorBar(near, f"{far} mm", depth_lut())
         contact, none = Swatch("contact", CONTACT_RGB), Swatch("no depth", NO_VALUE_RGB)
         self.panes["color"].header.set_legend(None, (contact, Swatch("masked", masked_rgb())))
@@ -237,6 +248,7 @@ class ImageStrip(QWidget):
         bar = ColorBar(f"−{percent}", f"+{percent} %", difference_lut(round(t, 6), limit), marks)
         band = Swatch(f"±{format_number(t * 100, 3)} %", _middle_rgb(bar))
         self.panes["difference"].header.set_legend(bar, (band,))
+        self._fit_headers()
 
 
 def _middle_rgb(bar: ColorBar) -> tuple[int, int, int]:

@@ -25,7 +25,7 @@ MASK_TINT: Final = 0.6
 
 _SAMPLE_STEP = 8
 _RANGE_STEP_M = 0.01
-_OUTLINE_KERNEL = np.ones((5, 5), np.uint8)  # two pixels: one alone gets lost when the image is shown smaller
+_KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,9 +157,9 @@ def _colored(color: Pixels, mask: npt.NDArray[np.bool_] | None, stride: int) -> 
 
 
 def _outline(region: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    inner = cv2.erode(np.ascontiguousarray(region).view(np.uint8), _OUTLINE_KERNEL)
-    outline: npt.NDArray[np.bool_] = region & (inner == 0)
-    return outline
+    """Return the rim of a region; pores would be nothing but rim and hide the image, so they are filled first."""
+    closed = cv2.morphologyEx(np.ascontiguousarray(region).view(np.uint8), cv2.MORPH_CLOSE, _KERNEL)
+    return np.asarray(closed != cv2.erode(closed, _KERNEL))
 
 
 def _lookup(rows: npt.NDArray[np.uint8], lut: _Packed) -> _Packed:

@@ -317,3 +317,13 @@ def test_legends_say_range_and_band(strip: ImageStrip) -> None:
     assert strip.panes["proximity"].header.accessibleDescription() == "200 to 310 mm, no depth"
     assert "±3 %" in strip.panes["difference"].header.accessibleDescription()
     assert "contact" in strip.panes["color"].header.toolTip()
+
+
+def test_a_narrow_strip_puts_all_legends_on_a_second_line(strip: ImageStrip, qapp: QApplication) -> None:
+    line = strip.panes["tactile"].header.height()
+    strip.resize(800, 260)
+    qapp.processEvents()
+    assert {pane.header.height() for pane in strip.panes.values()} == {2 * line}
+    strip.resize(1280, 260)
+    qapp.processEvents()
+    assert {pane.header.height() for pane in strip.panes.values()} == {line}

@@ -127,3 +127,13 @@ def test_the_depth_range_holds_the_scene_in_whole_centimetres(low: float, span: 
     assert far >= low + 0.95 * span - 1e-6
     for end in (near, far):
         assert end * 100 == pytest.approx(round(end * 100), abs=1e-6)
+
+
+def test_a_porous_patch_shows_its_rim_and_not_every_pore() -> None:
+    contact = np.zeros((HEIGHT, WIDTH), bool)
+    contact[10:40, 10:50] = True
+    contact[12:38:3, 12:48:3] = False
+    shown = rgb(render_strip(images(contact=contact)).panes[1])
+    orange = (shown == CONTACT_RGB).all(axis=2)
+    assert orange[10, 10:50].all()
+    assert not orange[15:35, 15:45].any()
