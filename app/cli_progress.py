@@ -39,7 +39,7 @@ class CliProgress:
 
     def preparing(self, share: float, what: str) -> None:
         """Tell the share done, 0 to 1, of preparing a source."""
-        if share < 1 and not self._on_terminal and not self._announced:
+        if 0 < share < 1 and not self._on_terminal and not self._announced:
             self._announced = True
             typer.echo(f"tactune: {what} ...", err=True)
         self._bar.update(self._task, description=what, completed=round(100 * share), total=100, visible=share < 1)
