@@ -12,8 +12,8 @@ from PyQt6.QtWidgets import QWidget
 from .cloud_data import DepthCloud
 from .cloud_scene import CloudScene, paint_overlay
 from .colormaps import over_background
-from .software_kernel import clear, scatter, squares
-from .view_camera import NEAR, ViewCamera
+from .software_kernel import scatter, squares
+from .view_camera import FAR, NEAR, ViewCamera
 
 _NO_INDEX = np.zeros((0, 0), np.uint8)
 
@@ -23,7 +23,7 @@ class SoftwareRenderer:
 
     def __init__(self) -> None:
         self._image = np.empty((0, 0), np.uint32)
-        self._pixels = np.empty((0, 0), np.int64)
+        self._pixels = np.empty((0, 0), np.uint32)
 
     def render(
         self,
@@ -47,32 +47,32 @@ class SoftwareRenderer:
             self._image = np.empty((height, width), np.uint32)
         margin = 2 * point_size
         if self._pixels.shape != (height + margin, width + margin):
-            self._pixels = np.empty((height + margin, width + margin), np.int64)
+            self._pixels = np.empty((height + margin, width + margin), np.uint32)
         red, green, blue = background
         argb = 0xFF000000 | red << 16 | green << 8 | blue
         if cloud is None:
             self._image.fill(argb)
             return self._image
-        clear(self._pixels, argb)
+        colors = _packed(over_background(cloud.lut, background))
         scatter(
             cloud.depth,
             cloud.rays,
             _NO_INDEX if cloud.index is None else cloud.index,
-            _packed(over_background(cloud.lut, background)),
+            colors,
             (camera.pixel_matrix(width, height) @ cloud.pose).astype(np.float32),
             np.array([cloud.metres_per_count, cloud.depth_offset_m, *cloud.index_from_depth], np.float32),
-            NEAR * camera.distance,
+            np.array([NEAR * camera.distance, FAR * camera.distance], np.float32),
             point_size,
             self._pixels,
         )
-        squares(self._pixels, point_size, self._image)
+        squares(self._pixels, point_size, colors, argb, self._image)
         return self._image
 
 
-def _packed(table: npt.NDArray[np.uint8]) -> npt.NDArray[np.int64]:
+def _packed(table: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint32]:
     """Return an RGBA table as ARGB numbers, 0 where alpha is 0."""
-    red, green, blue, alpha = table.astype(np.int64).T
-    return np.where(alpha > 0, alpha << 24 | red << 16 | green << 8 | blue, 0)
+    red, green, blue, alpha = table.astype(np.uint32).T
+    return np.where(alpha > 0, alpha << 24 | red << 16 | green << 8 | blue, np.uint32(0))
 
 
 class SoftwareCanvas(QWidget):
