@@ -22,7 +22,11 @@ SOURCES = (
 
 @dataclass(frozen=True)
 class Actions:
-    """The actions, by name. ``previous``, ``play`` and ``next`` also answer to the keys that their text shows."""
+    """The actions, by name.
+
+    ``play`` has no shortcut: the space bar belongs to whatever has the focus (a check box, say), and
+    the window takes it only when nothing else does.
+    """
 
     new_preset: QAction
     open_preset: QAction
@@ -94,9 +98,9 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         undo=undo,
         redo=redo,
         play=action("&Play\tSpace", icon_name="play"),
-        previous=action("Pre&vious frame\tLeft", "Pause and go one frame back", icon_name="previous"),
-        next=action("&Next frame\tRight", "Pause and go one frame on", icon_name="next"),
-        first=action("&First frame\tHome"),
+        previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
+        next=action("&Next frame", "Pause and go one frame on", ".", "next"),
+        first=action("&First frame", "Go to the first frame", "Ctrl+Home"),
         loop=action("&Loop", "Start over at the end of a recording", "L", "loop", checkable=True),
         freeze=action("Free&ze", "Hold this frame to tune on it; a live source goes on behind it", "F", "freeze", True),
         show_strip=action("&Images", "Show the images below the views", "Ctrl+I", checkable=True),

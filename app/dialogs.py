@@ -21,7 +21,7 @@ class Dialogs:
         self._parent = parent
         self._native = native
 
-    def ask_unsaved(self, name: str, save: Callable[[], None], discard: Callable[[], None]) -> None:
+    def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask before losing changes; nothing happens on Cancel."""
         box = QMessageBox(self._parent)
         box.setIcon(QMessageBox.Icon.Warning)

@@ -15,7 +15,7 @@ from pathlib import Path
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ..core.atomic import atomic_path
-from ..core.errors import PresetError
+from ..core.errors import PresetError, TactuneError
 from ..core.preset import Preset
 from ..core.preset_file import preset_from_text, preset_json
 from .document import Document
@@ -79,6 +79,11 @@ class Autosave(QObject):
         else:
             self._disk.submit(self._write, preset, self._document.path)
 
+    def take_over(self, work: UnsavedWork) -> None:
+        """Keep restored work in this window's own file, and only then remove the old one."""
+        self.flush()
+        self._disk.submit(work.file.unlink, missing_ok=True)
+
     def close(self, keep: bool = False) -> None:
         """Finish; the kept state goes with the window unless ``keep``."""
         self._timer.stop()
@@ -92,7 +97,7 @@ class Autosave(QObject):
         try:
             with atomic_path(self._file) as temporary:
                 temporary.write_text(json.dumps(content), encoding="utf-8")
-        except OSError as error:
+        except (OSError, TactuneError) as error:
             if not self._said:
                 self._said = True
                 self.failed.emit(f"Unsaved work cannot be kept safe in {self._file.parent} ({error}); save it soon.")

@@ -20,6 +20,7 @@ from ..core.provenance import Provenance
 from ..widgets.cloud_data import DepthCloud
 from ..widgets.colormaps import Theme, depth_lut, difference_index, difference_lut, patch_lut, provenance_lut
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
+from .strip_drawing import draw_strip
 
 #: Row of a patch table that stands for the context around the patch.
 CONTEXT_ROW = 0
@@ -64,9 +65,12 @@ class Renderer:
         for cloud in clouds.values():
             if cloud is not None:
                 _ = cloud.point_count  # counted here, so that the window need not
+        strip = None
+        if wanted.strip:
+            strip = draw_strip(frame, patch, preset, rig, depth_range_m, width_hint=wanted.strip_width)
         return Rendered(
             clouds=clouds,
-            strip=None,
+            strip=strip,
             histogram=difference_histogram(patch, preset.tolerance.t) if wanted.histogram and patch else None,
             median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
@@ -184,11 +188,12 @@ def _depth_rows(scene: Scene) -> npt.NDArray[np.uint8]:
     near, far = scene.depth_range_m
     step = np.float32(scene.rig.proximity.depth_unit_m * 255 / (far - near))
     rows = scene.frame.proximity_depth * step - np.float32(near * 255 / (far - near))
-    return np.clip(rows, 0, 255).astype(np.uint8)
+    clipped: npt.NDArray[np.uint8] = np.clip(rows, 0, 255).astype(np.uint8)
+    return clipped
 
 
 def _only_in_patch(rows: npt.NDArray[np.uint8], patch: ContactPatch) -> npt.NDArray[np.uint8]:
-    return np.where(patch.mask, np.maximum(rows, np.uint8(1)), np.uint8(CONTEXT_ROW))
+    return np.asarray(np.where(patch.mask, np.maximum(rows, np.uint8(1)), np.uint8(CONTEXT_ROW)))
 
 
 @lru_cache(maxsize=16)

@@ -18,7 +18,7 @@ from .playback import PlaybackState
 
 if TYPE_CHECKING:
     from ..widgets.cloud_data import DepthCloud
-    from ..widgets.image_strip import StripImages
+    from ..widgets.image_strip import RenderedStrip
 
 
 class CloudName(StrEnum):
@@ -40,11 +40,15 @@ class ColorBy(StrEnum):
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the window shows now; nothing else is computed for it."""
+    """What the window shows now; nothing else is computed for it.
+
+    ``strip_width`` is how many screen pixels one image of the strip takes across; 0 draws all pixels.
+    """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
     color_by: ColorBy = ColorBy.CONTACT
     strip: bool = True
+    strip_width: int = 0
     histogram: bool = True
     dark: bool = False
 
@@ -62,7 +66,7 @@ class Rendered:
     """The pictures of one frame; what nobody wanted is missing."""
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
-    strip: StripImages | None = None
+    strip: RenderedStrip | None = None
     histogram: Histogram | None = None
     median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)

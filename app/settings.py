@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import platformdirs
 from PyQt6.QtCore import QByteArray, QSettings
@@ -21,10 +22,19 @@ def default_settings_file() -> Path:
 
 
 class Settings:
-    """Typed access to the remembered values; a file that is missing or damaged means defaults."""
+    """Typed access to the remembered values; a file that is missing or damaged means defaults.
 
-    def __init__(self, path: Path | None = None) -> None:
-        self._store = QSettings(str(path or default_settings_file()), QSettings.Format.IniFormat)
+    Parameters
+    ----------
+    path : Path or None
+        None: nothing is read and nothing outlives the program.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        if path is None:
+            self._forgotten = TemporaryDirectory(prefix="tactune-")
+            path = Path(self._forgotten.name) / "window.ini"
+        self._store = QSettings(str(path), QSettings.Format.IniFormat)
 
     def text(self, key: str, default: str = "") -> str:
         """Return a remembered string."""

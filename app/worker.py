@@ -83,6 +83,7 @@ class Worker(QThread):
         self._info: SourceInfo | None = None
         self._pipeline: ContactPipeline | None = None
         self._frame: SensorFrame | None = None
+        self._told = self._playback.state
         self._stale = False
         self._processed = 0
         self._processed_rate = RateMeter()
@@ -154,19 +155,26 @@ class Worker(QThread):
         sys.setswitchinterval(SWITCH_INTERVAL_S)
         try:
             while True:
-                before = replace(self._playback.state, index=-1)
+                self._tell_playback()
                 self._obey(self._idle_s())
                 if self._stopping:
                     break
-                if self._source is not None and self._playback.wait_s(time.perf_counter()) == 0.0:
-                    self._advance()
-                elif self._stale and self._frame is not None:
+                self._tell_playback()
+                due = self._source is not None and self._playback.wait_s(time.perf_counter()) == 0.0
+                if self._stale and self._frame is not None and (self._playback.frozen or not due):
                     self._process(self._frame)
-                if replace(self._playback.state, index=-1) != before:
-                    self.playbackChanged.emit(self._playback.state)
+                elif due:
+                    self._advance()
         finally:
             if self._source is not None:
                 self._source.close()
+
+    def _tell_playback(self) -> None:
+        """Tell of another mode of playback; the frame number comes with each result."""
+        mode = replace(self._playback.state, index=-1)
+        if mode != self._told:
+            self._told = mode
+            self.playbackChanged.emit(self._playback.state)
 
     def _idle_s(self) -> float | None:
         """How long there is nothing to do but wait for orders; None: for ever."""

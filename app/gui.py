@@ -1,0 +1,143 @@
+"""Starts the window; with a screenshot asked for, takes it and ends."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import cast
+
+from PyQt6.QtCore import QCoreApplication, QObject, Qt, QTimer
+from PyQt6.QtWidgets import QApplication
+
+from ..core.atomic import atomic_path
+from ..core.errors import ExportError, TactuneError
+from ..core.preset import Preset
+from ..core.preset_file import load_preset
+from ..widgets.theme import ThemeChoice
+from .defaults import default_preset
+from .main_window import MainWindow
+from .settings import Settings, default_data_folder, default_settings_file
+
+#: A screenshot waits no longer than this for its frames; opening a source does not count.
+PATIENCE_MS = 60_000
+
+
+def run_gui(
+    source: str,
+    preset: str | None,
+    screenshot: Path | None,
+    after: int,
+    size: tuple[int, int] | None = None,
+    theme: str | None = None,
+) -> int:
+    """Open the main window on a source and run it until it is closed.
+
+    Parameters
+    ----------
+    source : str
+        As `tactune.core.sources.registry.open_source` takes it.
+    preset : str or None
+        A file or a shipped name. None: ``simulator`` for a simulated source, else ``default``.
+    screenshot : Path or None
+        Save a picture of the window here once ``after`` frames have been processed, then end.
+    after : int
+    size : (int, int) or None
+        Width and height of the window; None: as it was left.
+    theme : "light", "dark", "system" or None
+        None: as it was left.
+
+    Returns
+    -------
+    int
+        The exit status of the program.
+
+    Raises
+    ------
+    TactuneError
+        The preset cannot be used, or no picture could be taken.
+    """
+    start_preset, preset_path = start_with(preset, source)
+    application = make_application()
+    # A picture shall not depend on what somebody chose before, nor change it.
+    settings = Settings(None if screenshot else default_settings_file())
+    window = MainWindow(start_preset, settings, default_data_folder())
+    if preset_path is not None:
+        window.document.open(preset_path)
+    if theme is not None:
+        window.set_theme(cast(ThemeChoice, theme), remember=False)
+    if size is not None:
+        window.resize(*size)
+    window.error_hook.install()
+    window.show()
+    window.open_source(source)
+    if screenshot is None:
+        window.offer_unsaved_work()
+        return application.exec()
+    picture = _Screenshot(window, screenshot, after)
+    application.exec()
+    if picture.problem:
+        raise ExportError(picture.problem)
+    return 0
+
+
+def make_application() -> QApplication:
+    """Return the application, set up for shared OpenGL contexts."""
+    existing = QApplication.instance()
+    if isinstance(existing, QApplication):
+        return existing
+    QCoreApplication.setAttribute(Qt.ApplicationAttribute.AA_ShareOpenGLContexts)
+    application = QApplication(sys.argv[:1])
+    application.setApplicationName("tactune")
+    application.setApplicationDisplayName("Tactune")
+    return application
+
+
+def start_with(name: str | None, source: str) -> tuple[Preset, Path | None]:
+    """Return the preset to begin with, and its file unless it is a shipped one."""
+    name = name or default_preset(source)
+    path = Path(name)
+    return load_preset(name), path if path.is_file() else None
+
+
+class _Screenshot(QObject):
+    """Waits for enough frames, saves the window's picture, and closes the window."""
+
+    def __init__(self, window: MainWindow, path: Path, after: int) -> None:
+        super().__init__(window)
+        self.problem = ""
+        self._window = window
+        self._path = path
+        self._after = after
+        self._patience = QTimer(self)
+        self._patience.setSingleShot(True)
+        self._patience.setInterval(PATIENCE_MS)
+        self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames came within {PATIENCE_MS // 1000} s"))
+        window.frameShown.connect(self._frame_shown)
+        window.worker.opened.connect(lambda _: self._patience.start())
+        window.worker.openFailed.connect(lambda name, sentence: self._give_up(sentence))
+        window.worker.failed.connect(self._give_up)
+        window.error_hook.raised.connect(lambda sentence, details: self._give_up(f"{sentence}\n{details}"))
+
+    def _frame_shown(self) -> None:
+        result = self._window.result
+        if result is None:
+            return
+        still = not result.playback.playing
+        if result.processed >= self._after or still:
+            self._window.frameShown.disconnect(self._frame_shown)
+            self._patience.stop()
+            self._window.worker.pause()
+            QTimer.singleShot(300, self._take)
+
+    def _take(self) -> None:
+        try:
+            with atomic_path(self._path) as temporary:
+                if not self._window.grab().save(str(temporary), "PNG"):
+                    raise ExportError(f"cannot write {self._path}: Qt could not save the picture; choose another place")
+        except TactuneError as error:
+            self.problem = str(error)
+        self._window.close()
+
+    def _give_up(self, problem: str) -> None:
+        self.problem = self.problem or f"no picture was taken: {problem}"
+        self._window.close()

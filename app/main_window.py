@@ -1,0 +1,414 @@
+"""The main window: what stands where, and who hears whom."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
+from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
+
+from ..core.preset import Preset
+from ..core.preset_file import shipped_presets
+from ..core.sources.registry import open_source
+from ..widgets.cloud_view import BackendChoice
+from ..widgets.colormaps import Theme
+from ..widgets.image_strip import ImageStrip
+from ..widgets.parameter_panel import ParameterPanel
+from ..widgets.theme import ThemeChoice, apply_theme, theme_name
+from .actions import make_actions, make_menus
+from .dialogs import Dialogs
+from .document import Document
+from .error_hook import ErrorHook
+from .eyedropper import Eyedropper
+from .file_flows import FileFlows
+from .frame_export import export_patch
+from .help import show_about, show_shortcuts
+from .layout_memory import remember_layout, restore_layout
+from .message_bar import MessageBar, Severity
+from .opening_bar import OpeningBar
+from .readout import readout
+from .recovery import Autosave
+from .results import Result, SourceInfo, Wanted
+from .settings import Settings
+from .status import FrameStatus
+from .toolbar import ToolBar
+from .transport import Transport
+from .view_area import ViewArea
+from .worker import SourceRequest, Worker
+
+_OPENING = "Preparing the first frame…"
+_NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
+
+
+class MainWindow(QMainWindow):
+    """Shows both sensors and the patch live, and lets a person tune the preset.
+
+    The window computes nothing: the `Worker` does, and hands over what is to be seen.
+
+    Parameters
+    ----------
+    preset : Preset
+        To begin with; `file_flows` opens files.
+    settings : Settings
+        What was remembered.
+    data_folder : Path
+        Where unsaved work is kept.
+    native_dialogs : bool
+        Use the operating system's file dialogs.
+    backend : "auto", "opengl" or "software"
+        Of the 3D views.
+
+    Signals
+    -------
+    frameShown()
+        `result` is on the screen.
+    """
+
+    frameShown = pyqtSignal()
+
+    def __init__(
+        self,
+        preset: Preset,
+        settings: Settings,
+        data_folder: Path,
+        native_dialogs: bool = True,
+        backend: BackendChoice = "auto",
+    ) -> None:
+        super().__init__()
+        self.settings = settings
+        self.data_folder = data_folder
+        self.result: Result | None = None
+        self.document = Document(preset, self)
+        self.worker = Worker(preset, self)
+        self.autosave = Autosave(self.document, data_folder, self)
+        self.actions_ = make_actions(self, self.document.undo_stack)
+        self.messages = MessageBar()
+        self.opening = OpeningBar()
+        self.views = ViewArea(self.actions_, backend)
+        self.strip = ImageStrip()
+        self.panel = ParameterPanel()
+        self.transport = Transport(self.actions_)
+        self.status = FrameStatus()
+        self.error_hook = ErrorHook(self)
+        self.dialogs = Dialogs(self, native_dialogs)
+        self.file_flows = FileFlows(
+            self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source
+        )
+        self.eyedropper = Eyedropper(self.document, self.panel, self.strip, self.messages)
+        self._said_warnings: tuple[str, ...] = ()
+        self._closing = False
+        self._lay_out()
+        self._connect()
+        restore_layout(self, settings)
+        self._show_document()
+        self.panel.set_preset(preset)
+        self.panel.set_baseline(preset)
+        self.views.show_message(_NO_SOURCE)
+        self.views.setFocus()
+        self._send_wanted()
+        self.worker.start()
+
+    # Building
+
+    def _lay_out(self) -> None:
+        bar = self.menuBar()
+        assert bar is not None
+        self.menus = make_menus(bar, self.actions_)
+        self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
+        self.addToolBar(self.toolbar)
+        self.left = QSplitter(Qt.Orientation.Vertical)
+        self.left.addWidget(self.views)
+        self.left.addWidget(self.strip)
+        self.left.setStretchFactor(0, 3)
+        self.left.setStretchFactor(1, 1)
+        self.left.setChildrenCollapsible(False)
+        self.across = QSplitter(Qt.Orientation.Horizontal)
+        self.across.addWidget(self.left)
+        self.across.addWidget(self.panel)
+        self.across.setStretchFactor(0, 1)
+        self.across.setStretchFactor(1, 0)
+        self.across.setChildrenCollapsible(False)
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(2, 2, 2, 0)
+        column.setSpacing(2)
+        column.addWidget(self.messages)
+        column.addWidget(self.opening)
+        column.addWidget(self.across, 1)
+        self.setCentralWidget(centre)
+        self.setStatusBar(self.status)
+        self.setAcceptDrops(True)
+        self.setMinimumSize(900, 600)
+
+    def _connect(self) -> None:
+        self._connect_document()
+        self._connect_worker()
+        self._connect_actions()
+        self.error_hook.raised.connect(
+            lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
+        )
+
+    def _connect_document(self) -> None:
+        document, panel = self.document, self.panel
+        document.presetChanged.connect(self.worker.set_preset)
+        document.presetChanged.connect(panel.set_preset)
+        document.presetChanged.connect(self._show_document)
+        document.fileChanged.connect(self._show_document)
+        document.baselineChanged.connect(panel.set_baseline)
+        document.refused.connect(self._refused)
+        panel.valueEdited.connect(document.edit)
+        panel.valuesEdited.connect(document.edit_many)
+        self.autosave.failed.connect(
+            lambda sentence: self.messages.show_message("autosave", Severity.WARNING, sentence)
+        )
+
+    def _connect_worker(self) -> None:
+        worker, transport = self.worker, self.transport
+        worker.resultReady.connect(self._show_newest)
+        worker.opening.connect(self.opening.show_progress)
+        worker.opened.connect(self._opened)
+        worker.openFailed.connect(self._open_failed)
+        worker.failed.connect(lambda sentence: self.messages.show_message("worker", Severity.ERROR, sentence))
+        worker.playbackChanged.connect(transport.show_state)
+        transport.seekRequested.connect(worker.seek)
+        transport.held.connect(worker.set_held)
+        self.opening.cancelled.connect(worker.cancel_open)
+        self.views.wantedChanged.connect(self._send_wanted)
+        self.strip.hovered.connect(self._hovered)
+        self.strip.widthHintChanged.connect(self._send_wanted)
+        self.strip.regionEdited.connect(
+            lambda rectangle, gesture: self.document.edit("region.rectangle", rectangle, gesture)
+        )
+        self.panel.sections["tolerance"].collapsedChanged.connect(self._send_wanted)
+
+    def _connect_actions(self) -> None:
+        actions, worker, flows = self.actions_, self.worker, self.file_flows
+        actions.play.triggered.connect(self._play_or_pause)
+        actions.previous.triggered.connect(lambda: worker.step(-1))
+        actions.next.triggered.connect(lambda: worker.step(1))
+        actions.first.triggered.connect(lambda: worker.seek(0))
+        actions.loop.triggered.connect(worker.set_loop)
+        actions.freeze.triggered.connect(worker.set_frozen)
+        actions.new_preset.triggered.connect(lambda _: flows.new())
+        actions.open_preset.triggered.connect(flows.open_preset_dialog)
+        actions.save.triggered.connect(lambda _: flows.save())
+        actions.save_as.triggered.connect(lambda _: flows.save_as())
+        actions.open_folder.triggered.connect(flows.open_folder_dialog)
+        actions.open_bag.triggered.connect(flows.open_bag_dialog)
+        actions.export_patch.triggered.connect(self._export)
+        actions.quit.triggered.connect(self.close)
+        actions.show_strip.toggled.connect(self.strip.setVisible)
+        actions.show_strip.toggled.connect(self._send_wanted)
+        actions.show_panel.toggled.connect(self.panel.setVisible)
+        actions.show_panel.toggled.connect(self._send_wanted)
+        actions.shortcuts.triggered.connect(lambda: show_shortcuts(self, actions))
+        actions.about.triggered.connect(lambda: show_about(self))
+        menus = self.menus
+        menus.source.triggered.connect(lambda entry: self.open_source(entry.data()) if entry.data() else None)
+        menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
+        menus.speeds.triggered.connect(lambda entry: worker.set_speed(entry.data()))
+        for entry in menus.speeds.actions():
+            entry.setChecked(entry.data() == 1.0)
+        self.toolbar.fill_menus(
+            shipped=shipped_presets,
+            new=flows.new,
+            recent_presets=lambda: self.settings.recent("presets"),
+            open_preset=lambda path: flows.open_preset(Path(path)),
+            recent_sources=lambda: self.settings.recent("sources"),
+            open_source=self.open_source,
+        )
+
+    def offer_unsaved_work(self) -> None:
+        """Offer what a window that died left unsaved."""
+        self.file_flows.offer_unsaved_work(self.data_folder)
+
+    # Sources
+
+    def open_source(self, name: str) -> None:
+        """Open a source by its name; the present one goes on until that has succeeded."""
+        self.open_request(SourceRequest(name, lambda progress: open_source(name, progress)))
+
+    def open_request(self, request: SourceRequest) -> None:
+        """Open a source that somebody else makes."""
+        self.messages.clear("source")
+        if self.result is None:
+            self.views.show_message(_OPENING)
+        self.worker.cancel_open()
+        self.worker.open(request)
+
+    def _opened(self, info: SourceInfo) -> None:
+        self.opening.hide()
+        for key in ("source", "worker", "health", "problem", "rig"):
+            self.messages.clear(key)
+        self._said_warnings = ()
+        self.result = None
+        self.actions_.export_patch.setEnabled(False)
+        self.settings.add_recent("sources", info.name)
+        self.toolbar.show_source(info.name)
+        self.status.show_source(_describe(info))
+        self.views.show_message(_OPENING)
+
+    def _open_failed(self, name: str, sentence: str) -> None:
+        self.opening.hide()
+        if sentence:
+            self.settings.remove_recent("sources", name)
+            self.messages.show_message("source", Severity.ERROR, sentence)
+        if self.result is None:
+            self.views.show_message(_NO_SOURCE)
+
+    # Frames
+
+    def _show_newest(self) -> None:
+        result = self.worker.take()
+        if result is None:
+            return
+        self.result = result
+        self.views.show_result(result, self._theme())
+        rendered = result.rendered
+        if rendered.strip is not None:
+            self.strip.set_images(rendered.strip)
+        if rendered.histogram is not None:
+            histogram = rendered.histogram
+            self.panel.set_histogram(histogram.counts, histogram.edges, self.document.preset.tolerance.t)
+        self.panel.set_median_distance_m(rendered.median_distance_m)
+        self.transport.show_state(result.playback)
+        self.status.show_result(result)
+        self.eyedropper.show_result(result)
+        self.actions_.export_patch.setEnabled(result.patch is not None)
+        self._show_warnings(result)
+        self.frameShown.emit()
+
+    def _show_warnings(self, result: Result) -> None:
+        """Say what is wrong once; a dismissed sentence stays away until it changes."""
+        said = (result.problem, result.health, *result.warnings)
+        if said == self._said_warnings:
+            return
+        self._said_warnings = said
+        for key, severity, sentence in (
+            ("problem", Severity.ERROR, result.problem),
+            ("health", Severity.WARNING, result.health),
+            ("rig", Severity.WARNING, " ".join(result.warnings)),
+        ):
+            if sentence:
+                self.messages.show_message(key, severity, sentence)
+            else:
+                self.messages.clear(key)
+
+    def _hovered(self, u: int, v: int) -> None:
+        self.strip.set_readout(readout(self.result, u, v) if self.result is not None else "")
+
+    def _send_wanted(self) -> None:
+        """Tell the worker what can be seen; the rest is not drawn."""
+        panel = not self.panel.isHidden()
+        self.worker.set_wanted(
+            Wanted(
+                clouds=self.views.visible_clouds(),
+                color_by=self.views.chosen_colors(),
+                strip=not self.strip.isHidden(),
+                strip_width=self.strip.width_hint(),
+                histogram=panel and not self.panel.sections["tolerance"].collapsed,
+                dark=self._theme() == "dark",
+            )
+        )
+
+    def _play_or_pause(self) -> None:
+        state = self.transport.state
+        if state.playing and not state.frozen:
+            self.worker.pause()
+        else:
+            self.worker.play()
+
+    def _export(self) -> None:
+        result = self.result
+        if result is None or result.patch is None:
+            return
+        self.file_flows.export_dialog(result.patch.sequence, lambda path: export_patch(result, path, self.messages))
+
+    # Document
+
+    def _show_document(self) -> None:
+        preset = self.document.preset
+        self.strip.set_region(preset.region.rectangle if preset.region.enabled else None)
+        self.setWindowTitle(f"{preset.name}[*] – Tactune")
+        self.setWindowModified(self.document.dirty)
+        self.toolbar.show_preset(self.document.title, self.document.path)
+
+    def _refused(self, path: str, sentence: str) -> None:
+        if path in self.panel.rows:
+            self.panel.show_error(path, sentence)
+        else:
+            self.messages.show_message("refused", Severity.ERROR, sentence)
+
+    # Looks
+
+    def set_theme(self, choice: ThemeChoice, remember: bool = True) -> None:
+        """Put a theme on the application and, if asked, remember it."""
+        application = QApplication.instance()
+        assert isinstance(application, QApplication)
+        apply_theme(application, choice)
+        if remember:
+            self.settings.set("theme", choice)
+        with QSignalBlocker(self.menus.themes):
+            for entry in self.menus.themes.actions():
+                entry.setChecked(entry.data() == choice)
+        self._send_wanted()
+
+    def _theme(self) -> Theme:
+        return theme_name()
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Have frames drawn again for another theme, also when the desktop's changes."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "panel"):
+            self._send_wanted()
+
+    # Events
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Play or pause on a space bar that nothing else wanted."""
+        if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
+            self.actions_.play.trigger()
+            return
+        super().keyPressEvent(event)
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
+        """Take files; what they are is said when they are dropped."""
+        data = event.mimeData() if event is not None else None
+        if event is not None and data is not None and data.hasUrls():
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:
+        """Open a preset or a recording."""
+        data = event.mimeData() if event is not None else None
+        paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()] if data is not None else []
+        if event is None or not paths:
+            return
+        event.acceptProposedAction()
+        self.file_flows.open_dropped(paths[0])
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:
+        """Ask about unsaved changes; then remember the layout and stop the worker."""
+        if event is None:
+            return
+        if not self._closing and self.document.dirty:
+            event.ignore()
+            self.file_flows.guarded(self._close_now)
+            return
+        remember_layout(self, self.settings)
+        self.worker.shut_down()
+        self.autosave.close()
+        self.error_hook.remove()
+        event.accept()
+
+    def _close_now(self) -> None:
+        self._closing = True
+        self.close()
+
+
+def _describe(info: SourceInfo) -> str:
+    """Say where the frames come from and which cameras took them."""
+    rig = info.rig
+    cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
+    length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
+    return f"{info.name} ({length}, {cameras})"

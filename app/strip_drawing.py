@@ -1,0 +1,68 @@
+"""Draws the image strip of a frame, on the worker thread, at the resolution that the screen shows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from ..core.clouds import ray_table, valid_depth
+from ..core.frames import Rig, SensorFrame
+from ..core.masking import colors_at, in_hsv_range
+from ..core.pipeline import ContactPatch
+from ..core.preset import Preset
+from ..widgets.image_strip import RenderedStrip, StripImages, render_strip
+
+
+def draw_strip(
+    frame: SensorFrame,
+    patch: ContactPatch | None,
+    preset: Preset,
+    rig: Rig,
+    depth_range_m: tuple[float, float],
+    *,
+    width_hint: int,
+) -> RenderedStrip:
+    """Return the four panes; ``width_hint`` is how many screen pixels an image takes across, 0 for all."""
+    height, width = frame.proximity_depth.shape
+    stride = max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
+    every = np.s_[::stride, ::stride]
+    counts = frame.proximity_depth[every]
+    valid = valid_depth(counts)
+    depth_m = counts * np.float32(rig.proximity.depth_unit_m)
+    color = aligned_color(frame, rig, depth_m, valid, stride)
+    nothing = np.full(counts.shape, np.nan, np.float32)
+    images = StripImages(
+        color=color,
+        mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
+        proximity_m=np.where(valid, depth_m, np.float32(np.nan)),
+        tactile_m=nothing if patch is None else patch.aligned.measured_m[every],
+        relative=nothing if patch is None else patch.relative_difference[every],
+        tolerance=preset.tolerance.t,
+        contact=None if patch is None else patch.mask[every],
+        depth_range_m=depth_range_m,
+    )
+    return replace(render_strip(images), size=(width, height), stride=stride)
+
+
+def aligned_color(
+    frame: SensorFrame,
+    rig: Rig,
+    depth_m: npt.NDArray[np.float32],
+    valid: npt.NDArray[np.bool_],
+    stride: int = 1,
+) -> npt.NDArray[np.uint8]:
+    """Return the proximity colour in every ``stride``-th proximity depth pixel: uint8 (h, w, 3).
+
+    A pixel without a depth is looked up at the median depth, which shows the picture almost in
+    place; where the colour camera does not see, the picture is black.
+    """
+    if rig.proximity_color is None:
+        return frame.proximity_color[::stride, ::stride]
+    typical_m = np.float32(np.median(depth_m[valid])) if valid.any() else np.float32(0.3)
+    depth = np.where(valid, depth_m, typical_m)
+    rays = ray_table(rig.proximity.intrinsics)[::stride, ::stride]
+    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=2).reshape(-1, 3)
+    colors, _ = colors_at(points, np.arange(len(points)), frame.proximity_color, rig)
+    return colors.reshape(*depth.shape, 3)

@@ -1,0 +1,194 @@
+"""The three linked views and the row of choices above them."""
+
+from __future__ import annotations
+
+import math
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
+
+from ..widgets.cloud_view import BackendChoice, CloudView, link_cameras
+from ..widgets.colormaps import (
+    Legend,
+    Theme,
+    depth_legend,
+    difference_legend,
+    patch_legend,
+    provenance_legend,
+)
+from .actions import Actions
+from .rendering import patch_difference_limit, patch_difference_lut
+from .results import CloudName, ColorBy, Result
+
+TITLES = {
+    CloudName.PROXIMITY: "Proximity",
+    CloudName.TACTILE: "Tactile",
+    CloudName.PATCH: "Contact patch",
+}
+POINT_SIZES = (1, 8)
+_NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
+_COLOR_TIPS = {
+    ColorBy.CONTACT: "Depth in the two cameras' views, contact in its own colour in the patch",
+    ColorBy.DEPTH: "Depth everywhere, also within the patch",
+    ColorBy.DIFFERENCE: "(dp - dt) / dp: how well both cameras agree",
+    ColorBy.PROVENANCE: "Why each point was kept or dropped",
+}
+
+
+class ViewArea(QWidget):
+    """Proximity, tactile and patch side by side; orbit one and all follow.
+
+    Signals
+    -------
+    wantedChanged()
+        Another choice of colours, or a view was shown or hidden.
+    """
+
+    wantedChanged = pyqtSignal()
+
+    def __init__(self, actions: Actions, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.views = {name: CloudView(title, backend) for name, title in TITLES.items()}
+        link_cameras(list(self.views.values()))
+        self._legends: dict[CloudName, object] = {}
+        self.splitter = QSplitter(Qt.Orientation.Horizontal)
+        self.splitter.setChildrenCollapsible(False)
+        for view in self.views.values():
+            self.splitter.addWidget(view)
+        self.color_by = QComboBox()
+        self.color_by.setAccessibleName("Colour by")
+        for choice in ColorBy:
+            self.color_by.addItem(choice.value.capitalize(), choice)
+            self.color_by.setItemData(self.color_by.count() - 1, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)
+        self.color_by.currentIndexChanged.connect(self.wantedChanged)
+        self.point_size = QSlider(Qt.Orientation.Horizontal)
+        self.point_size.setRange(*POINT_SIZES)
+        self.point_size.setValue(2)
+        self.point_size.setFixedWidth(90)
+        self.point_size.setAccessibleName("Point size")
+        self.point_size.setToolTip("Point size in pixels")
+        self.point_size.valueChanged.connect(self._resize_points)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        layout.addLayout(self._choices(actions))
+        layout.addWidget(self.splitter, 1)
+        for name, action in (
+            (CloudName.PROXIMITY, actions.show_proximity),
+            (CloudName.TACTILE, actions.show_tactile),
+            (CloudName.PATCH, actions.show_patch),
+        ):
+            action.toggled.connect(lambda shown, name=name: self._show_view(name, shown))
+        actions.reset_view.triggered.connect(lambda: self._any_view().look_from("reset"))
+        actions.top_view.triggered.connect(lambda: self._any_view().look_from("top"))
+        actions.side_view.triggered.connect(lambda: self._any_view().look_from("side"))
+        self._resize_points(self.point_size.value())
+
+    def chosen_colors(self) -> ColorBy:
+        """Return what the colour of a point means."""
+        return ColorBy(self.color_by.currentData())
+
+    def choose_colors(self, choice: ColorBy) -> None:
+        """Choose what the colour of a point means."""
+        self.color_by.setCurrentIndex(self.color_by.findData(choice))
+
+    def visible_clouds(self) -> frozenset[CloudName]:
+        """Return the views that are to be seen."""
+        return frozenset(name for name, view in self.views.items() if not view.isHidden())
+
+    def show_result(self, result: Result, theme: Theme) -> None:
+        """Show the clouds of a result and say what their colours mean."""
+        clouds = result.rendered.clouds
+        for name, view in self.views.items():
+            if name in clouds:
+                view.set_cloud(clouds[name])
+                self._show_legend(name, result, theme)
+        self.views[CloudName.PATCH].set_message(_why_empty(result))
+        if CloudName.TACTILE in clouds and clouds[CloudName.TACTILE] is None:
+            self.views[CloudName.TACTILE].set_message(_NO_POSE)
+
+    def show_message(self, message: str) -> None:
+        """Empty all views and say what happens or what to do."""
+        for view in self.views.values():
+            view.set_cloud(None)
+            view.set_message(message)
+
+    def _show_legend(self, name: CloudName, result: Result, theme: Theme) -> None:
+        """Explain the colours of a view, when they have changed."""
+        color_by, t = self.chosen_colors(), result.preset.tolerance.t
+        near, far = (round(limit, 3) for limit in result.rendered.depth_range_m)
+        key = (color_by, theme, t, near, far)
+        if self._legends.get(name) != key:
+            self._legends[name] = key
+            self.views[name].set_legend(legend_of(name, color_by, theme, t, (near, far)))
+
+    def _choices(self, actions: Actions) -> QHBoxLayout:
+        row = QHBoxLayout()
+        row.setContentsMargins(4, 2, 4, 0)
+        label = QLabel("&Colour by")
+        label.setBuddy(self.color_by)
+        row.addWidget(label)
+        row.addWidget(self.color_by)
+        row.addSpacing(12)
+        size_label = QLabel("Point si&ze")
+        size_label.setBuddy(self.point_size)
+        row.addWidget(size_label)
+        row.addWidget(self.point_size)
+        row.addStretch(1)
+        row.addWidget(QLabel("View"))
+        for text, action in (("Reset", actions.reset_view), ("Top", actions.top_view), ("Side", actions.side_view)):
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setText(text)
+            button.setAutoRaise(True)
+            row.addWidget(button)
+        return row
+
+    def _show_view(self, name: CloudName, shown: bool) -> None:
+        self.views[name].setVisible(shown)
+        self.wantedChanged.emit()
+
+    def _resize_points(self, size: int) -> None:
+        for view in self.views.values():
+            view.set_point_size(size)
+
+    def _any_view(self) -> CloudView:
+        """Return a visible view; the others follow it."""
+        return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
+
+    def restore(self, point_size: float, color_by: str) -> None:
+        """Take up the choices of an earlier start, as far as they still mean something."""
+        with QSignalBlocker(self.color_by):
+            if color_by in list(ColorBy):
+                self.choose_colors(ColorBy(color_by))
+        if math.isfinite(point_size):
+            self.point_size.setValue(round(point_size))
+
+
+def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, depth_range_m: tuple[float, float]) -> Legend:
+    """Return the legend of a view for a choice of colours."""
+    depth = depth_legend(*depth_range_m)
+    if name is CloudName.TACTILE:
+        return depth
+    if color_by is ColorBy.PROVENANCE:
+        return provenance_legend(theme)
+    if color_by is ColorBy.DIFFERENCE:
+        return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
+    if name is CloudName.PROXIMITY:
+        return depth
+    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth + patch_legend(theme)[1:]
+
+
+def _patch_difference_legend(t: float, theme: Theme) -> Legend:
+    limit = patch_difference_limit(t)
+    lut = patch_difference_lut(limit, theme)
+    ends = ((f"−{limit:.1%}", 1), ("0", 128), (f"+{limit:.1%}", 255))
+    return [(text, QColor(*(int(channel) for channel in lut[row, :3]))) for text, row in ends]
+
+
+def _why_empty(result: Result) -> str:
+    """Say what to do while there is no patch."""
+    if result.patch is None:
+        return result.problem
+    return "No contact yet: press the object into the membrane, or raise the tolerance t"

@@ -1,0 +1,142 @@
+import json
+
+import pytest
+
+from tactune.app.document import Document
+from tactune.core.errors import TactuneError
+from tactune.core.preset import Preset
+from tactune.core.preset_file import load_preset
+
+
+@pytest.fixture
+def document(qtbot, preset):
+    return Document(preset)
+
+
+def test_an_edit_is_one_step_and_undo_brings_back_the_very_same(document, preset):
+    seen = []
+    document.presetChanged.connect(seen.append)
+    assert document.edit("tolerance.t", 0.01)
+    assert document.preset.tolerance.t == 0.01
+    assert document.undo_stack.undoText() == "Tolerance t 0.01"
+    document.undo_stack.undo()
+    assert document.preset is preset
+    document.undo_stack.redo()
+    assert document.preset.tolerance.t == 0.01
+    assert [shown.tolerance.t for shown in seen] == [0.01, 0.03, 0.01]
+
+
+def test_one_drag_is_one_step_and_two_drags_are_two(document):
+    for value in (0.01, 0.02, 0.05):
+        document.edit("tolerance.t", value, gesture=7)
+    document.edit("tolerance.t", 0.06, gesture=8)
+    assert document.undo_stack.count() == 2
+    document.undo_stack.undo()
+    assert document.preset.tolerance.t == 0.05
+    assert document.undo_stack.undoText() == "Tolerance t 0.05"
+    document.undo_stack.undo()
+    assert document.preset.tolerance.t == 0.03
+
+
+def test_edits_of_different_fields_in_one_gesture_stay_apart(document):
+    document.edit("outliers.k", 5, gesture=3)
+    document.edit("outliers.ratio", 1.0, gesture=3)
+    assert document.undo_stack.count() == 2
+
+
+def test_edits_without_a_gesture_never_merge(document):
+    document.edit("tolerance.t", 0.01)
+    document.edit("tolerance.t", 0.02)
+    assert document.undo_stack.count() == 2
+
+
+def test_a_drag_back_to_where_it_began_leaves_no_step_and_no_mark(document):
+    document.edit("tolerance.t", 0.05, gesture=1)
+    document.edit("tolerance.t", 0.03, gesture=1)
+    assert document.undo_stack.count() == 0
+    assert not document.dirty
+
+
+def test_setting_the_present_value_is_no_step(document):
+    assert document.edit("tolerance.t", 0.03)
+    assert document.undo_stack.count() == 0
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("tolerance.t", 2.0, "tolerance.t"),
+        ("mask.saturation", (200, 100), "swap"),
+        ("mask.huee", 3, "mask.hue"),
+        ("outliers.k", "many", "outliers.k"),
+    ],
+)
+def test_a_refused_value_changes_nothing_and_says_why(document, preset, path, value, words):
+    said = []
+    document.refused.connect(lambda *what: said.append(what))
+    assert not document.edit(path, value)
+    assert document.preset is preset
+    assert document.undo_stack.count() == 0
+    assert said[0][0] == path
+    assert words in said[0][1]
+
+
+def test_several_fields_change_as_one_step(document):
+    document.edit_many({"mask.hue": (10, 20), "mask.value": (30, 40)})
+    assert document.undo_stack.count() == 1
+    assert document.undo_stack.undoText() == "mask (2 values)"
+    document.undo_stack.undo()
+    assert document.preset.mask.hue == (0, 179)
+
+
+def test_save_and_open_give_the_same_values_back(document, tmp_path):
+    document.edit("mask.hue", (170, 10))
+    document.edit("tolerance.t", 0.0123)
+    assert document.dirty
+    assert document.title == "tiny *"
+    path = tmp_path / "mine.json"
+    document.save(path)
+    assert not document.dirty
+    assert document.path == path
+    other = Document(Preset())
+    other.open(path)
+    assert other.preset == load_preset(path)
+    assert other.preset.mask.hue == (170, 10)
+    assert other.preset.tolerance.t == 0.0123
+    assert not other.dirty
+
+
+def test_undoing_past_a_save_is_unsaved_again(document, tmp_path):
+    document.edit("tolerance.t", 0.01)
+    document.save(tmp_path / "mine.json")
+    document.undo_stack.undo()
+    assert document.dirty
+    document.undo_stack.redo()
+    assert not document.dirty
+
+
+def test_a_wrong_file_leaves_the_document_alone(document, preset, tmp_path):
+    path = tmp_path / "wrong.json"
+    path.write_text(json.dumps({"schema": "something else"}))
+    document.edit("tolerance.t", 0.01)
+    with pytest.raises(TactuneError, match=r"wrong\.json"):
+        document.open(path)
+    assert document.preset.tolerance.t == 0.01
+    assert document.path is None
+    assert document.undo_stack.count() == 1
+
+
+def test_a_save_that_fails_stays_unsaved(document, tmp_path):
+    document.edit("tolerance.t", 0.01)
+    (tmp_path / "file").write_text("in the way")
+    with pytest.raises(TactuneError):
+        document.save(tmp_path / "file" / "mine.json")
+    assert document.dirty
+    assert document.path is None
+
+
+def test_restored_work_counts_as_unsaved_until_saved(document, tmp_path):
+    document.restore(Preset(name="from the crash"), tmp_path / "mine.json")
+    assert document.dirty
+    document.save(tmp_path / "mine.json")
+    assert not document.dirty

@@ -1,0 +1,19 @@
+from tactune.app.mailbox import Mailbox
+
+
+def test_the_newest_item_wins_and_older_ones_are_counted():
+    box: Mailbox[int] = Mailbox()
+    assert box.put(1) is True
+    assert box.put(2) is False
+    assert box.put(3) is False
+    assert box.take() == 3
+    assert box.take() is None
+    assert box.dropped == 2
+
+
+def test_taking_makes_room_for_another_wake_up():
+    box: Mailbox[int] = Mailbox()
+    box.put(1)
+    box.take()
+    assert box.put(2) is True
+    assert box.dropped == 0

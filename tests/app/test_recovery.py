@@ -1,0 +1,104 @@
+import gc
+
+import pytest
+
+from tactune.app.document import Document
+from tactune.app.recovery import Autosave, unsaved_work
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return tmp_path / "unsaved"
+
+
+@pytest.fixture
+def document(qtbot, preset):
+    return Document(preset)
+
+
+def crash(autosave: Autosave) -> None:
+    """End as a killed process does: the file stays, the lock is free."""
+    autosave.flush()
+    autosave.close(keep=True)
+
+
+def test_unsaved_work_survives_a_crash(document, folder, tmp_path, preset):
+    autosave = Autosave(document, folder)
+    document.save(tmp_path / "mine.json")
+    document.edit("mask.hue", (170, 10))
+    crash(autosave)
+    [work] = unsaved_work(folder)
+    assert work.preset.mask.hue == (170, 10)
+    assert work.preset == document.preset
+    assert work.path == tmp_path / "mine.json"
+
+
+def test_it_is_kept_by_itself_soon_after_an_edit(document, folder, qtbot):
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.01)
+    qtbot.waitUntil(autosave.file.exists)
+    autosave.close()
+
+
+def test_nothing_is_left_after_saving_undoing_or_a_normal_end(document, folder, tmp_path):
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.01)
+    autosave.flush()
+    document.save(tmp_path / "mine.json")
+    crash(autosave)
+    assert unsaved_work(folder) == []
+
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.02)
+    autosave.flush()
+    autosave.close()
+    assert unsaved_work(folder) == []
+
+
+def test_the_work_of_a_window_that_still_runs_is_not_offered(document, folder):
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.01)
+    autosave.flush()
+    assert unsaved_work(folder) == []
+    crash(autosave)
+    gc.collect()
+    assert len(unsaved_work(folder)) == 1
+
+
+def test_a_damaged_file_is_passed_over_and_left_alone(document, folder):
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.01)
+    crash(autosave)
+    damaged = folder / "unsaved-damaged.json"
+    damaged.write_text('{"path": nul')
+    assert [work.preset.tolerance.t for work in unsaved_work(folder)] == [0.01]
+    assert damaged.exists()
+
+
+def test_restored_work_is_kept_anew_before_the_old_file_goes(document, folder, preset):
+    autosave = Autosave(document, folder)
+    document.edit("tolerance.t", 0.01)
+    crash(autosave)
+    [work] = unsaved_work(folder)
+    second = Document(preset)
+    again = Autosave(second, folder)
+    second.restore(work.preset, work.path)
+    again.take_over(work)
+    crash(again)
+    assert not work.file.exists()
+    assert [kept.preset.tolerance.t for kept in unsaved_work(folder)] == [0.01]
+
+
+def test_a_folder_that_cannot_be_written_is_said_once(document, folder, qtbot):
+    autosave = Autosave(document, folder)
+    said = []
+    autosave.failed.connect(said.append)
+    autosave.file.mkdir()
+    (autosave.file / "in the way").touch()
+    document.edit("tolerance.t", 0.01)
+    autosave.flush()
+    document.edit("tolerance.t", 0.02)
+    autosave.flush()
+    qtbot.waitUntil(lambda: len(said) == 1)
+    assert "cannot be kept" in said[0]
+    autosave.close(keep=True)

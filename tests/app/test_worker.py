@@ -1,0 +1,248 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.app.results import CloudName, ColorBy, Wanted
+from tactune.app.worker import SourceRequest, Worker
+from tactune.core.errors import SourceError
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
+
+from .conftest import LiveSource, TinySource, tiny_frame, tiny_rig
+
+
+class Watched:
+    """A worker with everything that it said."""
+
+    def __init__(self, preset: Preset) -> None:
+        self.worker = Worker(preset)
+        self.results, self.opened, self.failures, self.open_failures, self.progress, self.states = [], [], [], [], [], []
+        self.worker.resultReady.connect(lambda: self.results.append(self.worker.take()))
+        self.worker.opened.connect(self.opened.append)
+        self.worker.failed.connect(self.failures.append)
+        self.worker.openFailed.connect(lambda *what: self.open_failures.append(what))
+        self.worker.opening.connect(lambda *what: self.progress.append(what))
+        self.worker.playbackChanged.connect(self.states.append)
+        self.worker.start()
+
+    def open(self, source):
+        self.worker.open(SourceRequest(source.name, lambda progress: source))
+
+    @property
+    def last(self):
+        return self.results[-1] if self.results else None
+
+    def shows(self, index):
+        return self.last is not None and self.last.playback.index == index
+
+
+@pytest.fixture
+def watched(qtbot, preset):
+    made = Watched(preset)
+    yield made
+    made.worker.shut_down()
+    assert made.worker.isFinished()
+
+
+def test_plays_loops_and_pauses(watched, qtbot):
+    watched.open(TinySource(length=3))
+    qtbot.waitUntil(lambda: {result.playback.index for result in watched.results} == {0, 1, 2})
+    qtbot.waitUntil(lambda: watched.results[-1].processed > 4)
+    watched.worker.pause()
+    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    assert watched.opened[0].length == 3
+
+
+def test_stops_at_the_end_without_a_loop(watched, qtbot):
+    watched.worker.set_loop(False)
+    watched.open(TinySource(length=3))
+    qtbot.waitUntil(lambda: watched.shows(2))
+    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    watched.worker.play()
+    qtbot.waitUntil(lambda: sum(result.playback.index == 0 for result in watched.results) == 2)
+
+
+def test_steps_and_seeks(watched, qtbot):
+    watched.open(TinySource())
+    qtbot.waitUntil(lambda: watched.last is not None)
+    watched.worker.pause()
+    watched.worker.seek(5)
+    qtbot.waitUntil(lambda: watched.shows(5))
+    watched.worker.step(1)
+    qtbot.waitUntil(lambda: watched.shows(6))
+    watched.worker.step(-1)
+    qtbot.waitUntil(lambda: watched.shows(5))
+    assert watched.last.frame.sequence == 5
+
+
+def test_a_changed_preset_does_the_same_frame_again_while_paused(watched, qtbot, preset):
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None)
+    first = watched.last
+    watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
+    qtbot.waitUntil(lambda: watched.last is not first)
+    assert watched.last.frame is first.frame
+    assert len(watched.last.patch.points) > len(first.patch.points) > 0
+
+
+def test_the_patch_is_the_pipeline_s_bit_for_bit(watched, qtbot, preset):
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None)
+    patch = ContactPipeline(preset, tiny_rig()).process(tiny_frame(0, tiny_rig()))
+    np.testing.assert_array_equal(watched.last.patch.points, patch.points)
+    np.testing.assert_array_equal(watched.last.patch.provenance, patch.provenance)
+    assert watched.last.area_mm2 == patch.area_mm2
+
+
+def test_only_what_is_looked_at_is_drawn(watched, qtbot):
+    watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), strip=False, histogram=False))
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None)
+    rendered = watched.last.rendered
+    assert set(rendered.clouds) == {CloudName.PATCH}
+    assert rendered.strip is None
+    assert rendered.histogram is None
+    watched.worker.set_wanted(Wanted(color_by=ColorBy.PROVENANCE))
+    qtbot.waitUntil(lambda: set(watched.last.rendered.clouds) == set(CloudName))
+    assert watched.last.rendered.strip is not None
+    histogram = watched.last.rendered.histogram
+    assert histogram.counts.sum() == np.isfinite(watched.last.patch.relative_difference).sum()
+
+
+def test_a_frame_that_cannot_be_read_pauses_and_the_worker_lives_on(watched, qtbot):
+    watched.open(TinySource(length=4, broken=frozenset({1})))
+    qtbot.waitUntil(lambda: watched.failures == ["tiny: frame 1 is damaged; skip it"])
+    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    watched.worker.seek(2)
+    qtbot.waitUntil(lambda: watched.shows(2))
+
+
+def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
+    source = TinySource(length=1)
+    source.read = lambda index: 1 / 0
+    watched.open(source)
+    qtbot.waitUntil(lambda: len(watched.failures) == 1)
+    assert watched.failures[0] == "Frame 0 of tiny could not be read (ZeroDivisionError: division by zero)."
+
+
+def test_a_source_that_does_not_open_leaves_the_present_one_playing(watched, qtbot):
+    first = TinySource(length=3)
+    watched.open(first)
+    qtbot.waitUntil(lambda: watched.last is not None)
+
+    def fail(progress):
+        raise SourceError("folder:/nowhere: no such folder; choose another")
+
+    watched.worker.open(SourceRequest("folder:/nowhere", fail))
+    qtbot.waitUntil(lambda: len(watched.open_failures) == 1)
+    assert watched.open_failures == [("folder:/nowhere", "folder:/nowhere: no such folder; choose another")]
+    assert not first.closed
+    count = len(watched.results)
+    qtbot.waitUntil(lambda: len(watched.results) > count + 2)
+
+
+def test_opening_another_source_closes_the_first(watched, qtbot):
+    first, second = TinySource(), TinySource(length=2)
+    watched.open(first)
+    watched.open(second)
+    qtbot.waitUntil(lambda: len(watched.opened) == 2)
+    assert first.closed
+    assert not second.closed
+
+
+def test_opening_reports_progress_and_can_be_cancelled(watched, qtbot):
+    def slow(progress):
+        for step in range(10**9):
+            progress(min(0.9, step / 1e6), "solving")
+        raise AssertionError("never finished")
+
+    watched.worker.open(SourceRequest("slow", slow))
+    qtbot.waitUntil(lambda: any(text == "solving" for _, _, text in watched.progress))
+    watched.worker.cancel_open()
+    qtbot.waitUntil(lambda: watched.open_failures == [("slow", "")])
+
+
+def test_shutting_down_while_a_source_opens(qtbot, preset):
+    watched = Watched(preset)
+
+    def slow(progress):
+        while True:
+            progress(0.5, "solving")
+
+    watched.worker.open(SourceRequest("slow", slow))
+    qtbot.waitUntil(lambda: bool(watched.progress))
+    watched.worker.shut_down()
+    assert watched.worker.isFinished()
+
+
+def test_a_preset_for_another_size_is_said_and_the_cameras_still_show(watched, qtbot, preset):
+    watched.worker.set_preset(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None)
+    assert watched.last.patch is None
+    assert "32 x 24" in watched.last.problem
+    assert watched.last.rendered.clouds[CloudName.PROXIMITY] is not None
+    watched.worker.set_preset(preset)
+    qtbot.waitUntil(lambda: watched.last.patch is not None)
+    assert watched.last.problem == ""
+
+
+def test_a_preset_of_another_rig_of_the_same_size_warns(watched, qtbot, preset):
+    watched.worker.set_preset(preset.model_copy(update={"rig": tiny_rig(serial="2")}))
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None)
+    assert watched.last.patch is not None
+    assert "p2" in " ".join(watched.last.warnings)
+
+
+def test_a_frozen_live_frame_stays_while_the_source_goes_on(watched, qtbot, preset):
+    source = LiveSource()
+    try:
+        watched.open(source)
+        source.more.set()
+        qtbot.waitUntil(lambda: watched.last is not None)
+        watched.worker.set_frozen(True)
+        source.more.set()
+        qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].frozen)
+        held = watched.last.frame.sequence
+        watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
+        for _ in range(3):
+            source.more.set()
+            qtbot.waitUntil(lambda: not source.more.is_set())
+        qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)
+        assert watched.last.frame.sequence == held
+        assert source.count > held + 2
+        watched.worker.set_frozen(False)
+        qtbot.waitUntil(lambda: source.more.set() or watched.last.frame.sequence > held)
+    finally:
+        source.stopped.set()
+
+
+def test_slow_consumers_see_the_newest_frame_and_the_drops_are_counted(qtbot, preset):
+    worker = Worker(preset)
+    worker.start()
+    worker.open(SourceRequest("tiny", lambda progress: TinySource(length=30)))
+    worker.set_speed(1000.0)
+    taken = []
+
+    def enough():
+        result = worker.take()
+        if result is not None:
+            taken.append(result)
+        return bool(taken) and taken[-1].dropped > 20
+
+    qtbot.waitUntil(enough)
+    worker.shut_down()
+    assert len(taken) < taken[-1].processed
+    assert taken[-1].processed - taken[-1].dropped >= len(taken) - 1
+
+
+def test_the_state_says_what_the_controls_show(watched, qtbot):
+    watched.open(TinySource())
+    qtbot.waitUntil(lambda: watched.last is not None)
+    watched.worker.set_frozen(True)
+    qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].frozen)
+    watched.worker.play()
+    qtbot.waitUntil(lambda: not watched.states[-1].frozen)
+    assert replace(watched.states[-1], index=0).playing
