@@ -22,8 +22,7 @@ def restore_layout(window: MainWindow, settings: Settings) -> None:
         window.resize(*DEFAULT_SIZE)
     if not window.across.restoreState(settings.blob("window/across")):
         window.across.setSizes([DEFAULT_SIZE[0] - 360, 360])
-    if not window.left.restoreState(settings.blob("window/left")):
-        window.left.setSizes([470, 250])
+    window.left.restoreState(settings.blob("window/left"))
     window.views.splitter.restoreState(settings.blob("window/views"))
     window.panel.set_collapsed_sections(settings.text("window/collapsed", _FOLDED_AT_FIRST).split(","))
     window.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
@@ -38,7 +37,7 @@ def remember_layout(window: MainWindow, settings: Settings) -> None:
     """Note how the window is being left."""
     settings.set("window/geometry", window.saveGeometry())
     settings.set("window/across", window.across.saveState())
-    settings.set("window/left", window.left.saveState())
+    settings.set("window/left", window.left.saved_state())
     settings.set("window/views", window.views.splitter.saveState())
     settings.set("window/collapsed", ",".join(window.panel.collapsed_sections()))
     settings.set("view/point_size", window.views.point_size.value())

@@ -32,6 +32,7 @@ from .recovery import Autosave
 from .results import Result, SourceInfo, Wanted
 from .settings import Settings
 from .status import FrameStatus
+from .strip_splitter import StripSplitter
 from .toolbar import ToolBar
 from .transport import Transport
 from .view_area import ViewArea
@@ -117,12 +118,7 @@ class MainWindow(QMainWindow):
         self.menus = make_menus(bar, self.actions_)
         self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
         self.addToolBar(self.toolbar)
-        self.left = QSplitter(Qt.Orientation.Vertical)
-        self.left.addWidget(self.views)
-        self.left.addWidget(self.strip)
-        self.left.setStretchFactor(0, 3)
-        self.left.setStretchFactor(1, 1)
-        self.left.setChildrenCollapsible(False)
+        self.left = StripSplitter(self.views, self.strip)
         self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(self.left)
         self.across.addWidget(self.panel)
@@ -407,8 +403,8 @@ class MainWindow(QMainWindow):
 
 
 def _describe(info: SourceInfo) -> str:
-    """Say where the frames come from and which cameras took them."""
+    """Say where the frames come from and which cameras took them, the most telling first."""
     rig = info.rig
     cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
     length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
-    return f"{info.name} ({length}, {cameras})"
+    return f"{length}, {info.name}, {cameras}"

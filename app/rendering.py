@@ -16,21 +16,28 @@ from ..core.errors import TactuneError
 from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
-from ..core.provenance import Provenance
 from ..widgets.cloud_data import DepthCloud
-from ..widgets.colormaps import Theme, depth_lut, difference_index, difference_lut, patch_lut, provenance_lut
+from ..widgets.colormaps import (
+    Theme,
+    depth_lut,
+    difference_index,
+    difference_lut,
+    patch_index,
+    patch_lut,
+    provenance_lut,
+)
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 from .strip_drawing import draw_strip
 
-#: Row of a patch table that stands for the context around the patch.
-CONTEXT_ROW = 0
+#: First row of a value in a table that begins with the shades of the context.
+VALUE_ROWS = 128
 HISTOGRAM_BINS = 160
 HISTOGRAM_LIMIT = 0.1
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
 #: The depth colours span these percentiles of the scene, with a margin.
 _PERCENTILES = (1.0, 99.0)
-_DEPTH_MARGIN_M = 0.005
+_DEPTH_MARGIN_M, _DEPTH_MARGIN = 0.005, 0.25
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +64,7 @@ class Renderer:
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
     ) -> Rendered:
         """Return the pictures that are wanted; without a patch, what the cameras alone can show."""
-        sample_m = sampled_depth_m(frame.proximity_depth, rig.proximity.depth_unit_m)
+        sample_m = membrane_sample_m(frame, preset, rig)
         depth_range_m = self._steady_depth_range(rig, sample_m)
         theme: Theme = "dark" if wanted.dark else "light"
         scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m)
@@ -83,17 +90,26 @@ class Renderer:
         if len(sample_m) == 0:
             return self._depth_range_m or (0.0, 1.0)
         near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
-        near, far = near - _DEPTH_MARGIN_M, far + _DEPTH_MARGIN_M
+        margin = max(_DEPTH_MARGIN_M, _DEPTH_MARGIN * (far - near))
+        near, far = near - margin, far + margin
         if self._depth_range_m is not None:
             near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
         self._depth_range_m = near, far
         return near, far
 
 
-def sampled_depth_m(counts: npt.NDArray[np.uint16], unit_m: float) -> npt.NDArray[np.float32]:
-    """Return the valid depths of every few pixels in metres, 1-D; enough for ranges and medians."""
-    sample = counts[::_SAMPLE, ::_SAMPLE]
-    return np.asarray(sample[valid_depth(sample)] * np.float32(unit_m))
+def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> npt.NDArray[np.float32]:
+    """Return the membrane's depth in every few pixels, metres, 1-D; enough for ranges and medians.
+
+    The tactile camera sees the membrane and nothing else. Without any tactile depth, what the
+    proximity camera sees has to do.
+    """
+    alignment = preset.alignment
+    sample = frame.tactile_depth[::_SAMPLE, ::_SAMPLE]
+    scale, offset = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
+    if not valid_depth(sample).any():
+        sample, scale, offset = frame.proximity_depth[::_SAMPLE, ::_SAMPLE], rig.proximity.depth_unit_m, 0.0
+    return np.asarray(sample[valid_depth(sample)] * np.float32(scale) + np.float32(offset))
 
 
 def proximity_view(scene: Scene) -> DepthCloud:
@@ -131,15 +147,15 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     if patch is None:
         return None
     if scene.color_by is ColorBy.CONTACT:
-        index, lut = patch.provenance, patch_lut(scene.theme)
+        index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
     elif scene.color_by is ColorBy.PROVENANCE:
         index, lut = patch.provenance, provenance_lut(scene.theme)
     elif scene.color_by is ColorBy.DIFFERENCE:
         limit = patch_difference_limit(scene.preset.tolerance.t)
-        index = _only_in_patch(difference_index(patch.relative_difference, limit), patch)
+        index = _over_relief(scene, difference_index(patch.relative_difference, limit), patch.mask)
         lut = patch_difference_lut(limit, scene.theme)
     else:
-        index, lut = _only_in_patch(_depth_rows(scene), patch), patch_depth_lut(scene.theme)
+        index, lut = _over_relief(scene, _depth_rows(scene), patch.mask), patch_depth_lut(scene.theme)
     return _proximity_cloud(scene, index, lut, count=len(patch.points))
 
 
@@ -163,6 +179,7 @@ def _proximity_cloud(
         index=index,
         depth_range_m=scene.depth_range_m,
         count=count,
+        framed=False,
     )
 
 
@@ -192,25 +209,33 @@ def _depth_rows(scene: Scene) -> npt.NDArray[np.uint8]:
     return clipped
 
 
-def _only_in_patch(rows: npt.NDArray[np.uint8], patch: ContactPatch) -> npt.NDArray[np.uint8]:
-    return np.asarray(np.where(patch.mask, np.maximum(rows, np.uint8(1)), np.uint8(CONTEXT_ROW)))
+def _relief(scene: Scene, contact: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return rows of `patch_lut`: contact, and shades of the context over the range of the depth colours."""
+    near, far = (limit / scene.rig.proximity.depth_unit_m for limit in scene.depth_range_m)
+    return patch_index(contact, scene.frame.proximity_depth, near, far)
+
+
+def _over_relief(scene: Scene, rows: npt.NDArray[np.uint8], contact: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return rows of a table made by `_half_relief`: values within the patch, shades around it."""
+    shades = _relief(scene, contact) >> 1
+    return np.asarray(np.where(contact, (rows >> 1) + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)))
 
 
 @lru_cache(maxsize=16)
 def patch_difference_lut(limit: float, theme: Theme) -> npt.NDArray[np.uint8]:
-    """Return the colours of relative differences within a patch, over its context: uint8 (256, 4)."""
-    return _over_context(difference_lut(0.0, limit), theme)
+    """Return the colours of relative differences within a patch (the upper half), over its context."""
+    return _half_relief(difference_lut(0.0, limit), theme)
 
 
 @cache
 def patch_depth_lut(theme: Theme) -> npt.NDArray[np.uint8]:
-    """Return the colours of depth within a patch, over its context: uint8 (256, 4)."""
-    return _over_context(depth_lut(), theme)
+    """Return the colours of depth within a patch (the upper half), over its context."""
+    return _half_relief(depth_lut(), theme)
 
 
-def _over_context(lut: npt.NDArray[np.uint8], theme: Theme) -> npt.NDArray[np.uint8]:
-    """Give a table's first row the colour of the context around the patch."""
-    mixed = lut.copy()
-    mixed[CONTEXT_ROW] = patch_lut(theme)[Provenance.OUTSIDE_TOLERANCE]
+def _half_relief(lut: npt.NDArray[np.uint8], theme: Theme) -> npt.NDArray[np.uint8]:
+    """Return every other row of the context's shades, then every other row of a table: uint8 (256, 4)."""
+    mixed = np.concatenate([patch_lut(theme)[::2], lut[::2]])
+    mixed[VALUE_ROWS - 1] = mixed[VALUE_ROWS - 2]  # the last shade's place is the colour of contact
     mixed.flags.writeable = False
     return mixed

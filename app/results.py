@@ -18,7 +18,7 @@ from .playback import PlaybackState
 
 if TYPE_CHECKING:
     from ..widgets.cloud_data import DepthCloud
-    from ..widgets.image_strip import RenderedStrip
+    from ..widgets.strip_render import RenderedStrip
 
 
 class CloudName(StrEnum):

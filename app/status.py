@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import time
 
-from PyQt6.QtWidgets import QLabel, QSizePolicy, QStatusBar, QWidget
+from PyQt6.QtWidgets import QLabel, QStatusBar, QWidget
 
+from ..widgets.elided_label import ElidedLabel
 from .results import RateMeter, Result
 
 #: Numbers that change thirty times a second cannot be read; a few times is enough.
@@ -20,10 +21,9 @@ class FrameStatus(QStatusBar):
         self.setSizeGripEnabled(False)
         self._shown_rate = RateMeter()
         self._last_s = 0.0
-        self._source = self._label("", "Source of the frames")
-        self._source.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Preferred)
+        self._source = ElidedLabel()
         self.addWidget(self._source, 1)
-        self._rates = self._number("00.0 shown / 00.0 processed fps", "Frames per second drawn, and processed")
+        self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
         self._dropped = self._number("0000 dropped", "Frames not drawn because a newer one was ready")
         self._stages = self._number(
             "align 00.0  tolerance 00.0  mask 00.0  outliers 00.0 ms", "Milliseconds per stage; 0 is cached or skipped"
@@ -40,7 +40,6 @@ class FrameStatus(QStatusBar):
     def show_source(self, text: str) -> None:
         """Name the source."""
         self._source.setText(text)
-        self._source.setToolTip(text)
 
     def show_result(self, result: Result) -> None:
         """Count a frame as shown and refresh the numbers when it is time."""

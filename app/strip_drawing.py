@@ -12,7 +12,7 @@ from ..core.frames import Rig, SensorFrame
 from ..core.masking import colors_at, in_hsv_range
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
-from ..widgets.image_strip import RenderedStrip, StripImages, render_strip
+from ..widgets.strip_render import RenderedStrip, StripImages, render_strip, stride_for
 
 
 def draw_strip(
@@ -26,7 +26,7 @@ def draw_strip(
 ) -> RenderedStrip:
     """Return the four panes; ``width_hint`` is how many screen pixels an image takes across, 0 for all."""
     height, width = frame.proximity_depth.shape
-    stride = max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
+    stride = stride_for(width, width_hint)
     every = np.s_[::stride, ::stride]
     counts = frame.proximity_depth[every]
     valid = valid_depth(counts)

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtWidgets import QMenu, QSizePolicy, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
 
 from .actions import Actions, Menus
 from .transport import Transport
@@ -85,10 +85,9 @@ def _chosen(choose: Callable[[str], None], name: str, _checked: bool = False) ->
     choose(name)
 
 
-def _menu_button(menu: QMenu, tip: str) -> QToolButton:
-    button = QToolButton()
+def _menu_button(menu: QMenu, tip: str) -> QPushButton:
+    button = QPushButton()
     button.setMenu(menu)
-    button.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
     button.setToolTip(tip)
     button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
     return button

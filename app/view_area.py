@@ -18,7 +18,7 @@ from ..widgets.colormaps import (
     provenance_legend,
 )
 from .actions import Actions
-from .rendering import patch_difference_limit, patch_difference_lut
+from .rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
 from .results import CloudName, ColorBy, Result
 
 TITLES = {
@@ -141,7 +141,6 @@ class ViewArea(QWidget):
             button = QToolButton()
             button.setDefaultAction(action)
             button.setText(text)
-            button.setAutoRaise(True)
             row.addWidget(button)
         return row
 
@@ -183,7 +182,7 @@ def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, depth_
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:
     limit = patch_difference_limit(t)
     lut = patch_difference_lut(limit, theme)
-    ends = ((f"−{limit:.1%}", 1), ("0", 128), (f"+{limit:.1%}", 255))
+    ends = ((f"−{limit:.1%}", VALUE_ROWS + 1), ("0", VALUE_ROWS + 64), (f"+{limit:.1%}", 255))
     return [(text, QColor(*(int(channel) for channel in lut[row, :3]))) for text, row in ends]
 
 

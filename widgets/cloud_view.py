@@ -184,10 +184,11 @@ class CloudView(QWidget):
         self._frame(self.camera(), self._steered)
 
     def _frame(self, camera: ViewCamera, steered: bool) -> None:
-        clouds = [view.cloud() for view in (self, *self._companions)]
-        points = [cloud.points(_FRAMING_STEP) for cloud in clouds if cloud is not None]
-        if points:
-            camera = camera.framing(np.concatenate(points), self._canvas.width(), self._canvas.height())
+        clouds = [cloud for view in (self, *self._companions) if (cloud := view.cloud()) is not None]
+        framed = [cloud for cloud in clouds if cloud.framed and cloud.point_count] or clouds
+        if framed:
+            points = np.concatenate([cloud.points(_FRAMING_STEP) for cloud in framed])
+            camera = camera.framing(points, self._canvas.width(), self._canvas.height())
         self._move(camera, steered)
 
     def _move(self, camera: ViewCamera, steered: bool) -> None:
