@@ -18,7 +18,7 @@ from tactune.widgets import gl_backend
 from tactune.widgets.cloud_data import DepthCloud
 from tactune.widgets.cloud_view import BackendChoice, CloudView, link_cameras
 from tactune.widgets.colormaps import depth_lut
-from tactune.widgets.gl_backend import GLError, GLProbe, GLRenderer
+from tactune.widgets.gl_backend import GLCanvas, GLError, GLProbe, GLRenderer
 from tactune.widgets.view_camera import ViewCamera
 
 LENS = Intrinsics(width=64, height=48, fx=46.0, fy=46.0, cx=31.5, cy=23.5)
@@ -189,13 +189,28 @@ def test_both_back_ends_draw_the_same_picture(qtbot: QtBot) -> None:
 
 @pytest.mark.parametrize("counts", [0, 65535])
 def test_no_depth_is_not_drawn(view: CloudView, counts: int) -> None:
+    """At 10 micrometres a count even 65535 would lie well inside the view."""
     depth = wall(counts)
-    depth[20:28, 20:40] = 300
-    view.set_cloud(cloud_of(depth, index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
+    depth[20:28, 20:40] = 30000
+    red = {"index": np.zeros((48, 64), np.uint8), "lut": colored(RED), "depth_unit_m": 1e-5}
+    view.set_camera(ViewCamera((0.0, 0.0, 0.3), 1.5, azimuth=0.0, elevation=0.0))
+    view.set_cloud(cloud_of(depth, **red))
+    drawn = len(pixels_of(picture(view), RED))
+    view.set_cloud(cloud_of(np.where(depth == counts, 0, depth).astype(np.uint16), **red))
+    assert drawn == len(pixels_of(picture(view), RED)) > 100
+    view.set_cloud(cloud_of(np.where(depth == counts, 65534, depth).astype(np.uint16), **red))
+    assert len(pixels_of(picture(view), RED)) > 2 * drawn
+
+
+def test_every_row_of_the_table_reaches_its_points(view: CloudView) -> None:
+    lut = np.full((256, 4), 255, np.uint8)
+    lut[:, 0], lut[:, 1], lut[:, 2] = np.arange(256), 255 - np.arange(256), 77
+    index = np.kron(np.arange(256, dtype=np.uint8).reshape(16, 16), np.ones((3, 4), np.uint8))
+    view.set_cloud(cloud_of(wall(), index=index, lut=lut))
     view.set_camera(FRONT)
-    drawn = pixels_of(picture(view), RED)
-    view.set_cloud(cloud_of(wall(), index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
-    assert 0 < len(drawn) < len(pixels_of(picture(view), RED)) / 5
+    view.set_point_size(3)
+    image = picture(view)
+    assert [row for row in range(256) if len(pixels_of(image, (row, 255 - row, 77))) == 0] == []
 
 
 def test_hidden_colours_are_not_drawn(view: CloudView) -> None:
@@ -213,6 +228,8 @@ def test_hidden_colours_are_not_drawn(view: CloudView) -> None:
     after = picture(view)
     assert len(pixels_of(after, GREEN)) == 0
     assert len(pixels_of(after, RED)) == len(pixels_of(before, RED))
+    where = pixels_of(before, GREEN)
+    assert (after[where[:, 1], where[:, 0]] == 255).all(), "the background is seen instead"
     assert view.point_count() == 48 * 32
 
 
@@ -570,6 +587,7 @@ def falls_back(qtbot: QtBot, view: CloudView, words: str) -> None:
     assert len(pixels_of(picture(view), RED)) > 1000
     drag(view, (100, 100), (140, 120), Qt.MouseButton.LeftButton)
     assert view.camera() != camera, "it can still be steered"
+    qtbot.waitUntil(lambda: view.findChildren(GLCanvas) == [])
 
 
 def red_wall() -> DepthCloud:
@@ -610,7 +628,12 @@ def test_it_goes_on_in_software_when_opengl_fails(
     falls_back(qtbot, view, "the graphics driver was reset")
 
 
-def test_it_survives_moving_to_another_window(view: CloudView, backend: BackendChoice, qtbot: QtBot) -> None:
+def test_it_survives_moving_to_another_window(
+    view: CloudView, backend: BackendChoice, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    freed: list[GLRenderer] = []
+    destroy = GLRenderer.destroy
+    monkeypatch.setattr(GLRenderer, "destroy", lambda renderer: (freed.append(renderer), destroy(renderer)))
     view.set_cloud(red_wall())
     view.set_camera(FRONT)
     before = len(pixels_of(picture(view), RED))
@@ -623,4 +646,5 @@ def test_it_survives_moving_to_another_window(view: CloudView, backend: BackendC
         other.show()
     assert view.backend_name == backend
     assert len(pixels_of(picture(view), RED)) > before / 2
+    assert len(freed) == (backend == "opengl"), "graphics memory of the former window is freed"
     view.setParent(None)
