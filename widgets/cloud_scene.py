@@ -17,6 +17,8 @@ _AXIS_COLORS = {
     "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),
 }
 _AXIS_LENGTH, _AXIS_MARGIN = 22.0, 34.0
+#: An axis that points this much at the eye is a dot, and its letter would cover the others.
+_FACING = 0.97
 
 
 @dataclass
@@ -61,6 +63,8 @@ def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
         tip = origin + direction * _AXIS_LENGTH
         painter.setPen(QPen(colors[axis], 2.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
         painter.drawLine(origin, tip)
+        if abs(float(back[axis])) > _FACING:
+            continue
         label = QRectF(-8.0, -8.0, 16.0, 16.0).translated(origin + direction * (_AXIS_LENGTH + 7.0))
         painter.drawText(label, Qt.AlignmentFlag.AlignCenter, "xyz"[axis])
 

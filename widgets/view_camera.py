@@ -16,7 +16,7 @@ Viewpoint = Literal["reset", "top", "side"]
 VIEWPOINTS: dict[str, tuple[float, float]] = {
     "reset": (radians(-28.0), radians(24.0)),
     "top": (0.0, pi / 2),
-    "side": (radians(-90.0), 0.0),
+    "side": (radians(90.0), 0.0),
 }
 
 #: Near and far plane as multiples of the distance to the target.
