@@ -20,7 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from .objects import NO_OBJECT, distance, njit_kernel, normal
+from .objects import NO_OBJECT, compiled, distance, normal
 
 Float64Array = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
@@ -134,10 +134,11 @@ def build_mesh(design: MembraneDesign) -> Mesh:
     corners = unstretched[triangles]
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     free = (np.abs(flat[:, 0]) < design.width_m / 2 - 1e-9) & (np.abs(flat[:, 1]) < design.height_m / 2 - 1e-9)
-    return Mesh(flat, triangles, np.linalg.inv(edges), np.linalg.det(edges) / 2, free)
+    inverse = np.asarray(np.linalg.inv(edges), dtype=np.float64)
+    return Mesh(flat, triangles, inverse, np.linalg.det(edges) / 2, free)
 
 
-@njit_kernel
+@compiled
 def _forces(
     nodes: Float64Array,
     triangles: Int32Array,
@@ -184,10 +185,10 @@ def _forces(
             swept[node, 0] += nx
             swept[node, 1] += ny
             swept[node, 2] += nz
-    return volume
+    return float(volume)
 
 
-@njit_kernel
+@compiled
 def _gradient(
     nodes: Float64Array,
     triangles: Int32Array,
@@ -206,10 +207,10 @@ def _gradient(
     for n in range(nodes.shape[0]):
         for k in range(3):
             out[n, k] = out[n, k] - gauge * swept[n, k] if free[n] else 0.0
-    return gauge
+    return float(gauge)
 
 
-@njit_kernel
+@compiled
 def _project(
     kind: int, pose: Float64Array, nodes: Float64Array, base: Float64Array, free: npt.NDArray[np.bool_]
 ) -> None:
@@ -234,7 +235,7 @@ def _project(
                 break
 
 
-@njit_kernel
+@compiled
 def _balance(
     kind: int,
     pose: Float64Array,
@@ -259,7 +260,7 @@ def _balance(
     return float(np.sqrt(worst))
 
 
-@njit_kernel
+@compiled
 def _relax(
     nodes: Float64Array,
     triangles: Int32Array,
@@ -377,7 +378,7 @@ class Membrane:
         nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
         empty = np.zeros((3, 4))
         dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
-        amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], []
+        amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], list[float]()
         for _ in range(12):
             self._air[0] = amounts[len(errors)]
             state = self._solve(NO_OBJECT, empty, nodes, self.tolerance / 10, 20_000)

@@ -7,14 +7,14 @@ costs a few milliseconds.
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 import numpy.typing as npt
-from numba import njit
 
 from ...frames import Rig
+from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
 
 Float32Array = npt.NDArray[np.float32]
@@ -44,10 +44,8 @@ _COLOUR_SIGMA: Final = 2.2
 _BANK: Final = 1 << 20
 _FIELD: Final = 1024
 
-_kernel: Any = njit(cache=True, nogil=True)
 
-
-@_kernel
+@compiled
 def _hash(seed: int, frame: int, stream: int, row: int) -> int:
     """Mix four numbers into 62 random bits (splitmix64's finaliser, after each number)."""
     state = np.uint64(0x9E3779B97F4A7C15)
@@ -56,10 +54,10 @@ def _hash(seed: int, frame: int, stream: int, row: int) -> int:
         state = (state ^ (state >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
         state = (state ^ (state >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
         state = state ^ (state >> np.uint64(31))
-    return np.int64(state >> np.uint64(2))
+    return int(state >> np.uint64(2))
 
 
-@_kernel
+@compiled
 def _time_of_flight(
     seed: int,
     frame: int,
@@ -105,7 +103,7 @@ def _time_of_flight(
             out[v, u] = min(max(int(z / unit_m + 0.5), 1), 65534)
 
 
-@_kernel
+@compiled
 def _stereo(
     seed: int,
     frame: int,
@@ -143,7 +141,7 @@ def _stereo(
             out[v, u] = min(int(focal_baseline / (disparity * unit_m) + 0.5), 65534)
 
 
-@_kernel
+@compiled
 def _grain(
     seed: int,
     frame: int,
@@ -157,7 +155,7 @@ def _grain(
     for v in range(height):
         start = _hash(seed, frame, stream, v) % room
         for u in range(width):
-            out[v, u] = min(max(np.int16(clean[v, u]) + np.int16(bank[start + u]), 0), 255)
+            out[v, u] = min(max(int(clean[v, u]) + int(bank[start + u]), 0), 255)
 
 
 class NoiseModel:

@@ -9,8 +9,9 @@ projection to the surface need.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +20,7 @@ from numba import njit
 from ...errors import SourceError
 
 Float64Array = npt.NDArray[np.float64]
-njit_kernel: Any = njit(cache=True, nogil=True, error_model="numpy")
+_Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 NO_OBJECT: Final = -1
 CUBE: Final = 0
@@ -33,6 +34,12 @@ _NEAR: Final = 0.020
 
 #: Step of the finite differences that give the surface normal, metres.
 _NORMAL_STEP: Final = 2e-6
+
+
+def compiled(function: _Kernel) -> _Kernel:
+    """Compile a kernel: kept on disk, free of the interpreter lock, and the same bits every time."""
+    kernel: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
+    return cast(_Kernel, kernel)
 
 
 @dataclass(frozen=True)
@@ -86,15 +93,15 @@ def find_object(scene: str) -> PressedObject:
     return OBJECTS[scene]
 
 
-@njit_kernel
+@compiled
 def _cube(x: float, y: float, z: float) -> float:
     half, rounding = 0.0325, 0.007
     qx, qy, qz = abs(x) - half + rounding, abs(y) - half + rounding, abs(z) - half + rounding
     outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
-    return outside + min(max(qx, max(qy, qz)), 0.0) - rounding
+    return outside + min(max(qx, qy, qz), 0.0) - rounding
 
 
-@njit_kernel
+@compiled
 def _cup(x: float, y: float, z: float) -> float:
     """Cup on its side: its axis along y, its handle a ring reaching out towards +x and the membrane."""
     radius, half_length, rounding = 0.037, 0.046, 0.004
@@ -109,13 +116,13 @@ def _cup(x: float, y: float, z: float) -> float:
     return min(body, handle)
 
 
-@njit_kernel
+@compiled
 def _smooth_min(a: float, b: float, width: float) -> float:
     h = max(width - abs(a - b), 0.0) / width
     return min(a, b) - 0.25 * h * h * width
 
 
-@njit_kernel
+@compiled
 def _arm(across: float, along: float, z: float) -> float:
     """One octopus arm in its own vertical plane: a capsule that bends down to a knob."""
     ax, az, bx, bz = 0.016, 0.004, 0.050, -0.006
@@ -126,7 +133,7 @@ def _arm(across: float, along: float, z: float) -> float:
     return _smooth_min(limb, knob, 0.008)
 
 
-@njit_kernel
+@compiled
 def _octopus(x: float, y: float, z: float) -> float:
     """Round head with six arms; only the nearest arm in angle and its two neighbours matter at any point."""
     head = math.sqrt(x * x + y * y + (z - 0.004) ** 2) - 0.031
@@ -141,7 +148,7 @@ def _octopus(x: float, y: float, z: float) -> float:
     return _smooth_min(head, arms, 0.016)
 
 
-@njit_kernel
+@compiled
 def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point to an object, metres; 1 m where there is none.
 
@@ -170,7 +177,7 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
     return 1.0
 
 
-@njit_kernel
+@compiled
 def normal(kind: int, pose: Float64Array, x: float, y: float, z: float) -> tuple[float, float, float]:
     """Return the unit outward normal of the level set through a point, in the surrounding frame."""
     e = _NORMAL_STEP
