@@ -21,7 +21,7 @@ Bools = npt.NDArray[np.bool_]
 Points = npt.NDArray[np.float32]
 
 #: A point whose neighbours are not certain after this many rings is looked up in a k-d tree.
-_MOST_RINGS = 12
+_MOST_RINGS = 32
 
 
 def statistical_inliers(

@@ -61,7 +61,7 @@ def test_neighbour_distances_are_a_brute_force_searchs(seed, k, share, noise):
 
 
 def test_points_that_the_rings_do_not_settle_go_to_the_tree(monkeypatch):
-    points, pixels, rays, _ = scene(3, 160, 120, 0.05, 0.001)
+    points, pixels, rays, _ = scene(3, 160, 120, 0.02, 0.001)
     calls = []
     tree = outliers.cKDTree
     monkeypatch.setattr(outliers, "cKDTree", lambda cloud: calls.append(len(cloud)) or tree(cloud))
