@@ -53,7 +53,9 @@ PresetName = Annotated[
         help="A preset file or a shipped name; without it, simulator for sim and default for others.",
     ),
 ]
-FrameCount = Annotated[int | None, typer.Option("--frames", "-n", min=1, help="Stop after so many; default: all.")]
+FrameCount = Annotated[
+    int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many; default: all.")
+]
 
 
 class Format(StrEnum):
@@ -124,15 +126,15 @@ def run(
     preset: PresetName = None,
     frames: FrameCount = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write a file a frame: patch_000012.npz.")
+        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write a file a frame, such as patch_000012.npz.")
     ] = None,
-    file_format: Annotated[Format, typer.Option("--format", help="Of the files.")] = Format.NPZ,
+    file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
     json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
     truth: Annotated[
         bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
     ] = False,
 ) -> None:
-    """Compute contact patches without a window, for robots and scripts."""
+    """Compute contact patches without a window."""
     from .cli_run import RunOptions, run_frames
 
     if out is None and not json_lines:
@@ -148,7 +150,7 @@ def export_folder(
     source: Source = defaults.SOURCE,
     frames: FrameCount = None,
 ) -> None:
-    """Write any source's frames as a folder of PNG images, to hand a scene to someone else."""
+    """Write frames as PNG images, to hand on."""
     from .cli_run import export_frames
 
     export_frames(source, out, frames)
