@@ -8,10 +8,11 @@ missing; one that cannot be written is reported and otherwise ignored.
 from __future__ import annotations
 
 import hashlib
+import json
 import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import fields
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,7 @@ import numpy.typing as npt
 from platformdirs import user_cache_dir
 
 from ...atomic import atomic_path
-from .scene import CleanState
+from .scene import CleanState, PressFacts
 
 _NAMES = tuple(field.name for field in fields(CleanState))
 
@@ -34,20 +35,30 @@ def cache_file(scene: str, key: str) -> Path:
     return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest.hexdigest()[:16]}.zip"
 
 
-def load_states(path: Path, count: int) -> list[CleanState] | None:
+@dataclass(frozen=True)
+class SolvedScene:
+    """The clean states of a scene, in the order of the schedule's depths, and what is true of them."""
+
+    states: Sequence[CleanState]
+    facts: Sequence[PressFacts]
+
+
+def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where there is no such file or it is damaged."""
     try:
         with zipfile.ZipFile(path) as archive:
+            facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]
             packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
-    except (OSError, KeyError, ValueError, zipfile.BadZipFile):
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
         return None
     with ThreadPoolExecutor(2) as pool:
-        states = list(pool.map(_unpack, packed))
-    return [state for state in states if state is not None] if None not in states else None
+        unpacked = list(pool.map(_unpack, packed))
+    states = [state for state in unpacked if state is not None]
+    return SolvedScene(states, facts) if len(states) == len(facts) == count else None
 
 
-def save_states(path: Path, states: Sequence[CleanState]) -> None:
-    """Write states to a file, whole or not at all, and remove the scene's older files.
+def save_scene(path: Path, scene: SolvedScene) -> None:
+    """Write a scene to a file, whole or not at all, and remove the scene's older files.
 
     Raises
     ------
@@ -55,13 +66,14 @@ def save_states(path: Path, states: Sequence[CleanState]) -> None:
         The operating system refuses.
     """
     with ThreadPoolExecutor(2) as pool:
-        packed = list(pool.map(_pack, states))
+        packed = list(pool.map(_pack, scene.states))
     with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))
         for n, images in enumerate(packed):
             for name, data in images.items():
                 archive.writestr(f"{n}/{name}.png", data)
-    scene = path.name.rpartition("-")[0]
-    for older in path.parent.glob(f"{scene}-*.zip"):
+    kind = path.name.rpartition("-")[0]
+    for older in path.parent.glob(f"{kind}-*.zip"):
         if older != path:
             older.unlink(missing_ok=True)
 

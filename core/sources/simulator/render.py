@@ -311,9 +311,9 @@ def paint_sheet(width_m: float, height_m: float, texel_m: float, seed: int) -> n
         for i in range(-17, 18):
             px, py = (np.array([i + 0.5 * (j % 2), j]) + rng.uniform(-0.27, 0.27, 2)) * spacing
             radius = rng.uniform(0.0013, 0.0025)
-            wobble, phase = rng.uniform(0.0, 0.18), rng.uniform(0.0, 2 * np.pi)
+            wobble, phase = rng.uniform(0.0, 0.15), rng.uniform(0.0, 2 * np.pi)
             near = (slice(*_span(py, radius, rows, texel_m)), slice(*_span(px, radius, columns, texel_m)))
-            rim = radius * (1 + wobble * np.cos(3 * np.arctan2(y[near] - py, x[near] - px) + phase))
+            rim = radius * (1 + wobble * np.cos(2 * np.arctan2(y[near] - py, x[near] - px) + phase))
             cover = np.clip((rim - np.hypot(x[near] - px, y[near] - py)) / texel_m + 0.5, 0, 1)
             sheet[(*near, 0)] = np.maximum(sheet[(*near, 0)], np.round(255 * cover))
 

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from ...frames import ColorCamera, DepthCamera, Rig, rigid_transform
+from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...intrinsics import Intrinsics
-from .membrane import Membrane, MembraneDesign, MembraneState, object_pose
+from .membrane import ATMOSPHERE_PA, Membrane, MembraneDesign, MembraneState, object_pose
 from .objects import NO_OBJECT, PressedObject, distance
 from .render import (
     CLEAN_UNIT_M,
@@ -27,7 +27,6 @@ from .render import (
 )
 
 Float64Array = npt.NDArray[np.float64]
-Progress = Callable[[float, str], None]
 
 #: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
@@ -66,7 +65,7 @@ def simulator_rig() -> Rig:
     )
 
 
-def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Any:
+def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, float, float]) -> Matrix4:
     pressed = PressedObject(NO_OBJECT, degrees, (0.0, 0.0), (0.0, 0.0, 0.0))
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = pressed.rotation(), translation_m
@@ -133,6 +132,34 @@ class CleanState:
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
 
+@dataclass(frozen=True)
+class PressFacts:
+    """What is true of one state beyond its images.
+
+    Attributes
+    ----------
+    depth_m : float
+        How far the object has moved past first touch; a gap is negative.
+    max_strain : float
+        Largest principal stretch of any triangle, minus 1; the unstretched sheet has 0.
+    force_n : float
+        Sum of the contact reactions' magnitudes.
+    gauge_pressure_pa : float
+        Air pressure over the atmosphere's.
+    residual : float
+        The solver's, see `MembraneState`.
+    T_proximity_object : 4 x 4
+        True pose of the object in the proximity depth frame, metres.
+    """
+
+    depth_m: float
+    max_strain: float
+    force_n: float
+    gauge_pressure_pa: float
+    residual: float
+    T_proximity_object: Matrix4
+
+
 class Press:
     """One object, moved along z against one membrane, and three cameras that watch."""
 
@@ -173,6 +200,19 @@ class Press:
             state = self.membrane.press(self.pressed.kind, pose, start)
             before = [*before[-1:], state.nodes]
             yield pose, state
+
+    def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
+        """Sum up one state."""
+        object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
+        proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
+        return PressFacts(
+            depth_m=depth_m,
+            max_strain=float(self.membrane.stretches(state.nodes).max()) - 1.0,
+            force_n=float(state.reaction_n.sum()),
+            gauge_pressure_pa=state.pressure_pa - ATMOSPHERE_PA,
+            residual=state.residual,
+            T_proximity_object=rigid_transform(proximity_membrane @ np.linalg.inv(object_membrane)),
+        )
 
     def picture(self, pose: Float64Array, state: MembraneState) -> CleanState:
         """Draw one state in all cameras."""

@@ -11,12 +11,12 @@ import numpy as np
 from ...errors import ExportError, SourceError
 from ...frames import GroundTruth, SensorFrame
 from ..base import Health, Progress, SeekableSource
-from .cache import cache_file, load_states, save_states
+from .cache import SolvedScene, cache_file, load_scene, save_scene
 from .membrane import Membrane, MembraneDesign
 from .noise import NoiseModel
 from .objects import PressedObject, find_object
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
-from .scene import CleanState, Press, schedule, simulator_rig
+from .scene import CleanState, Press, PressFacts, schedule, simulator_rig
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
@@ -39,6 +39,8 @@ class SimulatorSource(SeekableSource):
         1: as the cameras' data sheets give it; 0: none; 2: twice as much.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done.
+    cells : tuple of int, optional
+        Resolution of the membrane's mesh along its sides, even numbers; the design's own by default.
 
     Raises
     ------
@@ -46,7 +48,14 @@ class SimulatorSource(SeekableSource):
         No such scene, or a seed or noise that is not allowed.
     """
 
-    def __init__(self, scene: str = "cup", seed: int = 0, noise: float = 1.0, progress: Progress | None = None) -> None:
+    def __init__(
+        self,
+        scene: str = "cup",
+        seed: int = 0,
+        noise: float = 1.0,
+        progress: Progress | None = None,
+        cells: tuple[int, int] | None = None,
+    ) -> None:
         if seed < 0:
             raise SourceError(f"sim: the seed is {seed}; give a whole number from 0")
         if not (math.isfinite(noise) and noise >= 0.0):
@@ -55,12 +64,14 @@ class SimulatorSource(SeekableSource):
         self._depths_m, self._state_of_frame = schedule()
         super().__init__(_name(scene, seed, noise), simulator_rig(), len(self._state_of_frame))
         self._message = ""
-        self._states = self._clean_states(scene, pressed, progress or (lambda share, words: None))
+        design = MembraneDesign(cells=cells) if cells else MembraneDesign()
+        self._solved = self._solve(scene, pressed, design, progress or (lambda share, words: None))
         self._noise = NoiseModel(self.rig, seed, noise)
 
-    def press_depth_m(self, index: int) -> float:
-        """Return how far the object has moved past first touch in a frame, metres; a gap is negative."""
-        return float(self._depths_m[self._state_of_frame[index]])
+    def facts(self, index: int) -> PressFacts:
+        """Return depth of the press, strain, force and true object pose of a frame."""
+        facts: PressFacts = self._solved.facts[int(self._state_of_frame[index])]
+        return facts
 
     def health(self) -> Health:
         """Report that the cache could not be written, if so; all else is well."""
@@ -68,7 +79,7 @@ class SimulatorSource(SeekableSource):
 
     def read(self, index: int) -> SensorFrame:
         """Return frame ``index``, 0 <= index < length."""
-        state = self._states[self._state_of_frame[index]]
+        state = self._solved.states[self._state_of_frame[index]]
         noise = self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
@@ -83,34 +94,34 @@ class SimulatorSource(SeekableSource):
             truth=GroundTruth(contact=(state.flags & CONTACT_FLAG) != 0, depth_m=depth),
         )
 
-    def _clean_states(self, scene: str, pressed: PressedObject, progress: Progress) -> list[CleanState]:
-        design = MembraneDesign()
-        path = cache_file(scene, f"{pressed} {design} {self.rig.model_dump_json()}")
+    def _solve(self, scene: str, pressed: PressedObject, design: MembraneDesign, progress: Progress) -> SolvedScene:
+        """Take the scene from the cache, or compute and keep it."""
+        variant = scene + "-{}x{}".format(*design.cells)
+        path = cache_file(variant, f"{pressed} {design} {self.rig.model_dump_json()}")
         progress(0.0, f"Looking for the {scene} scene in the cache")
-        states = load_states(path, len(self._depths_m))
-        if states is None:
-            states = self._compute(scene, pressed, design, progress)
+        solved = load_scene(path, len(self._depths_m))
+        if solved is None:
+            solved = self._compute(scene, pressed, design, progress)
             try:
-                save_states(path, states)
+                save_scene(path, solved)
             except ExportError as error:
                 self._message = f"The scene was not kept, so the next start takes as long: {error}"
         progress(1.0, f"The {scene} scene is ready")
-        return states
+        return solved
 
-    def _compute(
-        self, scene: str, pressed: PressedObject, design: MembraneDesign, progress: Progress
-    ) -> list[CleanState]:
+    def _compute(self, scene: str, pressed: PressedObject, design: MembraneDesign, progress: Progress) -> SolvedScene:
         """Solve state after state while a second thread draws the ones before."""
         progress(0.0, "Inflating the simulated membrane")
         press = Press(pressed, Membrane(design), self.rig)
         drawn: list[Future[CleanState]] = []
+        facts: list[PressFacts] = []
         pool = ThreadPoolExecutor(1)
         try:
-            for pose, state in press.states(self._depths_m):
+            for depth, (pose, state) in zip(self._depths_m, press.states(self._depths_m), strict=True):
                 drawn.append(pool.submit(press.picture, pose, state))
-                done = len(drawn) / len(self._depths_m)
-                progress(0.05 + 0.9 * done, f"Pressing the {scene} into the simulated membrane")
-            return [future.result() for future in drawn]
+                facts.append(press.facts(float(depth), pose, state))
+                progress(0.95 * len(drawn) / len(self._depths_m), f"Pressing the {scene} into the simulated membrane")
+            return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)
 
