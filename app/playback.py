@@ -90,15 +90,18 @@ class Playback:
             return 0.0
         return max(0.0, self._due_s - now_s)
 
-    def next_index(self) -> int | None:
-        """Index of the frame to play next, or None at the end (which also pauses)."""
+    def following_index(self) -> int | None:
+        """Index of the frame that comes next, or None at the end."""
         following = self.index + 1
         if self.length is None or following < self.length:
             return following
-        if self.loop:
-            return 0
-        self.playing = False
-        return None
+        return 0 if self.loop else None
+
+    def next_index(self) -> int | None:
+        """Index of the frame to play next, or None at the end (which also pauses)."""
+        following = self.following_index()
+        self.playing = following is not None
+        return following
 
     def step_index(self, by: int) -> int | None:
         """Index of the frame ``by`` steps away, or None where there is none."""

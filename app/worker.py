@@ -6,6 +6,7 @@ mailbox, with one wake-up however many frames were dropped in between.
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -14,6 +15,7 @@ from queue import Empty, SimpleQueue
 from threading import Event
 from typing import Any
 
+import numba
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ..core.errors import TactuneError
@@ -23,6 +25,7 @@ from ..core.preset import Preset
 from ..core.sources.base import FrameSource
 from .mailbox import Mailbox
 from .playback import Playback
+from .reader import FrameReader
 from .rendering import Renderer
 from .results import RateMeter, Result, SourceInfo, Wanted
 
@@ -79,7 +82,7 @@ class Worker(QThread):
         self._preset = preset
         self._wanted = Wanted()
         self._renderer = Renderer()
-        self._source: FrameSource | None = None
+        self._reader: FrameReader | None = None
         self._info: SourceInfo | None = None
         self._pipeline: ContactPipeline | None = None
         self._frame: SensorFrame | None = None
@@ -153,6 +156,7 @@ class Worker(QThread):
     def run(self) -> None:
         """Obey orders and play frames until told to stop."""
         sys.setswitchinterval(SWITCH_INTERVAL_S)
+        leave_room_for_the_window()
         try:
             while True:
                 self._tell_playback()
@@ -160,14 +164,14 @@ class Worker(QThread):
                 if self._stopping:
                     break
                 self._tell_playback()
-                due = self._source is not None and self._playback.wait_s(time.perf_counter()) == 0.0
+                due = self._reader is not None and self._playback.wait_s(time.perf_counter()) == 0.0
                 if self._stale and self._frame is not None and (self._playback.frozen or not due):
                     self._process(self._frame)
                 elif due:
                     self._advance()
         finally:
-            if self._source is not None:
-                self._source.close()
+            if self._reader is not None:
+                self._reader.close()
 
     def _tell_playback(self) -> None:
         """Tell of another mode of playback; the frame number comes with each result."""
@@ -180,7 +184,7 @@ class Worker(QThread):
         """How long there is nothing to do but wait for orders; None: for ever."""
         if self._stale and self._frame is not None:
             return 0.0
-        return self._playback.wait_s(time.perf_counter()) if self._source is not None else None
+        return self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
 
     def _obey(self, idle_s: float | None) -> None:
         """Carry out all orders that are waiting; wait for the first one as long as nothing else is due."""
@@ -222,9 +226,9 @@ class Worker(QThread):
         self._use_source(source)
 
     def _use_source(self, source: FrameSource) -> None:
-        if self._source is not None:
-            self._source.close()
-        self._source = source
+        if self._reader is not None:
+            self._reader.close()
+        self._reader = FrameReader(source)
         self._info = SourceInfo(source.name, source.rig, source.length, source.frame_rate_hz)
         self._pipeline = None
         self._frame = None
@@ -247,13 +251,11 @@ class Worker(QThread):
 
     def _show(self, index: int) -> None:
         """Read frame ``index`` (of a live source: the next one), process and post it."""
-        if self._source is None or self._info is None:
+        if self._reader is None or self._info is None:
             return
         started = time.perf_counter()
         try:
-            if self._info.length is not None and self._source.position != index:
-                self._source.seek(index)
-            frame = self._source.next_frame()
+            frame = self._reader.read(index)
         except Exception as error:
             self._fail(explain(error, f"frame {index} of {self._info.name} could not be read"))
             return
@@ -261,10 +263,18 @@ class Worker(QThread):
             self._playback.pause()
             return
         self._playback.shown(index, time.perf_counter())
+        if self._playback.playing and self._info.length is not None:
+            self._read_ahead()
         if self._playback.frozen and self._frame is not None and self._info.length is None:
             return
         self._frame = frame
         self._process(frame, read_ms=1e3 * (time.perf_counter() - started))
+
+    def _read_ahead(self) -> None:
+        """Have the next frame read while this one is processed; errors appear when it is its turn."""
+        following = self._playback.following_index()
+        if self._reader is not None and following is not None:
+            self._reader.read_ahead(following)
 
     def _process(self, frame: SensorFrame, read_ms: float = 0.0) -> None:
         assert self._info is not None
@@ -280,7 +290,7 @@ class Worker(QThread):
             return
         self._processed += 1
         self._processed_rate.tick()
-        source_health = self._source.health() if self._source is not None else None
+        source_health = self._reader.source.health() if self._reader is not None else None
         result = Result(
             source=self._info,
             frame=frame,
@@ -317,6 +327,15 @@ class Worker(QThread):
     def _fail(self, sentence: str) -> None:
         self._playback.pause()
         self.failed.emit(sentence)
+
+
+def leave_room_for_the_window() -> None:
+    """Let compiled kernels of this thread use all cores but one.
+
+    The window draws on that one. Kernels that wait for a thread which the window keeps from running
+    take several times longer than on one core alone.
+    """
+    numba.set_num_threads(max(1, min(numba.get_num_threads(), (os.cpu_count() or 1) - 1)))
 
 
 def explain(error: Exception, what: str) -> str:
