@@ -30,3 +30,7 @@ class ExportError(TactuneError):
 
 class MissingExtraError(TactuneError):
     """An optional dependency that is not installed."""
+
+
+class CalibrationError(TactuneError):
+    """Points that determine no alignment, or contradict each other."""

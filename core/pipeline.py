@@ -117,7 +117,7 @@ class ContactPipeline:
             As the constructor does; the old preset then stays in force.
         """
         warnings = check_rig(preset, self.rig)
-        if preset.alignment != self._preset.alignment:
+        if preset.alignment.geometry != self._preset.alignment.geometry:
             self._alignment = make_alignment(preset.alignment, self.rig)
         self.warnings = warnings
         self._preset = preset
@@ -138,7 +138,7 @@ class ContactPipeline:
         region = region_bounds(preset.region, intrinsics.shape)
 
         aligned = stage(
-            "align", (preset.alignment, preset.region),
+            "align", (preset.alignment.geometry, preset.region),
             self._alignment.align, frame.proximity_depth, frame.tactile_depth, region,
         )  # fmt: skip
         provenance, candidates = stage(

@@ -12,6 +12,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from .calibration_record import CalibrationRecord
 from .frames import Matrix4, Rig, rigid_transform
 
 Row3 = tuple[float, float, float]
@@ -110,6 +111,19 @@ class AlignmentSection(Section):
         ),
         Field(ge=-0.1, le=0.1),
     ] = 0.0
+    calibration: Annotated[
+        CalibrationRecord | None,
+        _field(
+            "Calibration",
+            "The clicks, snapshots and quality of the calibration that made this alignment. Empty: set by hand.",
+            hidden=True,
+        ),
+    ] = None
+
+    @property
+    def geometry(self) -> tuple[str, RigidAlignment, HomographyAlignment, float, float]:
+        """What the pipeline computes with: all but the record of how it came about."""
+        return self.model, self.rigid, self.homography, self.depth_scale, self.depth_offset_m
 
 
 _Hue = Annotated[int, Field(ge=0, le=179)]

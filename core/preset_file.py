@@ -20,17 +20,26 @@ from .preset import Preset
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[1] = 1
+SCHEMA_VERSION: Literal[2] = 2
+
+
+def _add_calibration(document: Document) -> Document:
+    """Version 2: the alignment keeps the record of its calibration; version 1 had none."""
+    alignment = document.get("alignment", {})
+    if not isinstance(alignment, dict):
+        return document
+    return {**document, "alignment": {**alignment, "calibration": None}}
+
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
-MIGRATIONS: tuple[Callable[[Document], Document], ...] = ()
+MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration,)
 
 
 class PresetDocument(Preset):
     """A preset as it stands in a file: the preset and what identifies the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
-    schema_version: Literal[1] = SCHEMA_VERSION
+    schema_version: Literal[2] = SCHEMA_VERSION
     tool_version: str = ""
 
 

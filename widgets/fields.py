@@ -104,7 +104,7 @@ def format_number(value: float, digits: int = 6) -> str:
 
 
 def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
-    """Yield the fields of a preset section, nested models included, in their order.
+    """Yield the fields of a preset section, nested models included, in their order; hidden ones are left out.
 
     Raises
     ------
@@ -113,6 +113,8 @@ def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
     """
     for name, info in model.model_fields.items():
         path = f"{prefix}.{name}"
+        if isinstance(info.json_schema_extra, dict) and info.json_schema_extra.get("hidden"):
+            continue
         if isinstance(info.annotation, type) and issubclass(info.annotation, BaseModel):
             yield from section_fields(info.annotation, path)
         else:

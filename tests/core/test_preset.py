@@ -108,8 +108,8 @@ def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
         ('{"schema": "tactune.preset"}', "schema_version is None"),
         ('{"schema": "tactune.preset", "schema_version": true}', "schema_version is True"),
         ('{"schema": "tactune.preset", "schema_version": 99, "tool_version": "7.1"}', "update Tactune .*7.1"),
-        ('{"schema": "tactune.preset", "schema_version": 1, "toleranc": {}}', "toleranc is not a field.*tolerance"),
-        ('{"schema": "tactune.preset", "schema_version": 1, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
+        ('{"schema": "tactune.preset", "schema_version": 2, "toleranc": {}}', "toleranc is not a field.*tolerance"),
+        ('{"schema": "tactune.preset", "schema_version": 2, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
         ("[" * 100_000, "JSON"),
     ],
 )
@@ -137,7 +137,7 @@ def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatc
     def rename_back_and_halve(document):
         return {**document, "tolerance": {"t": document["tolerance"]["share"] / 2}}
 
-    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.04)))
+    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.04))) | {"schema_version": 1}
     path = tmp_path / "cup.json"
     path.write_text(json.dumps(old))
     monkeypatch.setattr(preset_file, "MIGRATIONS", (rename_t, rename_back_and_halve))
@@ -149,6 +149,16 @@ def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatc
     save_preset(Preset(name="new"), path)
     assert json.loads((tmp_path / "cup.schema-1.json").read_text()) == old
     assert json.loads(path.read_text())["name"] == "new"
+
+
+def test_a_file_of_version_1_gets_an_alignment_without_calibration():
+    old = json.loads(preset_json(Preset(name="old")))
+    del old["alignment"]["calibration"]
+    read = preset_from_text(json.dumps(old | {"schema_version": 1}), "old.json")
+    assert read.alignment.calibration is None
+    assert read.name == "old"
+    with pytest.raises(PresetError, match="alignment is 3"):
+        preset_from_text(json.dumps(old | {"schema_version": 1, "alignment": 3}), "old.json")
 
 
 def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):

@@ -1,0 +1,359 @@
+"""The whole calibration: both models from the same pairs, cross-validated, one recommended."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import CalibrationError
+from ..frames import Float64Array, Rig
+from ..preset import now
+from .correspondences import Correspondence, enabled_pairs, pixel_arrays
+from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
+from .maximum_likelihood import BoolArray
+from .quality import (
+    PatchEffect,
+    bound_95,
+    coverage,
+    membrane_places,
+    millimetres_per_pixel,
+    patch_effect,
+    uncertainty_map,
+)
+from .rays import color_pose, color_to_depth_pixels, ray_seen
+from .report import CalibrationReport, ModelName, ModelQuality, PairQuality
+from .rigid import TACTILE_DEPTH_SIGMA_M, RigidFit, RigidPoints, fit_rigid
+from .robust import FOLDS, LEAVE_ONE_OUT
+from .verdict import verdict
+
+Model = Literal["auto", "homography", "rigid"]
+
+#: Distance taken for colour clicks where neither depth nor pose tells one, metres.
+_PLANE_M = 0.30
+#: A rigid fit this much worse under cross-validation than a homography points at wrong depths or lenses.
+_MUCH_WORSE = 1.25
+#: Farther from the rig's stated pose than this, a fit deserves a warning: metres, degrees.
+_STATED_POSE_M, _STATED_POSE_DEG = 0.010, 4.0
+
+
+def calibrate(
+    correspondences: Sequence[Correspondence],
+    rig: Rig,
+    model: Model = "auto",
+    *,
+    depth_scale: bool = False,
+    sigma_px: float = CLICK_SIGMA_PX,
+    sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
+    membrane: npt.ArrayLike | None = None,
+) -> CalibrationReport:
+    """Fit both models to pairs of clicks and say how good they are.
+
+    Parameters
+    ----------
+    correspondences : sequence of Correspondence
+        Disabled ones are kept in the report and take no part.
+    rig : Rig
+    model : {"auto", "homography", "rigid"}
+        The model that must come out; the other one is fitted beside it where possible.
+    depth_scale : bool
+        Let the rigid fit correct the tactile depth by a scale and an offset.
+    sigma_px, sigma_depth_m : float
+        Stated noise of clicks and of the tactile depth. The observed one replaces them as soon as there
+        are surplus pairs.
+    membrane : array_like, shape (M, 3), optional
+        Places (tactile u, v in pixels, depth in metres) over which the alignment matters. Without it, a
+        grid over the tactile image at the depths of the points.
+
+    Raises
+    ------
+    CalibrationError
+        The model asked for (or, with ``"auto"``, each) is not determined by the pairs, or contradicted.
+    """
+    pairs = enabled_pairs(correspondences)
+    _refuse_repeated(pairs)
+    _, tactile, depth = pixel_arrays(pairs)
+    rigid, refused_rigid = _try_rigid(pairs, rig, depth_scale, sigma_px, sigma_depth_m)
+    clicked = depth_pixels(pairs, rig, rigid)
+    homography, refused_homography = _try_homography(tactile, clicked, rigid, depth, sigma_px)
+    refused = {"homography": refused_homography, "rigid": refused_rigid}
+    _raise_if_missing(model, refused)
+
+    places = membrane_places(tactile, depth, rig) if membrane is None else np.asarray(membrane, np.float64)
+    quality: dict[str, ModelQuality] = {}
+    if homography is not None:
+        quality["homography"] = _homography_quality(homography, rigid, pairs, depth, places, rig)
+    if rigid is not None:
+        quality["rigid"] = _rigid_quality(rigid, pairs, depth, places, rig)
+    covered = coverage(clicked, depth, rig)
+    recommended, reason = _recommend(quality, refused, covered.depth_span_mm)
+    chosen = recommended if model == "auto" else model
+    used = np.array([pair.used for pair in quality[chosen].pairs])
+    with_place = clicked if chosen == "homography" else clicked[np.isfinite(depth)]
+    return CalibrationReport(
+        model=chosen,
+        recommended=recommended,
+        reason=reason,
+        homography=homography,
+        rigid=rigid,
+        quality=quality,
+        refused={name: text for name, text in refused.items() if text},
+        coverage=covered,
+        verdict=verdict(quality[chosen], covered, with_place[used], rig),
+        warnings=tuple(_warnings(pairs, rigid, rig)),
+        pairs=tuple(correspondences),
+        rig=rig,
+        date=now(),
+    )
+
+
+def rigid_points(pairs: Sequence[Correspondence]) -> RigidPoints:
+    """Return the pairs that have a tactile depth, as arrays."""
+    pairs = [pair for pair in pairs if pair.tactile_depth_m is not None]
+    proximity, tactile, depth = pixel_arrays(pairs)
+    measured = [np.nan if pair.proximity_depth_m is None else pair.proximity_depth_m for pair in pairs]
+    in_color = np.array([pair.proximity_image == "color" for pair in pairs], dtype=bool)
+    return RigidPoints(tactile, depth, proximity, in_color, np.array(measured, dtype=np.float64))
+
+
+def depth_pixels(pairs: Sequence[Correspondence], rig: Rig, rigid: RigidFit | None = None) -> Float64Array:
+    """Return each pair's place in the proximity *depth* image, shape (N, 2).
+
+    A click in the colour image follows the colour camera's ray up to the membrane. How far that is, the
+    tactile depth says, brought over by the fitted pose or else the rig's stated one.
+    """
+    proximity, tactile, depth = pixel_arrays(pairs)
+    in_color = np.array([pair.proximity_image == "color" for pair in pairs], dtype=bool)
+    if not in_color.any() or rig.proximity_color is None:
+        return proximity
+    usual = float(np.nanmedian(depth)) if np.isfinite(depth).any() else _PLANE_M
+    depth = np.where(np.isfinite(depth), depth, usual)
+    if rigid is not None:
+        points = rigid.points_m(np.column_stack([tactile, depth]))
+    else:
+        T_p_t = np.eye(4) if rig.T_proximity_tactile is None else np.asarray(rig.T_proximity_tactile)
+        rays = ray_seen(rig.tactile.intrinsics, tactile)
+        points = np.column_stack([rays * depth[:, None], depth]) @ T_p_t[:3, :3].T + T_p_t[:3, 3]
+    T_color_depth = color_pose(rig)
+    distance = points @ T_color_depth[2, :3] + T_color_depth[2, 3]
+    return np.asarray(np.where(in_color[:, None], color_to_depth_pixels(rig, proximity, distance), proximity))
+
+
+def _try_rigid(
+    pairs: list[Correspondence], rig: Rig, depth_scale: bool, sigma_px: float, sigma_depth_m: float
+) -> tuple[RigidFit | None, str]:
+    points = rigid_points(pairs)
+    if len(points.tactile) < 4 and len(pairs) >= 4:
+        return None, (
+            f"only {len(points.tactile)} of the {len(pairs)} pairs have a tactile depth, a rigid alignment needs 4; "
+            "click where the tactile camera sees depth"
+        )
+    try:
+        return (
+            fit_rigid(
+                points,
+                rig,
+                sigma_tactile_px=sigma_px,
+                sigma_proximity_px=sigma_px,
+                sigma_depth_m=sigma_depth_m,
+                depth_scale=depth_scale,
+            ),
+            "",
+        )
+    except CalibrationError as error:
+        return None, str(error)
+
+
+def _try_homography(
+    tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array, sigma_px: float
+) -> tuple[HomographyFit | None, str]:
+    """Fit the homography; where the rigid fit keeps more pairs, to those.
+
+    Points off one plane contradict every homography without being wrong, which only the rigid model can tell.
+    """
+    sigmas = {"sigma_tactile_px": sigma_px, "sigma_proximity_px": sigma_px}
+    own: HomographyFit | None = None
+    reason = ""
+    try:
+        own = fit_homography(tactile, proximity, **sigmas)
+    except CalibrationError as error:
+        reason = str(error)
+    if rigid is None or rigid.degrees <= 0 or not np.isfinite(depth).all():
+        return own, reason
+    if own is not None and own.used.sum() >= rigid.used.sum():
+        return own, reason
+    try:
+        return fit_homography(tactile, proximity, **sigmas, use=rigid.used), ""
+    except CalibrationError:
+        return own, reason
+
+
+def _raise_if_missing(model: Model, refused: dict[str, str]) -> None:
+    if model != "auto" and refused[model]:
+        raise CalibrationError(refused[model])
+    if all(refused.values()):
+        homography, rigid = refused["homography"], refused["rigid"]
+        raise CalibrationError(homography if homography == rigid else f"no homography: {homography}; no rigid: {rigid}")
+
+
+def _homography_quality(
+    fit: HomographyFit,
+    rigid: RigidFit | None,
+    pairs: list[Correspondence],
+    depth: Float64Array,
+    places: Float64Array,
+    rig: Rig,
+) -> ModelQuality:
+    spread = uncertainty_map(fit, places, rig)
+    lateral, along, distance = spread.sigma_mm, np.zeros(len(spread.places)), spread.places[:, 2]
+    if rigid is not None:
+        _, tactile, _ = pixel_arrays(pairs)
+        clicked = np.column_stack([tactile, depth])[np.isfinite(depth)]
+        points = rigid.points_m(clicked)
+        distance = points[:, 2]
+        gap = np.hypot(*(fit.predict(clicked) - rigid.predict(clicked)).T) * millimetres_per_pixel(distance, rig)
+        lateral = np.hypot(gap, np.sqrt(np.mean(spread.sigma_mm**2)))
+        along = 1e3 * (distance - rigid.pose.scale * clicked[:, 2] - rigid.pose.offset_m)
+    return _quality("homography", fit, pairs, depth, places, rig, patch_effect(lateral, along, distance))
+
+
+def _rigid_quality(
+    fit: RigidFit, pairs: list[Correspondence], depth: Float64Array, places: Float64Array, rig: Rig
+) -> ModelQuality:
+    known = np.isfinite(depth)
+    spread = uncertainty_map(fit, places, rig)
+    along = 1e3 * np.sqrt((fit.depth_sensitivity(spread.places) ** 2).sum(axis=1))
+    effect = patch_effect(spread.sigma_mm, along, spread.places[:, 2])
+    with_depth = [pair for pair, has in zip(pairs, known, strict=True) if has]
+    return _quality("rigid", fit, with_depth, depth[known], places, rig, effect)
+
+
+def _quality(
+    name: ModelName,
+    fit: HomographyFit | RigidFit,
+    pairs: list[Correspondence],
+    depth: Float64Array,
+    places: Float64Array,
+    rig: Rig,
+    effect: PatchEffect,
+) -> ModelQuality:
+    left_out = fit.left_out_residuals_px()
+    exact = fit.degrees <= 0
+    lengths = np.hypot(*fit.residuals_px.T)
+    millimetres = lengths * millimetres_per_pixel(depth, rig)
+    details = tuple(
+        PairQuality(
+            id=pair.id,
+            used=bool(fit.used[i]),
+            residual_u=float(fit.residuals_px[i, 0]),
+            residual_v=float(fit.residuals_px[i, 1]),
+            residual_px=float(lengths[i]),
+            residual_mm=float(millimetres[i]),
+            left_out_px=float(np.hypot(*left_out[i])),
+            tactile_depth_m=float(depth[i]),
+        )
+        for i, pair in enumerate(pairs)
+    )
+    used: BoolArray = fit.used
+    validated = np.hypot(*left_out[used].T)
+    spread = uncertainty_map(fit, places, rig)
+    worst = int(np.argmax(np.where(used, lengths, -1.0)))
+    known_mm = millimetres[used & np.isfinite(depth)]
+    whole = bool(np.isfinite(validated).all()) and not exact
+    return ModelQuality(
+        model=name,
+        rms_px=None if exact else fit.rms_px,
+        rms_mm=None if exact or not len(known_mm) else float(np.sqrt(np.mean(known_mm**2))),
+        worst_px=None if exact else float(lengths[worst]),
+        worst_id=None if exact else pairs[worst].id,
+        cross_validated_px=float(np.sqrt(np.mean(validated**2))) if whole else None,
+        cross_validation=_validation_name(int(used.sum())) if whole else "none",
+        click_noise_px=None if exact else fit.noise_factor * CLICK_SIGMA_PX,
+        degrees=fit.degrees,
+        condition=fit.condition,
+        alignment_px=float(np.sqrt(np.mean(spread.sigma_px**2))),
+        alignment_mm=float(np.sqrt(np.mean(spread.sigma_mm**2))),
+        alignment_bound_95_px=bound_95(fit.sensitivity(spread.places), fit.degrees),
+        effect=effect,
+        excluded=tuple(pair.id for pair, kept in zip(pairs, used, strict=True) if not kept),
+        pairs=details,
+        map=spread,
+    )
+
+
+def _validation_name(used: int) -> str:
+    return "leave-one-out" if used <= LEAVE_ONE_OUT else f"{FOLDS}-fold"
+
+
+def _recommend(quality: dict[str, ModelQuality], refused: dict[str, str], span_mm: float) -> tuple[ModelName, str]:
+    if "rigid" not in quality:
+        return "homography", f"Recommended: homography, because no rigid alignment could be fitted: {refused['rigid']}."
+    if "homography" not in quality:
+        return "rigid", f"Recommended: rigid, because no homography could be fitted: {refused['homography']}."
+    plane, rigid = quality["homography"], quality["rigid"]
+    if rigid.cross_validated_px is None or plane.cross_validated_px is None:
+        return "rigid", (
+            "Recommended: rigid, because it holds at every depth; there are too few points to cross-validate both."
+        )
+    left = f"a homography leaves {plane.cross_validated_px:.1f} px, rigid {rigid.cross_validated_px:.1f} px"
+    if rigid.cross_validated_px > _MUCH_WORSE * plane.cross_validated_px:
+        return "homography", (
+            f"Recommended: homography, because on pairs it has not seen {left}; "
+            "check the tactile depths and the rig's lenses."
+        )
+    if rigid.cross_validated_px > plane.cross_validated_px / _MUCH_WORSE:
+        return "rigid", f"Recommended: rigid: both fit alike ({left}), and rigid holds at every depth."
+    return "rigid", f"Recommended: rigid: the points span {span_mm:.0f} mm of depth; {left}."
+
+
+def _refuse_repeated(pairs: list[Correspondence]) -> None:
+    counts = Counter(pair.id for pair in pairs)
+    for name, count in counts.items():
+        if count > 1:
+            raise CalibrationError(f"{count} pairs have the id {name!r}; give each pair its own")
+    seen: dict[tuple[object, ...], str] = {}
+    for pair in pairs:
+        place = (*pair.proximity, pair.proximity_image, *pair.tactile, pair.tactile_depth_m)
+        if place in seen:
+            raise CalibrationError(
+                f"pairs {seen[place]} and {pair.id} are the same points; delete one, a pair counts only once"
+            )
+        seen[place] = pair.id
+
+
+def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig) -> list[str]:
+    warnings = []
+    outside = [pair.id for pair in pairs if not _inside(pair, rig)]
+    if outside:
+        warnings.append(
+            f"pair {', '.join(outside[:5])} lies outside the images that the rig states; check that it is the right rig"
+        )
+    if rigid is not None and rig.T_proximity_tactile is not None:
+        stated = np.asarray(rig.T_proximity_tactile)
+        apart = float(np.linalg.norm(rigid.pose.translation - stated[:3, 3]))
+        turned = _angle_deg(rigid.pose.rotation @ stated[:3, :3].T)
+        sigma = np.sqrt(np.diag(rigid.covariance))
+        if apart > _STATED_POSE_M + 4 * np.linalg.norm(sigma[3:6]) or turned > _STATED_POSE_DEG + 4 * np.degrees(
+            np.linalg.norm(sigma[:3])
+        ):
+            warnings.append(
+                f"the fitted pose lies {1e3 * apart:.0f} mm and {turned:.1f} degrees from the one that the rig states; "
+                "check the pairs and the rig"
+            )
+    return warnings
+
+
+def _inside(pair: Correspondence, rig: Rig) -> bool:
+    shape = rig.proximity_color_shape if pair.proximity_image == "color" else rig.proximity.intrinsics.shape
+    tactile = rig.tactile.intrinsics.shape
+    return all(
+        -0.5 <= value <= size - 0.5
+        for value, size in zip((*pair.proximity, *pair.tactile), (*shape[::-1], *tactile[::-1]), strict=True)
+    )
+
+
+def _angle_deg(rotation: Float64Array) -> float:
+    return float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))

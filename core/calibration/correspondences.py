@@ -1,0 +1,294 @@
+"""Pairs of clicked points, and the files that hold them: our CSV and QGIS ``.points``."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from ..atomic import atomic_path
+from ..errors import CalibrationError
+from ..frames import Float64Array
+
+ProximityImage = Literal["depth", "color"]
+
+REQUIRED_COLUMNS = (
+    "id",
+    "enabled",
+    "proximity_u",
+    "proximity_v",
+    "tactile_u",
+    "tactile_v",
+    "tactile_depth_m",
+)
+OPTIONAL_COLUMNS = ("proximity_image", "snapshot", "proximity_depth_m")
+
+_QGIS_HEADER = ("mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual")
+_LARGEST_PIXEL = 1e7
+_WORDS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
+
+
+@dataclass(frozen=True)
+class Correspondence:
+    """One place on the membrane or on a pressed object, clicked in both cameras' images.
+
+    Attributes
+    ----------
+    id : str
+        Name of the pair, unique within a calibration.
+    proximity_u, proximity_v : float
+        Pixel in the proximity camera's depth or colour image, as ``proximity_image`` says.
+    tactile_u, tactile_v : float
+        Pixel in the tactile image.
+    tactile_depth_m : float or None
+        Raw tactile depth there, metres. None serves a homography only.
+    enabled : bool
+        Whether it takes part in the fit.
+    proximity_image : {"depth", "color"}
+        Points clicked in colour lie on the membrane, which the proximity depth does not see.
+    snapshot : int or None
+        Number of the snapshot (inflation level) in which it was clicked.
+    proximity_depth_m : float or None
+        Distance measured by the proximity camera at a place of *contact*; only with ``"depth"``. It
+        is what a depth scale is measured by.
+    """
+
+    id: str
+    proximity_u: float
+    proximity_v: float
+    tactile_u: float
+    tactile_v: float
+    tactile_depth_m: float | None = None
+    enabled: bool = True
+    proximity_image: ProximityImage = "depth"
+    snapshot: int | None = None
+    proximity_depth_m: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("tactile_depth_m", "proximity_depth_m"):
+            value = getattr(self, name)
+            if value is not None and math.isnan(value):
+                object.__setattr__(self, name, None)
+        if self.proximity_image not in ("depth", "color"):
+            raise CalibrationError(f"pair {self.id}: proximity_image is {self.proximity_image!r}; it is depth or color")
+        if self.proximity_depth_m is not None and self.proximity_image == "color":
+            raise CalibrationError(
+                f"pair {self.id}: proximity_depth_m is {self.proximity_depth_m:g}, but the point was clicked in "
+                "colour, where the proximity depth looks through the membrane; leave it empty"
+            )
+
+    @property
+    def proximity(self) -> tuple[float, float]:
+        """The proximity pixel ``(u, v)``."""
+        return self.proximity_u, self.proximity_v
+
+    @property
+    def tactile(self) -> tuple[float, float]:
+        """The tactile pixel ``(u, v)``."""
+        return self.tactile_u, self.tactile_v
+
+
+def enabled_pairs(pairs: Sequence[Correspondence]) -> list[Correspondence]:
+    """Return the pairs that take part."""
+    return [pair for pair in pairs if pair.enabled]
+
+
+def pixel_arrays(pairs: Sequence[Correspondence]) -> tuple[Float64Array, Float64Array, Float64Array]:
+    """Return proximity pixels (N, 2), tactile pixels (N, 2) and tactile depths (N,), nan where none."""
+    proximity = np.array([pair.proximity for pair in pairs], dtype=np.float64).reshape(-1, 2)
+    tactile = np.array([pair.tactile for pair in pairs], dtype=np.float64).reshape(-1, 2)
+    depth = [math.nan if pair.tactile_depth_m is None else pair.tactile_depth_m for pair in pairs]
+    return proximity, tactile, np.array(depth, dtype=np.float64)
+
+
+def read_points(path: Path | str) -> list[Correspondence]:
+    """Read pairs from a CSV file, or from QGIS ``.points`` by that suffix.
+
+    Raises
+    ------
+    CalibrationError
+        No such file, another header, or a bad row: line number, field and value are named.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text("utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        reason = getattr(error, "strerror", None) or "it is no UTF-8 text"
+        raise CalibrationError(f"cannot read the points {path}: {reason}; choose a CSV or .points file") from error
+    return parse_qgis(text, str(path)) if path.suffix == ".points" else parse_csv(text, str(path))
+
+
+def write_points(path: Path | str, pairs: Sequence[Correspondence]) -> None:
+    """Write pairs as CSV, or as QGIS ``.points`` by that suffix; the file appears whole or not at all.
+
+    QGIS files hold no depths, snapshots or kinds of image.
+    """
+    path = Path(path)
+    text = qgis_text(pairs) if path.suffix == ".points" else csv_text(pairs)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text, "utf-8")
+
+
+def csv_text(pairs: Sequence[Correspondence]) -> str:
+    """Return the text of a CSV file; floats keep every bit. Optional columns appear where they say something."""
+    extra = [name for name in OPTIONAL_COLUMNS if any(getattr(pair, name) not in (None, "depth") for pair in pairs)]
+    columns = [*REQUIRED_COLUMNS, *extra]
+    file = io.StringIO()
+    writer = csv.writer(file, lineterminator="\n")
+    writer.writerow(columns)
+    for pair in pairs:
+        values = {name: getattr(pair, name) for name in columns} | {"enabled": int(pair.enabled)}
+        writer.writerow(["" if value is None else _exact(value) for value in values.values()])
+    return file.getvalue()
+
+
+def parse_csv(text: str, origin: str) -> list[Correspondence]:
+    """Read pairs from CSV text; see `read_points`."""
+    rows = _rows(text, origin)
+    if not rows:
+        raise CalibrationError(f"{origin} is empty; its first line should be {','.join(REQUIRED_COLUMNS)}")
+    _, header = rows[0]
+    header = [name.strip() for name in header]
+    missing = [name for name in REQUIRED_COLUMNS if name not in header]
+    unknown = [name for name in header if name not in (*REQUIRED_COLUMNS, *OPTIONAL_COLUMNS)]
+    if missing or unknown or len(set(header)) < len(header):
+        what = f"lacks the column {missing[0]}" if missing else f"has the column {(unknown or header)[0]!r}"
+        what = what if missing or unknown else "names a column twice"
+        raise CalibrationError(f"{origin}: the header {what}; it should be {','.join(REQUIRED_COLUMNS)}")
+    pairs: list[Correspondence] = []
+    known: set[str] = set()
+    for number, values in rows[1:]:
+        where = f"{origin}, line {number}"
+        if len(values) != len(header):
+            raise CalibrationError(
+                f"{where}: there are {len(values)} values for {len(header)} columns; correct the row"
+            )
+        fields = dict(zip(header, (value.strip() for value in values), strict=True))
+        pair = _pair_of(fields, where)
+        if pair.id in known:
+            raise CalibrationError(f"{where}: id {pair.id!r} is taken by an earlier row; give each pair its own")
+        known.add(pair.id)
+        pairs.append(pair)
+    return pairs
+
+
+def qgis_text(pairs: Sequence[Correspondence]) -> str:
+    """Return the text of a QGIS Georeferencer file: source is tactile, map is proximity, y points up."""
+    lines = [",".join(_QGIS_HEADER)]
+    for pair in pairs:
+        numbers = (pair.proximity_u, -pair.proximity_v, pair.tactile_u, -pair.tactile_v)
+        lines.append(",".join([*(_exact(number) for number in numbers), str(int(pair.enabled)), "0", "0", "0"]))
+    return "\n".join(lines) + "\n"
+
+
+def parse_qgis(text: str, origin: str) -> list[Correspondence]:
+    """Read pairs from QGIS ``.points`` text; see `read_points`. Ids count from 1, depths are empty."""
+    rows = [(number, values) for number, values in _rows(text, origin) if not values[0].startswith("#")]
+    if not rows or [name.strip() for name in rows[0][1]][:4] != list(_QGIS_HEADER[:4]):
+        raise CalibrationError(f"{origin} is no QGIS points file; its header starts with {','.join(_QGIS_HEADER[:4])}")
+    header = [name.strip() for name in rows[0][1]]
+    pairs = []
+    for count, (number, values) in enumerate(rows[1:], start=1):
+        where = f"{origin}, line {number}"
+        if len(values) < 4:
+            raise CalibrationError(f"{where}: there are {len(values)} values, at least 4 are needed; correct the row")
+        fields = dict(zip(header, (value.strip() for value in values), strict=False))
+        numbers = {name: _number(fields[name], name, where) for name in _QGIS_HEADER[:4]}
+        pairs.append(
+            Correspondence(
+                id=str(count),
+                proximity_u=numbers["mapX"],
+                proximity_v=-numbers["mapY"],
+                tactile_u=numbers["sourceX"],
+                tactile_v=-numbers["sourceY"],
+                enabled=_flag(fields.get("enable", "1"), "enable", where),
+            )
+        )
+    return pairs
+
+
+def _pair_of(fields: dict[str, str], where: str) -> Correspondence:
+    if not fields["id"]:
+        raise CalibrationError(f"{where}: id is empty; give each pair a name or a number")
+    image = fields.get("proximity_image", "") or "depth"
+    if image not in ("depth", "color"):
+        raise CalibrationError(f"{where}: proximity_image is {image!r}; write depth or color")
+    pixels = {
+        name: _number(fields[name], name, where) for name in ("proximity_u", "proximity_v", "tactile_u", "tactile_v")
+    }
+    proximity_depth = _depth(fields.get("proximity_depth_m", ""), "proximity_depth_m", where)
+    if proximity_depth is not None and image == "color":
+        raise CalibrationError(
+            f"{where}: proximity_depth_m is {fields['proximity_depth_m']}, but the point was clicked in colour, where "
+            "the proximity depth looks through the membrane; leave it empty"
+        )
+    return Correspondence(
+        id=fields["id"],
+        **pixels,
+        tactile_depth_m=_depth(fields["tactile_depth_m"], "tactile_depth_m", where),
+        enabled=_flag(fields["enabled"], "enabled", where),
+        proximity_image="color" if image == "color" else "depth",
+        snapshot=_snapshot(fields.get("snapshot", ""), where),
+        proximity_depth_m=proximity_depth,
+    )
+
+
+def _rows(text: str, origin: str) -> list[tuple[int, list[str]]]:
+    """Return rows that are not blank with their line numbers."""
+    reader = csv.reader(io.StringIO(text), strict=True)
+    rows = []
+    try:
+        for values in reader:
+            if any(value.strip() for value in values):
+                rows.append((reader.line_num, values))  # noqa: PERF401 - line_num moves with the iteration
+    except csv.Error as error:
+        raise CalibrationError(f"{origin}, line {reader.line_num}: not CSV ({error}); correct the row") from error
+    return rows
+
+
+def _number(text: str, name: str, where: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _LARGEST_PIXEL:
+        raise CalibrationError(f"{where}: {name} is {text!r}; write a number of pixels")
+    return value
+
+
+def _depth(text: str, name: str, where: str) -> float | None:
+    if text.lower() in ("", "nan", "none"):
+        return None
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value <= 10.0:
+        raise CalibrationError(
+            f"{where}: {name} is {text!r}; write metres above 0 up to 10, such as 0.295, or leave it empty"
+        )
+    return value
+
+
+def _flag(text: str, name: str, where: str) -> bool:
+    if text.lower() not in _WORDS:
+        raise CalibrationError(f"{where}: {name} is {text!r}; write 1 or 0")
+    return _WORDS[text.lower()]
+
+
+def _snapshot(text: str, where: str) -> int | None:
+    if not text:
+        return None
+    if not (text.isascii() and text.isdigit() and len(text) <= 6):
+        raise CalibrationError(f"{where}: snapshot is {text!r}; write its number from 0, or leave it empty")
+    return int(text)
+
+
+def _exact(value: object) -> str:
+    return repr(float(value)) if isinstance(value, float) else str(value)

@@ -1,0 +1,282 @@
+"""The plane homography that takes tactile pixels to proximity pixels, from pairs of clicks.
+
+Start: the normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*,
+algorithm 4.2). Refinement: both clicks of a pair are noisy, so the gold standard of their algorithm 4.3
+is maximised, which takes the tactile click's noise through the homography into the proximity image.
+OpenCV minimises the one-sided distance, which is the same for an affine map and equal noise per pixel,
+and loses where perspective stretches the noise of one side of the image.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import CalibrationError
+from ..frames import Float64Array
+from .maximum_likelihood import BoolArray, Linearised, Measurements, Prior, inverse_information
+from .pairs import check_pairs, spread
+from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
+
+#: Standard deviation of a careful click with a loupe, pixels.
+CLICK_SIGMA_PX = 0.7
+
+_SAMPLE = 4
+_ONE_CAMERA = np.zeros(0, np.intp)
+
+
+@dataclass(frozen=True, eq=False)
+class HomographyFit:
+    """A fitted homography and what is known of it.
+
+    Attributes
+    ----------
+    H_p_t : float64, shape (3, 3)
+        Tactile to proximity pixels, lower right entry 1 where it is not 0.
+    used : bool, shape (N,)
+        The pairs it rests on; the others are wrong pairs.
+    residuals_px : float64, shape (N, 2)
+        Clicked minus predicted proximity pixel.
+    degrees : int
+        Measurements less parameters.
+    noise_factor : float
+        Observed noise over the stated click noise; 1 where there is no surplus to observe it.
+    condition : float
+        Condition number of the scaled design.
+    log10_nfa : float
+        Number of false alarms of the agreement.
+    """
+
+    H_p_t: Float64Array
+    used: BoolArray
+    residuals_px: Float64Array
+    degrees: int
+    noise_factor: float
+    condition: float
+    log10_nfa: float
+    problem: HomographyProblem
+    fit: RobustFit[Float64Array]
+
+    parameters = 8
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the used pairs in the proximity image."""
+        return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
+
+    def left_out_residuals_px(self) -> Float64Array:
+        """Return each pair's residual (N, 2) under the fit of the other pairs; nan where they determine nothing."""
+        return left_out_residuals_px(self.problem, self.fit)
+
+    def predict(self, tactile: npt.ArrayLike) -> Float64Array:
+        """Take tactile pixels (N, 2 or more columns) to proximity pixels (N, 2)."""
+        return self.problem.predict(self.fit.solution.theta, np.asarray(tactile, np.float64)[:, :2])
+
+    def sensitivity(self, tactile: npt.ArrayLike) -> Float64Array:
+        """Return the derivative (N, 2, 8) of predicted proximity pixels by whitened parameters.
+
+        Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
+        """
+        places = self.problem.to_normal_tactile(np.asarray(tactile, np.float64)[:, :2])
+        _, by_theta, _ = self.problem.linearise(self.fit.solution.theta, places, _ONE_CAMERA)
+        root = np.linalg.cholesky(inverse_information(self.fit.solution.information))
+        return np.asarray(by_theta @ root * self.noise_factor / self.problem.proximity_scale)
+
+
+class HomographyProblem(Problem[Float64Array]):
+    """Homography estimation in coordinates with centroid 0 and mean distance sqrt(2)."""
+
+    name = "homography"
+    sample_size = _SAMPLE
+    prior: Prior[Float64Array] | None = None
+
+    def __init__(
+        self, tactile: Float64Array, proximity: Float64Array, sigma_tactile: float, sigma_proximity: float
+    ) -> None:
+        self.tactile_center, self.tactile_scale = normalisation(tactile)
+        self.proximity_center, self.proximity_scale = normalisation(proximity)
+        count, unit = len(tactile), np.eye(2)
+        self.measurements = Measurements(
+            self.to_normal_tactile(tactile),
+            np.broadcast_to(unit * (sigma_tactile * self.tactile_scale) ** 2, (count, 2, 2)),
+            (proximity - self.proximity_center) * self.proximity_scale,
+            np.broadcast_to(unit * (sigma_proximity * self.proximity_scale) ** 2, (count, 2, 2)),
+            np.zeros(count, np.intp),
+        )
+        self.extent, self.area = spread(proximity)
+
+    def to_normal_tactile(self, tactile: Float64Array) -> Float64Array:
+        """Normalise tactile pixels (N, 2)."""
+        return np.asarray((tactile - self.tactile_center) * self.tactile_scale)
+
+    def linearise(self, theta: Float64Array, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
+        """Predict in normalised coordinates; theta is the matrix as a unit vector (9,)."""
+        H = theta.reshape(3, 3)
+        homogeneous = np.column_stack([places, np.ones(len(places))])
+        x, y, w = (homogeneous @ H.T).T
+        predicted = np.column_stack([x / w, y / w])
+        scaled = homogeneous / w[:, None]
+        by_entries = np.zeros((len(places), 2, 9))
+        by_entries[:, 0, :3] = by_entries[:, 1, 3:6] = scaled
+        by_entries[:, :, 6:] = -predicted[:, :, None] * scaled[:, None, :]
+        by_place = (H[None, :2, :2] - predicted[:, :, None] * H[None, 2, None, :2]) / w[:, None, None]
+        return predicted, by_entries @ _tangent_basis(theta), by_place
+
+    def retract(self, theta: Float64Array, step: Float64Array) -> Float64Array:
+        """Move along the unit sphere."""
+        moved = theta + _tangent_basis(theta) @ step
+        return np.asarray(moved / np.linalg.norm(moved))
+
+    def start(self, used: BoolArray) -> Float64Array | None:
+        """Solve the direct linear transform of some pairs."""
+        data = self.measurements
+        return direct_linear_transform(data.known[used], data.seen[used]).ravel()
+
+    def hypotheses(self, samples: npt.NDArray[np.intp]) -> list[Float64Array]:
+        """Solve the 8 x 8 equations of every sample at once, lower right entry fixed at 1."""
+        x, y = self.measurements.known[samples], self.measurements.seen[samples]
+        rows = np.zeros((len(samples), 2 * _SAMPLE, 8))
+        rows[:, 0::2, 0:2], rows[:, 0::2, 2] = x, 1.0
+        rows[:, 1::2, 3:5], rows[:, 1::2, 5] = x, 1.0
+        rows[:, 0::2, 6:], rows[:, 1::2, 6:] = -x * y[:, :, :1], -x * y[:, :, 1:]
+        regular = np.linalg.cond(rows) < 1e6
+        entries = np.linalg.solve(rows[regular], y[regular].reshape(-1, 8, 1))[:, :, 0]
+        full = np.column_stack([entries, np.ones(len(entries))])
+        return list(full / np.linalg.norm(full, axis=1, keepdims=True))
+
+    def residuals_px(self, theta: Float64Array) -> Float64Array:
+        """Return distances in proximity pixels, infinite beyond the horizon, shape (N,)."""
+        places = self.measurements.known
+        w = places @ theta[6:8] + theta[8]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            x = (places @ theta[0:2] + theta[2]) / w - self.measurements.seen[:, 0]
+            y = (places @ theta[3:5] + theta[5]) / w - self.measurements.seen[:, 1]
+        distance = np.hypot(x, y) / self.proximity_scale
+        beyond_horizon = w * np.sign(w.sum()) <= 0
+        return np.asarray(np.where(beyond_horizon | ~np.isfinite(distance), np.inf, distance))
+
+    def residual_vectors_px(self, theta: Float64Array) -> Float64Array:
+        """Return clicked minus predicted proximity pixel of every pair, shape (N, 2)."""
+        predicted, _, _ = self.linearise(theta, self.measurements.known, _ONE_CAMERA)
+        return np.asarray((self.measurements.seen - predicted) / self.proximity_scale)
+
+    def predict(self, theta: Float64Array, tactile: Float64Array) -> Float64Array:
+        """Take tactile to proximity pixels, both (N, 2)."""
+        predicted, _, _ = self.linearise(theta, self.to_normal_tactile(tactile), _ONE_CAMERA)
+        return np.asarray(predicted / self.proximity_scale + self.proximity_center)
+
+    def pixels_matrix(self, theta: Float64Array) -> Float64Array:
+        """Undo the normalisation of the fitted matrix."""
+        to_normal = _similarity(self.tactile_center, self.tactile_scale)
+        from_normal = np.linalg.inv(_similarity(self.proximity_center, self.proximity_scale))
+        H = from_normal @ theta.reshape(3, 3) @ to_normal
+        return np.asarray(H / H[2, 2] if abs(H[2, 2]) > 1e-12 * np.abs(H[2]).max() else H / np.linalg.norm(H))
+
+
+def fit_homography(
+    tactile: npt.ArrayLike,
+    proximity: npt.ArrayLike,
+    *,
+    sigma_tactile_px: float = CLICK_SIGMA_PX,
+    sigma_proximity_px: float = CLICK_SIGMA_PX,
+    use: npt.ArrayLike | None = None,
+) -> HomographyFit:
+    """Fit the homography from tactile to proximity pixels; wrong pairs are found and left out.
+
+    Parameters
+    ----------
+    tactile, proximity : array_like, shape (N, 2)
+        Clicked pixels; any unit and offset.
+    sigma_tactile_px, sigma_proximity_px : float
+        Click noise. Their ratio weighs both sides; their size is replaced by the observed one as soon
+        as there are surplus pairs.
+    use : bool, shape (N,), optional
+        The pairs to fit, where wrong ones are known already.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than four pairs, points on a line or on each other, mirrored order, or pairs that agree
+        on no homography.
+    """
+    tactile, proximity = check_pairs(tactile, proximity, _SAMPLE, "homography")
+    problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px)
+    fit = fit_robustly(problem, None if use is None else np.asarray(use, bool))
+    theta = fit.solution.theta
+    _refuse_mirrored(problem, theta, fit.used)
+    return HomographyFit(
+        H_p_t=problem.pixels_matrix(theta),
+        used=fit.used,
+        residuals_px=problem.residual_vectors_px(theta),
+        degrees=fit.solution.degrees,
+        noise_factor=fit.solution.noise_factor,
+        condition=fit.condition,
+        log10_nfa=fit.log10_nfa,
+        problem=problem,
+        fit=fit,
+    )
+
+
+def direct_linear_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
+    """Return the 3 x 3 matrix that minimises the algebraic error, Frobenius norm 1; no normalisation.
+
+    Hartley and Zisserman, equation 4.3 and section 4.1.1.
+    """
+    return np.asarray(np.linalg.svd(design_matrix(source, target), full_matrices=True)[2][-1].reshape(3, 3))
+
+
+def normalised_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
+    """Return the normalised direct linear transform (algorithm 4.2), in the points' own units."""
+    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    (source_center, source_scale), (target_center, target_scale) = normalisation(source), normalisation(target)
+    H = direct_linear_transform((source - source_center) * source_scale, (target - target_center) * target_scale)
+    return np.asarray(
+        np.linalg.inv(_similarity(target_center, target_scale)) @ H @ _similarity(source_center, source_scale)
+    )
+
+
+def design_matrix(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
+    """Return the equations A h = 0 of pairs (N, 2), shape (2 N, 9)."""
+    x, y = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    homogeneous = np.column_stack([x, np.ones(len(x))])
+    rows = np.zeros((len(x), 2, 9))
+    rows[:, 0, :3] = rows[:, 1, 3:6] = homogeneous
+    rows[:, :, 6:] = -y[:, :, None] * homogeneous[:, None, :]
+    return rows.reshape(-1, 9)
+
+
+def normalisation(points: Float64Array) -> tuple[Float64Array, float]:
+    """Return the centroid and the factor that makes the mean distance from it sqrt(2)."""
+    center = points.mean(axis=0)
+    distance = float(np.hypot(*(points - center).T).mean())
+    return center, float(np.sqrt(2) / distance)
+
+
+def _similarity(center: Float64Array, scale: float) -> Float64Array:
+    return np.array([[scale, 0.0, -scale * center[0]], [0.0, scale, -scale * center[1]], [0.0, 0.0, 1.0]])
+
+
+def _tangent_basis(theta: Float64Array) -> Float64Array:
+    """Return an orthonormal basis (9, 8) of the directions that change a unit vector (Householder)."""
+    reflector = theta.copy()
+    reflector[0] += 1.0 if theta[0] >= 0 else -1.0
+    full = np.eye(9) - 2.0 * np.outer(reflector, reflector) / (reflector @ reflector)
+    return np.asarray(full[:, 1:])
+
+
+def _refuse_mirrored(problem: HomographyProblem, theta: Float64Array, used: BoolArray) -> None:
+    """A surface seen from the same side twice keeps its sense of rotation; a mirrored one does not."""
+    _, _, by_place = problem.linearise(theta, problem.measurements.known[used], _ONE_CAMERA)
+    turning = np.linalg.det(by_place) > 0
+    if not turning.any():
+        raise CalibrationError(
+            "the points run around in opposite senses in both images: one image is mirrored, or left and right "
+            "partners are swapped; flip the image or click the pairs again"
+        )
+    if not turning.all():
+        raise CalibrationError(
+            "the homography folds the image over between the points: some partners are swapped; "
+            "check the order of the pairs"
+        )

@@ -1,0 +1,259 @@
+"""How good a fit is, told honestly: predicted uncertainty, coverage, and what it does to a patch.
+
+Everything here comes from the fit's own covariance: with P whitened parameters, a place's predicted pixel
+moves by ``J e`` for a standard normal ``e`` (P,), so its covariance is ``J J^T``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frames import Float64Array, Rig
+
+#: Noise of one pixel of either depth camera on this sensor, metres.
+PROXIMITY_NOISE_M = 0.001
+TACTILE_NOISE_M = 0.0005
+#: Typical slope of the membrane across the line of sight, and tangent of the angle at which it leaves an object.
+MEMBRANE_SLOPE = 0.5
+TAKE_OFF_TANGENT = 1.0
+#: Standard deviations that a pixel in contact may be off and still pass: 95 % of them do.
+_PASSING_SIGMAS = 1.96
+
+_GRID = (13, 10)
+_MEMBRANE_SHARE = np.array([0.8, 0.65])
+_DRAWS = 40_000
+_RATIOS = np.linspace(0.0, 1.0, 11)
+
+
+class FittedModel(Protocol):
+    """What the quality of a fit is read from."""
+
+    @property
+    def degrees(self) -> int:
+        """Surplus measurements."""
+
+    def predict(self, places: npt.ArrayLike) -> Float64Array:
+        """Take places (tactile u, v, depth) to proximity pixels."""
+
+    def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
+        """Return the derivative of the prediction by whitened parameters, (N, 2, P)."""
+
+
+@dataclass(frozen=True, eq=False)
+class UncertaintyMap:
+    """Predicted alignment uncertainty over the membrane.
+
+    Attributes
+    ----------
+    places : float64, shape (M, 3)
+        Tactile pixel (u, v) and depth in metres.
+    proximity : float64, shape (M, 2)
+        Where the fit takes them, proximity pixels.
+    sigma_px, sigma_mm : float64, shape (M,)
+        Root mean square alignment error expected there, in proximity pixels and across the line of
+        sight at that depth.
+    bound_95_px : float64, shape (M,)
+        The error is smaller with 95 % probability, place by place.
+    """
+
+    places: Float64Array
+    proximity: Float64Array
+    sigma_px: Float64Array
+    sigma_mm: Float64Array
+    bound_95_px: Float64Array
+
+
+def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
+    """Return a grid over the membrane at the depth that the clicked points suggest, shape (M, 3).
+
+    The membrane is taken to fill the middle `_MEMBRANE_SHARE` of the tactile image and to reach as far as the points.
+
+    Depths are interpolated by inverse squared distance; 0.3 m where no point has one.
+    """
+    height, width = rig.tactile.intrinsics.shape
+    size = np.array([width - 1.0, height - 1.0])
+    low = np.minimum(size * (1 - _MEMBRANE_SHARE) / 2, tactile.min(axis=0))
+    high = np.maximum(size * (1 + _MEMBRANE_SHARE) / 2, tactile.max(axis=0))
+    u, v = np.meshgrid(np.linspace(low[0], high[0], _GRID[0]), np.linspace(low[1], high[1], _GRID[1]))
+    places = np.stack([u.ravel(), v.ravel()], axis=1)
+    known = np.isfinite(depth_m)
+    if not known.any():
+        return np.column_stack([places, np.full(len(places), 0.3)])
+    gaps = ((places[:, None] - tactile[None, known]) ** 2).sum(axis=2)
+    weights = 1.0 / (gaps + 20.0**2)
+    return np.column_stack([places, weights @ depth_m[known] / weights.sum(axis=1)])
+
+
+def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> UncertaintyMap:
+    """Propagate the click covariance through the fit to places (M, 3) of the membrane.
+
+    Places that the fit takes outside the proximity image are left out: nothing is aligned there.
+    """
+    height, width = rig.proximity.intrinsics.shape
+    with np.errstate(divide="ignore", invalid="ignore"):
+        proximity = fit.predict(places)
+        inside = ((proximity >= 0) & (proximity <= (width - 1, height - 1))).all(axis=1)
+    inside = inside if inside.any() else np.ones(len(places), bool)
+    places, proximity = places[inside], proximity[inside]
+    derivative = fit.sensitivity(places)
+    sigma_px = np.sqrt((derivative**2).sum(axis=(1, 2)))
+    return UncertaintyMap(
+        places=places,
+        proximity=proximity,
+        sigma_px=sigma_px,
+        sigma_mm=sigma_px * millimetres_per_pixel(places[:, 2], rig),
+        bound_95_px=_bounds_95(derivative, fit.degrees),
+    )
+
+
+def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
+    """Return the width of a proximity pixel at a distance, millimetres."""
+    lens = rig.proximity.intrinsics
+    return np.asarray(np.asarray(depth_m) * 2000.0 / (lens.fx + lens.fy))
+
+
+def bound_95(derivative: Float64Array, degrees: int) -> float:
+    """Return the root mean square error over places that is not exceeded with 95 % probability.
+
+    The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues.
+    Where the noise itself was estimated from ``degrees`` surplus measurements it is divided by their own
+    chi-square, which makes it an F ratio when the weights are equal. Its quantile is drawn once, seeded.
+
+    Parameters
+    ----------
+    derivative : float64, shape (M, 2, P)
+        `FittedModel.sensitivity` at the places.
+    degrees : int
+        0 where the noise is the stated one.
+    """
+    rows = derivative.reshape(-1, derivative.shape[2])
+    weights = np.linalg.svd(rows, compute_uv=False) ** 2 / len(derivative)
+    squares = _squares()[:, : len(weights)]
+    return float(np.sqrt(np.quantile(squares @ weights / _noise(degrees), 0.95)))
+
+
+def _bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
+    """Return `bound_95` of every place by itself, shape (M,)."""
+    squares = np.linalg.svd(derivative, compute_uv=False) ** 2
+    ratio = squares[:, 1] / np.maximum(squares[:, 0], 1e-300)
+    return np.asarray(np.sqrt(squares[:, 0] * np.interp(ratio, _RATIOS, _planar_bounds(degrees))))
+
+
+@dataclass(frozen=True)
+class PatchEffect:
+    """What the alignment does to a contact patch.
+
+    Attributes
+    ----------
+    boundary_mm : float
+        Expected error of the patch's boundary.
+    depth_mm : float
+        Expected difference of both distances at true contact, alignment and sensors together.
+    supported_tolerance : float
+        Smallest t with which 95 % of the pixels in contact pass.
+    """
+
+    boundary_mm: float
+    depth_mm: float
+    supported_tolerance: float
+
+
+def patch_effect(
+    lateral_mm: npt.ArrayLike,
+    along_mm: npt.ArrayLike,
+    distance_m: npt.ArrayLike,
+    *,
+    proximity_noise_m: float = PROXIMITY_NOISE_M,
+    tactile_noise_m: float = TACTILE_NOISE_M,
+) -> PatchEffect:
+    """Carry alignment errors into the contact test ``|dp - dt| <= t dp``.
+
+    A lateral error l reads the tactile depth beside the right place, on a membrane of slope m, and so
+    changes dt by ``m l``; an error a along the line of sight changes dp by itself; both sensors add their
+    noise. At true contact the difference then has
+
+        s_i^2 = a_i^2 + (m l_i)^2 / 2 + n_p^2 + n_t^2,        t = 1.96 sqrt(mean (s_i / d_i)^2)
+
+    (l is the error in two directions, the slope goes along one). Where the membrane leaves the object at
+    an angle of tangent g, the boundary moves by ``sqrt(l^2 + (a / g)^2)``.
+
+    Parameters
+    ----------
+    lateral_mm, along_mm : array_like, shape (M,)
+        Expected alignment error over the membrane, root mean square.
+    distance_m : array_like, shape (M,)
+    proximity_noise_m, tactile_noise_m : float
+    """
+    lateral, along = np.asarray(lateral_mm, np.float64), np.asarray(along_mm, np.float64)
+    sensors = (proximity_noise_m**2 + tactile_noise_m**2) * 1e6
+    variance = along**2 + (MEMBRANE_SLOPE * lateral) ** 2 / 2 + sensors
+    relative = variance / (np.asarray(distance_m, np.float64) * 1e3) ** 2
+    return PatchEffect(
+        boundary_mm=float(np.sqrt(np.mean(lateral**2 + (along / TAKE_OFF_TANGENT) ** 2))),
+        depth_mm=float(np.sqrt(variance.mean())),
+        supported_tolerance=float(_PASSING_SIGMAS * np.sqrt(relative.mean())),
+    )
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Where the points lie.
+
+    Attributes
+    ----------
+    cells : tuple of tuple of int
+        Number of points in each cell of a grid over the proximity image, three rows of four.
+    share : float
+        Share of the cells that hold a point.
+    depth_range_m : tuple of float or None
+        Nearest and farthest tactile depth.
+    """
+
+    cells: tuple[tuple[int, ...], ...]
+    share: float
+    depth_range_m: tuple[float, float] | None
+
+    @property
+    def depth_span_mm(self) -> float:
+        """How much depth the points span, millimetres; 0 without depths."""
+        return 0.0 if self.depth_range_m is None else 1e3 * (self.depth_range_m[1] - self.depth_range_m[0])
+
+
+def coverage(proximity: Float64Array, depth_m: Float64Array, rig: Rig) -> Coverage:
+    """Count points (N, 2) over the proximity image and note their range of depth."""
+    height, width = rig.proximity.intrinsics.shape
+    counts, _, _ = np.histogram2d(
+        proximity[:, 1], proximity[:, 0], bins=(3, 4), range=((-0.5, height - 0.5), (-0.5, width - 0.5))
+    )
+    known = depth_m[np.isfinite(depth_m)]
+    return Coverage(
+        cells=tuple(tuple(int(count) for count in row) for row in counts),
+        share=float((counts > 0).mean()),
+        depth_range_m=(float(known.min()), float(known.max())) if len(known) else None,
+    )
+
+
+@lru_cache(maxsize=1)
+def _squares() -> Float64Array:
+    """Squared normals, shape (draws, 16)."""
+    return np.asarray(np.random.default_rng(20).standard_normal((_DRAWS, 16)) ** 2)
+
+
+@lru_cache(maxsize=64)
+def _noise(degrees: int) -> Float64Array:
+    """Ratios of estimated to true noise variance, shape (draws,)."""
+    if degrees <= 0:
+        return np.ones(_DRAWS)
+    return np.asarray(np.random.default_rng(21).chisquare(degrees, _DRAWS) / degrees)
+
+
+@lru_cache(maxsize=64)
+def _planar_bounds(degrees: int) -> Float64Array:
+    """95 % quantile of the squared length of a 2-D normal with variances (1, r), r = 0, 0.1 ... 1."""
+    squares, noise = _squares()[:, :2], _noise(degrees)
+    return np.array([np.quantile((squares[:, 0] + r * squares[:, 1]) / noise, 0.95) for r in _RATIOS])

@@ -1,0 +1,328 @@
+"""What a calibration found, as frozen data, as JSON and as words."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Literal
+
+import numpy as np
+
+from ..calibration_record import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
+from ..frames import Float64Array, Rig
+from ..preset import HomographyAlignment, Preset, RigidAlignment, now
+from .correspondences import Correspondence
+from .homography import HomographyFit
+from .quality import Coverage, PatchEffect, UncertaintyMap
+from .rigid import RigidFit
+
+ModelName = Literal["homography", "rigid"]
+
+
+@dataclass(frozen=True)
+class PairQuality:
+    """One pair under a fit.
+
+    Attributes
+    ----------
+    id : str
+    used : bool
+        False for a pair that disagrees with the others and was left out.
+    residual_u, residual_v : float
+        Clicked minus predicted proximity pixel: dX and dY.
+    residual_px, residual_mm : float
+        Its length, and its length across the line of sight at the pair's depth (nan without a depth).
+    left_out_px : float
+        Residual under the fit of the other pairs; nan where they determine nothing.
+    tactile_depth_m : float
+        nan where there is none.
+    """
+
+    id: str
+    used: bool
+    residual_u: float
+    residual_v: float
+    residual_px: float
+    residual_mm: float
+    left_out_px: float
+    tactile_depth_m: float
+
+
+@dataclass(frozen=True, eq=False)
+class ModelQuality:
+    """How good one model's fit is.
+
+    Attributes
+    ----------
+    model : {"homography", "rigid"}
+    rms_px, rms_mm, worst_px : float or None
+        Residuals of the pairs used; None where the model has no surplus pairs and so fits exactly.
+    worst_id : str or None
+    cross_validated_px : float or None
+        Root mean square residual of pairs under the fit of the others.
+    cross_validation : str
+        ``"leave-one-out"``, ``"10-fold"`` or ``"none"``.
+    click_noise_px : float or None
+        Noise of one click that the residuals show, model error included.
+    degrees : int
+        Surplus measurements.
+    condition : float
+        Condition number of the scaled design.
+    alignment_px, alignment_mm : float
+        Root mean square alignment error expected over the membrane, from the clicks' noise.
+    alignment_bound_95_px : float
+        The root mean square alignment error is smaller with 95 % probability.
+    effect : PatchEffect
+    excluded : tuple of str
+        Pairs left out because they disagree.
+    pairs : tuple of PairQuality
+    map : UncertaintyMap
+    """
+
+    model: ModelName
+    rms_px: float | None
+    rms_mm: float | None
+    worst_px: float | None
+    worst_id: str | None
+    cross_validated_px: float | None
+    cross_validation: str
+    click_noise_px: float | None
+    degrees: int
+    condition: float
+    alignment_px: float
+    alignment_mm: float
+    alignment_bound_95_px: float
+    effect: PatchEffect
+    excluded: tuple[str, ...]
+    pairs: tuple[PairQuality, ...]
+    map: UncertaintyMap
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain data without the map; numbers that do not exist are None."""
+        return {
+            "rms_px": self.rms_px,
+            "rms_mm": self.rms_mm,
+            "worst_px": self.worst_px,
+            "worst_id": self.worst_id,
+            "cross_validated_px": self.cross_validated_px,
+            "cross_validation": self.cross_validation,
+            "click_noise_px": self.click_noise_px,
+            "degrees_of_freedom": self.degrees,
+            "condition_number": self.condition,
+            "alignment_px": self.alignment_px,
+            "alignment_mm": self.alignment_mm,
+            "alignment_bound_95_px": self.alignment_bound_95_px,
+            "boundary_error_mm": self.effect.boundary_mm,
+            "depth_difference_mm": self.effect.depth_mm,
+            "supported_tolerance": self.effect.supported_tolerance,
+            "excluded": list(self.excluded),
+            "pairs": [{name: _number_or_none(value) for name, value in vars(pair).items()} for pair in self.pairs],
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class CalibrationReport:
+    """Both models side by side, the recommendation and what to do next.
+
+    Attributes
+    ----------
+    model : {"homography", "rigid"}
+        The model asked for, or with ``"auto"`` the recommended one.
+    recommended : {"homography", "rigid"}
+    reason : str
+        Why that one.
+    homography, rigid : fits, or None where refused
+    quality : mapping of model name to ModelQuality
+    refused : mapping of model name to the reason why it was not fitted
+    coverage : Coverage
+    verdict : str
+        How good it is and the next step, in words.
+    warnings : tuple of str
+    pairs : tuple of Correspondence
+        All pairs given, disabled ones too.
+    rig : Rig
+    date : datetime
+    """
+
+    model: ModelName
+    recommended: ModelName
+    reason: str
+    homography: HomographyFit | None
+    rigid: RigidFit | None
+    quality: Mapping[str, ModelQuality]
+    refused: Mapping[str, str]
+    coverage: Coverage
+    verdict: str
+    warnings: tuple[str, ...]
+    pairs: tuple[Correspondence, ...]
+    rig: Rig
+    date: datetime
+
+    @property
+    def chosen(self) -> ModelQuality:
+        """The quality of ``model``."""
+        return self.quality[self.model]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the whole report as plain data for a JSON file."""
+        chosen, rigid = self.chosen, self.rigid
+        return {
+            "model": self.model,
+            "recommended": self.recommended,
+            "reason": self.reason,
+            "homography": None if self.homography is None else self.homography.H_p_t.tolist(),
+            "T_proximity_tactile": None if rigid is None else rigid.T_proximity_tactile.tolist(),
+            "depth_scale": None if rigid is None else rigid.pose.scale,
+            "depth_offset_m": None if rigid is None else rigid.pose.offset_m,
+            "pose_uncertainty": None if rigid is None else _pose_uncertainty(rigid),
+            "rms_px": chosen.rms_px,
+            "cross_validated_px": chosen.cross_validated_px,
+            "alignment_px": chosen.alignment_px,
+            "alignment_bound_95_px": chosen.alignment_bound_95_px,
+            "boundary_error_mm": chosen.effect.boundary_mm,
+            "supported_tolerance": chosen.effect.supported_tolerance,
+            "verdict": self.verdict,
+            "warnings": list(self.warnings),
+            "points": len(chosen.pairs),
+            "excluded": list(chosen.excluded),
+            "coverage": {
+                "cells": [list(row) for row in self.coverage.cells],
+                "share": self.coverage.share,
+                "depth_range_m": None if self.coverage.depth_range_m is None else list(self.coverage.depth_range_m),
+            },
+            "models": {name: quality.to_json() for name, quality in self.quality.items()},
+            "refused": dict(self.refused),
+            "date": self.date.isoformat(),
+        }
+
+    def record(self, snapshots: tuple[SnapshotRecord, ...] = ()) -> CalibrationRecord:
+        """Return what a preset keeps of this calibration."""
+        chosen = self.chosen
+        return CalibrationRecord(
+            date=self.date,
+            model=self.model,
+            proximity_serial=self.rig.proximity.serial,
+            tactile_serial=self.rig.tactile.serial,
+            verdict=self.verdict,
+            points=tuple(ClickedPair(**vars(pair)) for pair in self.pairs),
+            snapshots=snapshots,
+            quality=ModelSummary(
+                rms_px=chosen.rms_px,
+                cross_validated_px=chosen.cross_validated_px,
+                alignment_px=chosen.alignment_px,
+                alignment_bound_95_px=chosen.alignment_bound_95_px,
+                boundary_error_mm=chosen.effect.boundary_mm,
+                supported_tolerance=chosen.effect.supported_tolerance,
+                excluded=chosen.excluded,
+            ),
+        )
+
+    def apply_to(
+        self, preset: Preset, *, snapshots: tuple[SnapshotRecord, ...] = (), set_tolerance: bool = False
+    ) -> Preset:
+        """Return the preset with this alignment, its record and the rig that it was made for.
+
+        Parameters
+        ----------
+        set_tolerance : bool
+            Set ``tolerance.t`` to the smallest value that the calibration supports, too.
+        """
+        section = preset.alignment.model_copy(update={"model": self.model, "calibration": self.record(snapshots)})
+        if self.homography is not None:
+            matrix: Any = tuple(tuple(row) for row in self.homography.H_p_t.tolist())
+            section = section.model_copy(
+                update={
+                    "homography": HomographyAlignment(
+                        H_p_t=matrix, plane_distance_m=preset.alignment.homography.plane_distance_m
+                    )
+                }
+            )
+        if self.rigid is not None:
+            pose: Any = self.rigid.T_proximity_tactile
+            section = section.model_copy(
+                update={
+                    "rigid": RigidAlignment(T_proximity_tactile=pose),
+                    "depth_scale": float(self.rigid.pose.scale),
+                    "depth_offset_m": float(self.rigid.pose.offset_m),
+                }
+            )
+        tolerance = preset.tolerance
+        if set_tolerance:
+            tolerance = tolerance.model_copy(update={"t": round(min(self.chosen.effect.supported_tolerance, 1.0), 4)})
+        return preset.model_copy(
+            update={"alignment": section, "tolerance": tolerance, "rig": self.rig, "modified": now()}
+        )
+
+    def words(self) -> str:
+        """Return the whole report as lines of text."""
+        lines = [f"Model: {self.model}. {self.reason}", "", _table(self)]
+        chosen = self.chosen
+        lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
+        if self.rigid is not None:
+            lines.append(_pose_words(self.rigid))
+        low_high = self.coverage.depth_range_m
+        depth = f"; depth {1e3 * low_high[0]:.0f} to {1e3 * low_high[1]:.0f} mm" if low_high else "; no depths"
+        cells = " / ".join(" ".join(str(count) for count in row) for row in self.coverage.cells)
+        lines.append(f"Points per cell of the image: {cells}{depth}")
+        lines.append(f"Pairs under the {self.model} model (px: dX, dY, length, left out; mm):")
+        for pair in chosen.pairs:
+            mark = "" if pair.used else "  left out: disagrees with the others"
+            lines.append(
+                f"  {pair.id:>6}  {pair.residual_u:8.2f} {pair.residual_v:8.2f} {pair.residual_px:8.2f} "
+                f"{_shown(pair.left_out_px, 8)}  {_shown(pair.residual_mm, 7)}{mark}"
+            )
+        lines += [f"Warning: {warning}" for warning in self.warnings]
+        return "\n".join([*lines, "", f"Verdict: {self.verdict}"])
+
+
+def _table(report: CalibrationReport) -> str:
+    rows: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
+        ("residual, RMS", "px", lambda q: q.rms_px),
+        ("worst residual", "px", lambda q: q.worst_px),
+        ("cross-validated", "px", lambda q: q.cross_validated_px),
+        ("expected alignment error", "px", lambda q: q.alignment_px),
+        ("  its 95 % bound", "px", lambda q: q.alignment_bound_95_px),
+        ("expected alignment error", "mm", lambda q: q.alignment_mm),
+        ("patch boundary error", "mm", lambda q: q.effect.boundary_mm),
+        ("supported tolerance t", "", lambda q: q.effect.supported_tolerance),
+        ("condition number", "", lambda q: q.condition),
+    )
+    names = list(report.quality)
+    lines = ["".join([f"{'':32}", *(f"{name:>12}" for name in names)])]
+    for title, unit, value in rows:
+        cells = [_shown(value(report.quality[name]), 12, 4 if not unit else 2) for name in names]
+        lines.append("".join([f"{title + (f' ({unit})' if unit else ''):32}", *cells]))
+    return "\n".join(lines)
+
+
+def _pose_words(rigid: RigidFit) -> str:
+    sigma = _pose_uncertainty(rigid)
+    text = f"Pose: uncertain by {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.3f} degrees (one sigma)"
+    if sigma["scale"] is not None:
+        text += (
+            f"; tactile depth x {rigid.pose.scale:.4f} +- {sigma['scale']:.4f}, "
+            f"{1e3 * rigid.pose.offset_m:+.2f} mm +- {sigma['offset_mm']:.2f} mm"
+        )
+    return text
+
+
+def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
+    covariance: Float64Array = rigid.covariance
+    variance = np.diag(covariance)
+    scaled = len(variance) == 8
+    return {
+        "rotation_deg": math.degrees(math.sqrt(variance[:3].sum())),
+        "translation_mm": 1e3 * math.sqrt(variance[3:6].sum()),
+        "scale": math.sqrt(variance[6]) if scaled else None,
+        "offset_mm": 1e3 * math.sqrt(variance[7]) if scaled else None,
+    }
+
+
+def _shown(value: float | None, width: int, decimals: int = 2) -> str:
+    return f"{'-':>{width}}" if value is None or math.isnan(value) else f"{value:{width}.{decimals}f}"
+
+
+def _number_or_none(value: Any) -> Any:
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,0 +1,418 @@
+"""The tactile camera's pose in the proximity frame, from clicks that carry a tactile depth.
+
+Every tactile click is a point in space: its ray times its depth. Its partner is a ray of the proximity
+depth camera or of the proximity colour camera, chained by the factory extrinsic; both kinds may be mixed.
+Start: perspective-n-point (SQPnP; Terzakis and Lourakis 2020), wrong pairs by P3P samples. Refinement:
+maximum likelihood with noise in both clicks and in the depth (`maximum_likelihood`).
+
+With ``depth_scale`` the tactile depth is corrected to ``scale * raw + offset``. Clicks alone cannot see
+the scale: scene, baseline and all may grow together without moving a pixel. What holds it is the
+distance of the proximity camera where it was measured at contact (``proximity_depth_m``), and otherwise
+the baseline that the rig states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from ..errors import CalibrationError
+from ..frames import Float64Array, Rig
+from .homography import CLICK_SIGMA_PX
+from .maximum_likelihood import UNMEASURED, BoolArray, Linearised, Measurements, Prior, inverse_information
+from .pairs import spread
+from .rays import color_lens, color_pose, ray_covariance, ray_seen
+from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
+
+#: Standard deviations of the tactile and the proximity depth under a click, metres.
+TACTILE_DEPTH_SIGMA_M = 0.0005
+PROXIMITY_DEPTH_SIGMA_M = 0.001
+#: How well the mount of a rig keeps its stated baseline, metres; only used where a depth scale is fitted.
+BASELINE_SIGMA_M = 0.0002
+#: What is known of scale and offset beforehand: data sheets allow some percent.
+_SCALE_SIGMA, _OFFSET_SIGMA_M = 0.05, 0.03
+
+#: A prior has to be weighed against the noise that the pairs show, which a first fit tells.
+_NOISE_ROUNDS, _LEAST_NOISE = 3, 1e-6
+
+_SAMPLE = 3
+LEAST_POINTS = 4
+
+
+@dataclass(frozen=True, eq=False)
+class RigidPoints:
+    """Clicks with a tactile depth.
+
+    Attributes
+    ----------
+    tactile : float64, shape (N, 2)
+        Pixels of the tactile image.
+    tactile_depth_m : float64, shape (N,)
+    proximity : float64, shape (N, 2)
+        Pixels of the proximity depth or colour image.
+    in_color : bool, shape (N,)
+        Which of both.
+    proximity_depth_m : float64, shape (N,)
+        Distance at contact that the proximity camera measured; nan where there is none.
+    """
+
+    tactile: Float64Array
+    tactile_depth_m: Float64Array
+    proximity: Float64Array
+    in_color: BoolArray
+    proximity_depth_m: Float64Array
+
+    @property
+    def places(self) -> Float64Array:
+        """Tactile pixel and depth in one array, shape (N, 3)."""
+        return np.column_stack([self.tactile, self.tactile_depth_m])
+
+
+@dataclass(frozen=True, eq=False)
+class Pose:
+    """Rotation, translation (metres) and depth correction: what is fitted."""
+
+    rotation: Float64Array
+    translation: Float64Array
+    scale: float = 1.0
+    offset_m: float = 0.0
+
+    @property
+    def matrix(self) -> Float64Array:
+        """``T_p_t``, shape (4, 4)."""
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation
+        return matrix
+
+
+@dataclass(frozen=True, eq=False)
+class RigidFit:
+    """A fitted pose and what is known of it.
+
+    Attributes
+    ----------
+    pose : Pose
+    used : bool, shape (N,)
+        The pairs it rests on.
+    residuals_px : float64, shape (N, 2)
+        Clicked minus predicted pixel, in the proximity image that was clicked.
+    degrees, noise_factor, condition, log10_nfa
+        As in `HomographyFit`.
+    """
+
+    pose: Pose
+    used: BoolArray
+    residuals_px: Float64Array
+    degrees: int
+    noise_factor: float
+    condition: float
+    log10_nfa: float
+    rig: Rig
+    problem: RigidProblem
+    fit: RobustFit[Pose]
+
+    @property
+    def parameters(self) -> int:
+        """Number of fitted parameters: 6, or 8 with a depth scale."""
+        return len(self.fit.solution.information)
+
+    @property
+    def T_proximity_tactile(self) -> Float64Array:
+        """Pose of the tactile camera in the proximity depth frame, shape (4, 4), metres."""
+        return self.pose.matrix
+
+    @property
+    def rms_px(self) -> float:
+        """Root mean square distance of the used pairs in the proximity images."""
+        return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
+
+    @property
+    def covariance(self) -> Float64Array:
+        """Covariance of rotation vector (rad), translation (m) and, where fitted, scale and offset (m)."""
+        solution = self.fit.solution
+        return np.asarray(solution.noise_factor**2 * inverse_information(solution.information))
+
+    def left_out_residuals_px(self) -> Float64Array:
+        """Return each pair's residual (N, 2) under the fit of the other pairs; nan where they determine nothing."""
+        return left_out_residuals_px(self.problem, self.fit)
+
+    def points_m(self, places: npt.ArrayLike) -> Float64Array:
+        """Take tactile pixels and raw depths (N, 3) to points of the proximity depth frame."""
+        places = np.asarray(places, np.float64)
+        depth = self.pose.scale * places[:, 2] + self.pose.offset_m
+        rays = ray_seen(self.rig.tactile.intrinsics, places[:, :2])
+        tactile_points = np.column_stack([rays * depth[:, None], depth])
+        return np.asarray(tactile_points @ self.pose.rotation.T + self.pose.translation)
+
+    def predict(self, places: npt.ArrayLike) -> Float64Array:
+        """Take tactile pixels and raw depths (N, 3) to proximity depth pixels (N, 2)."""
+        return self.rig.proximity.intrinsics.project(self.points_m(places))
+
+    def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
+        """Return the derivative (N, 2, P) of predicted proximity depth pixels by whitened parameters.
+
+        Whitened parameters have unit covariance, so ``J J^T`` is the covariance of the prediction.
+        """
+        points, by_point = self.points_m(places), self._by_whitened(places)
+        focal = np.array([self.rig.proximity.intrinsics.fx, self.rig.proximity.intrinsics.fy])
+        ray = points[:, :2] / points[:, 2:]
+        along = by_point[:, :2] - ray[:, :, None] * by_point[:, 2:3]
+        return np.asarray(along / points[:, 2, None, None] * focal[:, None])
+
+    def depth_sensitivity(self, places: npt.ArrayLike) -> Float64Array:
+        """Return the derivative (N, P) of the distance along z, metres, by whitened parameters."""
+        return np.asarray(self._by_whitened(places)[:, 2])
+
+    def _by_whitened(self, places: npt.ArrayLike) -> Float64Array:
+        places = np.asarray(places, np.float64)
+        rays = np.column_stack([ray_seen(self.rig.tactile.intrinsics, places[:, :2]), places[:, 2]])
+        _, by_theta, _ = self.problem.transform(self.pose, rays)
+        return np.asarray(by_theta @ np.linalg.cholesky(self.covariance))
+
+
+class RigidProblem(Problem[Pose]):
+    """Pose estimation in normalised coordinates: every lens is removed from the clicks beforehand."""
+
+    name = "rigid alignment"
+    sample_size = _SAMPLE
+
+    def __init__(
+        self,
+        points: RigidPoints,
+        rig: Rig,
+        sigmas: Float64Array,
+        depth_scale: bool,
+    ) -> None:
+        sigma_tactile_px, sigma_proximity_px, sigma_depth_m = sigmas
+        self.points, self.rig, self.depth_scale = points, rig, depth_scale
+        count = len(points.tactile)
+        poses = np.stack([np.eye(4), color_pose(rig)])
+        self.camera_rotation, self.camera_translation = poses[:, :3, :3], poses[:, :3, 3]
+        self.measures_depth = bool(np.isfinite(points.proximity_depth_m).any())
+        self.size = 3 if self.measures_depth else 2
+
+        known_covariance = np.zeros((count, 3, 3))
+        known_covariance[:, :2, :2] = ray_covariance(rig.tactile.intrinsics, points.tactile, sigma_tactile_px)
+        known_covariance[:, 2, 2] = sigma_depth_m**2
+        seen = np.zeros((count, self.size))
+        seen_covariance = np.zeros((count, self.size, self.size))
+        for lens, which in ((rig.proximity.intrinsics, ~points.in_color), (color_lens(rig), points.in_color)):
+            clicks = points.proximity[which]
+            seen[which, :2] = ray_seen(lens, clicks)
+            seen_covariance[which, :2, :2] = ray_covariance(lens, clicks, sigma_proximity_px)
+        if self.measures_depth:
+            measured = np.isfinite(points.proximity_depth_m)
+            seen[:, 2] = np.where(measured, points.proximity_depth_m, 0.0)
+            seen_covariance[:, 2, 2] = np.where(measured, PROXIMITY_DEPTH_SIGMA_M**2, UNMEASURED)
+        rays = ray_seen(rig.tactile.intrinsics, points.tactile)
+        known = np.column_stack([rays, points.tactile_depth_m])
+        self.measurements = Measurements(
+            known, known_covariance, seen, seen_covariance, points.in_color.astype(np.intp)
+        )
+        self.focal = np.where(
+            points.in_color[:, None],
+            (color_lens(rig).fx, color_lens(rig).fy),
+            (rig.proximity.intrinsics.fx, rig.proximity.intrinsics.fy),
+        )
+        self.space = np.column_stack([rays * points.tactile_depth_m[:, None], points.tactile_depth_m])
+        self.start_rays = self._rays_of_depth_camera()
+        self.extent, self.area = spread(points.proximity)
+        self.prior = Prior(self._prior_residuals) if depth_scale else None
+
+    def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Take places (ray and raw depth) to proximity points, with derivatives (N, 3, P) and (N, 3, 3)."""
+        depth = theta.scale * places[:, 2] + theta.offset_m
+        rays = np.column_stack([places[:, :2], np.ones(len(places))]) @ theta.rotation.T
+        turned = rays * depth[:, None]
+        by_theta = np.zeros((len(places), 3, 8 if self.depth_scale else 6))
+        by_theta[:, :, :3] = -_cross_matrices(turned)
+        by_theta[:, :, 3:6] = np.eye(3)
+        if self.depth_scale:
+            by_theta[:, :, 6] = rays * places[:, 2:]
+            by_theta[:, :, 7] = rays
+        by_place = np.empty((len(places), 3, 3))
+        by_place[:, :, :2] = theta.rotation[:, :2] * depth[:, None, None]
+        by_place[:, :, 2] = rays * theta.scale
+        return turned + theta.translation, by_theta, by_place
+
+    def linearise(self, theta: Pose, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
+        """Predict rays of the camera that was clicked in and, where measured, the distance."""
+        points, by_theta, by_place = self.transform(theta, places)
+        rotation = self.camera_rotation[camera]
+        seen = (rotation @ points[:, :, None])[:, :, 0] + self.camera_translation[camera]
+        ray = seen[:, :2] / seen[:, 2:]
+        by_point = (rotation[:, :2] - ray[:, :, None] * rotation[:, 2:]) / seen[:, 2, None, None]
+        if self.measures_depth:
+            ray = np.column_stack([ray, points[:, 2]])
+            along = np.broadcast_to(np.array([[[0.0, 0.0, 1.0]]]), (len(points), 1, 3))
+            by_point = np.concatenate([by_point, along], axis=1)
+        return ray, by_point @ by_theta, by_point @ by_place
+
+    def retract(self, theta: Pose, step: Float64Array) -> Pose:
+        """Turn about and move along the proximity axes."""
+        turn = Rotation.from_rotvec(step[:3]).as_matrix()
+        moved = replace(theta, rotation=turn @ theta.rotation, translation=theta.translation + step[3:6])
+        if self.depth_scale:
+            moved = replace(moved, scale=theta.scale + step[6], offset_m=theta.offset_m + step[7])
+        return moved
+
+    def start(self, used: BoolArray) -> Pose | None:
+        """Solve SQPnP on the used pairs."""
+        space = self.space[used]
+        if len(space) < LEAST_POINTS or _on_a_line(space):
+            return None
+        found, turn, shift = cv2.solvePnP(
+            space, self.start_rays[used], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
+        )  # fmt: skip
+        return Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)) if found else None
+
+    def hypotheses(self, samples: npt.NDArray[np.intp]) -> list[Pose]:
+        """Solve P3P on every sample: up to four poses each."""
+        poses = []
+        for sample in samples:
+            if _on_a_line(self.space[sample]):
+                continue
+            count, turns, shifts = cv2.solveP3P(
+                self.space[sample], self.start_rays[sample], np.eye(3), None, flags=cv2.SOLVEPNP_AP3P
+            )
+            for turn, shift in zip(turns[:count], shifts[:count], strict=True):
+                poses.append(Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)))
+        return poses
+
+    def residuals_px(self, theta: Pose) -> Float64Array:
+        """Return distances in the clicked image, lens distortion aside."""
+        points = self.space @ theta.rotation.T * theta.scale
+        if theta.offset_m:
+            points += (self.space / self.space[:, 2:]) @ theta.rotation.T * theta.offset_m
+        camera = self.measurements.camera
+        seen = (self.camera_rotation[camera] @ (points + theta.translation)[:, :, None])[:, :, 0]
+        seen += self.camera_translation[camera]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            distance = np.hypot(*((seen[:, :2] / seen[:, 2:] - self.measurements.seen[:, :2]) * self.focal).T)
+        return np.asarray(np.where((seen[:, 2] > 0) & np.isfinite(distance), distance, np.inf))
+
+    def residual_vectors_px(self, theta: Pose) -> Float64Array:
+        """Return clicked minus predicted pixel of every pair in the image that was clicked, shape (N, 2)."""
+        points, _, _ = self.transform(theta, self.measurements.known)
+        camera = self.measurements.camera
+        seen = (self.camera_rotation[camera] @ points[:, :, None])[:, :, 0] + self.camera_translation[camera]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_depth, of_color = self.rig.proximity.intrinsics.project(seen), color_lens(self.rig).project(seen)
+        return np.asarray(self.points.proximity - np.where((camera == 1)[:, None], of_color, of_depth))
+
+    def _rays_of_depth_camera(self) -> Float64Array:
+        """Take clicks in the colour image to rays of the depth camera, at about the tactile distance.
+
+        The cameras stand side by side, so this is right to about a pixel: enough to start from.
+        """
+        seen, depth = self.measurements.seen[:, :2], self.measurements.known[:, 2:]
+        T_depth_color = np.linalg.inv(color_pose(self.rig))
+        moved = np.column_stack([seen * depth, depth]) @ T_depth_color[:3, :3].T + T_depth_color[:3, 3]
+        return np.ascontiguousarray(np.where(self.measurements.camera[:, None] == 1, moved[:, :2] / moved[:, 2:], seen))
+
+    def _prior_residuals(self, theta: Pose) -> tuple[Float64Array, Float64Array]:
+        residuals = [(theta.scale - 1.0) / _SCALE_SIGMA, theta.offset_m / _OFFSET_SIGMA_M]
+        derivative = np.zeros((3, 8))
+        derivative[0, 6], derivative[1, 7] = 1.0 / _SCALE_SIGMA, 1.0 / _OFFSET_SIGMA_M
+        stated = self.rig.T_proximity_tactile
+        if stated is None:
+            return np.array(residuals), derivative[:2]
+        baseline = float(np.linalg.norm(theta.translation))
+        stated_baseline = float(np.linalg.norm(np.asarray(stated)[:3, 3]))
+        residuals.append((baseline - stated_baseline) / BASELINE_SIGMA_M)
+        derivative[2, 3:6] = theta.translation / (baseline * BASELINE_SIGMA_M)
+        return np.array(residuals), derivative
+
+
+def fit_rigid(
+    points: RigidPoints,
+    rig: Rig,
+    *,
+    sigma_tactile_px: float = CLICK_SIGMA_PX,
+    sigma_proximity_px: float = CLICK_SIGMA_PX,
+    sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
+    depth_scale: bool = False,
+    use: npt.ArrayLike | None = None,
+) -> RigidFit:
+    """Fit the tactile camera's pose in the proximity frame; wrong pairs are found and left out.
+
+    Parameters
+    ----------
+    points : RigidPoints
+    rig : Rig
+        Lenses and the colour camera's extrinsic.
+    sigma_tactile_px, sigma_proximity_px, sigma_depth_m : float
+        Noise of clicks and of the tactile depth. Their ratios weigh the measurements; their common size
+        is replaced by the observed one as soon as there are surplus pairs.
+    depth_scale : bool
+        Fit a scale and an offset of the tactile depth, too.
+    use : bool, shape (N,), optional
+        The pairs to fit, where wrong ones are known already.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than four pairs with a depth, points on a line, or pairs that agree on no pose.
+    """
+    least = LEAST_POINTS + (1 if depth_scale else 0)
+    if len(points.tactile) < least:
+        raise CalibrationError(
+            f"a rigid alignment{' with depth scale' if depth_scale else ''} needs at least {least} pairs with a "
+            f"tactile depth, there are {len(points.tactile)}; add {least - len(points.tactile)} more, or better "
+            f"{least + 2 - len(points.tactile)}"
+        )
+    _check_points(points, least)
+    stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
+    known = None if use is None else np.asarray(use, bool)
+    for _ in range(_NOISE_ROUNDS if depth_scale else 1):
+        problem = RigidProblem(points, rig, observed * stated, depth_scale)
+        fit = fit_robustly(problem, known)
+        known, observed = fit.used, max(observed * fit.solution.noise_factor, _LEAST_NOISE)
+    return RigidFit(
+        pose=fit.solution.theta,
+        used=fit.used,
+        residuals_px=problem.residual_vectors_px(fit.solution.theta),
+        degrees=fit.solution.degrees,
+        noise_factor=observed,
+        condition=fit.condition,
+        log10_nfa=fit.log10_nfa,
+        rig=rig,
+        problem=problem,
+        fit=fit,
+    )
+
+
+def _check_points(points: RigidPoints, least: int) -> None:
+    for name in ("tactile", "proximity", "tactile_depth_m"):
+        values = np.asarray(getattr(points, name))
+        if not np.isfinite(values).all():
+            row = int(np.argwhere(~np.isfinite(values))[0][0])
+            raise CalibrationError(f"pair {row + 1}: {name} is {values[row].tolist()}; give finite numbers")
+    if (points.tactile_depth_m <= 0).any():
+        row = int(np.flatnonzero(points.tactile_depth_m <= 0)[0])
+        raise CalibrationError(
+            f"pair {row + 1}: the tactile depth is {points.tactile_depth_m[row]:g} m; it must be above 0"
+        )
+    different = len(np.unique(np.column_stack([points.places, points.proximity]), axis=0))
+    if different < least:
+        raise CalibrationError(
+            f"only {different} of the {len(points.tactile)} pairs differ from each other, a rigid alignment needs "
+            f"{least}; delete the repeated ones and add points elsewhere"
+        )
+
+
+def _on_a_line(space: Float64Array) -> bool:
+    values = np.linalg.svd(space - space.mean(axis=0), compute_uv=False)
+    return bool(values[1] <= 2e-3 * values[0])
+
+
+def _cross_matrices(vectors: Float64Array) -> Float64Array:
+    matrices = np.zeros((len(vectors), 3, 3))
+    x, y, z = vectors.T
+    matrices[:, 0, 1], matrices[:, 0, 2], matrices[:, 1, 2] = -z, y, -x
+    matrices[:, 1, 0], matrices[:, 2, 0], matrices[:, 2, 1] = z, -y, x
+    return matrices
