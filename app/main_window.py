@@ -389,7 +389,7 @@ class MainWindow(QMainWindow):
             return
         if not self._closing and self.document.dirty:
             event.ignore()
-            self.file_flows.guarded(self._close_now)
+            self.file_flows.guarded(self.close_without_asking)
             return
         remember_layout(self, self.settings)
         self.worker.shut_down()
@@ -397,7 +397,8 @@ class MainWindow(QMainWindow):
         self.error_hook.remove()
         event.accept()
 
-    def _close_now(self) -> None:
+    def close_without_asking(self) -> None:
+        """Close, whatever is unsaved."""
         self._closing = True
         self.close()
 

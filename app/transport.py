@@ -4,45 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from PyQt6.QtCore import QRect, QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QMouseEvent
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QSlider, QStyle, QStyleOptionSlider, QToolButton, QWidget
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QToolButton, QWidget
 
+from ..widgets.number_slider import JumpSlider
 from .actions import Actions
 from .icons import icon
 from .playback import PlaybackState
-
-
-class FrameSlider(QSlider):
-    """A slider that jumps to where it is clicked."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(Qt.Orientation.Horizontal, parent)
-        self.setAccessibleName("Frame")
-        self.setToolTip("Frame of the recording: drag or click to seek")
-        self.setMinimumWidth(90)
-        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-
-    def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Jump to the clicked place, then drag on from there."""
-        if event is not None and event.button() == Qt.MouseButton.LeftButton and not self._on_handle(event):
-            self.setValue(self._value_at(event.position().x()))
-        super().mousePressEvent(event)
-
-    def _on_handle(self, event: QMouseEvent) -> bool:
-        return self._handle().contains(event.position().toPoint())
-
-    def _handle(self) -> QRect:
-        option = QStyleOptionSlider()
-        self.initStyleOption(option)
-        style = self.style()
-        assert style is not None
-        return style.subControlRect(QStyle.ComplexControl.CC_Slider, option, QStyle.SubControl.SC_SliderHandle, self)
-
-    def _value_at(self, x: float) -> int:
-        half = self._handle().width() / 2
-        span = max(1.0, self.width() - 2 * half)
-        return QStyle.sliderValueFromPosition(self.minimum(), self.maximum(), round(x - half), round(span))
 
 
 class Transport(QWidget):
@@ -62,7 +30,10 @@ class Transport(QWidget):
         super().__init__(parent)
         self._actions = actions
         self._state = PlaybackState(length=1)
-        self.slider = FrameSlider()
+        self.slider = JumpSlider()
+        self.slider.setAccessibleName("Frame")
+        self.slider.setToolTip("Frame of the recording: drag or click to seek")
+        self.slider.setMinimumWidth(90)
         self.slider.valueChanged.connect(self.seekRequested)
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))

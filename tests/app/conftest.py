@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from threading import Event
 
 import numpy as np
+import pyqtgraph as pg
 import pytest
+from PyQt6.QtWidgets import QApplication
 
+from tactune.app.main_window import MainWindow
+from tactune.app.settings import Settings
+from tactune.app.worker import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
@@ -21,9 +27,7 @@ MEMBRANE_RGB = (40, 60, 200)
 
 def tiny_rig(width: int = WIDTH, height: int = HEIGHT, serial: str = "1") -> Rig:
     """Both cameras in one place, so that pixels match one to one."""
-    intrinsics = Intrinsics(
-        width=width, height=height, fx=60.0, fy=60.0, cx=(width - 1) / 2, cy=(height - 1) / 2
-    )
+    intrinsics = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=(width - 1) / 2, cy=(height - 1) / 2)
     pose = np.eye(4).tolist()
     return Rig(
         proximity=DepthCamera(model="L515", serial=f"p{serial}", intrinsics=intrinsics, depth_unit_m=0.00025),
@@ -101,3 +105,54 @@ def source() -> Iterator[TinySource]:
     made = TinySource()
     yield made
     made.close()
+
+
+@pytest.fixture
+def settings_file(tmp_path) -> Path:
+    return tmp_path / "window.ini"
+
+
+@pytest.fixture
+def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[..., MainWindow]]:
+    """Open windows that use nothing of the person's own folders, and close them whatever happened."""
+    pg.setConfigOptions(mouseRateLimit=-1)
+    windows = []
+
+    def make(start: Preset = preset, size: tuple[int, int] = (1280, 800)) -> MainWindow:
+        window = MainWindow(
+            start, Settings(settings_file), tmp_path / "unsaved", native_dialogs=False, backend="software"
+        )
+        windows.append(window)
+        window.set_theme("light", remember=False)
+        window.settings.set("folder/preset", str(tmp_path))
+        window.settings.set("folder/export", str(tmp_path))
+        window.resize(*size)
+        window.show()
+        qtbot.waitExposed(window)
+        window.activateWindow()
+        qtbot.waitUntil(window.isActiveWindow)
+        return window
+
+    yield make
+    for window in windows:
+        if window.worker.isRunning():
+            window.close_without_asking()
+        window.deleteLater()
+    QApplication.processEvents()
+
+
+@pytest.fixture
+def window(qtbot, make_window) -> MainWindow:
+    """A window that stands still at frame 3 of a recording of 8."""
+    made = make_window()
+    made.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    qtbot.waitUntil(lambda: made.result is not None)
+    made.worker.pause()
+    made.worker.seek(3)
+    qtbot.waitUntil(lambda: at_rest(made, 3))
+    return made
+
+
+def at_rest(window: MainWindow, index: int) -> bool:
+    """Whether the window shows a frame and playback stands still."""
+    return window.transport.state.index == index and not window.transport.state.playing

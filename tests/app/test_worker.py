@@ -17,7 +17,14 @@ class Watched:
 
     def __init__(self, preset: Preset) -> None:
         self.worker = Worker(preset)
-        self.results, self.opened, self.failures, self.open_failures, self.progress, self.states = [], [], [], [], [], []
+        self.results, self.opened, self.failures, self.open_failures, self.progress, self.states = (
+            [],
+            [],
+            [],
+            [],
+            [],
+            [],
+        )
         self.worker.resultReady.connect(lambda: self.results.append(self.worker.take()))
         self.worker.opened.connect(self.opened.append)
         self.worker.failed.connect(self.failures.append)
