@@ -105,6 +105,7 @@ class MainWindow(QMainWindow):
         self._show_document()
         self.panel.set_preset(preset)
         self.panel.set_baseline(preset)
+        self.actions_.export_patch.setEnabled(False)
         self.views.show_message(_NO_SOURCE)
         self.views.setFocus()
         self._send_wanted()
@@ -230,7 +231,6 @@ class MainWindow(QMainWindow):
         self.messages.clear("source")
         if self.result is None:
             self.views.show_message(_OPENING)
-        self.worker.cancel_open()
         self.worker.open(request)
 
     def _opened(self, info: SourceInfo) -> None:
@@ -244,6 +244,8 @@ class MainWindow(QMainWindow):
         self.toolbar.show_source(info.name)
         self.status.show_source(_describe(info))
         self.views.show_message(_OPENING)
+        height, width = info.rig.proximity.intrinsics.shape
+        self.left.set_aspect(height / width)
 
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()

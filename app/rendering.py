@@ -35,9 +35,11 @@ HISTOGRAM_BINS = 160
 HISTOGRAM_LIMIT = 0.1
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
-#: The depth colours span these percentiles of the scene, with a margin.
+#: The depth colours span these percentiles of the membrane's depth, and some of the space around it, as
+#: shares of that span: objects are behind the membrane.
 _PERCENTILES = (1.0, 99.0)
-_DEPTH_MARGIN_M, _DEPTH_MARGIN = 0.005, 0.25
+_NEARER, _FARTHER = 0.1, 0.75
+_SMALLEST_SPAN_M = 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,8 +92,8 @@ class Renderer:
         if len(sample_m) == 0:
             return self._depth_range_m or (0.0, 1.0)
         near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
-        margin = max(_DEPTH_MARGIN_M, _DEPTH_MARGIN * (far - near))
-        near, far = near - margin, far + margin
+        span = max(far - near, _SMALLEST_SPAN_M)
+        near, far = near - _NEARER * span, far + _FARTHER * span
         if self._depth_range_m is not None:
             near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
         self._depth_range_m = near, far

@@ -6,7 +6,7 @@ from PyQt6.QtCore import QByteArray, Qt
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QSplitter, QWidget
 
-_PANES, _ASPECT = 4, 3 / 4
+_PANES = 4
 #: Height of the strip beyond its images: titles, legends and the readout.
 _AROUND = 64
 _LARGEST_SHARE = 0.42
@@ -18,6 +18,7 @@ class StripSplitter(QSplitter):
     def __init__(self, views: QWidget, strip: QWidget, parent: QWidget | None = None) -> None:
         super().__init__(Qt.Orientation.Vertical, parent)
         self._decided = False
+        self._aspect = 3 / 4
         self.addWidget(views)
         self.addWidget(strip)
         self.setStretchFactor(0, 1)
@@ -37,8 +38,16 @@ class StripSplitter(QSplitter):
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         """Give the strip what its images need at this width."""
         super().resizeEvent(event)
+        self._divide()
+
+    def set_aspect(self, height_per_width: float) -> None:
+        """Say what shape the images have."""
+        self._aspect = height_per_width
+        self._divide()
+
+    def _divide(self) -> None:
         if not self._decided:
-            wanted = round(self.width() / _PANES * _ASPECT) + _AROUND
+            wanted = round(self.width() / _PANES * self._aspect) + _AROUND
             strip = min(wanted, round(self.height() * _LARGEST_SHARE))
             self.setSizes([self.height() - strip, strip])
 

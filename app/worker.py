@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
-from threading import Event
 from typing import Any
 
 import numba
@@ -76,7 +75,7 @@ class Worker(QThread):
         super().__init__(parent)
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
         self._mailbox: Mailbox[Result] = Mailbox()
-        self._cancel_open = Event()
+        self._request: SourceRequest | None = None
         self._stopping = False
         self._playback = Playback()
         self._preset = preset
@@ -98,12 +97,16 @@ class Worker(QThread):
         return self._mailbox.take()
 
     def open(self, request: SourceRequest) -> None:
-        """Open a source and, once that has succeeded, play it instead of the present one."""
+        """Open a source and, once that has succeeded, play it instead of the present one.
+
+        A source that is still being opened is given up.
+        """
+        self._request = request
         self._orders.put(lambda: self._open(request))
 
     def cancel_open(self) -> None:
         """Stop opening; the present source goes on."""
-        self._cancel_open.set()
+        self._request = None
 
     def set_preset(self, preset: Preset) -> None:
         """Use another preset from the next frame on; a frame that stands still is done again."""
@@ -147,7 +150,7 @@ class Worker(QThread):
 
     def shut_down(self) -> None:
         """Stop, release the source and wait until the thread has ended."""
-        self._cancel_open.set()
+        self._request = None
         self._orders.put(lambda: setattr(self, "_stopping", True))
         self.wait()
 
@@ -201,12 +204,11 @@ class Worker(QThread):
         self._stale = True
 
     def _open(self, request: SourceRequest) -> None:
-        self._cancel_open.clear()
         last_report_s = 0.0
 
         def progress(fraction: float, text: str) -> None:
             nonlocal last_report_s
-            if self._cancel_open.is_set():
+            if self._request is not request:
                 raise _OpeningCancelledError(f"opening {request.name} was cancelled")
             if time.perf_counter() - last_report_s > _PROGRESS_INTERVAL_S:
                 last_report_s = time.perf_counter()
@@ -216,10 +218,10 @@ class Worker(QThread):
         try:
             source = request.open(progress)
         except Exception as error:
-            sentence = "" if self._cancel_open.is_set() else explain(error, f"{request.name} could not be opened")
+            sentence = "" if self._request is not request else explain(error, f"{request.name} could not be opened")
             self.openFailed.emit(request.name, sentence)
             return
-        if self._cancel_open.is_set():
+        if self._request is not request:
             source.close()
             self.openFailed.emit(request.name, "")
             return

@@ -152,6 +152,7 @@ def test_a_source_that_does_not_open_leaves_the_present_one_playing(watched, qtb
 def test_opening_another_source_closes_the_first(watched, qtbot):
     first, second = TinySource(), TinySource(length=2)
     watched.open(first)
+    qtbot.waitUntil(lambda: len(watched.opened) == 1)
     watched.open(second)
     qtbot.waitUntil(lambda: len(watched.opened) == 2)
     assert first.closed

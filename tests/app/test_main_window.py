@@ -1,0 +1,277 @@
+"""The window as a whole: what it shows, remembers and says."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton
+
+from tactune.app.results import CloudName, ColorBy
+from tactune.app.worker import SourceRequest
+from tactune.core.errors import SourceError
+from tactune.widgets.colormaps import patch_lut
+from tactune.widgets.theme import theme_name
+
+from .conftest import TinySource, at_rest, tiny_rig
+
+LEFT = Qt.MouseButton.LeftButton
+CONTROL = Qt.KeyboardModifier.ControlModifier
+
+
+def texts(widget):
+    return " ".join(label.text() for label in widget.findChildren(QLabel))
+
+
+def opened(window, source, qtbot):
+    window.open_request(SourceRequest(source.name, lambda progress: source))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
+
+
+def test_shows_every_part_of_a_frame(window):
+    views = window.views.views
+    assert views[CloudName.PATCH].point_count() == len(window.result.patch.points) > 0
+    assert views[CloudName.PROXIMITY].point_count() == views[CloudName.TACTILE].point_count() == 64 * 48
+    status = texts(window.status)
+    assert "tiny" in status
+    assert "skew 2.0 ms" in status
+    assert f"{len(window.result.patch.points)} points" in status
+    assert f"patch {window.result.area_mm2 / 100:.1f} cm²" in status
+    assert window.transport._frame.text() == "3 / 7"
+
+
+def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
+    window = make_window()
+    assert "Source menu" in window.views.views[CloudName.PATCH].message()
+    assert not window.actions_.export_patch.isEnabled()
+    window.document.edit("tolerance.t", 0.001)
+    opened(window, TinySource(length=1), qtbot)
+    qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
+
+
+def test_hidden_parts_are_not_drawn(window, qtbot):
+    window.actions_.show_tactile.trigger()
+    window.actions_.show_strip.trigger()
+    window.actions_.show_panel.trigger()
+    assert window.views.views[CloudName.TACTILE].isHidden()
+    assert window.strip.isHidden()
+    qtbot.waitUntil(lambda: CloudName.TACTILE not in window.result.rendered.clouds)
+    qtbot.waitUntil(lambda: window.result.rendered.strip is None and window.result.rendered.histogram is None)
+    window.actions_.show_strip.trigger()
+    qtbot.waitUntil(lambda: window.result.rendered.strip is not None)
+
+
+@pytest.mark.parametrize("choice", list(ColorBy))
+def test_colours_have_a_legend(window, qtbot, choice):
+    window.views.choose_colors(choice)
+    expected = {
+        ColorBy.CONTACT: ["contact", "not touching"],
+        ColorBy.DEPTH: [" m", "not touching"],
+        ColorBy.DIFFERENCE: ["−3.0%", "+3.0%"],
+        ColorBy.PROVENANCE: ["contact", "masked", "outlier", "no tactile depth"],
+    }[choice]
+
+    def explained():
+        words = "|".join(text for text, _ in window.views.views[CloudName.PATCH].legend())
+        return all(word in words for word in expected)
+
+    qtbot.waitUntil(explained)
+
+
+def test_views_turn_together(window):
+    QTest.keyClick(window, Qt.Key.Key_T)
+    cameras = {view.camera() for view in window.views.views.values()}
+    assert len(cameras) == 1
+    QTest.keyClick(window, Qt.Key.Key_S)
+    assert window.views.views[CloudName.TACTILE].camera() not in cameras
+
+
+def test_theme_switches_and_is_remembered(window, make_window, qtbot):
+    base = window.palette().base().color()
+    [dark] = [entry for entry in window.menus.themes.actions() if entry.data() == "dark"]
+    dark.trigger()
+    assert theme_name() == "dark"
+    qtbot.waitUntil(lambda: window.palette().base().color() != base)
+    assert dark.isChecked()
+    assert window.settings.text("theme") == "dark"
+    qtbot.waitUntil(lambda: window.result.rendered.clouds[CloudName.PATCH].lut is patch_lut("dark"))
+    window.set_theme("light")
+    qtbot.waitUntil(lambda: window.result.rendered.clouds[CloudName.PATCH].lut is patch_lut("light"))
+
+
+def test_the_layout_is_remembered(window, make_window, qtbot):
+    window.resize(1500, 900)
+    window.actions_.show_tactile.trigger()
+    window.panel.set_collapsed_sections(["mask"])
+    window.views.choose_colors(ColorBy.PROVENANCE)
+    window.views.point_size.setValue(5)
+    window.close()
+    again = make_window(size=(1500, 900))
+    assert again.views.views[CloudName.TACTILE].isHidden()
+    assert not again.actions_.show_tactile.isChecked()
+    assert again.panel.collapsed_sections() == ["mask"]
+    assert again.views.chosen_colors() is ColorBy.PROVENANCE
+    assert again.views.point_size.value() == 5
+
+
+def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
+    settings_file.write_text("[window]\ngeometry=rubbish\nacross=@ByteArray(xx)\n[view]\npoint_size=many\ncolor_by=taste\n")
+    window = make_window()
+    assert window.views.chosen_colors() is ColorBy.CONTACT
+    assert window.views.point_size.value() == 2
+
+
+@pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
+def test_nothing_is_cut_off(make_window, qtbot, size):
+    window = make_window(size=size)
+    opened(window, TinySource(length=1), qtbot)
+    QApplication.processEvents()
+    assert (window.width(), window.height()) == size
+    shown = window.rect()
+    for widget in (window.views, window.strip, window.panel, window.toolbar, window.status):
+        corner = widget.mapTo(window, widget.rect().bottomRight())
+        assert shown.contains(corner), f"{type(widget).__name__} ends at {corner}, outside {size}"
+    clouds = sum(view.width() * view.height() for view in window.views.views.values())
+    assert clouds > window.strip.width() * window.strip.height()
+    assert clouds > window.panel.width() * window.panel.height()
+
+
+def test_a_refused_value_is_said_beside_its_row(window):
+    window.document.edit("mask.saturation", (200, 100))
+    row = window.panel.rows["mask.saturation"]
+    assert "swap" in row.message.text()
+    assert row.editor.value() == (0, 255)
+
+
+def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
+    window = make_window(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
+    opened(window, TinySource(length=4), qtbot)
+    qtbot.waitUntil(lambda: window.messages.message("rig") is not None)
+    assert "p9" in window.messages.message("rig").sentence
+    window.messages.clear("rig")
+    processed = window.result.processed
+    qtbot.waitUntil(lambda: window.result.processed > processed + 2)
+    assert window.messages.message("rig") is None
+
+
+def test_a_preset_of_another_size_says_so_and_shows_the_cameras(make_window, qtbot, preset):
+    window = make_window(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
+    opened(window, TinySource(length=1), qtbot)
+    assert "32 x 24" in window.messages.message("problem").sentence
+    assert window.views.views[CloudName.PROXIMITY].point_count() > 0
+    assert not window.actions_.export_patch.isEnabled()
+    window.document.new(preset)
+    qtbot.waitUntil(lambda: window.result.patch is not None)
+    assert window.messages.message("problem") is None
+
+
+def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbot):
+    def slow(progress):
+        while True:
+            progress(0.4, "pressing")
+
+    window.open_request(SourceRequest("sim:slow", slow))
+    qtbot.waitUntil(lambda: "pressing" in texts(window.opening))
+    assert window.opening.isVisible()
+    QTest.mouseClick(window.opening.findChild(QPushButton), LEFT)
+    qtbot.waitUntil(lambda: not window.opening.isVisible())
+    assert window.messages.sentences() == []
+    window.worker.seek(5)
+    qtbot.waitUntil(lambda: at_rest(window, 5))
+
+
+def test_choosing_another_source_gives_up_the_one_being_opened(window, qtbot):
+    def slow(progress):
+        while True:
+            progress(0.4, "pressing")
+
+    window.open_request(SourceRequest("sim:slow", slow))
+    qtbot.waitUntil(window.opening.isVisible)
+    other = TinySource(length=2)
+    other.name = "other"
+    opened(window, other, qtbot)
+    assert not window.opening.isVisible()
+
+
+def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
+    def fail(progress):
+        raise SourceError("bag:/x.bag: damaged at byte 12; record it again")
+
+    window.open_request(SourceRequest("bag:/x.bag", fail))
+    qtbot.waitUntil(lambda: "bag:/x.bag: damaged at byte 12; record it again" in window.messages.sentences())
+    assert window.toolbar.source.text() == "Source: tiny"
+
+
+def test_a_single_frame_has_nothing_to_play(make_window, qtbot):
+    window = make_window()
+    opened(window, TinySource(length=1), qtbot)
+    for action in (window.actions_.play, window.actions_.next, window.actions_.freeze):
+        assert not action.isEnabled()
+
+
+def test_the_slider_does_not_jump_while_it_is_held(window, qtbot):
+    slider = window.transport.slider
+    window.worker.play()
+    qtbot.waitUntil(lambda: window.transport.state.playing)
+    slider.setSliderDown(True)
+    slider.setValue(6)
+    qtbot.waitUntil(lambda: window.result.playback.index == 6)
+    processed = window.result.processed
+    slider.setSliderDown(False)
+    qtbot.waitUntil(lambda: window.result.processed > processed)
+
+
+def test_help_lists_every_shortcut(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F1)
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QDialog))
+    dialog = QApplication.activeModalWidget()
+    words = texts(dialog)
+    for action in window.actions_.all():
+        for shortcut in action.shortcuts():
+            assert shortcut.toString() in words
+    assert "Space" in words
+    QTest.keyClick(dialog, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
+
+
+def test_about_names_the_licence(window, qtbot):
+    window.actions_.about.trigger()
+    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is not None)
+    assert "MIT" in QApplication.activeModalWidget().informativeText()
+    QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
+
+
+def test_every_shortcut_belongs_to_one_action(window):
+    keys = [shortcut.toString() for action in window.actions_.all() for shortcut in action.shortcuts()]
+    assert len(keys) == len(set(keys))
+
+
+def test_an_error_in_a_slot_is_shown_and_passed_on(window, qtbot):
+    window.error_hook.install()
+
+    def broken():
+        raise RuntimeError("the membrane burst")
+
+    with qtbot.captureExceptions() as raised:
+        window.error_hook.remove()
+        window.error_hook.install()
+        QTimer.singleShot(0, broken)
+        qtbot.waitUntil(lambda: window.messages.message("defect") is not None)
+    window.error_hook.remove()
+    assert "the membrane burst" in window.messages.message("defect").sentence
+    assert [str(error) for _, error, _ in raised] == ["the membrane burst"]
+
+
+def test_region_dragged_in_the_strip_is_a_step(window, qtbot):
+    window.document.edit("region.enabled", True)
+    window.strip.regionEdited.emit((4, 4, 20, 20), 11)
+    window.strip.regionEdited.emit((4, 4, 30, 20), 11)
+    assert window.document.preset.region.rectangle == (4, 4, 30, 20)
+    assert window.document.undo_stack.count() == 2
+
+
+def test_baseline_of_reset_is_what_the_file_holds(window, tmp_path):
+    window.document.edit("tolerance.t", 0.02)
+    window.document.save(tmp_path / "mine.json")
+    assert window.panel.rows["tolerance.t"].reset_target == 0.02
