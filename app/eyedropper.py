@@ -57,7 +57,8 @@ class Eyedropper(QObject):
         result, mask = self._result, self._document.preset.mask
         counts = result.frame.proximity_depth
         depth_m = counts * np.float32(result.source.rig.proximity.depth_unit_m)
-        image = aligned_color(result.frame, result.source.rig, depth_m, valid_depth(counts))
+        typical_m = sum(result.rendered.depth_range_m) / 2
+        image = aligned_color(result.frame, result.source.rig, depth_m, valid_depth(counts), typical_m)
         present = HsvRanges(mask.hue, mask.saturation, mask.value)
         try:
             ranges = pick(image, u, v, present, cast(Mode, self._mode))

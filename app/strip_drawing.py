@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import numpy.typing as npt
 
 from ..core.clouds import ray_table, valid_depth
 from ..core.frames import Rig, SensorFrame
+from ..core.intrinsics import Intrinsics
 from ..core.masking import colors_at, in_hsv_range
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
@@ -25,13 +27,14 @@ def draw_strip(
     width_hint: int,
 ) -> RenderedStrip:
     """Return the four panes; ``width_hint`` is how many screen pixels an image takes across, 0 for all."""
+    typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
     stride = stride_for(width, width_hint)
     every = np.s_[::stride, ::stride]
     counts = frame.proximity_depth[every]
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
-    color = aligned_color(frame, rig, depth_m, valid, stride)
+    color = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
     nothing = np.full(counts.shape, np.nan, np.float32)
     images = StripImages(
         color=color,
@@ -51,18 +54,30 @@ def aligned_color(
     rig: Rig,
     depth_m: npt.NDArray[np.float32],
     valid: npt.NDArray[np.bool_],
+    typical_m: float,
     stride: int = 1,
 ) -> npt.NDArray[np.uint8]:
     """Return the proximity colour in every ``stride``-th proximity depth pixel: uint8 (h, w, 3).
 
-    A pixel without a depth is looked up at the median depth, which shows the picture almost in
-    place; where the colour camera does not see, the picture is black.
+    A pixel without a depth is looked up at ``typical_m``, which shows the picture almost in place;
+    where the colour camera does not see, the picture is black.
     """
     if rig.proximity_color is None:
         return frame.proximity_color[::stride, ::stride]
-    typical_m = np.float32(np.median(depth_m[valid])) if valid.any() else np.float32(0.3)
-    depth = np.where(valid, depth_m, typical_m)
-    rays = ray_table(rig.proximity.intrinsics)[::stride, ::stride]
-    points = np.concatenate([rays * depth[..., None], depth[..., None]], axis=2).reshape(-1, 3)
-    colors, _ = colors_at(points, np.arange(len(points)), frame.proximity_color, rig)
-    return colors.reshape(*depth.shape, 3)
+    rays = _rays_of_every(rig.proximity.intrinsics, stride)
+    points = np.empty((*depth_m.shape, 3), np.float32)
+    points[..., 2] = np.where(valid, depth_m, np.float32(typical_m))
+    np.multiply(rays, points[..., 2:], out=points[..., :2])
+    pixels = _pixels(depth_m.size)
+    colors, _ = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
+    return colors.reshape(*depth_m.shape, 3)
+
+
+@lru_cache(maxsize=8)
+def _rays_of_every(intrinsics: Intrinsics, stride: int) -> npt.NDArray[np.float32]:
+    return np.ascontiguousarray(ray_table(intrinsics)[::stride, ::stride])
+
+
+@lru_cache(maxsize=8)
+def _pixels(count: int) -> npt.NDArray[np.intp]:
+    return np.arange(count)

@@ -5,7 +5,7 @@ Depth and relative difference use perceptually uniform maps. Contact has one fix
 
 from __future__ import annotations
 
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -173,10 +173,16 @@ def patch_index(
     uint8, shape (H, W)
         `CONTACT_ROW` for contact, rows below it for the context by depth.
     """
-    shades = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
-    rows: npt.NDArray[np.uint8] = shades.astype(np.uint8)[depth]
+    rows: npt.NDArray[np.uint8] = _shades(near, far)[depth]
     rows[contact] = CONTACT_ROW
     return rows
+
+
+@lru_cache(maxsize=8)
+def _shades(near: float, far: float) -> npt.NDArray[np.uint8]:
+    """Return the row of the context for every raw count: uint8 (65536,)."""
+    rows = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
+    return rows.astype(np.uint8)
 
 
 @cache

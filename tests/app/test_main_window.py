@@ -115,7 +115,9 @@ def test_the_layout_is_remembered(window, make_window, qtbot):
 
 
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
-    settings_file.write_text("[window]\ngeometry=rubbish\nacross=@ByteArray(xx)\n[view]\npoint_size=many\ncolor_by=taste\n")
+    settings_file.write_text(
+        "[window]\ngeometry=rubbish\nacross=@ByteArray(xx)\n[view]\npoint_size=many\ncolor_by=taste\n"
+    )
     window = make_window()
     assert window.views.chosen_colors() is ColorBy.CONTACT
     assert window.views.point_size.value() == 2

@@ -114,7 +114,8 @@ def test_only_what_is_looked_at_is_drawn(watched, qtbot):
     qtbot.waitUntil(lambda: set(watched.last.rendered.clouds) == set(CloudName))
     assert watched.last.rendered.strip is not None
     histogram = watched.last.rendered.histogram
-    assert histogram.counts.sum() == np.isfinite(watched.last.patch.relative_difference).sum()
+    counted = watched.last.patch.relative_difference[::2, ::2]
+    assert histogram.counts.sum() == np.isfinite(counted).sum() > 0
 
 
 def test_a_frame_that_cannot_be_read_pauses_and_the_worker_lives_on(watched, qtbot):
