@@ -212,9 +212,17 @@ def _gradient(
 
 @compiled
 def _project(
-    kind: int, pose: Float64Array, nodes: Float64Array, base: Float64Array, free: npt.NDArray[np.bool_]
+    kind: int,
+    pose: Float64Array,
+    nodes: Float64Array,
+    base: Float64Array,
+    free: npt.NDArray[np.bool_],
+    place: Float64Array,
+    clear: Float64Array,
 ) -> None:
     """Move penetrating nodes out to the surface, along the normals at ``base``.
+
+    Node n was ``clear[n]`` from the object at ``place[n]``; as long as it stays within, no distance is needed.
 
     With the step's own start as base a node rests only where its force is along the true normal, even
     where the distance is a bound and its inner level sets are not parallel to the surface.
@@ -222,9 +230,14 @@ def _project(
     for n in range(nodes.shape[0]):
         if not free[n]:
             continue
+        x, y, z = nodes[n, 0] - place[n, 0], nodes[n, 1] - place[n, 1], nodes[n, 2] - place[n, 2]
+        if x * x + y * y + z * z < clear[n] * clear[n]:
+            continue
         depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
         if depth >= 0.0:
+            place[n], clear[n] = nodes[n], depth
             continue
+        clear[n] = 0.0
         nx, ny, nz = normal(kind, pose, base[n, 0], base[n, 1], base[n, 2])
         for _ in range(8):
             nodes[n, 0] -= depth * nx
@@ -279,8 +292,8 @@ def _relax(
 ) -> tuple[int, float]:
     """Descend to equilibrium in place; return the iterations and the relative residual."""
     gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
-    ahead = nodes.copy()
-    _project(kind, pose, ahead, nodes, free)
+    ahead, place, clear = nodes.copy(), nodes.copy(), np.zeros(nodes.shape[0])
+    _project(kind, pose, ahead, nodes, free, place, clear)
     nodes[:] = ahead
     momentum = 1.0
     nodal_area = np.sum(area) / nodes.shape[0]
@@ -296,7 +309,7 @@ def _relax(
                 nodes[:] = ahead
                 return done, relative
         fresh = ahead - step * gradient
-        _project(kind, pose, fresh, ahead, free)
+        _project(kind, pose, fresh, ahead, free, place, clear)
         uphill = 0.0
         for n in range(nodes.shape[0]):
             for k in range(3):
@@ -310,7 +323,7 @@ def _relax(
             for k in range(3):
                 ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
                 nodes[n, k] = fresh[n, k]
-        _project(kind, pose, ahead, nodes, free)
+        _project(kind, pose, ahead, nodes, free, place, clear)
     return done, relative
 
 

@@ -32,6 +32,10 @@ _BOUND: Final = 0.080
 #: Up to this distance from that sphere the exact shape is evaluated, metres.
 _NEAR: Final = 0.020
 
+#: Half the thickness of an octopus arm at its thickest, and the width of the smooth union of two, metres.
+_ARM_REACH: Final = 0.0160
+_ARM_UNION: Final = 0.012
+
 #: Step of the finite differences that give the surface normal, metres.
 _NORMAL_STEP: Final = 2e-6
 
@@ -137,14 +141,18 @@ def _arm(across: float, along: float, z: float) -> float:
 def _octopus(x: float, y: float, z: float) -> float:
     """Round head with six arms; only the nearest arm in angle and its two neighbours matter at any point."""
     head = math.sqrt(x * x + y * y + (z - 0.004) ** 2) - 0.031
-    sector = math.pi / 3.0
-    angle = math.atan2(y, x)
-    folded = angle - sector * math.floor(angle / sector + 0.5)
-    radius = math.sqrt(x * x + y * y)
-    nearest = _arm(radius * math.sin(folded), radius * math.cos(folded), z)
-    left = _arm(radius * math.sin(folded - sector), radius * math.cos(folded - sector), z)
-    right = _arm(radius * math.sin(folded + sector), radius * math.cos(folded + sector), z)
-    arms = _smooth_min(_smooth_min(nearest, left, 0.012), right, 0.012)
+    half, tall = 0.5, 0.8660254037844386
+    # Arms stand every 60 degrees from x: mirror into one quadrant, then turn the arm at 60 degrees onto x.
+    along, across = abs(x), abs(y)
+    if across > along * half / tall:
+        along, across = half * along + tall * across, half * across - tall * along
+    arms = _arm(across, along, z)
+    first = -1.0 if across > 0.0 else 1.0
+    for side in (first, -first):
+        beside = half * across + side * tall * along
+        # An arm is nowhere nearer than this; farther than the union's width it changes nothing.
+        if abs(beside) - _ARM_REACH < arms + _ARM_UNION:
+            arms = _smooth_min(arms, _arm(beside, half * along - side * tall * across, z), _ARM_UNION)
     return _smooth_min(head, arms, 0.016)
 
 

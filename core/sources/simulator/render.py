@@ -32,6 +32,8 @@ _TINT_FADE_M: Final = 0.0025
 _TINT_SHARE: Final = 0.78
 #: A step of depth between neighbours that flying pixels bridge, metres.
 _EDGE_STEP_M: Final = 0.006
+#: A ray this near the object has met it, metres.
+_HIT_M: Final = 1e-5
 #: Linear RGB of the bare membrane and of the dye printed on it.
 _BARE_COLOUR: Final = (0.72, 0.055, 0.40)
 _DYE_COLOUR: Final = (0.015, 0.02, 0.055)
@@ -184,13 +186,15 @@ def see_through(
             dz = (r[0, 2] * x + r[1, 2] * y + r[2, 2]) / length
             facing = backdrop[0] * dx + backdrop[1] * dy + backdrop[2] * dz
             end = (backdrop[3] - backdrop[0] * ox - backdrop[1] * oy - backdrop[2] * oz) / facing
-            reach = max(membrane[v, u] * length - 0.0008, 0.0)
-            for _ in range(96):
+            # Flat triangles cut a little into edges that the true sheet wraps around: start before it.
+            reach = max(membrane[v, u] * length - 0.002, 0.0)
+            gap = np.inf
+            for _ in range(200):
                 gap = distance(kind, pose, ox + reach * dx, oy + reach * dy, oz + reach * dz)
-                if gap < 2e-6 or reach > end:
+                if gap < _HIT_M or reach > end:
                     break
                 reach += gap
-            if reach < end:
+            if gap < _HIT_M:
                 nx, ny, nz = normal(kind, pose, ox + reach * dx, oy + reach * dy, oz + reach * dz)
                 facing = -(nx * dx + ny * dy + nz * dz)
             else:

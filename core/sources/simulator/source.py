@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
 from typing import Final
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -20,6 +22,9 @@ from .scene import CleanState, Press, PressFacts, schedule, simulator_rig
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
+
+#: Scenes that a source in this process has open, shared because each takes some 200 MB.
+_open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
 
 
 class SimulatorSource(SeekableSource):
@@ -99,13 +104,14 @@ class SimulatorSource(SeekableSource):
         variant = scene + "-{}x{}".format(*design.cells)
         path = cache_file(variant, f"{pressed} {design} {self.rig.model_dump_json()}")
         progress(0.0, f"Looking for the {scene} scene in the cache")
-        solved = load_scene(path, len(self._depths_m))
+        solved = _open_scenes.get(path) or load_scene(path, len(self._depths_m))
         if solved is None:
             solved = self._compute(scene, pressed, design, progress)
             try:
                 save_scene(path, solved)
             except ExportError as error:
                 self._message = f"The scene was not kept, so the next start takes as long: {error}"
+        _open_scenes[path] = solved
         progress(1.0, f"The {scene} scene is ready")
         return solved
 
