@@ -224,7 +224,9 @@ def direct_linear_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Flo
 
     Hartley and Zisserman, equation 4.3 and section 4.1.1.
     """
-    return np.asarray(np.linalg.svd(design_matrix(source, target), full_matrices=True)[2][-1].reshape(3, 3))
+    equations = design_matrix(source, target)
+    equations = np.vstack([equations, np.zeros((max(9 - len(equations), 0), 9))])
+    return np.asarray(np.linalg.svd(equations, full_matrices=False)[2][-1].reshape(3, 3))
 
 
 def normalised_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:

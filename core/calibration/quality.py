@@ -107,7 +107,7 @@ def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> Uncerta
         proximity=proximity,
         sigma_px=sigma_px,
         sigma_mm=sigma_px * millimetres_per_pixel(places[:, 2], rig),
-        bound_95_px=_bounds_95(derivative, fit.degrees),
+        bound_95_px=bounds_95(derivative, fit.degrees),
     )
 
 
@@ -137,7 +137,7 @@ def bound_95(derivative: Float64Array, degrees: int) -> float:
     return float(np.sqrt(np.quantile(squares @ weights / _noise(degrees), 0.95)))
 
 
-def _bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
+def bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
     """Return `bound_95` of every place by itself, shape (M,)."""
     squares = np.linalg.svd(derivative, compute_uv=False) ** 2
     ratio = squares[:, 1] / np.maximum(squares[:, 0], 1e-300)

@@ -1,0 +1,261 @@
+"""Measure the calibration against what is possible, and print the numbers.
+
+    .venv/bin/python scripts/measure_calibration.py [homography] [coverage] [wrong] [boards] [bound] [stress] [texture]
+
+Without a name: all of them. Everything is seeded.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from pathlib import Path
+
+import cv2
+import numpy as np
+from tactune.core.calibration.homography import (
+    design_matrix,
+    direct_linear_transform,
+    fit_homography,
+    normalisation,
+    normalised_transform,
+)
+from tactune.core.calibration.quality import bound_95, bounds_95
+from tactune.core.calibration.rigid import fit_rigid
+from tactune.core.calibration.synthetic import (
+    ClickNoise,
+    alignment_covariance,
+    cramer_rao,
+    expected_length,
+    judged_places,
+    make_clicks,
+)
+from tactune.core.errors import CalibrationError
+from tactune.core.sources.simulator.scene import simulator_rig
+
+HOMOGRAPHIES = {
+    "mild": np.array([[1.15, 0.02, -30], [-0.015, 1.18, -20], [2e-5, -3e-5, 1]]),
+    "strong": np.array([[1.15, 0.02, -30], [-0.015, 1.18, -20], [5e-4, -3e-4, 1]]),
+}
+BOARDS = Path(__file__).resolve().parents[2] / "shared" / "data" / "stereo_boards"
+
+
+def transfer(H, points):
+    mapped = np.column_stack([points, np.ones(len(points))]) @ H.T
+    return mapped[:, :2] / mapped[:, 2:]
+
+
+def image_grid():
+    return np.stack(np.meshgrid(np.linspace(0, 639, 20), np.linspace(0, 479, 20)), axis=-1).reshape(-1, 2)
+
+
+def measure_homography():
+    """Error against OpenCV's refined estimate, 500 trials each."""
+    places = image_grid()
+    for name, H in HOMOGRAPHIES.items():
+        for count, both in ((6, True), (12, True), (12, False), (30, True)):
+            ours, opencv = [], []
+            for seed in range(500):
+                rng = np.random.default_rng(seed)
+                tactile = rng.uniform((20, 20), (620, 460), (count, 2))
+                proximity = transfer(H, tactile) + rng.normal(0, 0.7, (count, 2))
+                tactile = tactile + (rng.normal(0, 0.7, (count, 2)) if both else 0.0)
+                fit = fit_homography(tactile, proximity)
+                ours.append(np.hypot(*(fit.predict(places) - transfer(H, places)).T).mean())
+                refined, _ = cv2.findHomography(tactile, proximity, 0)
+                opencv.append(np.hypot(*(transfer(refined, places) - transfer(H, places)).T).mean())
+            ours, opencv = np.array(ours), np.array(opencv)
+            error = (ours - opencv).std() / np.sqrt(len(ours)) / opencv.mean()
+            print(
+                f"homography, {name:6} perspective, {count:2} pairs, noise in {'both images' if both else 'proximity  '}:"
+                f" {ours.mean():.3f} px, OpenCV {opencv.mean():.3f} px, {100 * (ours.mean() / opencv.mean() - 1):+.2f} "
+                f"+- {100 * error:.2f} %"
+            )
+
+
+def coverage_homography(trials, count=12):
+    """Share of trials whose true error lies within the reported 95 % bound: over the image, and place by place."""
+    places = image_grid()[::7]
+    H = HOMOGRAPHIES["mild"]
+    whole, local = [], []
+    for seed in range(trials):
+        rng = np.random.default_rng(seed)
+        tactile = rng.uniform((20, 20), (620, 460), (count, 2))
+        proximity = transfer(H, tactile) + rng.normal(0, 0.7, (count, 2))
+        fit = fit_homography(tactile + rng.normal(0, 0.7, (count, 2)), proximity)
+        inside, share = within_bound(fit, places, transfer(H, places))
+        whole.append(inside)
+        local.append(share)
+    return np.mean(whole), np.mean(local)
+
+
+def coverage_rigid(trials, count=12):
+    """As `coverage_homography`, with half of the clicks in the colour image."""
+    rig = simulator_rig()
+    places, true = judged_places(rig)
+    whole, local = [], []
+    for seed in range(trials):
+        fit = fit_rigid(make_clicks(rig, count, seed, color_share=0.5).noisy, rig)
+        inside, share = within_bound(fit, places[::11], true[::11])
+        whole.append(inside)
+        local.append(share)
+    return np.mean(whole), np.mean(local)
+
+
+def within_bound(fit, places, true):
+    derivative = fit.sensitivity(places)
+    error = np.hypot(*(fit.predict(places) - true).T)
+    return (
+        np.sqrt(np.mean(error**2)) <= bound_95(derivative, fit.degrees),
+        np.mean(error <= bounds_95(derivative, fit.degrees)),
+    )
+
+
+def measure_coverage():
+    for count in (6, 12, 30):
+        print(f"95 % bound, homography, {count:2} pairs: {report_shares(coverage_homography(1000, count))}")
+        print(f"95 % bound, rigid,      {count:2} pairs: {report_shares(coverage_rigid(1000, count))}")
+
+
+def report_shares(shares):
+    return f"{100 * shares[0]:.1f} % of 1,000 trials within it over the membrane, {100 * shares[1]:.1f} % place by place"
+
+
+def measure_wrong():
+    """Wrong pairs: recovered, refused or silently wrong (more than 5 px off)."""
+    rig = simulator_rig()
+    places, true = judged_places(rig)
+    image, H = image_grid(), HOMOGRAPHIES["mild"]
+    for share in (0.3, 0.6, 1.0):
+        for count in (8, 12, 20, 40):
+            found = {"homography": np.zeros(3, int), "rigid": np.zeros(3, int)}
+            for seed in range(100):
+                rng = np.random.default_rng(seed)
+                tactile = rng.uniform((20, 20), (620, 460), (count, 2))
+                proximity = transfer(H, tactile) + rng.normal(0, 0.7, (count, 2))
+                wrong = rng.choice(count, round(share * count), replace=False)
+                proximity[wrong] = rng.uniform((0, 0), (639, 479), (len(wrong), 2))
+                found["homography"][outcome(lambda: fit_homography(tactile, proximity), image, transfer(H, image))] += 1
+                clicks = make_clicks(rig, count, seed, wrong=share, color_share=0.3).noisy
+                found["rigid"][outcome(lambda: fit_rigid(clicks, rig), places, true)] += 1
+            for name, numbers in found.items():
+                print(
+                    f"wrong pairs, {100 * share:3.0f} % of {count:2}, {name:10}: {numbers[0]:3} recovered, "
+                    f"{numbers[1]:3} refused, {numbers[2]:3} silently wrong"
+                )
+
+
+def outcome(fit, places, true):
+    try:
+        fitted = fit()
+    except CalibrationError:
+        return 1
+    return 0 if np.hypot(*(fitted.predict(places) - true).T).mean() < 5 else 2
+
+
+def measure_bound():
+    """Twelve clicks, 100 seeds, against the Cramer-Rao bound and plain PnP."""
+    rig, noise = simulator_rig(), ClickNoise()
+    places, true = judged_places(rig)
+    for color_share in (0.0, 0.5):
+        rows = []
+        start = time.perf_counter()
+        for seed in range(100):
+            clicks = make_clicks(rig, 12, seed, noise, color_share)
+            fit = fit_rigid(clicks.noisy, rig)
+            bound = cramer_rao(clicks.true, rig, noise)
+            covariance = alignment_covariance(bound, places, rig)
+            error = np.hypot(*(fit.predict(places) - true).T)
+            rows.append(
+                (
+                    error.mean(),
+                    expected_length(covariance),
+                    np.mean(error**2),
+                    np.trace(covariance, axis1=1, axis2=2).mean(),
+                    *pose_error(fit.T_proximity_tactile, rig),
+                    1e3 * np.sqrt(np.trace(bound[3:, 3:])),
+                    np.degrees(np.sqrt(np.trace(bound[:3, :3]))),
+                )
+            )
+        mean = np.mean(rows, axis=0)
+        error = np.std([row[0] - row[1] for row in rows]) / np.sqrt(len(rows)) / mean[1]
+        print(
+            f"12 clicks, {100 * color_share:.0f} % in colour: mean alignment error {mean[0]:.3f} px, Cramer-Rao "
+            f"{mean[1]:.3f} px ({100 * (mean[0] / mean[1] - 1):+.1f} +- {100 * error:.1f} %); RMS {np.sqrt(mean[2]):.3f} px,"
+            f" Cramer-Rao {np.sqrt(mean[3]):.3f} px; pose {mean[4]:.2f} mm, {mean[5]:.3f} degrees, Cramer-Rao (RMS) "
+            f"{mean[6]:.2f} mm, {mean[7]:.3f} degrees; {10 * (time.perf_counter() - start):.0f} ms a trial"
+        )
+
+
+def pose_error(pose, rig):
+    true = np.asarray(rig.T_proximity_tactile)
+    turn = cv2.Rodrigues(pose[:3, :3] @ true[:3, :3].T)[0]
+    return 1e3 * np.linalg.norm(pose[:3, 3] - true[:3, 3]), np.degrees(np.linalg.norm(turn))
+
+
+def measure_boards():
+    """Plane homographies of real chessboards against OpenCV, and snapping against its sub-pixel corners."""
+    from tactune.core.calibration.detect import detect_chessboard, snap_to_feature
+
+    if not BOARDS.is_dir():
+        print(f"boards: {BOARDS} is not here")
+        return
+    worst = []
+    for left in sorted(BOARDS.glob("left0*.jpg")):
+        images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (left, left.with_name("right" + left.name[4:]))]
+        a, b = (detect_chessboard(image, 9, 6).pixels for image in images)
+        fit = fit_homography(a, b)
+        refined, _ = cv2.findHomography(a, b, 0)
+        opencv = np.sqrt((np.hypot(*(transfer(refined, a) - b).T) ** 2).mean())
+        print(f"{left.name}: {fit.rms_px:.3f} px, OpenCV {opencv:.3f} px, {int((~fit.used).sum())} left out")
+        rng = np.random.default_rng(0)
+        for u, v in a:
+            angle, radius = rng.uniform(0, 2 * np.pi), rng.uniform(0, 6)
+            snapped = snap_to_feature(images[0], u + radius * np.cos(angle), v + radius * np.sin(angle))
+            worst.append(np.inf if snapped is None else np.hypot(snapped.u - u, snapped.v - v))
+    worst = np.array(worst)
+    print(f"snapping from within 6 px: {np.mean(worst <= 0.1):.1%} within 0.1 px, worst {worst.max():.3f} px")
+
+
+def measure_stress():
+    """Units, offsets, degenerate and repeated points; normalised against plain DLT."""
+    H = HOMOGRAPHIES["mild"]
+    for count in (4, 6, 100, 10_000):
+        rng = np.random.default_rng(count)
+        tactile = rng.uniform((20, 20), (620, 460), (count, 2))
+        proximity = transfer(H, tactile)
+        for name, scale, offset in (("px", 1.0, 0.0), ("mm", 0.01, 0.0), ("offset 1e6", 1.0, 1e6)):
+            a, b = tactile * scale + offset, proximity * scale + offset
+            start = time.perf_counter()
+            fit = fit_homography(a, b)
+            took = time.perf_counter() - start
+            plain, normalised = direct_linear_transform(a, b), normalised_transform(a, b)
+            print(
+                f"stress, {count:5} pairs, {name:10}: worst error {np.abs(fit.predict(a) - b).max():.1e}, normalised "
+                f"DLT {np.abs(transfer(normalised, a) - b).max():.1e}, plain DLT "
+                f"{np.abs(transfer(plain, a) - b).max():.1e}; condition {condition(a, b, True):.1e} normalised, "
+                f"{condition(a, b, False):.1e} plain; {1e3 * took:.0f} ms"
+            )
+
+
+def condition(a, b, normalised):
+    """Ratio of the largest to the second smallest singular value of the DLT equations."""
+    if normalised:
+        (ca, sa), (cb, sb) = normalisation(a), normalisation(b)
+        a, b = (a - ca) * sa, (b - cb) * sb
+    values = np.linalg.svd(design_matrix(a, b), compute_uv=False)
+    return values[0] / values[7]
+
+
+MEASUREMENTS = {
+    "homography": measure_homography,
+    "coverage": measure_coverage,
+    "wrong": measure_wrong,
+    "boards": measure_boards,
+    "bound": measure_bound,
+    "stress": measure_stress,
+}
+
+if __name__ == "__main__":
+    for chosen in sys.argv[1:] or MEASUREMENTS:
+        MEASUREMENTS[chosen]()
