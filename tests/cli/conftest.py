@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from tactune.app.cli import main
 from tactune.core.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics

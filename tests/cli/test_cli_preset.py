@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+
 from tactune.core.preset import Preset
 from tactune.core.preset_file import json_schema, load_preset, save_preset
 from tactune.core.rig_file import load_rig

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.preset_file import load_preset, save_preset
@@ -237,7 +238,8 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
 def test_standard_output_holds_json_only_while_a_bar_is_drawn_on_a_terminal(recording: Path) -> None:
     master, terminal = os.openpty()
     command = [*COMMAND, "run", "--source", str(recording), "--json"]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, text=True) as process:
+    environment = os.environ | {"TERM": "xterm"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, text=True, env=environment) as process:
         os.close(terminal)
         drawn = b""
         while chunk := _read(master):
