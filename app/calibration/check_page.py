@@ -1,0 +1,251 @@
+"""The page on which the new alignment is seen beside the old one before it is saved."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtGui import QHideEvent, QShowEvent
+from PyQt6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QVBoxLayout, QWidget
+
+from ...core.frames import SensorFrame
+from ...core.preset import Preset
+from ...widgets.accent_button import AccentButton
+from ...widgets.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.point_image import PointImage
+from ...widgets.theme import theme_name
+from ..document import Document
+from .feed import FrameFeed
+from .jobs import Job
+from .outcome import Outcome
+from .overlay import Overlay, OverlayMode, alignment_of_preset, make_overlay
+from .patches import Patch, PatchFinder
+from .session import Session
+from .state import ProximityImage
+
+_BLINK_MS = 450
+_NO_FIT = "No calibration yet: click at least four pairs on the page Points"
+_TIPS = {
+    OverlayMode.BLEND: "Both images through each other; the slider shifts from one to the other",
+    OverlayMode.CHECKER: "Squares of both images by turns: lines must go on across their borders",
+    OverlayMode.BLINK: "Both images by turns: nothing on the membrane may jump",
+    OverlayMode.EDGES: "Edges of the tactile image over the proximity image: they must lie on the same spots",
+}
+_IMAGES: tuple[tuple[ProximityImage, str], ...] = (("color", "Colour"), ("depth", "Depth"))
+_WHICH = (("new", "New"), ("present", "Present"))
+
+
+class CheckPage(QWidget):
+    """The tactile image over the proximity image, and the patch with either alignment."""
+
+    def __init__(
+        self,
+        session: Session,
+        document: Document,
+        feed: FrameFeed,
+        backend: BackendChoice = "auto",
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self._session, self._document, self._feed = session, document, feed
+        self._outcome = Outcome()
+        self._overlay: Overlay | None = None
+        self._drawn: tuple[object, ...] = ()
+        self._blinked = False
+        self._finders = {"present": PatchFinder(), "new": PatchFinder()}
+        self._overlay_job, self._patch_job = Job(self), Job(self)
+        self._blink = QTimer(self)
+        self._blink.setInterval(_BLINK_MS)
+        self.image = PointImage("Tactile image over proximity image")
+        self.image.set_loupe_wanted(False)
+        self.clouds = {
+            "present": CloudView("Present alignment", backend),
+            "new": CloudView("New alignment", backend),
+        }
+        link_cameras(list(self.clouds.values()))
+        self.note = QLabel()
+        self.note.setWordWrap(True)
+        self._make_controls()
+        self._lay_out()
+        self._connect()
+        self.show_outcome(Outcome())
+
+    def _make_controls(self) -> None:
+        self.modes, self.which = QButtonGroup(self), QButtonGroup(self)
+        self.share = QSlider(Qt.Orientation.Horizontal)
+        self.share.setRange(0, 100)
+        self.share.setValue(50)
+        self.share.setMinimumWidth(120)
+        self.share.setAccessibleName("Share of the tactile image")
+        self.share.setToolTip("Share of the tactile image, percent")
+        self.pixels = QComboBox()
+        self.pixels.setAccessibleName("Images")
+        self.pixels.setToolTip("Colour over colour shows the membrane's dots, depth over depth the pressed object")
+        for key, title in _IMAGES:
+            self.pixels.addItem(title, key)
+
+    def _lay_out(self) -> None:
+        tools = QHBoxLayout()
+        tools.setSpacing(4)
+        for number, mode in enumerate(OverlayMode):
+            button = AccentButton(mode.value, _TIPS[mode])
+            self.modes.addButton(button, number)
+            tools.addWidget(button)
+        tools.addWidget(self.share, 1)
+        tools.addWidget(self.pixels)
+        tools.addSpacing(8)
+        tools.addWidget(QLabel("Alignment"))
+        for number, (_, title) in enumerate(_WHICH):
+            button = AccentButton(title, f"Lay the images over each other by the {title.lower()} alignment")
+            self.which.addButton(button, number)
+            tools.addWidget(button)
+        for group in (self.modes, self.which):
+            first = group.button(0)
+            assert first is not None
+            first.setChecked(True)
+        left = QWidget()
+        column = QVBoxLayout(left)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addLayout(tools)
+        column.addWidget(self.image, 1)
+        column.addWidget(self.note)
+        right = QSplitter(Qt.Orientation.Vertical)
+        for name in ("new", "present"):
+            right.addWidget(self.clouds[name])
+        right.setChildrenCollapsible(False)
+        across = QSplitter(Qt.Orientation.Horizontal)
+        across.addWidget(left)
+        across.addWidget(right)
+        across.setStretchFactor(0, 3)
+        across.setStretchFactor(1, 2)
+        across.setSizes([720, 480])
+        across.setChildrenCollapsible(False)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 6, 8, 4)
+        layout.addWidget(across)
+
+    def _connect(self) -> None:
+        self.modes.idClicked.connect(self._mode_chosen)
+        self.which.idClicked.connect(lambda _: self._draw())
+        self.pixels.activated.connect(lambda _: self._draw())
+        self.share.valueChanged.connect(lambda _: self._compose())
+        self._blink.timeout.connect(self._swap)
+        self._overlay_job.done.connect(self._show_overlay)
+        self._overlay_job.failed.connect(lambda words: self.image.set_image(None, words))
+        self._patch_job.done.connect(self._show_patches)
+        self._session.changed.connect(lambda _: self._draw())
+        self._document.presetChanged.connect(lambda _: self._draw())
+        self._feed.frameArrived.connect(lambda _: self._find_patches())
+
+    # What is shown
+
+    def show_outcome(self, outcome: Outcome) -> None:
+        """Show another fit."""
+        self._outcome = outcome
+        self._draw()
+
+    def close_jobs(self) -> None:
+        """Stop what is under way."""
+        self._blink.stop()
+        self._overlay_job.stop()
+        self._patch_job.stop()
+
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Draw what changed meanwhile."""
+        super().showEvent(event)
+        self._draw()
+        self._mode_chosen()
+
+    def hideEvent(self, event: QHideEvent | None) -> None:
+        """Stop blinking."""
+        super().hideEvent(event)
+        self._blink.stop()
+
+    @property
+    def mode(self) -> OverlayMode:
+        """How the images share one place."""
+        return list(OverlayMode)[self.modes.checkedId()]
+
+    def new_preset(self) -> Preset | None:
+        """Return the document's preset with the new alignment; None without a fit."""
+        report = self._outcome.report
+        return None if report is None else report.apply_to(self._document.preset)
+
+    def _frame(self) -> SensorFrame | None:
+        """Return the frame that is looked at: the snapshot being clicked, or the live one."""
+        snapshot = self._session.state.snapshot
+        return snapshot.frame if snapshot is not None else self._feed.frame
+
+    def _draw(self) -> None:
+        if not self.isVisible():
+            return
+        self._find_patches()
+        frame, new, rig = self._frame(), self.new_preset(), self._session.rig
+        which, image = _WHICH[self.which.checkedId()][0], self.pixels.currentData()
+        if frame is None or (new is None and which == "new"):
+            self._overlay, self._drawn = None, ()
+            self.image.set_image(None, _NO_FIT if frame is not None else "Waiting for a frame…")
+            self.note.setText("")
+            return
+        if image == "color" and frame.tactile_color is None:
+            self.image.set_image(None, "The tactile camera gives no colour here; choose Depth")
+            return
+        preset = new if which == "new" and new is not None else self._document.preset
+        wanted = (frame, preset.alignment.geometry, image)
+        if wanted != self._drawn:
+            self._drawn = wanted
+            section = preset.alignment
+            self._overlay_job.start(lambda _: make_overlay(alignment_of_preset(section, rig), rig, frame, image))
+
+    def _find_patches(self) -> None:
+        """Have the patches found in the newest frame, if anybody looks."""
+        frame = self._feed.frame or self._frame()
+        if not self.isVisible() or frame is None or (self._patch_job.busy and self._feed.playback.playing):
+            return
+        presets = {"present": self._document.preset, "new": self.new_preset()}
+        rig, theme, finders = self._session.rig, theme_name(), self._finders
+        self._patch_job.start(
+            lambda _: {
+                name: finders[name].find(preset, rig, frame, theme) if preset is not None else Patch(problem=_NO_FIT)
+                for name, preset in presets.items()
+            }
+        )
+
+    def _show_overlay(self, overlay: Overlay) -> None:
+        self._overlay = overlay
+        self._compose()
+
+    def _compose(self) -> None:
+        if self._overlay is not None:
+            self.image.set_image(self._overlay.composed(self.mode, self.share.value() / 100, self._blinked))
+
+    def _show_patches(self, patches: dict[str, Patch]) -> None:
+        for name, patch in patches.items():
+            view = self.clouds[name]
+            view.set_cloud(patch.cloud)
+            empty = "No contact in this frame: press the object" if patch.points == 0 else ""
+            view.set_message(patch.problem or empty)
+        old, new = patches["present"], patches["new"]
+        if new.problem:
+            self.note.setText("")
+            return
+        self.note.setText(
+            f"Patch in the frame shown: {new.area_mm2 / 100:.1f} cm² with the new alignment, "
+            + (
+                f"{old.area_mm2 / 100:.1f} cm² with the present one."
+                if not old.problem
+                else "none with the present one."
+            )
+            + " The tolerance is the preset's; Save takes over the alignment only."
+        )
+
+    def _mode_chosen(self, _: int = 0) -> None:
+        mode = self.mode
+        self.share.setEnabled(mode is OverlayMode.BLEND)
+        if mode is OverlayMode.BLINK and self.isVisible():
+            self._blink.start()
+        else:
+            self._blink.stop()
+        self._compose()
+
+    def _swap(self) -> None:
+        self._blinked = not self._blinked
+        self._compose()

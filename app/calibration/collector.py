@@ -1,0 +1,96 @@
+"""Takes snapshots: waits for frames, averages them on another thread."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from ...core.frames import SensorFrame
+from .averaging import take_snapshot
+from .feed import FrameFeed
+from .jobs import Job
+from .state import Snapshot
+
+#: More frames than this are never averaged: they would take gigabytes and add nothing.
+MOST_FRAMES = 60
+_WAITING_SHARE = 0.5
+
+
+class Collector(QObject):
+    """Gathers the next frames of a feed into one snapshot.
+
+    Signals
+    -------
+    progress(share: float, words: str)
+    taken(Snapshot)
+    failed(sentence: str)
+        Empty where it was cancelled.
+    """
+
+    progress = pyqtSignal(float, str)
+    taken = pyqtSignal(object)
+    failed = pyqtSignal(str)
+
+    def __init__(self, feed: FrameFeed, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._feed = feed
+        self._frames: list[SensorFrame] = []
+        self._wanted = 0
+        self._return_to: int | None = None
+        self._job = Job(self)
+        self._job.progress.connect(
+            lambda share, words: self.progress.emit(_WAITING_SHARE + (1 - _WAITING_SHARE) * share, words)
+        )
+        self._job.done.connect(self._done)
+        self._job.failed.connect(self.failed)
+        feed.frameArrived.connect(self._take)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a snapshot is being taken."""
+        return self._wanted > 0 or self._job.busy
+
+    def start(self, count: int) -> None:
+        """Take the frame that is shown and those that follow it, ``count`` in all."""
+        frame, playback = self._feed.frame, self._feed.playback
+        if self.busy or frame is None:
+            return
+        self._frames, self._wanted = [], max(1, min(count, MOST_FRAMES))
+        still = not playback.playing or playback.frozen
+        self._return_to = playback.index if still and playback.seekable else None
+        self._take(frame)
+        if self._wanted and still:
+            self._feed.play()
+
+    def cancel(self) -> None:
+        """Stop taking the snapshot."""
+        if self._wanted:
+            self._end_gathering()
+            self.failed.emit("")
+        self._job.cancel()
+
+    def close(self) -> None:
+        """Stop for good."""
+        self._wanted = 0
+        self._job.stop()
+
+    def _take(self, frame: SensorFrame) -> None:
+        if not self._wanted or any(frame is old for old in self._frames):
+            return
+        self._frames.append(frame)
+        self.progress.emit(
+            _WAITING_SHARE * len(self._frames) / self._wanted, f"Frame {len(self._frames)} of {self._wanted}"
+        )
+        if len(self._frames) == self._wanted:
+            frames = tuple(self._frames)
+            self._end_gathering()
+            self._job.start(lambda progress: take_snapshot(frames, self._feed.info, progress))
+
+    def _end_gathering(self) -> None:
+        self._wanted, self._frames = 0, []
+        if self._return_to is not None:
+            self._feed.pause()
+            self._feed.seek(self._return_to)
+            self._return_to = None
+
+    def _done(self, snapshot: Snapshot) -> None:
+        self.taken.emit(snapshot)

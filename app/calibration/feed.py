@@ -1,0 +1,73 @@
+"""Frames for the wizard, from whatever shows them: the main window's worker, or a test."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from ...core.frames import Rig, SensorFrame
+from ..playback import PlaybackState
+from ..results import Result, SourceInfo
+from ..worker import Worker
+
+
+class FrameFeed(QObject):
+    """The present source, and the few orders that taking snapshots needs.
+
+    Signals
+    -------
+    frameArrived(SensorFrame)
+    """
+
+    frameArrived = pyqtSignal(object)
+
+    def __init__(self, info: SourceInfo, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.info = info
+        self.frame: SensorFrame | None = None
+        self.playback = PlaybackState()
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that takes the frames."""
+        return self.info.rig
+
+    def play(self) -> None:
+        """Let frames come."""
+
+    def pause(self) -> None:
+        """Stand still."""
+
+    def seek(self, index: int) -> None:
+        """Show another frame of a recording."""
+
+    def deliver(self, frame: SensorFrame, playback: PlaybackState) -> None:
+        """Pass a frame on."""
+        self.frame, self.playback = frame, playback
+        self.frameArrived.emit(frame)
+
+
+class WorkerFeed(FrameFeed):
+    """Frames from the worker of the main window, which goes on showing them."""
+
+    def __init__(self, worker: Worker, result: Result, parent: QObject | None = None) -> None:
+        super().__init__(result.source, parent)
+        self._worker = worker
+        self.frame, self.playback = result.frame, result.playback
+
+    def play(self) -> None:
+        """Let frames come."""
+        self._worker.play()
+
+    def pause(self) -> None:
+        """Stand still."""
+        self._worker.pause()
+
+    def seek(self, index: int) -> None:
+        """Show another frame of a recording."""
+        self._worker.seek(index)
+
+    def show_result(self, result: Result | None) -> None:
+        """Take what the main window shows, unless it is the same frame processed again or another source."""
+        if result is None or result.source is not self.info or result.frame is self.frame:
+            return
+        self.deliver(result.frame, result.playback)

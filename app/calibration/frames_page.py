@@ -1,0 +1,296 @@
+"""The page on which snapshots are taken: live, frozen or recorded frames, averaged."""
+
+from __future__ import annotations
+
+import math
+
+from PyQt6.QtCore import QSize, Qt, QTimer
+from PyQt6.QtGui import QIcon, QImage, QPixmap
+from PyQt6.QtWidgets import (
+    QGridLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QListWidget,
+    QListWidgetItem,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QSlider,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.clouds import valid_depth
+from ...core.frames import Rig, SensorFrame
+from ...widgets.image_pane import ImagePane
+from .collector import MOST_FRAMES, Collector
+from .feed import FrameFeed
+from .pictures import image_choices, picture
+from .session import Session
+from .state import ImageChoice, SessionState, Side, Snapshot
+
+_PREVIEW_MS = 80
+_THUMBNAIL = QSize(96, 72)
+#: A membrane that moves more than this while frames are averaged blurs what is clicked.
+MOVED_LIMIT_M = 0.0025
+
+_PREVIEWS: tuple[tuple[Side, ImageChoice, str], ...] = (
+    ("proximity", "color", "Proximity camera, colour"),
+    ("tactile", "color", "Tactile camera, colour"),
+    ("proximity", "depth", "Proximity camera, depth"),
+    ("tactile", "depth", "Tactile camera, depth"),
+)
+_ADVICE = (
+    "Hold the membrane still and take a snapshot. Then change the inflation, or press deeper, and take another: "
+    "two or three levels span depth, which is what tells a rigid alignment from a plane's."
+)
+
+
+class FramesPage(QWidget):
+    """A live preview of both cameras beside the list of snapshots."""
+
+    def __init__(self, session: Session, feed: FrameFeed, collector: Collector, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._session, self._feed, self._collector = session, feed, collector
+        self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
+        self._redraw = QTimer(self)
+        self._redraw.setSingleShot(True)
+        self._redraw.setInterval(_PREVIEW_MS)
+        self._make_controls()
+        self._lay_out()
+        self._connect()
+        self._show_state(session.state)
+        self._show_frame()
+
+    def _make_controls(self) -> None:
+        self.source = QLabel()
+        self.play = QPushButton("Play")
+        self.play.setToolTip("Let the source go on, or hold it at this frame")
+        self.seek = QSlider(Qt.Orientation.Horizontal)
+        self.seek.setAccessibleName("Frame of the recording")
+        self.seek.setToolTip("Frame of the recording")
+        self.average = QSpinBox()
+        self.average.setRange(1, MOST_FRAMES)
+        self.average.setSuffix(" frames")
+        self.average.setToolTip(
+            "How many frames are averaged, from the one shown on: the median of each pixel, without those that have "
+            "no depth. More frames, less noise; the membrane must not move meanwhile"
+        )
+        self.take = QPushButton("Take snapshot")
+        self.take.setToolTip("Average the next frames and add them as a snapshot (Ctrl+T)")
+        self.take.setShortcut("Ctrl+T")
+        self.cancel = QPushButton("Cancel")
+        self.progress = QProgressBar()
+        self.progress.setRange(0, 100)
+        self.note = QLabel()
+        self.note.setWordWrap(True)
+        self.list = QListWidget()
+        self.list.setIconSize(_THUMBNAIL)
+        self.list.setAccessibleName("Snapshots")
+        self.list.setSpacing(2)
+        self.remove = QPushButton("Remove")
+        self.remove.setToolTip("Remove the snapshot and the points clicked in it; undo brings both back")
+        self.span = QLabel()
+        self.span.setWordWrap(True)
+        for button in (self.play, self.take, self.cancel, self.remove):
+            button.setAutoDefault(False)
+
+    def _lay_out(self) -> None:
+        images = QGridLayout()
+        images.setSpacing(4)
+        for number, pane in enumerate(self.previews.values()):
+            pane.view.setMinimumSize(160, 100)
+            images.addWidget(pane, number // 2, number % 2)
+        transport = QHBoxLayout()
+        transport.addWidget(self.play)
+        transport.addWidget(self.seek, 1)
+        transport.addWidget(self.source)
+        taking = QHBoxLayout()
+        self.average.setFixedWidth(110)
+        caption = QLabel("A&verage")
+        caption.setBuddy(self.average)
+        taking.addWidget(caption)
+        taking.addWidget(self.average)
+        taking.addWidget(self.take)
+        taking.addWidget(self.progress, 1)
+        taking.addWidget(self.cancel)
+        taking.addStretch(0)
+        self.progress.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
+        self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
+        left = QVBoxLayout()
+        left.addLayout(images, 1)
+        left.addLayout(transport)
+        left.addLayout(taking)
+        left.addWidget(self.note)
+        box = QGroupBox("Snapshots")
+        right = QVBoxLayout(box)
+        right.addWidget(self.list, 1)
+        right.addWidget(self.span)
+        right.addWidget(self.remove)
+        box.setFixedWidth(300)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(8, 6, 8, 4)
+        layout.addLayout(left, 1)
+        layout.addWidget(box)
+
+    def _connect(self) -> None:
+        feed, collector, session = self._feed, self._collector, self._session
+        feed.frameArrived.connect(self._frame_arrived)
+        self._redraw.timeout.connect(self._show_frame)
+        self.play.clicked.connect(self._play_or_hold)
+        self.seek.sliderMoved.connect(feed.seek)
+        self.seek.actionTriggered.connect(lambda _: feed.seek(self.seek.sliderPosition()))
+        self.average.valueChanged.connect(lambda count: session.look(average=count))
+        self.take.clicked.connect(self.start)
+        self.cancel.clicked.connect(collector.cancel)
+        collector.progress.connect(self._show_progress)
+        collector.taken.connect(self._taken)
+        collector.failed.connect(self._failed)
+        session.changed.connect(self._show_state)
+        self.list.currentItemChanged.connect(self._chosen)
+        self.remove.clicked.connect(self._remove)
+
+    def start(self) -> None:
+        """Take a snapshot of the frame shown and those that follow."""
+        self._collector.start(self.average.value())
+        self._show_busy()
+
+    # What is shown
+
+    def _frame_arrived(self, _: SensorFrame) -> None:
+        if self.isVisible() and not self._redraw.isActive():
+            self._redraw.start()
+
+    def _show_frame(self) -> None:
+        frame, playback, info = self._feed.frame, self._feed.playback, self._feed.info
+        moving = playback.playing and not playback.frozen
+        self.play.setText("Hold" if moving else "Play")
+        self.play.setEnabled(info.length != 1)
+        self.seek.setVisible(info.length is not None and info.length > 1)
+        if info.length is not None:
+            self.seek.setMaximum(info.length - 1)
+            if not self.seek.isSliderDown():
+                self.seek.setValue(playback.index)
+            self.source.setText(f"recorded, frame {playback.index} of {info.length - 1}")
+        else:
+            self.source.setText("live" if moving else "live, held")
+        for (side, image), pane in self.previews.items():
+            if frame is None or image not in image_choices(frame, side):
+                pane.set_pixels(None, (640, 480), 1)
+                pane.set_message("Waiting for the first frame…" if frame is None else "This camera gives no colour")
+                continue
+            shown = picture(frame, info.rig, side, image, stretch=True)
+            height, width = shown.gray.shape
+            pane.set_message("")
+            pane.set_pixels(shown.pixels, (width, height), 1)
+            pane.show_rect(pane.image_rect())
+        self._show_busy()
+
+    def _show_state(self, state: SessionState) -> None:
+        self.average.blockSignals(True)
+        self.average.setValue(state.choices.average)
+        self.average.blockSignals(False)
+        digests = [snapshot.digest for snapshot in state.snapshots]
+        if digests != [self.list.item(row).data(Qt.ItemDataRole.UserRole) for row in range(self.list.count())]:  # type: ignore[union-attr]
+            self.list.blockSignals(True)
+            self.list.clear()
+            for snapshot in state.snapshots:
+                self.list.addItem(self._item(snapshot))
+            self.list.blockSignals(False)
+        self.list.blockSignals(True)
+        self.list.setCurrentRow(digests.index(state.choices.snapshot) if state.choices.snapshot in digests else -1)
+        self.list.blockSignals(False)
+        self.remove.setEnabled(bool(digests))
+        self.span.setText(span_words(state, self._session.rig))
+        if not self._collector.busy and not self.note.text():
+            self.note.setText(_ADVICE)
+
+    def _item(self, snapshot: Snapshot) -> QListWidgetItem:
+        shown = picture(snapshot.frame, self._session.rig, "proximity", "color", stretch=True)
+        height, width = shown.gray.shape
+        image = QImage(shown.pixels.tobytes(), width, height, 4 * width, QImage.Format.Format_RGB32)
+        thumbnail = image.scaled(
+            _THUMBNAIL, Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
+        )
+        depth = apex_m(snapshot.frame, self._session.rig)
+        item = QListWidgetItem(
+            QIcon(QPixmap.fromImage(thumbnail)), f"{snapshot.name}\nmembrane at {1e3 * depth:.0f} mm"
+        )
+        item.setData(Qt.ItemDataRole.UserRole, snapshot.digest)
+        item.setToolTip(f"{snapshot.averaged} frames averaged; SHA-256 {snapshot.digest[:16]}…")
+        return item
+
+    def _show_progress(self, share: float, words: str) -> None:
+        self.progress.setValue(round(100 * share))
+        self.progress.setFormat(f"{words} (%p%)")
+        self._show_busy()
+
+    def _show_busy(self) -> None:
+        busy = self._collector.busy
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.take.setEnabled(not busy and self._feed.frame is not None)
+        self.average.setEnabled(not busy)
+
+    def _taken(self, snapshot: Snapshot) -> None:
+        if snapshot.moved_m > MOVED_LIMIT_M:
+            self.note.setText(
+                f"The membrane moved by {1e3 * snapshot.moved_m:.1f} mm while {snapshot.averaged} frames were "
+                "averaged, so dots are smeared. Hold it still and take the snapshot again, or average fewer frames."
+            )
+        else:
+            self.note.setText(f"Snapshot taken. {_ADVICE}" if not self._session.state.snapshots else _next_words())
+        self._session.add_snapshot(snapshot)
+        self._show_busy()
+
+    def _failed(self, sentence: str) -> None:
+        self.note.setText(sentence or "Cancelled; no snapshot was taken.")
+        self._show_busy()
+
+    # What a person does
+
+    def _play_or_hold(self) -> None:
+        playback = self._feed.playback
+        if playback.playing and not playback.frozen:
+            self._feed.pause()
+            self.play.setText("Play")
+        else:
+            self._feed.play()
+
+    def _chosen(self, item: QListWidgetItem | None, _: QListWidgetItem | None = None) -> None:
+        if item is not None:
+            self._session.look(snapshot=item.data(Qt.ItemDataRole.UserRole))
+
+    def _remove(self) -> None:
+        item = self.list.currentItem()
+        if item is not None:
+            self._session.remove_snapshot(item.data(Qt.ItemDataRole.UserRole))
+
+
+def apex_m(frame: SensorFrame, rig: Rig) -> float:
+    """Return the median tactile depth of the middle of the image, metres; nan where there is none."""
+    height, width = frame.tactile_depth.shape
+    middle = frame.tactile_depth[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
+    counts = sorted(middle[valid_depth(middle)])
+    return float(counts[len(counts) // 2]) * rig.tactile.depth_unit_m if counts else float("nan")
+
+
+def span_words(state: SessionState, rig: Rig) -> str:
+    """Say how much depth the snapshots span."""
+    depths = [apex_m(snapshot.frame, rig) for snapshot in state.snapshots]
+    depths = [depth for depth in depths if math.isfinite(depth)]
+    if not depths:
+        return (
+            "None yet. One is enough to begin; two or three inflation levels make the alignment right at every depth."
+        )
+    span = 1e3 * (max(depths) - min(depths))
+    if len(depths) == 1:
+        return "One snapshot. Another inflation level would span depth."
+    return f"{len(depths)} snapshots; the membrane's middle spans {span:.0f} mm of depth."
+
+
+def _next_words() -> str:
+    return "Snapshot taken. Add another inflation level, or go on to the points."

@@ -1,0 +1,276 @@
+"""The page on which helpers find points by themselves, and the person accepts or refuses them."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QComboBox,
+    QDoubleSpinBox,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QRadioButton,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...widgets.marks import Mark, MarkKind
+from .jobs import Job
+from .outcome import Outcome, same_pixels
+from .pair_view import PairView
+from .pictures import picture
+from .proposals import Helper, HelperOptions, Proposals, find_proposals
+from .session import Session
+from .state import SIDES, PointPair, SessionState, Side
+
+_TIPS = {
+    Helper.TEXTURE: "Matches the dye droplets on the membrane in both colour images; wrong matches are sorted out",
+    Helper.CHESSBOARD: "All inner corners of a chessboard that both cameras see whole",
+    Helper.CHARUCO: "The corners of a ChArUco board; parts of it suffice",
+    Helper.CIRCLES: "The centres of a grid of circles in which every other row is shifted",
+    Helper.DOTS: "The centres of a plain grid of dots",
+}
+_SIZES = {
+    Helper.CHESSBOARD: "inner corners",
+    Helper.CHARUCO: "squares",
+    Helper.CIRCLES: "circles",
+    Helper.DOTS: "dots",
+}
+_DICTIONARIES = ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_ARUCO_ORIGINAL")
+_INTRO = (
+    "Press Find. What is found is drawn in green; click a ring to refuse it (grey) or take it back. Nothing counts "
+    "until you accept it."
+)
+#: More rings than this are drawn without their numbers.
+_MOST_LABELS = 120
+
+
+class HelpersPage(QWidget):
+    """Choice of helper at the left, proposals over both images at the right."""
+
+    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._session = session
+        self._pairs: tuple[PointPair, ...] = ()
+        self._refused: frozenset[int] = frozenset()
+        self._shown: dict[Side, tuple[object, ...]] = {}
+        self._job = Job(self)
+        self.view = PairView(lambda picture, place: None)
+        self.view.set_snapping(False)
+        self.view.set_loupe_wanted(False)
+        self._make_controls()
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(8, 6, 8, 4)
+        layout.addWidget(self._control_column())
+        layout.addWidget(self.view, 1)
+        self._connect()
+        self._helper_chosen()
+        self._show_state(session.state)
+        self._show_proposals()
+
+    @property
+    def proposals(self) -> tuple[PointPair, ...]:
+        """What was found and is not refused."""
+        return tuple(pair for pair in self._pairs if pair.key not in self._refused)
+
+    def options(self) -> HelperOptions:
+        """Return what the controls say."""
+        return HelperOptions(
+            list(Helper)[self.helpers.checkedId()],
+            self.columns.value(),
+            self.rows.value(),
+            self.share.value(),
+            self.dictionary.currentText(),
+        )
+
+    def show_outcome(self, outcome: Outcome) -> None:
+        """Nothing here depends on the fit."""
+
+    def close_jobs(self) -> None:
+        """Stop what is under way."""
+        self._job.stop()
+
+    # Building
+
+    def _make_controls(self) -> None:
+        self.helpers = QButtonGroup(self)
+        for number, helper in enumerate(Helper):
+            button = QRadioButton(helper.value)
+            button.setToolTip(_TIPS[helper])
+            self.helpers.addButton(button, number)
+        first = self.helpers.button(0)
+        assert first is not None
+        first.setChecked(True)
+        self.columns, self.rows = QSpinBox(), QSpinBox()
+        for box, count in ((self.columns, 9), (self.rows, 6)):
+            box.setRange(2, 60)
+            box.setValue(count)
+        self.share = QDoubleSpinBox()
+        self.share.setRange(0.1, 0.95)
+        self.share.setSingleStep(0.05)
+        self.share.setValue(0.7)
+        self.share.setToolTip("Side of a marker over the side of a square (no unit)")
+        self.dictionary = QComboBox()
+        self.dictionary.addItems(_DICTIONARIES)
+        self.dictionary.setToolTip("Dictionary of the markers, by OpenCV's name")
+        self.snapshot = QComboBox()
+        self.snapshot.setAccessibleName("Snapshot")
+        self.snapshot.setToolTip("The snapshot that is shown")
+        self.everywhere = QCheckBox("Look in all snapshots")
+        self.everywhere.setChecked(True)
+        self.everywhere.setToolTip("Off: only in the one that is shown")
+        self.find = _push("Find", "Look for points now (Ctrl+F)")
+        self.find.setShortcut("Ctrl+F")
+        self.cancel = _push("Cancel", "Stop looking")
+        self.progress = QProgressBar()
+        self.progress.setRange(0, 100)
+        self.words = QLabel(_INTRO)
+        self.words.setWordWrap(True)
+        self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.accept = _push("Accept", "Take the green ones as pairs, as one step that undo takes back")
+        self.refuse = _push("Refuse all", "Forget the proposals")
+
+    def _control_column(self) -> QWidget:
+        choice = QGroupBox("Look for")
+        helpers = QVBoxLayout(choice)
+        for button in self.helpers.buttons():
+            helpers.addWidget(button)
+        self.size = QGroupBox("Target")
+        form = QFormLayout(self.size)
+        self.size_labels = (QLabel("Columns"), QLabel("Rows"))
+        form.addRow(self.size_labels[0], self.columns)
+        form.addRow(self.size_labels[1], self.rows)
+        self.marker_labels = (QLabel("Marker / square"), QLabel("Dictionary"))
+        form.addRow(self.marker_labels[0], self.share)
+        form.addRow(self.marker_labels[1], self.dictionary)
+        column = QWidget()
+        column.setFixedWidth(270)
+        layout = QVBoxLayout(column)
+        layout.setContentsMargins(0, 0, 0, 0)
+        for widget in (choice, self.size, self.snapshot, self.everywhere, self.find, self.progress, self.cancel):
+            layout.addWidget(widget)
+        layout.addWidget(self.words, 1)
+        row = QHBoxLayout()
+        row.addWidget(self.accept)
+        row.addWidget(self.refuse)
+        layout.addLayout(row)
+        return column
+
+    def _connect(self) -> None:
+        session = self._session
+        self.helpers.idClicked.connect(lambda _: self._helper_chosen())
+        self.snapshot.activated.connect(lambda _: session.look(snapshot=self.snapshot.currentData()))
+        self.find.clicked.connect(self.look)
+        self.cancel.clicked.connect(self._job.cancel)
+        self.accept.clicked.connect(self.accept_proposals)
+        self.refuse.clicked.connect(lambda: self._take(Proposals((), "Refused; nothing was taken over.")))
+        for image in self.view.images.values():
+            image.pressed.connect(lambda key, _: self.toggle(key))
+        session.changed.connect(self._show_state)
+        self._job.progress.connect(self._show_progress)
+        self._job.done.connect(self._take)
+        self._job.failed.connect(self._failed)
+        self._job.busyChanged.connect(lambda _: self._show_busy())
+        self._show_busy()
+
+    # What a person does
+
+    def look(self) -> None:
+        """Look for points, on another thread."""
+        state, rig, options = self._session.state, self._session.rig, self.options()
+        chosen = state.snapshots if self.everywhere.isChecked() else tuple(filter(None, [state.snapshot]))
+        self._job.start(lambda progress: find_proposals(options, chosen, state.choices, rig, progress))
+
+    def toggle(self, key: int) -> None:
+        """Refuse a proposal, or take it back."""
+        self._refused = self._refused ^ {key}
+        self._show_proposals()
+
+    def accept_proposals(self) -> None:
+        """Make what is not refused pairs of the session."""
+        accepted = self.proposals
+        if accepted:
+            self._session.add_pairs(accepted, f"Accept {len(accepted)} proposals")
+            self._take(Proposals((), f"{len(accepted)} pairs were taken over; undo takes them back."))
+
+    # What is shown
+
+    def _helper_chosen(self) -> None:
+        helper = list(Helper)[self.helpers.checkedId()]
+        self.size.setVisible(helper is not Helper.TEXTURE)
+        for label, word in zip(self.size_labels, ("Columns", "Rows"), strict=True):
+            label.setText(f"{word} of {_SIZES.get(helper, '')}")
+        for widget in (*self.marker_labels, self.share, self.dictionary):
+            widget.setVisible(helper is Helper.CHARUCO)
+
+    def _show_state(self, state: SessionState) -> None:
+        with QSignalBlocker(self.snapshot):
+            self.snapshot.clear()
+            for snapshot in state.snapshots:
+                self.snapshot.addItem(snapshot.name, snapshot.digest)
+            self.snapshot.setCurrentIndex(self.snapshot.findData(state.choices.snapshot))
+        snapshot, choices = state.snapshot, state.choices
+        for side in SIDES:
+            choice = choices.proximity_image if side == "proximity" else choices.tactile_image
+            key = (choices.snapshot, choice)
+            if self._shown.get(side) == key:
+                continue
+            self._shown[side] = key
+            if snapshot is None:
+                self.view.set_picture(side, None, "No snapshot yet: take one on the page Frames")
+            else:
+                self.view.set_picture(side, picture(snapshot.frame, self._session.rig, side, choice, stretch=True))
+        self.find.setEnabled(bool(state.snapshots) and not self._job.busy)
+        self._show_proposals()
+
+    def _show_proposals(self) -> None:
+        state = self._session.state
+        here = [
+            pair
+            for pair in self._pairs
+            if pair.snapshot == state.choices.snapshot
+            and same_pixels(pair, state.choices.proximity_image, self._session.rig)
+        ]
+        for side in SIDES:
+            marks = []
+            for pair in here:
+                place = pair.place(side)
+                assert place is not None
+                kind = MarkKind.OFF if pair.key in self._refused else MarkKind.PROPOSED
+                marks.append(Mark(pair.key, *place, str(pair.key) if len(here) <= _MOST_LABELS else "", kind))
+            self.view.images[side].set_marks(marks)
+        count = len(self.proposals)
+        self.accept.setText(f"Accept {count}" if count else "Accept")
+        self.accept.setEnabled(count > 0)
+        self.refuse.setEnabled(bool(self._pairs))
+
+    def _show_progress(self, share: float, words: str) -> None:
+        self.progress.setValue(round(100 * share))
+        self.words.setText(f"{words}…")
+
+    def _show_busy(self) -> None:
+        busy = self._job.busy
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.find.setEnabled(not busy and bool(self._session.state.snapshots))
+
+    def _take(self, proposals: Proposals) -> None:
+        self._pairs, self._refused = proposals.pairs, frozenset()
+        self.words.setText(proposals.words + (f" {_INTRO}" if proposals.pairs else ""))
+        self._show_proposals()
+
+    def _failed(self, sentence: str) -> None:
+        self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; nothing was taken over.")
+
+
+def _push(text: str, tip: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setToolTip(tip)
+    button.setAutoDefault(False)
+    return button

@@ -1,0 +1,237 @@
+"""The page on which both models stand side by side, and one is taken."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QFont
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QGridLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QRadioButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.calibration import CalibrationReport
+from ...core.calibration.report import ModelQuality
+from ...widgets.residual_plot import Residual, ResidualPlot, round_limit
+from .outcome import Outcome
+from .session import Session
+from .state import ModelChoice, SessionState
+
+_MODELS = ("homography", "rigid")
+_TITLES = {"homography": "Homography", "rigid": "Rigid pose"}
+_SUBTITLES = {
+    "homography": "Lays one image over the other; exact for one plane only.",
+    "rigid": "Pose of the tactile camera; exact at every depth.",
+}
+_CHOICES: tuple[tuple[ModelChoice, str, str], ...] = (
+    ("auto", "Recommended", "Take the model that predicts left-out pairs better"),
+    ("rigid", "Rigid pose", "Take the pose, whatever is recommended"),
+    ("homography", "Homography", "Take the homography, whatever is recommended"),
+)
+
+
+@dataclass(frozen=True)
+class _Number:
+    title: str
+    tip: str
+    value: Callable[[ModelQuality], float | None]
+    unit: str = "px"
+    decimals: int = 2
+
+
+_NUMBERS = (
+    _Number("Residual, RMS", "Root mean square distance of the pairs from the fit, pixels", lambda q: q.rms_px),
+    _Number("Residual, RMS", "The same at the depth of each pair, millimetres", lambda q: q.rms_mm, "mm"),
+    _Number("Worst residual", "The pair that fits worst, pixels", lambda q: q.worst_px),
+    _Number(
+        "Left-out error",
+        "Each pair predicted by a fit of the others (cross-validation), pixels. The honest measure of a model",
+        lambda q: q.cross_validated_px,
+    ),
+    _Number(
+        "Expected alignment error",
+        "What the clicks' noise leaves over the whole membrane, pixels, if the model itself is right",
+        lambda q: q.alignment_px,
+    ),
+    _Number("  95 % bound", "The alignment error is smaller than this with 95 % probability, pixels",
+            lambda q: q.alignment_bound_95_px),
+    _Number("Expected alignment error", "The same across the line of sight, millimetres",
+            lambda q: q.alignment_mm, "mm"),
+    _Number("Patch boundary off by", "Expected error of the contact patch's boundary, millimetres",
+            lambda q: q.effect.boundary_mm, "mm"),
+    _Number("Smallest tolerance t", "With a smaller t, pixels in true contact would be lost (no unit)",
+            lambda q: q.effect.supported_tolerance, "", 4),
+    _Number("Condition number", "How unevenly the points determine the fit (no unit); thousands are a bad sign",
+            lambda q: q.condition, "", 1),
+)  # fmt: skip
+
+
+class _ModelColumn(QGroupBox):
+    """One model: its numbers and a plot of its residuals."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(_TITLES[name])
+        self._name = name
+        self.subtitle = QLabel(_SUBTITLES[name])
+        self.subtitle.setWordWrap(True)
+        self.values: list[QLabel] = []
+        self.extra = QLabel()
+        self.extra.setWordWrap(True)
+        self.extra.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.plot = ResidualPlot()
+        numbers = QGridLayout()
+        numbers.setHorizontalSpacing(14)
+        numbers.setVerticalSpacing(3)
+        for row, number in enumerate(_NUMBERS):
+            title, value = QLabel(number.title), QLabel("–")
+            value.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            for label in (title, value):
+                label.setToolTip(number.tip)
+            numbers.addWidget(title, row, 0)
+            numbers.addWidget(value, row, 1)
+            self.values.append(value)
+        numbers.setColumnStretch(0, 1)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.subtitle)
+        layout.addLayout(numbers)
+        layout.addWidget(self.extra)
+        layout.addWidget(self.plot, 1)
+
+    def show_report(self, report: CalibrationReport | None, limit: float) -> None:
+        """Show the model's part of a report."""
+        quality = None if report is None else report.quality.get(self._name)
+        recommended = report is not None and report.recommended == self._name and quality is not None
+        self.setTitle(_TITLES[self._name] + ("  ·  recommended" if recommended else ""))
+        font = QFont(self.font())
+        font.setBold(recommended)
+        self.subtitle.setFont(font)
+        for number, label in zip(_NUMBERS, self.values, strict=True):
+            value = None if quality is None else number.value(quality)
+            label.setText(_shown(value, number))
+        if report is None or quality is None:
+            reason = "" if report is None else report.refused.get(self._name, "")
+            self.extra.setText("")
+            self.plot.set_residuals(
+                [], message=f"Not fitted: {reason}" if reason else "No fit yet: click at least four pairs."
+            )
+            return
+        self.extra.setText(_extra_words(report, quality))
+        residuals = [
+            Residual(pair.residual_u, pair.residual_v, pair.id, pair.id == quality.worst_id or not pair.used)
+            for pair in quality.pairs
+        ]
+        message = (
+            ""
+            if quality.rms_px is not None
+            else ("This few points are fitted exactly: zero residuals say nothing. Click at least six pairs.")
+        )
+        self.plot.set_residuals(residuals, limit, message)
+
+
+class ModelPage(QWidget):
+    """Both models side by side, the recommendation with its reason, and the choice."""
+
+    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._session = session
+        self.reason = QLabel()
+        self.reason.setWordWrap(True)
+        font = QFont(self.reason.font())
+        font.setPointSizeF(font.pointSizeF() * 1.15)
+        self.reason.setFont(font)
+        self.choices = QButtonGroup(self)
+        self.fit_depth = QCheckBox("Correct the tactile depth (scale and offset)")
+        self.fit_depth.setToolTip(
+            "Also fit a factor and an offset (mm) on the tactile depth. Points clicked in the depth image at contact "
+            "measure them; with clicks in colour only, the rig's stated baseline holds the factor"
+        )
+        self.warnings = QLabel()
+        self.warnings.setWordWrap(True)
+        self.columns = {name: _ModelColumn(name) for name in _MODELS}
+        row = QHBoxLayout()
+        row.addWidget(QLabel("Take"))
+        for number, (_, title, tip) in enumerate(_CHOICES):
+            button = QRadioButton(title)
+            button.setToolTip(tip)
+            self.choices.addButton(button, number)
+            row.addWidget(button)
+        row.addSpacing(20)
+        row.addWidget(self.fit_depth)
+        row.addStretch(1)
+        columns = QHBoxLayout()
+        for name in ("rigid", "homography"):
+            columns.addWidget(self.columns[name], 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 6, 8, 4)
+        layout.addWidget(self.reason)
+        layout.addLayout(row)
+        layout.addLayout(columns, 1)
+        layout.addWidget(self.warnings)
+        self.choices.idClicked.connect(lambda number: session.choose(model=_CHOICES[number][0]))
+        self.fit_depth.clicked.connect(lambda on: session.choose(fit_depth=on))
+        session.changed.connect(self._show_state)
+        self._show_state(session.state)
+        self.show_outcome(Outcome())
+
+    def show_outcome(self, outcome: Outcome) -> None:
+        """Show another fit."""
+        report = outcome.report
+        if report is None:
+            self.reason.setText(outcome.sentence or "No pairs yet: click at least four, better eight.")
+        else:
+            self.reason.setText(report.reason)
+        self.warnings.setText("" if report is None else " ".join(f"Note: {words}" for words in report.warnings))
+        self.warnings.setVisible(bool(self.warnings.text()))
+        limit = _common_limit(report)
+        for column in self.columns.values():
+            column.show_report(report, limit)
+
+    def _show_state(self, state: SessionState) -> None:
+        number = next(n for n, (name, _, _) in enumerate(_CHOICES) if name == state.choices.model)
+        button = self.choices.button(number)
+        assert button is not None
+        button.setChecked(True)
+        self.fit_depth.setChecked(state.choices.fit_depth)
+
+
+def _common_limit(report: CalibrationReport | None) -> float:
+    """Return one scale for both plots, so that they can be compared."""
+    if report is None:
+        return 1.0
+    return max(
+        round_limit([Residual(p.residual_u, p.residual_v) for p in quality.pairs if p.used])
+        for quality in report.quality.values()
+    )
+
+
+def _extra_words(report: CalibrationReport, quality: ModelQuality) -> str:
+    words = []
+    if quality.model == "rigid" and report.rigid is not None:
+        sigma = report.to_json()["pose_uncertainty"]
+        words.append(f"Pose known to {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.2f}°.")
+        pose = report.rigid.pose
+        if sigma["scale"] is not None:
+            words.append(
+                f"Tactile depth × {pose.scale:.4f} ± {sigma['scale']:.4f}, "
+                f"{1e3 * pose.offset_m:+.2f} ± {sigma['offset_mm']:.2f} mm."
+            )
+    if quality.excluded:
+        words.append(f"Left out because they disagree: {', '.join(quality.excluded[:12])}.")
+    return " ".join(words)
+
+
+def _shown(value: float | None, number: _Number) -> str:
+    if value is None or not math.isfinite(value):
+        return "–"
+    return f"{value:.{number.decimals}f} {number.unit}".rstrip()

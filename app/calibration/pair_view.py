@@ -1,0 +1,142 @@
+"""The proximity and the tactile image beside each other: zoomed together, with loupe, snapping and partners."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from math import isfinite
+
+from PyQt6.QtCore import QRectF, Qt, pyqtSignal
+from PyQt6.QtWidgets import QHBoxLayout, QWidget
+
+from ...core.errors import TactuneError
+from ...widgets.point_image import PointImage
+from .pictures import Picture
+from .state import SIDES, Place, Side
+
+Snapper = Callable[[Picture, Place], Place | None]
+Partner = Callable[[Side, Place], Place | None]
+
+TITLES: dict[Side, str] = {"proximity": "Proximity camera (left)", "tactile": "Tactile camera (right)"}
+
+
+class PairView(QWidget):
+    """Two `PointImage` widgets that know of each other.
+
+    Parameters
+    ----------
+    snapper : callable
+        Takes a picture and a place to the feature nearby, or None.
+
+    Signals
+    -------
+    placed(side: str, u: float, v: float)
+        A click on free ground, snapped where snapping is on and Ctrl is not held.
+    """
+
+    placed = pyqtSignal(str, float, float)
+
+    def __init__(self, snapper: Snapper, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.images = {side: PointImage(TITLES[side]) for side in SIDES}
+        self._pictures: dict[Side, Picture | None] = dict.fromkeys(SIDES)
+        self._snapper = snapper
+        self._snaps = True
+        self._linked = True
+        self._linking = False
+        self._partner: Partner = lambda side, place: None
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(6)
+        for side in SIDES:
+            image = self.images[side]
+            layout.addWidget(image, 1)
+            image.placed.connect(partial(self._placed, side))
+            image.pointed.connect(partial(self._pointed, side))
+            image.viewMoved.connect(partial(self._follow, side))
+
+    def set_picture(self, side: Side, picture: Picture | None, message: str = "") -> None:
+        """Show another image on one side."""
+        self._pictures[side] = picture
+        self.images[side].set_image(None if picture is None else picture.pixels, message)
+
+    def set_snapping(self, snaps: bool) -> None:
+        """Let clicks jump to the corner or blob nearby, or not."""
+        self._snaps = snaps
+
+    def set_linked(self, linked: bool) -> None:
+        """Zoom and pan both images together, or not."""
+        self._linked = linked
+
+    def set_partner(self, partner: Partner) -> None:
+        """Say how a place of one image is found in the other."""
+        self._partner = partner
+
+    def set_loupe_wanted(self, wanted: bool) -> None:
+        """Show a magnifier at the cursor, or not."""
+        for image in self.images.values():
+            image.set_loupe_wanted(wanted)
+
+    def show_all(self) -> None:
+        """Show both images whole."""
+        for image in self.images.values():
+            image.show_all()
+
+    def center_on(self, side: Side, place: Place) -> None:
+        """Move one image, without zooming, so that a place comes into sight."""
+        image = self.images[side]
+        rect = image.box.viewRect()
+        if not rect.adjusted(rect.width() / 20, rect.height() / 20, -rect.width() / 20, -rect.height() / 20).contains(
+            *place
+        ):
+            rect.moveCenter(rect.center().__class__(*place))
+            image.show_rect(rect)
+
+    def snapped(self, side: Side, place: Place) -> Place:
+        """Return the feature near a place, or the place itself."""
+        picture = self._pictures[side]
+        if not self._snaps or picture is None:
+            return place
+        try:
+            return self._snapper(picture, place) or place
+        except TactuneError:
+            return place
+
+    def _placed(self, side: Side, u: float, v: float, modifiers: Qt.KeyboardModifier) -> None:
+        place = (u, v) if modifiers & Qt.KeyboardModifier.ControlModifier else self.snapped(side, (u, v))
+        self.placed.emit(side, *place)
+
+    def _pointed(self, side: Side, u: float, v: float) -> None:
+        inside = isfinite(u)
+        loupe = self.images[side].loupe
+        if inside and loupe.isVisible():
+            place = self.snapped(side, (u, v))
+            loupe.set_snapped(place if place != (u, v) else None)
+        other = self.images[_other(side)]
+        other.layer.set_partner(self._partner(side, (u, v)) if inside else None)
+
+    def _follow(self, side: Side) -> None:
+        """Let the other image show the same part of the scene, as far as the partner of the middle is known."""
+        if not self._linked or self._linking:
+            return
+        image, other = self.images[side], self.images[_other(side)]
+        seen, whole, other_whole = image.box.viewRect(), image.image_rect(), other.image_rect()
+        middle = self._partner(side, (seen.center().x(), seen.center().y()))
+        if middle is None:
+            share_u = (seen.center().x() - whole.left()) / whole.width()
+            share_v = (seen.center().y() - whole.top()) / whole.height()
+            middle = (
+                other_whole.left() + share_u * other_whole.width(),
+                other_whole.top() + share_v * other_whole.height(),
+            )
+        width = seen.width() * other_whole.width() / whole.width()
+        height = seen.height() * other_whole.height() / whole.height()
+        if width >= other_whole.width():
+            middle = (other_whole.center().x(), other_whole.center().y())
+        self._linking = True
+        other.show_rect(QRectF(middle[0] - width / 2, middle[1] - height / 2, width, height))
+        self._linking = False
+
+
+def _other(side: Side) -> Side:
+    return "tactile" if side == "proximity" else "proximity"

@@ -1,0 +1,123 @@
+"""The images that are clicked in: colour, depth or relief of a snapshot, as pixels for the screen and for snapping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...core.clouds import valid_depth
+from ...core.frames import Rig, SensorFrame
+from ...widgets.colormaps import depth_lut
+from ...widgets.strip_render import NO_VALUE_RGB
+from .state import ImageChoice, Side
+
+_RELIEF_SIGMA_PX = 9.0
+_RELIEF_LIMIT_M = 0.002
+#: Edge of the window over which the tactile depth under a click is read, pixels, and how many must be valid.
+_DEPTH_WINDOW = 5
+_FEWEST_DEPTHS = 5
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """One image.
+
+    Attributes
+    ----------
+    pixels : uint8, shape (H, W, 4)
+        As ``QImage.Format_RGB32`` has it in memory.
+    gray : uint8, shape (H, W)
+        In which snapping looks for corners and blobs.
+    """
+
+    pixels: npt.NDArray[np.uint8]
+    gray: npt.NDArray[np.uint8]
+
+
+def image_choices(frame: SensorFrame, side: Side) -> tuple[ImageChoice, ...]:
+    """Return which images a side of a frame has."""
+    if side == "tactile" and frame.tactile_color is None:
+        return ("depth", "relative")
+    return ("color", "depth", "relative")
+
+
+def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice, stretch: bool) -> Picture:
+    """Return the image of one side; a choice that it does not have becomes its first."""
+    choices = image_choices(frame, side)
+    choice = choice if choice in choices else choices[0]
+    if choice == "color":
+        color = frame.proximity_color if side == "proximity" else frame.tactile_color
+        assert color is not None
+        return _color_picture(color, stretch)
+    counts = frame.proximity_depth if side == "proximity" else frame.tactile_depth
+    camera = rig.proximity if side == "proximity" else rig.tactile
+    depth_m = np.where(valid_depth(counts), counts * np.float32(camera.depth_unit_m), np.float32(np.nan))
+    return _depth_picture(depth_m, stretch) if choice == "depth" else _relief_picture(depth_m, stretch)
+
+
+def tactile_depth_at(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
+    """Return the raw tactile depth in metres at a place: the median of a small window.
+
+    None where fewer than five of its pixels have a depth.
+    """
+    height, width = frame.tactile_depth.shape
+    column, row, reach = round(u), round(v), _DEPTH_WINDOW // 2
+    if not (0 <= column < width and 0 <= row < height):
+        return None
+    window = frame.tactile_depth[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
+    counts = window[valid_depth(window)]
+    if len(counts) < _FEWEST_DEPTHS:
+        return None
+    return float(np.median(counts)) * rig.tactile.depth_unit_m
+
+
+def pack_rgb(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return RGB (H, W, 3) as ``QImage.Format_RGB32`` has it in memory, (H, W, 4)."""
+    return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGRA), dtype=np.uint8)
+
+
+def _color_picture(color: npt.NDArray[np.uint8], stretch: bool) -> Picture:
+    gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY)
+    if stretch:
+        low, high = np.percentile(gray[::4, ::4], (0.5, 99.5))
+        scale = 255.0 / max(high - low, 1.0)
+        color = np.asarray(cv2.convertScaleAbs(np.maximum(color, np.uint8(low)), alpha=scale, beta=-low * scale))
+    return Picture(pack_rgb(color), np.asarray(gray, dtype=np.uint8))
+
+
+def _depth_picture(depth_m: npt.NDArray[np.float32], stretch: bool) -> Picture:
+    ends = (1.0, 99.0) if stretch else (0.0, 100.0)
+    return _mapped(depth_m, depth_lut()[:, :3], *_percentiles(depth_m, ends))
+
+
+def _relief_picture(depth_m: npt.NDArray[np.float32], stretch: bool) -> Picture:
+    """Depth relative to the smooth surroundings: bumps and edges, whatever the distance."""
+    valid = np.isfinite(depth_m)
+    weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _RELIEF_SIGMA_PX)
+    smooth = cv2.GaussianBlur(np.nan_to_num(depth_m), (0, 0), _RELIEF_SIGMA_PX) / np.maximum(weight, 1e-6)
+    relief: npt.NDArray[np.float32] = np.where(valid, smooth - depth_m, np.float32(np.nan)).astype(np.float32)
+    limit = max(abs(end) for end in _percentiles(relief, (3.0, 97.0))) if stretch else _RELIEF_LIMIT_M
+    grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
+    return _mapped(relief, grays, -limit, limit)
+
+
+def _percentiles(values: npt.NDArray[np.float32], ends: tuple[float, float]) -> tuple[float, float]:
+    sample = values[::3, ::3]
+    sample = sample[np.isfinite(sample)]
+    if len(sample) == 0:
+        return 0.0, 1.0
+    low, high = (float(end) for end in np.percentile(sample, ends))
+    return low, max(high, low + 1e-6)
+
+
+def _mapped(values: npt.NDArray[np.float32], lut: npt.NDArray[Any], low: float, high: float) -> Picture:
+    valid = np.isfinite(values)
+    rows = np.clip((np.nan_to_num(values) - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
+    rgb = lut[rows]
+    rgb[~valid] = NO_VALUE_RGB
+    gray: npt.NDArray[np.uint8] = np.where(valid, rows, np.uint8(0)).astype(np.uint8)
+    return Picture(pack_rgb(rgb.astype(np.uint8)), gray)

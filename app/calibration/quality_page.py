@@ -1,0 +1,197 @@
+"""The page that says how good the calibration is, where, and what to do next."""
+
+from __future__ import annotations
+
+from PyQt6.QtGui import QFont, QShowEvent
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.calibration import CalibrationReport
+from ...core.calibration.verdict import grade
+from ...widgets.accent_button import AccentButton
+from ...widgets.coverage_grid import CoverageGrid
+from ...widgets.pane_header import ColorBar
+from ...widgets.point_image import PointImage
+from .jobs import Job
+from .outcome import Outcome, image_marks
+from .session import Session
+from .uncertainty import UncertaintyPicture, uncertainty_lut, uncertainty_picture
+
+_UNITS = {"px": "proximity pixels", "mm": "millimetres across the line of sight"}
+_MAP_TITLE = "Expected alignment error over the membrane"
+
+
+class QualityPage(QWidget):
+    """The uncertainty map beside the verdict in words, the numbers and the coverage."""
+
+    def __init__(self, session: Session, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._session = session
+        self._outcome = Outcome()
+        self._drawn: tuple[object, ...] = ()
+        self._job = Job(self)
+        self.map = PointImage(_MAP_TITLE)
+        self.map.set_loupe_wanted(False)
+        self.units = QButtonGroup(self)
+        self.grade = _words(1.3, bold=True)
+        self.why = _words(1.0)
+        self.step = _words(1.1, bold=True)
+        self.numbers = QGridLayout()
+        self.numbers.setVerticalSpacing(4)
+        self.warnings = _words(1.0)
+        self.coverage = CoverageGrid()
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(8, 6, 8, 4)
+        layout.addLayout(self._map_column(), 3)
+        layout.addWidget(self._words_column(), 2)
+        self.units.idClicked.connect(lambda _: self._draw())
+        self._job.done.connect(self._show_map)
+        self._job.failed.connect(lambda words: self.map.set_image(None, words))
+        session.changed.connect(lambda _: self._draw())
+        session.selectionChanged.connect(lambda _: self._show_marks())
+        self.map.pressed.connect(lambda key, _: session.select([key]))
+        self.show_outcome(Outcome())
+
+    def _map_column(self) -> QVBoxLayout:
+        units = QHBoxLayout()
+        units.addWidget(QLabel("Show the map in"))
+        for number, (unit, words) in enumerate(_UNITS.items()):
+            button = AccentButton(unit, f"Expected alignment error in {words}, one standard deviation")
+            button.setFixedWidth(56)
+            button.setChecked(number == 0)
+            self.units.addButton(button, number)
+            units.addWidget(button)
+        units.addStretch(1)
+        column = QVBoxLayout()
+        column.addWidget(self.map, 1)
+        column.addLayout(units)
+        return column
+
+    def _words_column(self) -> QScrollArea:
+        side = QWidget()
+        column = QVBoxLayout(side)
+        for label in (self.grade, self.why, self.step):
+            column.addWidget(label)
+        column.addSpacing(6)
+        column.addLayout(self.numbers)
+        column.addWidget(self.warnings)
+        column.addSpacing(6)
+        column.addWidget(QLabel("Points over the proximity image"))
+        column.addWidget(self.coverage, 1)
+        scroll = QScrollArea()
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll.setWidget(side)
+        return scroll
+
+    def show_outcome(self, outcome: Outcome) -> None:
+        """Show another fit."""
+        self._outcome = outcome
+        report = outcome.report
+        while (item := self.numbers.takeAt(0)) is not None:
+            widget = item.widget()
+            if widget is not None:
+                widget.deleteLater()
+        if report is None:
+            self.grade.setText("No calibration yet")
+            self.why.setText("")
+            self.step.setText(outcome.sentence or "Click at least four pairs, better eight, on the page Points.")
+            self.coverage.set_coverage([], [])
+            self.warnings.setText("")
+        else:
+            self._show_report(report)
+        self._draw()
+
+    def close_jobs(self) -> None:
+        """Stop what is under way."""
+        self._job.stop()
+
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Draw what changed meanwhile."""
+        super().showEvent(event)
+        self._draw()
+
+    def _show_report(self, report: CalibrationReport) -> None:
+        quality = report.chosen
+        judged = grade(quality)
+        word, _, why = judged.partition(": ")
+        self.grade.setText(word)
+        self.why.setText(why[:1].upper() + why[1:])
+        self.step.setText(f"Next: {report.verdict.removeprefix(judged).strip()}")
+        rows = [
+            ("Model", report.model),
+            ("Smallest tolerance t", f"{quality.effect.supported_tolerance:.4f}"),
+            ("Patch boundary off by", f"{quality.effect.boundary_mm:.2f} mm"),
+            ("Depth difference at contact", f"{quality.effect.depth_mm:.2f} mm"),
+            ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),
+            ("Residual, RMS", "an exact fit: says nothing" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
+            (
+                f"Cross-validated ({quality.cross_validation})",
+                "needs six pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
+            ),
+            ("Condition number", f"{quality.condition:.1f}"),
+        ]
+        if quality.worst_px is not None and quality.worst_id is not None:
+            rows.insert(6, ("Worst residual", f"{quality.worst_px:.2f} px (pair {quality.worst_id})"))
+        for number, (title, value) in enumerate(rows):
+            self.numbers.addWidget(QLabel(title), number, 0)
+            self.numbers.addWidget(QLabel(f"<b>{value}</b>"), number, 1)
+        self.numbers.setColumnStretch(1, 1)
+        self.warnings.setText("<br>".join(f"Note: {words}" for words in report.warnings))
+        self.warnings.setVisible(bool(report.warnings))
+        depths = [
+            1e3 * pair.tactile_depth_m
+            for pair in self._outcome.pairs
+            if pair.enabled and pair.tactile_depth_m is not None
+        ]
+        self.coverage.set_coverage(report.coverage.cells, depths)
+
+    def _unit(self) -> str:
+        return list(_UNITS)[self.units.checkedId()]
+
+    def _draw(self) -> None:
+        """Have the map drawn, if it is looked at and out of date."""
+        report, snapshot, rig = self._outcome.report, self._session.state.snapshot, self._session.rig
+        self._show_marks()
+        if not self.isVisible():
+            return
+        if report is None or snapshot is None:
+            self._drawn = ()
+            why = "A snapshot is needed to draw the map" if report is not None else "No calibration yet"
+            self.map.set_image(None, why)
+            self.map.header.set_legend(None)
+            return
+        unit = self._unit()
+        wanted = (report, snapshot.digest, unit)
+        if wanted != self._drawn:
+            self._drawn = wanted
+            self._job.start(lambda _: uncertainty_picture(report, snapshot.frame, rig, unit))
+
+    def _show_map(self, drawn: UncertaintyPicture) -> None:
+        self.map.set_image(drawn.pixels)
+        unit = self._unit()
+        self.map.header.set_legend(ColorBar(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
+
+    def _show_marks(self) -> None:
+        state = self._session.state.with_choices(proximity_image="color")
+        marks = image_marks(
+            state, self._outcome, "proximity", self._session.rig, self._session.selected, everywhere=True
+        )
+        self.map.set_marks(marks)
+
+
+def _words(factor: float, bold: bool = False) -> QLabel:
+    label = QLabel()
+    label.setWordWrap(True)
+    font = QFont(label.font())
+    font.setPointSizeF(font.pointSizeF() * factor)
+    font.setBold(bold)
+    label.setFont(font)
+    return label

@@ -1,0 +1,189 @@
+"""The session: the present state of a calibration, and the undo stack of everything done to it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from typing import Any
+
+from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtGui import QUndoCommand, QUndoStack
+
+from ...core.frames import Rig
+from .state import PointPair, SessionState, Side, Snapshot
+
+DepthReader = Callable[[Snapshot, float, float], float | None]
+
+
+class Session(QObject):
+    """What the wizard's pages edit. State is immutable; every edit is one undoable step.
+
+    Parameters
+    ----------
+    rig : Rig
+    read_depth : callable
+        Tells the tactile depth in metres at a place of a snapshot, or None.
+
+    Signals
+    -------
+    changed(SessionState)
+    selectionChanged(tuple of int)
+        Other pairs are selected; selecting is no step.
+    """
+
+    changed = pyqtSignal(object)
+    selectionChanged = pyqtSignal(object)
+
+    def __init__(self, rig: Rig, read_depth: DepthReader, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.rig = rig
+        self.undo_stack = QUndoStack(self)
+        self._read_depth = read_depth
+        self._state = SessionState()
+        self._selected: tuple[int, ...] = ()
+
+    @property
+    def state(self) -> SessionState:
+        """The state as it is now."""
+        return self._state
+
+    @property
+    def selected(self) -> tuple[int, ...]:
+        """Keys of the selected pairs."""
+        return self._selected
+
+    def pair(self, key: int) -> PointPair:
+        """Return a pair by its key."""
+        return next(pair for pair in self._state.pairs if pair.key == key)
+
+    def edit(self, text: str, after: SessionState, gesture: int = 0) -> None:
+        """Make a state the present one, as one step; steps of one gesture become one."""
+        if after != self._state:
+            self.undo_stack.push(_Step(self, text, self._state, after, gesture))
+
+    def show(self, state: SessionState) -> None:
+        """Make a state the present one without a step: for undo, and for taking up kept work."""
+        self._state = state
+        self.changed.emit(state)
+        present = {pair.key for pair in state.pairs}
+        self.select(key for key in self._selected if key in present)
+
+    def select(self, keys: Iterable[int]) -> None:
+        """Select pairs."""
+        keys = tuple(keys)
+        if keys != self._selected:
+            self._selected = keys
+            self.selectionChanged.emit(keys)
+
+    def choose(self, **values: Any) -> None:
+        """Change choices, as one step."""
+        self.edit("Change a choice", self._state.with_choices(**values))
+
+    def look(self, **values: Any) -> None:
+        """Change what is looked at; no step of its own."""
+        after = self._state.with_choices(**values)
+        if after != self._state:
+            self.show(after)
+
+    # Snapshots
+
+    def add_snapshot(self, snapshot: Snapshot) -> None:
+        """Add a snapshot and click in it from now on."""
+        if any(old.digest == snapshot.digest for old in self._state.snapshots):
+            self.choose(snapshot=snapshot.digest)
+            return
+        added = replace(self._state, snapshots=(*self._state.snapshots, snapshot))
+        self.edit("Add a snapshot", added.with_choices(snapshot=snapshot.digest))
+
+    def remove_snapshot(self, digest: str) -> None:
+        """Remove a snapshot with the pairs clicked in it."""
+        kept = tuple(snap for snap in self._state.snapshots if snap.digest != digest)
+        pairs = tuple(pair for pair in self._state.pairs if pair.snapshot != digest)
+        after = replace(self._state, snapshots=kept, pairs=pairs)
+        if self._state.choices.snapshot == digest:
+            after = after.with_choices(snapshot=kept[-1].digest if kept else "")
+        self.edit("Remove a snapshot", after)
+
+    # Pairs
+
+    def click(self, side: Side, u: float, v: float) -> None:
+        """Take a click: it begins a pair, moves its first click, or completes it."""
+        pending, present = self._state.pending, self._state.choices.snapshot
+        if pending is None or pending.snapshot != present:
+            key = self._state.next_key() if pending is None else pending.key
+            pair, text = PointPair(key=key, snapshot=present), f"Click point {key}"
+        elif pending.place(side) is None:
+            pair, text = pending, f"Complete pair {pending.key}"
+        else:
+            pair, text = pending, f"Click point {pending.key} elsewhere"
+        pair = self._placed(pair, side, u, v)
+        self.edit(text, self._state.with_pair(pair))
+        self.select([pair.key])
+
+    def move(self, key: int, side: Side, u: float, v: float, gesture: int = 0) -> None:
+        """Move one side of a pair, keeping the image that it was clicked in."""
+        moved = self._placed(self.pair(key), side, u, v, keep_image=True)
+        self.edit(f"Move point {key}", self._state.with_pair(moved), gesture)
+
+    def cancel_pending(self) -> None:
+        """Take back a first click that waits for its partner."""
+        if self._state.pending is not None:
+            self.remove([self._state.pending.key])
+
+    def remove(self, keys: Iterable[int]) -> None:
+        """Delete pairs."""
+        gone = set(keys)
+        kept = tuple(pair for pair in self._state.pairs if pair.key not in gone)
+        self.edit(f"Delete {_count(len(self._state.pairs) - len(kept))}", replace(self._state, pairs=kept))
+
+    def enable(self, keys: Iterable[int], enabled: bool) -> None:
+        """Switch pairs on or off."""
+        chosen = set(keys)
+        pairs = tuple(
+            pair.model_copy(update={"enabled": enabled}) if pair.key in chosen else pair for pair in self._state.pairs
+        )
+        self.edit(f"Switch {_count(len(chosen))} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs))
+
+    def add_pairs(self, pairs: Iterable[PointPair], text: str) -> None:
+        """Add complete pairs under new numbers, as one step."""
+        first = self._state.next_key()
+        added = tuple(pair.model_copy(update={"key": first + number}) for number, pair in enumerate(pairs))
+        self.edit(text, replace(self._state, pairs=(*self._state.pairs, *added)))
+        self.select([pair.key for pair in added])
+
+    def _placed(self, pair: PointPair, side: Side, u: float, v: float, keep_image: bool = False) -> PointPair:
+        values: dict[str, Any] = {side: (float(u), float(v))}
+        if side == "proximity" and not keep_image:
+            values["proximity_image"] = "color" if self._state.choices.proximity_image == "color" else "depth"
+        if side == "tactile":
+            snapshot = self._state.snapshot_of(pair)
+            values["tactile_depth_m"] = self._read_depth(snapshot, u, v) if snapshot is not None else None
+        return pair.model_copy(update=values)
+
+
+class _Step(QUndoCommand):
+    """From one state to another; steps of one gesture merge."""
+
+    def __init__(self, session: Session, text: str, before: SessionState, after: SessionState, gesture: int) -> None:
+        super().__init__(text)
+        self._session, self._before, self._after, self._gesture = session, before, after, gesture
+
+    def redo(self) -> None:
+        self._session.show(self._after)
+
+    def undo(self) -> None:
+        self._session.show(self._before)
+
+    def id(self) -> int:
+        return 1 if self._gesture else -1
+
+    def mergeWith(self, other: QUndoCommand | None) -> bool:
+        if not isinstance(other, _Step) or other._gesture != self._gesture:
+            return False
+        self._after = other._after
+        self.setObsolete(self._after == self._before)
+        return True
+
+
+def _count(number: int) -> str:
+    return "1 pair" if number == 1 else f"{number} pairs"

@@ -1,0 +1,304 @@
+"""The window of the calibration wizard: six steps, each reachable at any time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QDialog,
+    QFileDialog,
+    QHBoxLayout,
+    QPushButton,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.calibration import CalibrationReport, read_points, write_points
+from ...core.calibration.verdict import grade
+from ...core.errors import TactuneError
+from ...core.preset import Preset
+from ...widgets.accent_button import AccentButton
+from ...widgets.cloud_view import BackendChoice
+from ...widgets.elided_label import ElidedLabel
+from ..document import Document
+from ..message_bar import MessageBar, Severity
+from .check_page import CheckPage
+from .collector import Collector
+from .feed import FrameFeed
+from .fitting import Fitter, correspondences, pairs_of
+from .frames_page import FramesPage
+from .helpers_page import HelpersPage
+from .keeping import Keeper
+from .model_page import ModelPage
+from .outcome import Outcome
+from .pictures import tactile_depth_at
+from .points_page import PointsPage
+from .quality_page import QualityPage
+from .saving import snapshot_records
+from .session import Session
+from .snapping import snap
+from .state import SessionState
+
+STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
+_TIPS = (
+    "Take snapshots of the membrane, at one or several inflation levels",
+    "Click the same spots in both images",
+    "Let boards, dot grids or the membrane's texture give the points",
+    "Both models side by side, and which one to take",
+    "How good the calibration is, and what to do next",
+    "See the images and the patch with the new alignment beside the old",
+)
+_FILTERS = "Points (*.csv *.points);;All files (*)"
+
+
+class CalibrationWizard(QDialog):
+    """Leads from frames to a saved alignment; closing it loses nothing.
+
+    Parameters
+    ----------
+    feed : FrameFeed
+        The present source.
+    document : Document
+        The preset that the alignment is saved into, as one undoable step.
+    folder : Path
+        Where the state is kept between openings.
+    native_dialogs : bool
+        Use the operating system's file dialogs.
+    backend : "auto", "opengl" or "software"
+        Of the 3D views.
+
+    Signals
+    -------
+    saved()
+        The alignment is in the document.
+    """
+
+    saved = pyqtSignal()
+
+    def __init__(
+        self,
+        feed: FrameFeed,
+        document: Document,
+        folder: Path,
+        native_dialogs: bool = True,
+        backend: BackendChoice = "auto",
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Calibrate – Tactune")
+        self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
+        self._feed, self._document, self._native = feed, document, native_dialogs
+        self.outcome = Outcome()
+        rig = feed.rig
+        self.session = Session(rig, lambda snapshot, u, v: tactile_depth_at(snapshot.frame, rig, u, v), self)
+        self.keeper = Keeper(self.session, folder, self)
+        self.fitter = Fitter(self.session, self)
+        self.collector = Collector(feed, self)
+        self.messages = MessageBar()
+        self.frames = FramesPage(self.session, feed, self.collector)
+        self.points = PointsPage(self.session, snap)
+        self.helpers = HelpersPage(self.session)
+        self.model = ModelPage(self.session)
+        self.quality = QualityPage(self.session)
+        self.check = CheckPage(self.session, document, feed, backend)
+        self.pages: tuple[QWidget, ...] = (
+            self.frames, self.points, self.helpers, self.model, self.quality, self.check,
+        )  # fmt: skip
+        self._lay_out()
+        self._connect()
+        self.resize(1240, 760)
+        self._offer(self.keeper.restore())
+        self._show_state(self.session.state)
+        self.go_to(1 if self.session.state.snapshots else 0)
+
+    # Building
+
+    def _lay_out(self) -> None:
+        steps = QHBoxLayout()
+        steps.setSpacing(2)
+        self.steps = QButtonGroup(self)
+        for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
+            button = AccentButton(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
+            button.setMinimumHeight(30)
+            button.setMinimumWidth(120)
+            self.steps.addButton(button, number)
+            steps.addWidget(button)
+        steps.addStretch(1)
+        self.stack = QStackedWidget()
+        for page in self.pages:
+            self.stack.addWidget(page)
+        self.verdict = ElidedLabel()
+        self.over = _push("Start over", "Empty the wizard; undo brings everything back")
+        self.back = _push("Back", "To the step before (Ctrl+Page Up)")
+        self.next = _push("Next", "To the next step (Ctrl+Page Down)")
+        self.save = _push("Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)")
+        self.leave = _push("Close", "Close the wizard; everything is kept and offered again")
+        footer = QHBoxLayout()
+        footer.addWidget(self.over)
+        footer.addWidget(self.verdict, 1)
+        for push in (self.back, self.next, self.save, self.leave):
+            footer.addWidget(push)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(6, 6, 6, 6)
+        layout.setSpacing(4)
+        layout.addLayout(steps)
+        layout.addWidget(self.messages)
+        layout.addWidget(self.stack, 1)
+        layout.addLayout(footer)
+
+    def _connect(self) -> None:
+        session = self.session
+        self.steps.idClicked.connect(self.go_to)
+        self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
+        self.next.clicked.connect(lambda: self.go_to(self.stack.currentIndex() + 1))
+        self.over.clicked.connect(self.start_over)
+        self.save.clicked.connect(self.save_into_preset)
+        self.leave.clicked.connect(self.close)
+        self.points.importRequested.connect(self._import_dialog)
+        self.points.exportRequested.connect(self._export_dialog)
+        self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
+        self.fitter.fitted.connect(self._show_outcome)
+        session.changed.connect(self._show_state)
+        shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
+            ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
+            ("Ctrl+PgDown", lambda: self.go_to(self.stack.currentIndex() + 1)),
+            ("Ctrl+Z", session.undo_stack.undo),
+            ("Ctrl+Shift+Z", session.undo_stack.redo),
+            ("Ctrl+Y", session.undo_stack.redo),
+            ("Ctrl+S", self.save_into_preset),
+            *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),
+        )
+        for keys, action in shortcuts:
+            QShortcut(QKeySequence(keys), self).activated.connect(action)
+
+    # Steps
+
+    def go_to(self, number: int) -> None:
+        """Show a step."""
+        number = max(0, min(number, len(STEPS) - 1))
+        self.stack.setCurrentIndex(number)
+        button = self.steps.button(number)
+        assert button is not None
+        button.setChecked(True)
+        self.back.setEnabled(number > 0)
+        self.next.setEnabled(number < len(STEPS) - 1)
+
+    def start_over(self) -> None:
+        """Empty the session, as one step that undo brings back."""
+        kept_choices = SessionState().with_choices(average=self.session.state.choices.average)
+        self.session.edit("Start over", kept_choices)
+        self.messages.clear("kept")
+        self.go_to(0)
+
+    def _offer(self, kept_at: datetime | None) -> None:
+        if kept_at is None:
+            return
+        state = self.session.state
+        self.messages.show_message(
+            "kept",
+            Severity.INFO,
+            f"Here is what you left on {kept_at.astimezone():%d %B, %H:%M}: {len(state.complete_pairs)} pairs and "
+            f"{len(state.snapshots)} snapshots. Go on, or start over.",
+            offers=[("Start over", self.start_over)],
+        )
+
+    def _show_state(self, state: SessionState) -> None:
+        self.over.setEnabled(not state.empty)
+
+    def _show_outcome(self, outcome: Outcome) -> None:
+        self.outcome = outcome
+        report = outcome.report
+        self.save.setEnabled(report is not None)
+        self.verdict.setText(outcome.sentence if report is None else _short(report))
+        self.verdict.setToolTip(outcome.sentence if report is None else report.verdict)
+        for page in (self.points, self.helpers, self.model, self.quality, self.check):
+            page.show_outcome(outcome)
+
+    # Files
+
+    def import_points(self, path: Path) -> None:
+        """Add the pairs of a file, as one step."""
+        try:
+            points = read_points(path)
+        except TactuneError as error:
+            self.messages.show_message("file", Severity.ERROR, str(error))
+            return
+        pairs = pairs_of(points, self.session.state, self.session.rig, origin=path.name)
+        self.session.add_pairs(pairs, f"Import {len(pairs)} pairs")
+        self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
+
+    def export_points(self, path: Path) -> None:
+        """Write the complete pairs to a file."""
+        try:
+            write_points(path, correspondences(self.session.state, self.session.rig))
+        except TactuneError as error:
+            self.messages.show_message("file", Severity.ERROR, str(error))
+            return
+        self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
+
+    def _import_dialog(self) -> None:
+        path, _ = QFileDialog.getOpenFileName(self, "Import points", "", _FILTERS, options=self._options())
+        if path:
+            self.import_points(Path(path))
+
+    def _export_dialog(self) -> None:
+        path, _ = QFileDialog.getSaveFileName(self, "Export points", "points.csv", _FILTERS, options=self._options())
+        if path:
+            self.export_points(Path(path))
+
+    def _options(self) -> QFileDialog.Option:
+        return QFileDialog.Option(0) if self._native else QFileDialog.Option.DontUseNativeDialog
+
+    def save_into_preset(self) -> None:
+        """Put the alignment with its record into the document, as one undoable step."""
+        report = self.outcome.report
+        if report is None:
+            return
+        preset: Preset = report.apply_to(self._document.preset, snapshots=snapshot_records(self.session.state))
+        values = {"alignment": preset.alignment.model_dump(mode="python"), "rig": preset.rig}
+        if self._document.edit_many(values):
+            self.messages.show_message(
+                "saved",
+                Severity.INFO,
+                "The alignment is in the preset now; undo in the main window takes it out again.",
+            )
+            self.saved.emit()
+
+    # Events
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Escape and Enter belong to the pages: neither closes the wizard."""
+        if event is not None and event.key() in {Qt.Key.Key_Escape, Qt.Key.Key_Return, Qt.Key.Key_Enter}:
+            event.accept()
+            return
+        super().keyPressEvent(event)
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:
+        """Keep the state and stop what is under way."""
+        self.collector.close()
+        self.fitter.close()
+        for page in (self.helpers, self.quality, self.check):
+            page.close_jobs()
+        self.keeper.close()
+        super().closeEvent(event)
+
+
+def _short(report: CalibrationReport) -> str:
+    """Return the verdict in one line: the grade, the error, and the next step."""
+    judged, quality = grade(report.chosen), report.chosen
+    word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
+    return f"{word}, {report.model}: {quality.alignment_px:.2f} px, {quality.alignment_mm:.2f} mm. {next_step}"
+
+
+def _push(text: str, tip: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setToolTip(tip)
+    button.setAutoDefault(False)
+    return button

@@ -1,0 +1,214 @@
+"""Marks over an image: clicked points, ghosts and residual arrows, drawn at screen size whatever the zoom."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import atan2, cos, hypot, sin
+from typing import Final
+
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransform
+from PyQt6.QtWidgets import QWidget
+
+from .image_pane import ImagePane
+
+#: How near, in screen pixels, the mouse must come to a mark to take hold of it.
+REACH: Final = 9.0
+_RADIUS = 6.5
+_ARROW_HEAD = 8.0
+_CASING = QColor(0, 0, 0, 170)
+
+
+class MarkKind(StrEnum):
+    """What a mark stands for; each has a colour that reads on any image."""
+
+    POINT = "point"
+    WORST = "worst residual"
+    OFF = "switched off"
+    PENDING = "waits for its partner"
+    PROPOSED = "proposed"
+    GHOST = "predicted"
+
+
+COLORS: Final = {
+    MarkKind.POINT: QColor(64, 196, 255),
+    MarkKind.WORST: QColor(255, 92, 80),
+    MarkKind.OFF: QColor(176, 176, 176),
+    MarkKind.PENDING: QColor(255, 214, 10),
+    MarkKind.PROPOSED: QColor(120, 230, 130),
+    MarkKind.GHOST: QColor(255, 214, 10),
+}
+_ARROW = QColor(255, 120, 230)
+
+
+@dataclass(frozen=True)
+class Mark:
+    """One mark.
+
+    Attributes
+    ----------
+    key : int
+        What the mark is called when it is clicked or dragged.
+    u, v : float
+        Place in image pixels.
+    arrow : (float, float) or None
+        Residual in image pixels, drawn from the mark, enlarged by the pane's factor.
+    """
+
+    key: int
+    u: float
+    v: float
+    label: str = ""
+    kind: MarkKind = MarkKind.POINT
+    selected: bool = False
+    arrow: tuple[float, float] | None = None
+
+
+class MarkLayer(QWidget):
+    """A transparent layer over an `ImagePane` that paints marks and never takes the mouse."""
+
+    def __init__(self, pane: ImagePane) -> None:
+        viewport = pane.view.viewport()
+        super().__init__(viewport)
+        self._pane = pane
+        self._marks: tuple[Mark, ...] = ()
+        self._ghost: tuple[float, float] | None = None
+        self._partner: tuple[float, float] | None = None
+        self._factor = 0.0
+        self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        pane.viewChanged.connect(lambda _: self.update())
+
+    @property
+    def marks(self) -> tuple[Mark, ...]:
+        """What is drawn."""
+        return self._marks
+
+    @property
+    def ghost(self) -> tuple[float, float] | None:
+        """The predicted place that is offered, in image pixels."""
+        return self._ghost
+
+    def set_marks(self, marks: Sequence[Mark]) -> None:
+        """Draw these marks and no others."""
+        self._marks = tuple(marks)
+        self.update()
+
+    def set_ghost(self, place: tuple[float, float] | None) -> None:
+        """Offer a predicted place, or none."""
+        self._ghost = place
+        self.update()
+
+    def set_partner(self, place: tuple[float, float] | None) -> None:
+        """Show faintly where the other image's cursor is expected here."""
+        if place != self._partner:
+            self._partner = place
+            self.update()
+
+    def set_arrow_factor(self, factor: float) -> None:
+        """Enlarge residual arrows so many times; 0 hides them."""
+        self._factor = factor
+        self.update()
+
+    def to_screen(self) -> QTransform:
+        """Return the transform from image pixels to this layer's coordinates, exact to fractions of a pixel."""
+        scene = self._pane.view.viewportTransform()
+        box = self._pane.box
+        origin, right, down = (
+            scene.map(QPointF(box.mapViewToScene(QPointF(*place)))) for place in ((0, 0), (1000, 0), (0, 1000))
+        )
+        return QTransform(
+            (right.x() - origin.x()) / 1000, (right.y() - origin.y()) / 1000,
+            (down.x() - origin.x()) / 1000, (down.y() - origin.y()) / 1000,
+            origin.x(), origin.y(),
+        )  # fmt: skip
+
+    def mark_at(self, place: QPointF) -> Mark | None:
+        """Return the mark nearest to a place in this layer's coordinates, within reach."""
+        transform = self.to_screen()
+        best, nearest = None, REACH
+        for mark in self._marks:
+            offset = transform.map(QPointF(mark.u, mark.v)) - place
+            distance = hypot(offset.x(), offset.y())
+            if distance <= nearest:
+                best, nearest = mark, distance
+        return best
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        """Draw partner, arrows, marks and ghost, in this order."""
+        painter = QPainter(self)
+        painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+        transform = self.to_screen()
+        if self._partner is not None:
+            _cross(painter, transform.map(QPointF(*self._partner)), QColor(255, 255, 255, 200))
+        if self._factor > 0:
+            for mark in self._marks:
+                if mark.arrow is not None:
+                    end = QPointF(mark.u + self._factor * mark.arrow[0], mark.v + self._factor * mark.arrow[1])
+                    _arrow(painter, transform.map(QPointF(mark.u, mark.v)), transform.map(end))
+        for mark in sorted(self._marks, key=lambda mark: mark.selected):
+            self._paint_mark(painter, transform.map(QPointF(mark.u, mark.v)), mark)
+        if self._ghost is not None:
+            place = transform.map(QPointF(*self._ghost))
+            _ring(painter, place, COLORS[MarkKind.GHOST], radius=10, width=2.0, style=Qt.PenStyle.DashLine)
+            _text(painter, place + QPointF(13, -5), "Enter accepts", COLORS[MarkKind.GHOST])
+
+    def _paint_mark(self, painter: QPainter, place: QPointF, mark: Mark) -> None:
+        if not QRectF(self.rect()).adjusted(-60, -30, 60, 30).contains(place):
+            return
+        color = COLORS[mark.kind]
+        dashed = mark.kind in {MarkKind.OFF, MarkKind.PROPOSED}
+        style = Qt.PenStyle.DotLine if dashed else Qt.PenStyle.SolidLine
+        if mark.selected:
+            _ring(painter, place, QColor("white"), radius=_RADIUS + 4, width=2.0)
+        _ring(painter, place, color, radius=_RADIUS, width=2.0, style=style)
+        painter.setPen(QPen(color, 1.5))
+        painter.drawPoint(place)
+        if mark.label:
+            _text(painter, place + QPointF(_RADIUS + 3, -_RADIUS + 2), mark.label, color)
+
+
+def _ring(
+    painter: QPainter,
+    place: QPointF,
+    color: QColor,
+    radius: float,
+    width: float,
+    style: Qt.PenStyle = Qt.PenStyle.SolidLine,
+) -> None:
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    painter.setPen(QPen(_CASING, width + 2.0))
+    painter.drawEllipse(place, radius, radius)
+    painter.setPen(QPen(color, width, style))
+    painter.drawEllipse(place, radius, radius)
+
+
+def _cross(painter: QPainter, place: QPointF, color: QColor) -> None:
+    for pen in (QPen(_CASING, 3.0), QPen(color, 1.0)):
+        painter.setPen(pen)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+            painter.drawLine(place + QPointF(4 * dx, 4 * dy), place + QPointF(12 * dx, 12 * dy))
+
+
+def _arrow(painter: QPainter, start: QPointF, end: QPointF) -> None:
+    length = hypot(end.x() - start.x(), end.y() - start.y())
+    if length < 1.0:
+        return
+    angle = atan2(end.y() - start.y(), end.x() - start.x())
+    head = min(_ARROW_HEAD, length)
+    wings = [end - QPointF(head * cos(angle + turn), head * sin(angle + turn)) for turn in (0.45, -0.45)]
+    for pen in (QPen(_CASING, 4.0), QPen(_ARROW, 2.0)):
+        painter.setPen(pen)
+        painter.drawLine(start, end)
+        painter.drawPolyline(QPolygonF([wings[0], end, wings[1]]))
+
+
+def _text(painter: QPainter, place: QPointF, text: str, color: QColor) -> None:
+    """Write with a dark rim, so that it reads on any image."""
+    painter.setPen(QColor(0, 0, 0, 200))
+    for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        painter.drawText(place + QPointF(dx, dy), text)
+    painter.setPen(color)
+    painter.drawText(place, text)
