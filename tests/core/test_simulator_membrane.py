@@ -10,9 +10,9 @@ from tactune.core.sources.simulator.membrane import (
     ATMOSPHERE_PA,
     TOUCH_GAP_M,
     Membrane,
-    MembraneDesign,
     object_pose,
 )
+from tactune.core.sources.simulator.mesh import MembraneDesign
 from tactune.core.sources.simulator.objects import CUBE, NO_OBJECT, OBJECTS, distance, find_object, normal
 
 COARSE = MembraneDesign(cells=(36, 20))

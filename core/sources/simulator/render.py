@@ -325,7 +325,8 @@ def paint_sheet(width_m: float, height_m: float, texel_m: float, seed: int) -> n
         px, py = place + rng.uniform(-0.005, 0.005, 2)
         a, b, turn = rng.uniform(0.008, 0.014), rng.uniform(0.006, 0.009), rng.uniform(0, np.pi)
         s, t = np.cos(turn) * (x - px) + np.sin(turn) * (y - py), np.cos(turn) * (y - py) - np.sin(turn) * (x - px)
-        rim = 1 + 0.16 * np.cos(5 * np.arctan2(t, s)) + 0.1 * np.cos(2 * np.arctan2(t, s) + turn)
+        around = np.arctan2(t, s)
+        rim = 1 + 0.12 * np.cos(2 * around + turn) + 0.10 * np.cos(3 * around) + 0.05 * np.cos(7 * around - turn)
         sheet[np.hypot(s / a, t / b) < rim, 1] = 255
     return sheet
 

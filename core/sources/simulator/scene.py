@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...intrinsics import Intrinsics
-from .membrane import ATMOSPHERE_PA, Membrane, MembraneDesign, MembraneState, object_pose
+from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, object_pose
+from .mesh import MembraneDesign
 from .objects import NO_OBJECT, PressedObject, distance
 from .render import (
     CLEAN_UNIT_M,

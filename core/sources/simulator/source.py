@@ -14,7 +14,8 @@ from ...errors import ExportError, SourceError
 from ...frames import GroundTruth, SensorFrame
 from ..base import Health, Progress, SeekableSource
 from .cache import SolvedScene, cache_file, load_scene, save_scene
-from .membrane import Membrane, MembraneDesign
+from .membrane import Membrane
+from .mesh import MembraneDesign
 from .noise import NoiseModel
 from .objects import PressedObject, find_object
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
@@ -117,7 +118,7 @@ class SimulatorSource(SeekableSource):
 
     def _compute(self, scene: str, pressed: PressedObject, design: MembraneDesign, progress: Progress) -> SolvedScene:
         """Solve state after state while a second thread draws the ones before."""
-        progress(0.0, "Inflating the simulated membrane")
+        progress(0.0, "Inflating the simulated membrane; the very first time its solver is compiled, too")
         press = Press(pressed, Membrane(design), self.rig)
         drawn: list[Future[CleanState]] = []
         facts: list[PressFacts] = []
