@@ -17,6 +17,7 @@ import typer
 
 from ..core.errors import MissingExtraError, TactuneError
 from . import defaults
+from .cli_calibrate import calibrate
 from .cli_preset import preset_commands
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
@@ -33,6 +34,7 @@ commands = typer.Typer(
     add_completion=False,
 )
 commands.add_typer(preset_commands, name="preset")
+commands.command()(calibrate)
 
 Source = Annotated[
     str,

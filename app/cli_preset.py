@@ -54,7 +54,7 @@ def new(
     if alignment is not None:
         values["alignment.model"] = alignment
     values |= _turning_sections_on(dict(_parse_setting(text) for text in settings or []))
-    preset = Preset(rig=_find_rig(rig)).with_values(values)
+    preset = Preset(rig=find_rig(rig)).with_values(values)
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
 
@@ -112,7 +112,8 @@ def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
     return {switch: True for switch in switches if switch in preset_paths()} | values
 
 
-def _find_rig(name: str) -> Rig:
+def find_rig(name: str) -> Rig:
+    """Return the rig of a rig file, of a preset or of a source of frames."""
     from ..core.preset_file import load_preset
     from ..core.rig_file import load_rig, read_json_object
 

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+
 from tactune.core.calibration.homography import (
     design_matrix,
     direct_linear_transform,
@@ -118,7 +119,9 @@ def measure_coverage():
 
 
 def report_shares(shares):
-    return f"{100 * shares[0]:.1f} % of 1,000 trials within it over the membrane, {100 * shares[1]:.1f} % place by place"
+    return (
+        f"{100 * shares[0]:.1f} % of 1,000 trials within it over the membrane, {100 * shares[1]:.1f} % place by place"
+    )
 
 
 def measure_wrong():
@@ -202,7 +205,9 @@ def measure_boards():
         return
     worst = []
     for left in sorted(BOARDS.glob("left0*.jpg")):
-        images = [cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (left, left.with_name("right" + left.name[4:]))]
+        images = [
+            cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) for path in (left, left.with_name("right" + left.name[4:]))
+        ]
         a, b = (detect_chessboard(image, 9, 6).pixels for image in images)
         fit = fit_homography(a, b)
         refined, _ = cv2.findHomography(a, b, 0)

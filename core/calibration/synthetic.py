@@ -197,7 +197,9 @@ def _seen_from(pose: Float64Array, places: Float64Array, in_color: BoolArray, ri
     return project_points(points, rig, in_color).proximity
 
 
-def _numeric_derivative(function: Callable[[Float64Array], Float64Array], at: Float64Array, steps: Float64Array) -> Float64Array:
+def _numeric_derivative(
+    function: Callable[[Float64Array], Float64Array], at: Float64Array, steps: Float64Array
+) -> Float64Array:
     columns = []
     for i, step in enumerate(steps):
         shift = np.zeros_like(at)

@@ -1,0 +1,301 @@
+"""Finding points in an image: the feature beside a click, and whole calibration targets at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Literal, NamedTuple
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import CalibrationError
+from ..frames import Float64Array
+from .homography import fit_homography
+
+GrayImage = npt.NDArray[np.uint8]
+
+#: Half the window in which a corner is refined, pixels.
+_CORNER_WINDOW = 5
+_CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+#: Contrast below which there is no feature, grey levels between the darkest and brightest tenth.
+_LEAST_CONTRAST = 12.0
+#: Response of a corner, as a share of the strongest in its neighbourhood, from which it is one.
+_STRONG_SHARE = 0.2
+_LEAST_BLOB_AREA, _LEAST_ROUNDNESS = 6, 0.55
+
+
+class Snapped(NamedTuple):
+    """A feature beside a click: its sub-pixel place and what it is."""
+
+    u: float
+    v: float
+    kind: Literal["corner", "blob"]
+
+
+def snap_to_feature(image: npt.NDArray[Any], u: float, v: float, radius: float = 6.0) -> Snapped | None:
+    """Return the corner or blob centre nearest to a click, whichever is there.
+
+    A dark or bright spot that closes on itself beside the click is a blob, and its centroid weighted by
+    contrast is returned. Otherwise the nearest strong corner is refined (Foerstner's gradient condition,
+    as in OpenCV's ``cornerSubPix``).
+
+    Parameters
+    ----------
+    image : uint8 or uint16, shape (H, W) or (H, W, 3)
+        Colour is RGB.
+    u, v : float
+        The click, pixels.
+    radius : float
+        How far the feature may be, pixels.
+
+    Returns
+    -------
+    Snapped, or None where nothing is within reach.
+    """
+    gray = to_gray(image)
+    height, width = gray.shape
+    if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
+        return None
+    return _blob_near(gray, u, v, radius) or _corner_near(gray, u, v, radius)
+
+
+def to_gray(image: npt.NDArray[Any]) -> GrayImage:
+    """Return an 8-bit grey image; deeper images are stretched between their 1st and 99th percentile."""
+    if image.ndim == 3:
+        image = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+    if image.dtype == np.uint8:
+        return np.ascontiguousarray(image)
+    valid = image[image > 0] if (image > 0).any() else image
+    low, high = np.percentile(valid, [1, 99])
+    stretched = (image.astype(np.float64) - low) * (255.0 / max(float(high - low), 1e-9))
+    return np.clip(stretched, 0, 255).astype(np.uint8)
+
+
+def _blob_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | None:
+    reach = int(np.ceil(2 * radius)) + 2
+    left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
+    window = gray[top : round(v) + reach + 1, left : round(u) + reach + 1]
+    low, high = np.percentile(window, [10, 90])
+    threshold, _ = cv2.threshold(window, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
+    if max(high - low, float(window.max()) - float(window.min())) < _LEAST_CONTRAST:
+        return None
+    best: tuple[float, Snapped] | None = None
+    for inverted in (True, False):
+        inside = (window <= threshold) if inverted else (window > threshold)
+        for center in _round_components(window, inside, threshold):
+            place = Snapped(center[0] + left, center[1] + top, "blob")
+            gap = float(np.hypot(place.u - u, place.v - v))
+            if gap <= radius and (best is None or gap < best[0]):
+                best = (gap, place)
+    return best[1] if best else None
+
+
+def _round_components(window: GrayImage, inside: npt.NDArray[np.bool_], threshold: float) -> list[Float64Array]:
+    """Return the weighted centroids of round regions that do not touch the window's edge."""
+    count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
+    height, width = window.shape
+    centers = []
+    for label in range(1, count):
+        x, y, w, h, area = stats[label]
+        touches = x == 0 or y == 0 or x + w == width or y + h == height
+        if touches or area < _LEAST_BLOB_AREA or area < _LEAST_ROUNDNESS * w * h or min(w, h) < 0.4 * max(w, h):
+            continue
+        box = np.s_[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2]
+        region = cv2.dilate((labels[box] == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+        values = window[box].astype(np.float64)
+        outside = np.median(values[~region]) if (~region).any() else float(threshold)
+        weights = np.where(region, np.abs(values - outside), 0.0)
+        rows, columns = np.indices(weights.shape)
+        total = weights.sum()
+        center = (columns * weights).sum() / total + box[1].start, (rows * weights).sum() / total + box[0].start
+        centers.append(np.array(center))
+    return centers
+
+
+def _corner_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | None:
+    reach = int(np.ceil(radius)) + _CORNER_WINDOW + 6
+    left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
+    window = np.ascontiguousarray(gray[top : round(v) + reach + 1, left : round(u) + reach + 1])
+    low, high = np.percentile(window, [10, 90])
+    if high - low < _LEAST_CONTRAST or min(window.shape) < 2 * _CORNER_WINDOW + 5:
+        return None
+    strength = cv2.cornerMinEigenVal(window, 5, ksize=3)
+    rows, columns = np.indices(strength.shape)
+    gaps = np.hypot(columns + left - u, rows + top - v)
+    peaks = (strength == cv2.dilate(strength, np.ones((5, 5), np.uint8))) & (gaps <= radius + _CORNER_WINDOW)
+    peaks &= strength >= _STRONG_SHARE * strength.max()
+    found = []
+    for row, column in np.argwhere(peaks):
+        seed = np.array([[[column, row]]], np.float32)
+        refined = cv2.cornerSubPix(window, seed, (_CORNER_WINDOW, _CORNER_WINDOW), (-1, -1), _CRITERIA)[0, 0]
+        place = float(refined[0]) + left, float(refined[1]) + top
+        gap = float(np.hypot(place[0] - u, place[1] - v))
+        moved = float(np.hypot(refined[0] - column, refined[1] - row))
+        if gap <= radius + 0.5 and moved <= _CORNER_WINDOW:
+            found.append((gap, place))
+    if not found:
+        return None
+    _, (x, y) = min(found)
+    return Snapped(x, y, "corner")
+
+
+@dataclass(frozen=True, eq=False)
+class Detection:
+    """The points of a target in one image.
+
+    Attributes
+    ----------
+    ids : tuple of int
+        Number of each point on the target.
+    pixels : float64, shape (N, 2)
+    labelled : bool
+        Whether the ids are printed on the target. If not they count from one corner, and which corner
+        that is may differ between two images by half a turn; `match_detections` sorts that out.
+    """
+
+    ids: tuple[int, ...]
+    pixels: Float64Array
+    labelled: bool = False
+
+
+def detect_chessboard(image: npt.NDArray[Any], columns: int, rows: int) -> Detection:
+    """Find the inner corners of a chessboard.
+
+    Parameters
+    ----------
+    image : uint8 or uint16, shape (H, W) or (H, W, 3)
+    columns, rows : int
+        Number of inner corners, at least 3 each way.
+
+    Raises
+    ------
+    CalibrationError
+        The board is not in the image, or not whole.
+    """
+    _check_size("chessboard", columns, rows, least=3)
+    gray = to_gray(image)
+    found, corners = cv2.findChessboardCorners(
+        gray, (columns, rows), flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
+    )
+    if not found:
+        raise _not_found(f"chessboard of {columns} x {rows} inner corners")
+    corners = corners.reshape(-1, 1, 2).astype(np.float32)
+    refined = cv2.cornerSubPix(gray, corners, (_CORNER_WINDOW, _CORNER_WINDOW), (-1, -1), _CRITERIA)
+    return _counted(refined)
+
+
+def detect_charuco(
+    image: npt.NDArray[Any], columns: int, rows: int, marker_share: float = 0.7, dictionary: str = "DICT_4X4_250"
+) -> Detection:
+    """Find the chessboard corners of a ChArUco board; parts of it suffice.
+
+    Parameters
+    ----------
+    image : uint8 or uint16, shape (H, W) or (H, W, 3)
+    columns, rows : int
+        Number of squares.
+    marker_share : float
+        Side of a marker over the side of a square.
+    dictionary : str
+        OpenCV's name of the markers' dictionary.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than four corners are found, or there is no such dictionary.
+    """
+    _check_size("ChArUco board", columns, rows, least=2)
+    number = getattr(cv2.aruco, dictionary, None)
+    if not dictionary.startswith("DICT_") or number is None:
+        raise CalibrationError(f"there is no marker dictionary {dictionary!r}; use one such as DICT_4X4_250")
+    if not 0.1 <= marker_share < 1.0:
+        raise CalibrationError(f"marker_share is {marker_share}; it is the marker's side over the square's, 0.1 to 1")
+    board = cv2.aruco.CharucoBoard((columns, rows), 1.0, marker_share, cv2.aruco.getPredefinedDictionary(number))
+    corners, ids, _, _ = cv2.aruco.CharucoDetector(board).detectBoard(to_gray(image))
+    if ids is None or len(ids) < 4:
+        raise _not_found(f"ChArUco board of {columns} x {rows} squares ({dictionary})")
+    return Detection(tuple(int(i) for i in np.ravel(ids)), np.asarray(corners, np.float64).reshape(-1, 2), True)
+
+
+def detect_circles(image: npt.NDArray[Any], columns: int, rows: int, *, asymmetric: bool = True) -> Detection:
+    """Find a grid of dark circles: asymmetric (every other row shifted) or a plain dot grid.
+
+    Parameters
+    ----------
+    image : uint8 or uint16, shape (H, W) or (H, W, 3)
+    columns, rows : int
+        Circles per row, and rows.
+    asymmetric : bool
+
+    Raises
+    ------
+    CalibrationError
+        The grid is not in the image, or not whole.
+    """
+    _check_size("grid of circles", columns, rows, least=2)
+    kind = cv2.CALIB_CB_ASYMMETRIC_GRID if asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
+    gray = to_gray(image)
+    detector = cv2.SimpleBlobDetector.create(_circle_parameters(gray))
+    for flags in (kind, kind | cv2.CALIB_CB_CLUSTERING):
+        found, centers = cv2.findCirclesGrid(gray, (columns, rows), flags=flags, blobDetector=detector)
+        if found:
+            return _counted(centers)
+    raise _not_found(f"{'asymmetric' if asymmetric else 'plain'} grid of {columns} x {rows} circles")
+
+
+def match_detections(proximity: Detection, tactile: Detection) -> list[tuple[str, Float64Array, Float64Array]]:
+    """Join the same target seen in both images: id, proximity pixel, tactile pixel.
+
+    Raises
+    ------
+    CalibrationError
+        Fewer than four points are seen in both.
+    """
+    ours, theirs = (dict(zip(side.ids, side.pixels, strict=True)) for side in (proximity, tactile))
+    common = sorted(set(ours) & set(theirs))
+    if len(common) < 4:
+        raise CalibrationError(
+            f"only {len(common)} points of the target are seen in both images; show more of it to both cameras"
+        )
+    left = np.array([ours[i] for i in common])
+    right = np.array([theirs[i] for i in common])
+    if not (proximity.labelled and tactile.labelled) and _half_turn(right, left):
+        right = right[::-1]
+    return [(str(i), a, b) for i, a, b in zip(common, left, right, strict=True)]
+
+
+def _half_turn(source: Float64Array, target: Float64Array) -> bool:
+    """Whether one list runs against the other: the cameras stand side by side, both upright."""
+    H = fit_homography(source, target, use=np.ones(len(source), bool)).H_p_t
+    center = np.append(source.mean(axis=0), 1.0)
+    x, y, w = H @ center
+    along = np.array([H[0, 0] - x / w * H[2, 0], H[1, 1] - y / w * H[2, 1]]) / w
+    return bool(along.sum() < 0)
+
+
+def _circle_parameters(gray: GrayImage) -> Any:
+    parameters = cv2.SimpleBlobDetector.Params()
+    parameters.filterByArea = True
+    parameters.minArea = 12.0
+    parameters.maxArea = gray.size / 40.0
+    parameters.minDistBetweenBlobs = 4.0
+    parameters.filterByConvexity = True
+    parameters.minConvexity = 0.8
+    return parameters
+
+
+def _counted(corners: npt.NDArray[Any]) -> Detection:
+    pixels = np.asarray(corners, np.float64).reshape(-1, 2)
+    return Detection(tuple(range(len(pixels))), pixels)
+
+
+def _check_size(name: str, columns: int, rows: int, least: int) -> None:
+    if min(columns, rows) < least:
+        raise CalibrationError(f"a {name} of {columns} x {rows} is too small; give at least {least} x {least}")
+
+
+def _not_found(name: str) -> CalibrationError:
+    return CalibrationError(
+        f"no {name} is seen; check its size, show it whole, evenly lit and in focus, or click the points by hand"
+    )

@@ -1,0 +1,143 @@
+"""Does an older calibration still hold? Its points, looked up again on the present frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..alignment import tactile_homography, tactile_pose
+from ..errors import CalibrationError
+from ..frames import Float64Array, Rig, SensorFrame
+from ..preset import Preset
+from .quality import millimetres_per_pixel
+from .rays import color_pose, color_to_depth_pixels, ray_seen
+from .rigid import Pose, RigidPoints
+from .texture import measure_pairs
+
+#: Drift from which a calibration is no longer good, pixels, unless it promised less to begin with.
+RECALIBRATE_PX = 1.0
+_LEAST_FOUND = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Drift:
+    """How far the alignment is off on the present frame.
+
+    Attributes
+    ----------
+    drift_px, drift_mm : float
+        Median distance between where the preset puts a place and where it is found, in proximity pixels
+        and across the line of sight.
+    worst_px : float
+        95th percentile of the distances.
+    stored, found : int
+        Points that the preset keeps, and how many of them were found again.
+    recalibrate : bool
+    sentence : str
+        All that in words.
+    tactile : float64, shape (N, 2)
+        Places that were compared.
+    offsets_px : float64, shape (N, 2)
+        Found minus predicted proximity depth pixel, for arrows.
+    """
+
+    drift_px: float
+    drift_mm: float
+    worst_px: float
+    stored: int
+    found: int
+    recalibrate: bool
+    sentence: str
+    tactile: Float64Array
+    offsets_px: Float64Array
+
+
+def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
+    """Compare a preset's alignment with what the present frame shows.
+
+    The preset's points, and wherever else the membrane has texture, are looked up in the proximity colour
+    image by local matching.
+
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    frame : SensorFrame
+        With a tactile colour image.
+
+    Raises
+    ------
+    CalibrationError
+        Nothing to match: no tactile colour image, or too little texture.
+    RigMismatchError
+        The preset leaves the pose to a rig that has none.
+    """
+    frame.check_against(rig)
+    if frame.tactile_color is None:
+        raise CalibrationError(
+            f"frame {frame.sequence} has no tactile colour image, so nothing can be compared; use a source that has one"
+        )
+    section = preset.alignment
+    T_p_t = tactile_pose(section, rig)
+    pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
+    record = section.calibration
+    stored = np.array([[p.tactile_u, p.tactile_v] for p in record.points if p.enabled] if record else []).reshape(-1, 2)
+    again, _ = measure_pairs(frame, rig, pose, stored)
+    elsewhere, _ = measure_pairs(frame, rig, pose)
+    if len(again.tactile) + len(elsewhere.tactile) < _LEAST_FOUND:
+        raise CalibrationError(
+            f"only {len(again.tactile) + len(elsewhere.tactile)} places look alike in both colour images; "
+            "light the membrane evenly and check that both cameras see it, then calibrate again if that does not help"
+        )
+    points = _both(again, elsewhere)
+    found, predicted = _found_and_predicted(points, preset, rig, pose)
+    offsets = found - predicted
+    lengths = np.hypot(*offsets.T)
+    drift = float(np.median(lengths))
+    drift_mm = float(np.median(lengths * millimetres_per_pixel(points.tactile_depth_m, rig)))
+    limit = max(RECALIBRATE_PX, record.quality.alignment_bound_95_px if record else 0.0)
+    return Drift(
+        drift_px=drift,
+        drift_mm=drift_mm,
+        worst_px=float(np.percentile(lengths, 95)),
+        stored=len(stored),
+        found=len(again.tactile),
+        recalibrate=drift > limit,
+        sentence=_sentence(drift, drift_mm, limit, len(points.tactile)),
+        tactile=points.tactile,
+        offsets_px=offsets,
+    )
+
+
+def _found_and_predicted(
+    points: RigidPoints, preset: Preset, rig: Rig, pose: Pose
+) -> tuple[Float64Array, Float64Array]:
+    """Return proximity depth pixels (N, 2): where places were found and where the preset puts them."""
+    rays = ray_seen(rig.tactile.intrinsics, points.tactile)
+    depth = pose.scale * points.tactile_depth_m + pose.offset_m
+    space = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
+    T_color_depth = color_pose(rig)
+    distance = space @ T_color_depth[2, :3] + T_color_depth[2, 3]
+    found = color_to_depth_pixels(rig, points.proximity, distance)
+    if preset.alignment.model == "rigid":
+        return found, rig.proximity.intrinsics.project(space)
+    x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([points.tactile, np.ones(len(space))]).T
+    return found, np.column_stack([x / w, y / w])
+
+
+def _both(first: RigidPoints, second: RigidPoints) -> RigidPoints:
+    return RigidPoints(
+        np.concatenate([first.tactile, second.tactile]),
+        np.concatenate([first.tactile_depth_m, second.tactile_depth_m]),
+        np.concatenate([first.proximity, second.proximity]),
+        np.concatenate([first.in_color, second.in_color]),
+        np.concatenate([first.proximity_depth_m, second.proximity_depth_m]),
+    )
+
+
+def _sentence(drift: float, drift_mm: float, limit: float, count: int) -> str:
+    measured = f"The alignment is off by {drift:.2f} px ({drift_mm:.2f} mm), median of {count} places"
+    if drift > limit:
+        return f"{measured}: calibrate again, {limit:.1f} px would still be good."
+    return f"{measured}: no need to calibrate again."

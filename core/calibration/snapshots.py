@@ -1,0 +1,188 @@
+"""Several frames become one snapshot: the median of each pixel, and a hash that names its content."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numba
+import numpy as np
+import numpy.typing as npt
+
+from ..calibration_record import SnapshotRecord
+from ..clouds import valid_depth
+from ..errors import CalibrationError
+from ..frames import Float64Array, SensorFrame
+
+CountsImage = npt.NDArray[np.uint16]
+
+#: Depths farther than this from the click's own belong to another surface, metres.
+_SAME_SURFACE_M = 0.004
+_ROWS_AT_ONCE = 32
+
+
+@dataclass(frozen=True, eq=False)
+class Snapshot:
+    """A quiet picture of one moment: what points are clicked on.
+
+    Attributes
+    ----------
+    frame : SensorFrame
+        Medians of all images, with the first frame's number and time stamps.
+    frames : int
+        How many frames went into it.
+    sha256 : str
+        Hash of the four images.
+    """
+
+    frame: SensorFrame
+    frames: int
+    sha256: str
+
+    def record(self, name: str = "") -> SnapshotRecord:
+        """Return what a preset keeps of it."""
+        return SnapshotRecord(name=name, sha256=self.sha256, frames=self.frames)
+
+
+def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
+    """Take the median of frames, pixel by pixel.
+
+    Parameters
+    ----------
+    frames : iterable of SensorFrame
+        All of one size. About 3 MB each at 640 x 480 are held until the end.
+
+    Raises
+    ------
+    CalibrationError
+        No frame, or frames of different size.
+    """
+    kept = list(frames)
+    if not kept:
+        raise CalibrationError("a snapshot needs at least one frame; the source gave none")
+    first = kept[0]
+    if len(kept) > 1:
+        colors = [frame.tactile_color for frame in kept if frame.tactile_color is not None]
+        first = SensorFrame(
+            sequence=first.sequence,
+            proximity_depth=median_counts([frame.proximity_depth for frame in kept]),
+            tactile_depth=median_counts([frame.tactile_depth for frame in kept]),
+            proximity_color=_median_color([frame.proximity_color for frame in kept]),
+            tactile_color=_median_color(colors) if len(colors) == len(kept) else None,
+            proximity_time_s=first.proximity_time_s,
+            tactile_time_s=first.tactile_time_s,
+        )
+    return Snapshot(first, len(kept), content_hash(first))
+
+
+def median_counts(images: Sequence[CountsImage]) -> CountsImage:
+    """Return the median of raw depth images (H, W); 0 and 65535 are left out.
+
+    The lower of the two middle values where their number is even, so that a median is always a value
+    that was measured; 0 where no image has a depth.
+
+    Raises
+    ------
+    CalibrationError
+        No image, or images of different size.
+    """
+    _check_sizes(images)
+    out = np.empty(images[0].shape, np.uint16)
+    for top in range(0, len(out), _ROWS_AT_ONCE):
+        band = slice(top, top + _ROWS_AT_ONCE)
+        _median_rows(np.stack([image[band] for image in images], axis=2), out[band])
+    return out
+
+
+def content_hash(frame: SensorFrame) -> str:
+    """Return the SHA-256 of a frame's images, sizes and types included."""
+    digest = hashlib.sha256()
+    for name in ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color"):
+        image = getattr(frame, name)
+        digest.update(f"{name} {None if image is None else (image.shape, image.dtype.str)}\n".encode())
+        if image is not None:
+            digest.update(np.ascontiguousarray(image).tobytes())
+    return digest.hexdigest()
+
+
+def depth_under(counts: CountsImage, unit_m: float, u: float, v: float, radius: int = 2) -> float | None:
+    """Return the depth under a sub-pixel place, metres, or None where the camera sees none.
+
+    A plane is fitted to the valid pixels around it that lie on the same surface, which averages the
+    noise and follows the slope; the place itself must have a depth within a pixel.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+    unit_m : float
+    u, v : float
+    radius : int
+        Half the side of the square that is looked at, pixels.
+    """
+    height, width = counts.shape
+    column, row = round(u), round(v)
+    if not (0 <= column < width and 0 <= row < height):
+        return None
+    top, left = max(row - radius, 0), max(column - radius, 0)
+    window = counts[top : row + radius + 1, left : column + radius + 1]
+    rows, columns = np.nonzero(valid_depth(window))
+    if len(rows) == 0:
+        return None
+    depth = window[rows, columns] * unit_m
+    across = np.column_stack([columns + left - u, rows + top - v])
+    nearest = int(np.argmin((across**2).sum(axis=1)))
+    if np.hypot(*across[nearest]) > 1.5:
+        return None
+    middle = float(np.median(depth[(across**2).sum(axis=1) <= 1.5**2]))
+    same = np.abs(depth - middle) <= _SAME_SURFACE_M
+    return _plane_at_origin(across[same], depth[same]) if same.sum() >= 6 else middle
+
+
+def _plane_at_origin(across: Float64Array, depth: Float64Array) -> float:
+    design = np.column_stack([np.ones(len(across)), across])
+    return float(np.linalg.lstsq(design, depth, rcond=None)[0][0])
+
+
+def _median_color(images: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
+    _check_sizes(images)
+    out = np.empty_like(images[0])
+    for top in range(0, len(out), _ROWS_AT_ONCE):
+        band = slice(top, top + _ROWS_AT_ONCE)
+        stack = np.stack([image[band] for image in images])
+        middle = (len(images) - 1) // 2
+        out[band] = np.partition(stack, middle, axis=0)[middle]
+    return out
+
+
+def _check_sizes(images: Sequence[npt.NDArray[Any]]) -> None:
+    if not images:
+        raise CalibrationError("a median needs at least one image; there is none")
+    for image in images:
+        if image.shape != images[0].shape:
+            raise CalibrationError(
+                f"images of {images[0].shape[1]} x {images[0].shape[0]} and {image.shape[1]} x {image.shape[0]} pixels "
+                "cannot be averaged; take all from one rig"
+            )
+
+
+@numba.njit(cache=True, nogil=True)
+def _median_rows(stack: npt.NDArray[np.uint16], out: npt.NDArray[np.uint16]) -> None:
+    """Write the lower median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
+    height, width, count = stack.shape
+    values = np.empty(count, np.uint16)
+    for row in range(height):
+        for column in range(width):
+            kept = 0
+            for i in range(count):
+                value = stack[row, column, i]
+                if value == 0 or value == 65535:  # noqa: PLR1714 - numba compiles comparisons best
+                    continue
+                place = kept
+                while place > 0 and values[place - 1] > value:
+                    values[place] = values[place - 1]
+                    place -= 1
+                values[place] = value
+                kept += 1
+            out[row, column] = values[(kept - 1) // 2] if kept > 0 else 0

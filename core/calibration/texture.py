@@ -1,0 +1,325 @@
+"""Pairs without clicking: the dye droplets on the membrane, matched between both colour images.
+
+Descriptors (SIFT) give a first, rough set of pairs, unless the rig states a pose. From then on geometry
+leads: the proximity colour image is warped into the tactile view through the tactile depth and the present
+pose, so that both images show the same droplet at the same size almost at the same place, and what is
+left is measured patch by patch (inverse-compositional Lucas and Kanade, sub-pixel). The pose is fitted
+again to what was measured, and the images are warped again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import CalibrationError
+from ..frames import Float64Array, Rig, SensorFrame
+from .correspondences import Correspondence
+from .detect import to_gray
+from .rays import color_lens, color_pose, ray_seen
+from .rigid import Pose, RigidFit, RigidPoints, fit_rigid
+from .snapshots import depth_under
+
+FloatImage = npt.NDArray[np.float32]
+
+_ROUNDS = 3
+_PATCH_PX = 15
+_REACH_PX = 12.0
+_LEAST_LIKENESS = 0.85
+_MOST_FEATURES = 400
+_LEAST_DISTANCE_PX = 12.0
+_LEAST_PAIRS = 12
+_RATIO = 0.8
+#: Matched droplets are placed about this well, pixels.
+_MATCH_SIGMA_PX = 0.15
+
+
+@dataclass(frozen=True, eq=False)
+class TextureMatches:
+    """Proposed pairs, best first, and the fit that they agree on.
+
+    Attributes
+    ----------
+    pairs : tuple of Correspondence
+        Clicked in the colour image, with tactile depth and the snapshot's number.
+    likeness : float64, shape (N,)
+        Correlation of both patches, up to 1.
+    fit : RigidFit
+        Of all pairs.
+    """
+
+    pairs: tuple[Correspondence, ...]
+    likeness: Float64Array
+    fit: RigidFit
+
+
+def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike | None = None) -> TextureMatches:
+    """Propose pairs from the texture in both colour images, over all frames together.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+        One per inflation level, best as snapshots.
+    rig : Rig
+    pose : array_like, shape (4, 4), optional
+        ``T_proximity_tactile`` to start from; default: the rig's own, or else descriptors alone.
+
+    Raises
+    ------
+    CalibrationError
+        A frame has no tactile colour image, or too few pairs agree.
+    """
+    if not frames:
+        raise CalibrationError("texture matching needs at least one frame")
+    for frame in frames:
+        frame.check_against(rig)
+        if frame.tactile_color is None:
+            raise CalibrationError(
+                f"frame {frame.sequence} has no tactile colour image, so there is no texture to match; "
+                "detect a target or click the points"
+            )
+    stated = rig.T_proximity_tactile if pose is None else pose
+    views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
+    start = _pose_of(stated) if stated is not None else _fit(_described(views, rig), rig).pose
+    found = _guided(views, rig, start)
+    if len(found.points.tactile) < _LEAST_PAIRS and stated is not None:
+        start = _fit(_described(views, rig), rig).pose
+        found = _guided(views, rig, start)
+    for _ in range(_ROUNDS - 1):
+        found = _guided(views, rig, _fit(found, rig).pose)
+    fit = _fit(found, rig)
+    return _proposed(found, fit, rig)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """Pairs with the view that they come from and how alike both patches are."""
+
+    points: RigidPoints
+    view: npt.NDArray[np.intp]
+    likeness: Float64Array
+
+
+class _View:
+    """One frame as matching needs it: grey images, features with a depth, a dense depth to warp by."""
+
+    def __init__(self, number: int, frame: SensorFrame, rig: Rig, places: Float64Array | None = None) -> None:
+        assert frame.tactile_color is not None
+        self.number = number
+        self.tactile = _textured(frame.tactile_color)
+        self.proximity = _textured(frame.proximity_color)
+        valid = (frame.tactile_depth > 0) & (frame.tactile_depth < 65535)
+        self.depth_m = _filled(frame.tactile_depth * rig.tactile.depth_unit_m, valid)
+        self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
+        if places is None:
+            corners = cv2.goodFeaturesToTrack(
+                self.tactile, _MOST_FEATURES, 0.02, _LEAST_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
+            )
+            places = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
+        depth = self.depths_under(places)
+        self.features = np.column_stack([places, depth])[np.isfinite(depth)]
+
+    def depths_under(self, places: Float64Array) -> Float64Array:
+        """Return depths at tactile pixels (N, 2), nan where there is none."""
+        found = [depth_under(self._counts, self._unit, u, v, radius=3) for u, v in places]
+        return np.array([np.nan if depth is None else depth for depth in found], dtype=np.float64)
+
+
+def measure_pairs(
+    frame: SensorFrame, rig: Rig, pose: Pose, places: npt.ArrayLike | None = None
+) -> tuple[RigidPoints, Float64Array]:
+    """Measure where places of the tactile image are in the proximity colour image.
+
+    Parameters
+    ----------
+    frame : SensorFrame
+        With a tactile colour image.
+    rig : Rig
+    pose : Pose
+        Right to about ten pixels.
+    places : array_like, shape (N, 2), optional
+        Tactile pixels; default: wherever there is texture.
+
+    Returns
+    -------
+    RigidPoints and likeness (M,)
+        The places that have a depth and were found again, clicked in colour.
+    """
+    chosen = None if places is None else np.asarray(places, np.float64).reshape(-1, 2)
+    found = _guided_view(_View(0, frame, rig, chosen), rig, pose)
+    return found.points, found.likeness
+
+
+def _guided(views: list[_View], rig: Rig, pose: Pose) -> _Found:
+    """Warp, measure what is left at each feature, and keep what is alike and agrees with its neighbours."""
+    parts = [_guided_view(view, rig, pose) for view in views]
+    return _joined(parts)
+
+
+def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
+    height, width = rig.tactile.intrinsics.shape
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    dense = np.column_stack([u.ravel(), v.ravel(), view.depth_m.ravel()])
+    lookup = _color_pixels(dense, rig, pose).astype(np.float32).reshape(height, width, 2)
+    warped = cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC)
+    start = view.features[:, :2].astype(np.float32).reshape(-1, 1, 2)
+    if len(start) == 0:
+        return _joined([])
+    settings = {
+        "winSize": (_PATCH_PX, _PATCH_PX),
+        "maxLevel": 2,
+        "criteria": (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001),
+    }
+    there, ahead, _ = cv2.calcOpticalFlowPyrLK(view.tactile, warped, start, None, **settings)
+    back, behind, _ = cv2.calcOpticalFlowPyrLK(warped, view.tactile, there, None, **settings)
+    moved = there.reshape(-1, 2).astype(np.float64)
+    kept = (ahead.ravel() == 1) & (behind.ravel() == 1)
+    kept &= np.hypot(*(back - start).reshape(-1, 2).T) < 0.3
+    kept &= np.hypot(*(moved - view.features[:, :2]).T) < _REACH_PX
+    kept &= ((moved >= _PATCH_PX) & (moved < (width - _PATCH_PX, height - _PATCH_PX))).all(axis=1)
+    likeness = np.array(
+        [
+            _likeness(view.tactile, warped, here, place) if good else 0.0
+            for here, place, good in zip(view.features[:, :2], moved, kept, strict=True)
+        ]
+    )
+    kept &= likeness >= _LEAST_LIKENESS
+    features, moved, likeness = view.features[kept], moved[kept], likeness[kept]
+    proximity = (
+        np.column_stack(
+            [
+                cv2.remap(
+                    np.ascontiguousarray(lookup[..., axis]), *moved.astype(np.float32).T[:, :, None], cv2.INTER_LINEAR
+                )
+                for axis in range(2)
+            ]
+        ).astype(np.float64)
+        if len(moved)
+        else np.zeros((0, 2))
+    )
+    return _Found(_color_points(features, proximity), np.full(len(features), view.number), likeness)
+
+
+def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
+    """Take tactile places (N, 3) to proximity colour pixels (N, 2) by a pose."""
+    depth = pose.scale * places[:, 2] + pose.offset_m
+    rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
+    points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
+    T_color_depth = color_pose(rig)
+    return color_lens(rig).project(points @ T_color_depth[:3, :3].T + T_color_depth[:3, 3])
+
+
+def _described(views: list[_View], rig: Rig) -> _Found:
+    """Match SIFT descriptors, with the ratio test and mutual choice."""
+    sift = cv2.SIFT_create(nfeatures=2000)
+    parts = []
+    for view in views:
+        tactile, proximity = (sift.detectAndCompute(image, None) for image in (view.tactile, view.proximity))
+        if tactile[1] is None or proximity[1] is None or min(len(tactile[0]), len(proximity[0])) < 2:
+            continue
+        forward = cv2.BFMatcher().knnMatch(tactile[1], proximity[1], k=2)
+        backward = {
+            match[0].queryIdx: match[0].trainIdx for match in cv2.BFMatcher().knnMatch(proximity[1], tactile[1], k=1)
+        }
+        best = [
+            first
+            for first, second in forward
+            if first.distance < _RATIO * second.distance and backward.get(first.trainIdx) == first.queryIdx
+        ]
+        here = np.array([tactile[0][match.queryIdx].pt for match in best]).reshape(-1, 2)
+        there = np.array([proximity[0][match.trainIdx].pt for match in best]).reshape(-1, 2)
+        depth = view.depths_under(here)
+        known = np.isfinite(depth)
+        places = np.column_stack([here, depth])[known]
+        parts.append(
+            _Found(_color_points(places, there[known]), np.full(len(places), view.number), np.ones(len(places)))
+        )
+    return _joined(parts)
+
+
+def _fit(found: _Found, rig: Rig) -> RigidFit:
+    if len(found.points.tactile) < _LEAST_PAIRS:
+        raise CalibrationError(
+            f"only {len(found.points.tactile)} places look alike in both colour images, {_LEAST_PAIRS} are needed; "
+            "light the membrane evenly, average more frames, or click the points"
+        )
+    return fit_rigid(found.points, rig, sigma_tactile_px=_MATCH_SIGMA_PX, sigma_proximity_px=_MATCH_SIGMA_PX)
+
+
+def _proposed(found: _Found, fit: RigidFit, rig: Rig) -> TextureMatches:
+    points = found.points
+    order = np.flatnonzero(fit.used)[np.argsort(-found.likeness[fit.used], kind="stable")]
+    image = "color" if rig.proximity_color is not None else "depth"
+    pairs = tuple(
+        Correspondence(
+            id=f"t{rank + 1}",
+            proximity_u=float(points.proximity[i, 0]),
+            proximity_v=float(points.proximity[i, 1]),
+            tactile_u=float(points.tactile[i, 0]),
+            tactile_v=float(points.tactile[i, 1]),
+            tactile_depth_m=float(points.tactile_depth_m[i]),
+            proximity_image="color" if image == "color" else "depth",
+            snapshot=int(found.view[i]),
+        )
+        for rank, i in enumerate(order)
+    )
+    return TextureMatches(pairs, found.likeness[order], fit)
+
+
+def _color_points(places: Float64Array, proximity: Float64Array) -> RigidPoints:
+    count = len(places)
+    return RigidPoints(places[:, :2], places[:, 2], proximity, np.ones(count, bool), np.full(count, np.nan))
+
+
+def _joined(parts: list[_Found]) -> _Found:
+    if not parts:
+        return _Found(_color_points(np.zeros((0, 3)), np.zeros((0, 2))), np.zeros(0, np.intp), np.zeros(0))
+    points = [part.points for part in parts]
+    return _Found(
+        RigidPoints(
+            np.concatenate([p.tactile for p in points]),
+            np.concatenate([p.tactile_depth_m for p in points]),
+            np.concatenate([p.proximity for p in points]),
+            np.concatenate([p.in_color for p in points]),
+            np.concatenate([p.proximity_depth_m for p in points]),
+        ),
+        np.concatenate([part.view for part in parts]),
+        np.concatenate([part.likeness for part in parts]),
+    )
+
+
+def _likeness(
+    first: npt.NDArray[np.uint8], second: npt.NDArray[np.uint8], here: Float64Array, there: Float64Array
+) -> float:
+    size = (_PATCH_PX, _PATCH_PX)
+    a = cv2.getRectSubPix(first, size, (float(here[0]), float(here[1])))
+    b = cv2.getRectSubPix(second, size, (float(there[0]), float(there[1])))
+    return float(cv2.matchTemplate(a, b, cv2.TM_CCOEFF_NORMED)[0, 0])
+
+
+def _textured(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    """Return a grey image with local contrast evened out, so that both cameras' exposures compare."""
+    return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(to_gray(image)))
+
+
+def _inner(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+    """Return where a whole patch has depth, holes aside."""
+    closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
+    return np.asarray(cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)))
+
+
+def _filled(depth_m: Float64Array, valid: npt.NDArray[np.bool_]) -> Float64Array:
+    """Smooth the depth and fill its holes, weighted by what is valid."""
+    weight = cv2.GaussianBlur(valid.astype(np.float64), (0, 0), 2.5)
+    smooth = cv2.GaussianBlur(np.where(valid, depth_m, 0.0), (0, 0), 2.5)
+    usual = float(np.median(depth_m[valid])) if valid.any() else 0.3
+    return np.asarray(np.where(weight > 0.05, smooth / np.maximum(weight, 0.05), usual))
+
+
+def _pose_of(matrix: npt.ArrayLike) -> Pose:
+    array = np.asarray(matrix, np.float64)
+    return Pose(array[:3, :3], array[:3, 3])
