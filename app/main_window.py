@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
@@ -12,7 +13,6 @@ from ..core.preset import Preset
 from ..core.preset_file import shipped_presets
 from ..core.sources.registry import open_source
 from ..widgets.cloud_view import BackendChoice
-from ..widgets.colormaps import Theme
 from ..widgets.image_strip import ImageStrip
 from ..widgets.parameter_panel import ParameterPanel
 from ..widgets.theme import ThemeChoice, apply_theme, theme_name
@@ -23,11 +23,11 @@ from .error_hook import ErrorHook
 from .eyedropper import Eyedropper
 from .file_flows import FileFlows
 from .frame_export import export_patch
+from .frame_presenter import FramePresenter
 from .help import show_about, show_shortcuts
 from .layout_memory import remember_layout, restore_layout
 from .message_bar import MessageBar, Severity
 from .opening_bar import OpeningBar
-from .readout import readout
 from .recovery import Autosave
 from .results import Result, SourceInfo, Wanted
 from .settings import Settings
@@ -79,7 +79,6 @@ class MainWindow(QMainWindow):
         super().__init__()
         self.settings = settings
         self.data_folder = data_folder
-        self.result: Result | None = None
         self.document = Document(preset, self)
         self.worker = Worker(preset, self)
         self.autosave = Autosave(self.document, data_folder, self)
@@ -96,8 +95,16 @@ class MainWindow(QMainWindow):
         self.file_flows = FileFlows(
             self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source
         )
+        self.presenter = FramePresenter(
+            self.document,
+            views=self.views,
+            strip=self.strip,
+            panel=self.panel,
+            transport=self.transport,
+            status=self.status,
+            messages=self.messages,
+        )
         self.eyedropper = Eyedropper(self.document, self.panel, self.strip, self.messages)
-        self._said_warnings: tuple[str, ...] = ()
         self._closing = False
         self._lay_out()
         self._connect()
@@ -110,6 +117,11 @@ class MainWindow(QMainWindow):
         self.views.setFocus()
         self._send_wanted()
         self.worker.start()
+
+    @property
+    def result(self) -> Result | None:
+        """The frame that is shown; None before the first one of a source."""
+        return self.presenter.result
 
     # Building
 
@@ -172,11 +184,8 @@ class MainWindow(QMainWindow):
         transport.held.connect(worker.set_held)
         self.opening.cancelled.connect(worker.cancel_open)
         self.views.wantedChanged.connect(self._send_wanted)
-        self.strip.hovered.connect(self._hovered)
         self.strip.widthHintChanged.connect(self._send_wanted)
-        self.strip.regionEdited.connect(
-            lambda rectangle, gesture: self.document.edit("region.rectangle", rectangle, gesture)
-        )
+        self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.sections["tolerance"].collapsedChanged.connect(self._send_wanted)
 
     def _connect_actions(self) -> None:
@@ -235,15 +244,15 @@ class MainWindow(QMainWindow):
 
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
-        for key in ("source", "worker", "health", "problem", "rig"):
-            self.messages.clear(key)
-        self._said_warnings = ()
-        self.result = None
-        self.actions_.export_patch.setEnabled(False)
+        self.messages.clear("source")
+        self.messages.clear("worker")
+        if self.result is None or self.result.source is not info:
+            self.presenter.forget()
+            self.actions_.export_patch.setEnabled(False)
+            self.views.show_message(_OPENING)
         self.settings.add_recent("sources", info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(_describe(info))
-        self.views.show_message(_OPENING)
         height, width = info.rig.proximity.intrinsics.shape
         self.left.set_aspect(height / width)
 
@@ -261,40 +270,10 @@ class MainWindow(QMainWindow):
         result = self.worker.take()
         if result is None:
             return
-        self.result = result
-        self.views.show_result(result, self._theme())
-        rendered = result.rendered
-        if rendered.strip is not None:
-            self.strip.set_images(rendered.strip)
-        if rendered.histogram is not None:
-            histogram = rendered.histogram
-            self.panel.set_histogram(histogram.counts, histogram.edges, self.document.preset.tolerance.t)
-        self.panel.set_median_distance_m(rendered.median_distance_m)
-        self.transport.show_state(result.playback)
-        self.status.show_result(result)
+        self.presenter.show(result)
         self.eyedropper.show_result(result)
         self.actions_.export_patch.setEnabled(result.patch is not None)
-        self._show_warnings(result)
         self.frameShown.emit()
-
-    def _show_warnings(self, result: Result) -> None:
-        """Say what is wrong once; a dismissed sentence stays away until it changes."""
-        said = (result.problem, result.health, *result.warnings)
-        if said == self._said_warnings:
-            return
-        self._said_warnings = said
-        for key, severity, sentence in (
-            ("problem", Severity.ERROR, result.problem),
-            ("health", Severity.WARNING, result.health),
-            ("rig", Severity.WARNING, " ".join(result.warnings)),
-        ):
-            if sentence:
-                self.messages.show_message(key, severity, sentence)
-            else:
-                self.messages.clear(key)
-
-    def _hovered(self, u: int, v: int) -> None:
-        self.strip.set_readout(readout(self.result, u, v) if self.result is not None else "")
 
     def _send_wanted(self) -> None:
         """Tell the worker what can be seen; the rest is not drawn."""
@@ -306,13 +285,12 @@ class MainWindow(QMainWindow):
                 strip=not self.strip.isHidden(),
                 strip_width=self.strip.width_hint(),
                 histogram=panel and not self.panel.sections["tolerance"].collapsed,
-                dark=self._theme() == "dark",
+                dark=theme_name() == "dark",
             )
         )
 
     def _play_or_pause(self) -> None:
-        state = self.transport.state
-        if state.playing and not state.frozen:
+        if self.transport.state.running:
             self.worker.pause()
         else:
             self.worker.play()
@@ -351,9 +329,6 @@ class MainWindow(QMainWindow):
             for entry in self.menus.themes.actions():
                 entry.setChecked(entry.data() == choice)
         self._send_wanted()
-
-    def _theme(self) -> Theme:
-        return theme_name()
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Have frames drawn again for another theme, also when the desktop's changes."""

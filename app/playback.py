@@ -22,6 +22,11 @@ class PlaybackState:
     speed: float = 1.0
 
     @property
+    def running(self) -> bool:
+        """Whether another frame will follow by itself."""
+        return self.playing and not self.frozen
+
+    @property
     def seekable(self) -> bool:
         """Whether one can step and seek."""
         return self.length is not None

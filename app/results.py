@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,10 @@ from .playback import PlaybackState
 if TYPE_CHECKING:
     from ..widgets.cloud_data import DepthCloud
     from ..widgets.strip_render import RenderedStrip
+
+
+#: Share of the strip's full resolution that is enough while frames run.
+_RUNNING_SHARE = 0.8
 
 
 class CloudName(StrEnum):
@@ -51,6 +55,10 @@ class Wanted:
     strip_width: int = 0
     histogram: bool = True
     dark: bool = False
+
+    def while_running(self) -> Wanted:
+        """Return what is enough while frames follow each other: the strip a little coarser."""
+        return replace(self, strip_width=round(_RUNNING_SHARE * self.strip_width))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,6 +19,7 @@ class FrameStatus(QStatusBar):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.setSizeGripEnabled(False)
+        self.setContentsMargins(0, 0, 8, 0)
         self._shown_rate = RateMeter()
         self._last_s = 0.0
         self._source = ElidedLabel()
@@ -30,7 +31,7 @@ class FrameStatus(QStatusBar):
         )
         self._skew = self._number("skew 00.0 ms", "Tactile minus proximity time stamp")
         self._points = self._number("000000 points", "Points of the patch")
-        self._area = self._number("patch 000.0 cm²", "Area of the patch, projected along the optical axis")
+        self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
     @property
     def shown_fps(self) -> float:
@@ -45,7 +46,7 @@ class FrameStatus(QStatusBar):
         """Count a frame as shown and refresh the numbers when it is time."""
         self._shown_rate.tick()
         now = time.perf_counter()
-        running = result.playback.playing and not result.playback.frozen
+        running = result.playback.running
         if running and now - self._last_s < INTERVAL_S:
             return
         self._last_s = now

@@ -26,7 +26,10 @@ def draw_strip(
     *,
     width_hint: int,
 ) -> RenderedStrip:
-    """Return the four panes; ``width_hint`` is how many screen pixels an image takes across, 0 for all."""
+    """Return the four panes, with both sides of the tolerance test as depths, so that they compare.
+
+    ``width_hint`` is how many screen pixels an image takes across; 0 draws all pixels.
+    """
     typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
     stride = stride_for(width, width_hint)
@@ -39,7 +42,7 @@ def draw_strip(
     images = StripImages(
         color=color,
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
-        proximity_m=np.where(valid, depth_m, np.float32(np.nan)),
+        proximity_m=np.where(valid, depth_m, nothing) if patch is None else patch.aligned.expected_m[every],
         tactile_m=nothing if patch is None else patch.aligned.measured_m[every],
         relative=nothing if patch is None else patch.relative_difference[every],
         tolerance=preset.tolerance.t,

@@ -81,8 +81,7 @@ class Transport(QWidget):
         """Show what can be done now; everything but the frame number."""
         state, actions = self._state, self._actions
         several = state.length is None or state.length > 1
-        running = state.playing and not state.frozen
-        word = "Pause" if running else "Play"
+        word = "Pause" if state.running else "Play"
         actions.play.setEnabled(several)
         actions.play.setIcon(icon(word.lower()))
         actions.play.setText(f"&{word}\tSpace")

@@ -122,7 +122,7 @@ class Worker(QThread):
 
     def pause(self) -> None:
         """Stand still at the present frame."""
-        self._orders.put(self._playback.pause)
+        self._orders.put(self._stand_still)
 
     def step(self, by: int) -> None:
         """Pause and show the frame ``by`` frames away."""
@@ -142,7 +142,7 @@ class Worker(QThread):
 
     def set_frozen(self, frozen: bool) -> None:
         """Hold the present frame while a live source goes on; a recording waits."""
-        self._orders.put(lambda: setattr(self._playback, "frozen", frozen))
+        self._orders.put(lambda: self._freeze(frozen))
 
     def set_held(self, held: bool) -> None:
         """Make a recording wait while the person drags its slider."""
@@ -239,6 +239,14 @@ class Worker(QThread):
         if not self._playback.playing:
             self._show(0)
 
+    def _stand_still(self) -> None:
+        self._playback.pause()
+        self._stale = True  # what stands still is drawn in full
+
+    def _freeze(self, frozen: bool) -> None:
+        self._playback.frozen = frozen
+        self._stale = True
+
     def _step(self, by: int) -> None:
         self._playback.pause()
         self._playback.frozen = False
@@ -284,7 +292,8 @@ class Worker(QThread):
         try:
             patch, problem = self._find_patch(frame)
             started = time.perf_counter()
-            rendered = self._renderer.render(frame, patch, self._preset, self._info.rig, self._wanted)
+            wanted = self._wanted.while_running() if self._playback.state.running else self._wanted
+            rendered = self._renderer.render(frame, patch, self._preset, self._info.rig, wanted)
             render_ms = 1e3 * (time.perf_counter() - started)
             area_mm2 = patch.area_mm2 if patch is not None else 0.0
         except Exception as error:

@@ -1,0 +1,103 @@
+"""Puts a processed frame onto the widgets."""
+
+from __future__ import annotations
+
+import time
+
+from PyQt6.QtCore import QObject
+
+from ..widgets.image_strip import ImageStrip
+from ..widgets.parameter_panel import ParameterPanel
+from ..widgets.theme import theme_name
+from .document import Document
+from .message_bar import MessageBar, Severity
+from .readout import readout
+from .results import Result
+from .status import FrameStatus
+from .transport import Transport
+from .view_area import ViewArea
+
+#: The histogram and the readout are read, not watched; while frames run, a few times a second do.
+READING_INTERVAL_S = 0.1
+
+
+class FramePresenter(QObject):
+    """Shows results in views, strip, panel, controls and status bar; remembers the newest."""
+
+    def __init__(
+        self,
+        document: Document,
+        *,
+        views: ViewArea,
+        strip: ImageStrip,
+        panel: ParameterPanel,
+        transport: Transport,
+        status: FrameStatus,
+        messages: MessageBar,
+    ) -> None:
+        super().__init__(document)
+        self._document = document
+        self._views, self._strip, self._panel = views, strip, panel
+        self._transport, self._status, self._messages = transport, status, messages
+        self._result: Result | None = None
+        self._pixel = (-1, -1)
+        self._read_s = 0.0
+        self._said: tuple[str, ...] = ()
+        strip.hovered.connect(self._hovered)
+
+    @property
+    def result(self) -> Result | None:
+        """What is shown now; None before the first frame of a source."""
+        return self._result
+
+    def forget(self) -> None:
+        """Begin with another source."""
+        self._result = None
+        self._said = ()
+        for key in ("problem", "health", "rig"):
+            self._messages.clear(key)
+
+    def show(self, result: Result) -> None:
+        """Show a result; what was not drawn for it stays as it is."""
+        self._result = result
+        self._views.show_result(result, theme_name())
+        if result.rendered.strip is not None:
+            self._strip.set_images(result.rendered.strip)
+        runs = result.playback.running
+        now = time.perf_counter()
+        if not runs or now - self._read_s >= READING_INTERVAL_S:
+            self._read_s = now
+            self._show_readings(result)
+        self._transport.show_state(result.playback)
+        self._status.show_result(result)
+        self._show_warnings(result)
+
+    def _show_readings(self, result: Result) -> None:
+        histogram = result.rendered.histogram
+        if histogram is not None:
+            self._panel.set_histogram(histogram.counts, histogram.edges, self._document.preset.tolerance.t)
+        self._panel.set_median_distance_m(result.rendered.median_distance_m)
+        self._show_readout()
+
+    def _show_warnings(self, result: Result) -> None:
+        """Say what is wrong once; a dismissed sentence stays away until it changes."""
+        said = (result.problem, result.health, *result.warnings)
+        if said == self._said:
+            return
+        self._said = said
+        for key, severity, sentence in (
+            ("problem", Severity.ERROR, result.problem),
+            ("health", Severity.WARNING, result.health),
+            ("rig", Severity.WARNING, " ".join(result.warnings)),
+        ):
+            if sentence:
+                self._messages.show_message(key, severity, sentence)
+            else:
+                self._messages.clear(key)
+
+    def _hovered(self, u: int, v: int) -> None:
+        self._pixel = u, v
+        self._show_readout()
+
+    def _show_readout(self) -> None:
+        self._strip.set_readout(readout(self._result, *self._pixel) if self._result is not None else "")
