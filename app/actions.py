@@ -8,16 +8,12 @@ from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction, QActionGroup, QKeySequence, QUndoStack
 from PyQt6.QtWidgets import QMenu, QMenuBar
 
+from ..core.sources.registry import source_kinds
 from .icons import icon
 from .playback import SPEEDS
 
 StandardKey = QKeySequence.StandardKey
 THEMES = ("system", "light", "dark")
-SOURCES = (
-    ("sim:cup", "Simulator: cup on its side"),
-    ("sim:cube", "Simulator: cube"),
-    ("sim:octopus", "Simulator: octopus"),
-)
 
 
 @dataclass(frozen=True)
@@ -32,6 +28,7 @@ class Actions:
     open_preset: QAction
     save: QAction
     save_as: QAction
+    details: QAction
     export_patch: QAction
     open_folder: QAction
     open_bag: QAction
@@ -91,6 +88,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_preset=action("&Open preset…", shortcut=StandardKey.Open),
         save=action("&Save preset", shortcut=StandardKey.Save),
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
+        details=action("Name and no&tes…", "Name the preset and note what it is for", "F2"),
         export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
         open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
         open_bag=action("Open &bag…", "Open a RealSense .bag recording"),
@@ -138,10 +136,11 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     """Fill the menu bar, and build the two menus of the toolbar from the same actions."""
     parent = bar
     source = QMenu("Source", parent)
-    for name, title in SOURCES:
-        entry = source.addAction(title)
-        assert entry is not None
-        entry.setData(name)
+    for kind in source_kinds():
+        for name in kind.examples:
+            entry = source.addAction(f"{kind.title}: {name.partition(':')[2]}")
+            assert entry is not None
+            entry.setData(name)
     source.addSeparator()
     source.addActions([actions.open_folder, actions.open_bag])
     recent_sources = _submenu(source, "&Recent sources")
@@ -149,13 +148,13 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     preset = QMenu("Preset", parent)
     preset.addAction(actions.new_preset)
     shipped = _submenu(preset, "New from s&hipped preset")
-    preset.addActions([actions.open_preset, actions.save, actions.save_as])
+    preset.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
     recent_presets = _submenu(preset, "&Recent presets")
 
     file_menu = _menu(bar, "&File")
     file_menu.addAction(actions.new_preset)
     file_menu.addMenu(shipped)
-    file_menu.addActions([actions.open_preset, actions.save, actions.save_as])
+    file_menu.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
     file_menu.addMenu(recent_presets)
     file_menu.addSeparator()
     file_menu.addActions([actions.open_folder, actions.open_bag])

@@ -57,6 +57,8 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     """Say what an edit did, such as ``"Tolerance t 0.012"``, for the Edit menu."""
     if len(paths) == 1:
         return f"{field_title(paths[0])} {format_value(preset.value(paths[0]))}"
+    if len(paths) == 2:
+        return " and ".join(field_title(path) for path in paths).capitalize()
     sections = sorted({path.split(".")[0] for path in paths})
     return f"{', '.join(sections)} ({len(paths)} values)"
 

@@ -9,7 +9,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtWidgets import QFileDialog, QMessageBox, QWidget
+from PyQt6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QFileDialog,
+    QFormLayout,
+    QLineEdit,
+    QMessageBox,
+    QPlainTextEdit,
+    QWidget,
+)
 
 PRESET_FILTER = "Presets (*.json)"
 
@@ -43,6 +52,33 @@ class Dialogs:
 
         box.finished.connect(answered)
         box.open()
+
+    def ask_details(self, name: str, notes: str, use: Callable[[str, str], object]) -> None:
+        """Ask for the name and the notes of a preset."""
+        dialog = QDialog(self._parent)
+        dialog.setWindowTitle("Name and notes")
+        name_entry, notes_entry = QLineEdit(name), QPlainTextEdit(notes)
+        name_entry.setMaxLength(120)
+        notes_entry.setTabChangesFocus(True)
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
+        buttons.accepted.connect(dialog.accept)
+        buttons.rejected.connect(dialog.reject)
+        accept = buttons.button(QDialogButtonBox.StandardButton.Ok)
+        assert accept is not None
+        name_entry.textChanged.connect(lambda text: accept.setEnabled(bool(text.strip())))
+        form = QFormLayout(dialog)
+        form.addRow("&Name", name_entry)
+        form.addRow("N&otes", notes_entry)
+        form.addRow(buttons)
+
+        def answered(result: int) -> None:
+            dialog.deleteLater()
+            if result:
+                use(name_entry.text().strip(), notes_entry.toPlainText())
+
+        dialog.finished.connect(answered)
+        dialog.resize(420, 260)
+        dialog.open()
 
     def open_file(self, title: str, folder: Path, name_filter: str, use: Callable[[Path], None]) -> None:
         """Ask for an existing file."""

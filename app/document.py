@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
 from ..core.errors import PresetError
-from ..core.preset import Preset
+from ..core.preset import Preset, now
 from ..core.preset_file import load_preset, save_preset
 from .commands import EditPreset
 
@@ -126,7 +126,7 @@ class Document(QObject):
         PresetError
             The file cannot be written; the document stays unsaved.
         """
-        save_preset(self._preset, path)
+        save_preset(self._preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()
         self.baselineChanged.emit(self._preset)

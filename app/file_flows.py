@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from PyQt6.QtCore import QObject
 
 from ..core.errors import TactuneError
+from ..core.frames import Rig
 from ..core.preset import now
 from ..core.preset_file import load_preset
 from .dialogs import PRESET_FILTER, Dialogs
@@ -27,6 +29,8 @@ class FileFlows(QObject):
     ----------
     open_source : callable
         Opens a source by its name.
+    rig : callable
+        Returns the rig of the source that is open, or None.
     """
 
     def __init__(
@@ -37,6 +41,7 @@ class FileFlows(QObject):
         messages: MessageBar,
         autosave: Autosave,
         open_source: Callable[[str], None],
+        rig: Callable[[], Rig | None],
     ) -> None:
         super().__init__(document)
         self._document = document
@@ -45,6 +50,7 @@ class FileFlows(QObject):
         self._messages = messages
         self._autosave = autosave
         self._open_source = open_source
+        self._rig = rig
 
     # Presets
 
@@ -86,6 +92,15 @@ class FileFlows(QObject):
         """Ask where to save."""
         suggestion = self._document.path or self._folder("preset") / f"{file_name(self._document.preset.name)}.json"
         self._dialogs.save_file("Save preset", suggestion, [PRESET_FILTER], lambda path: self._write_preset(path, then))
+
+    def details(self) -> None:
+        """Ask for the preset's name and notes."""
+        preset = self._document.preset
+        self._dialogs.ask_details(
+            preset.name,
+            preset.notes,
+            lambda name, notes: self._document.edit_many({"name": name, "notes": notes}),
+        )
 
     # Recordings
 
@@ -168,8 +183,7 @@ class FileFlows(QObject):
             self._settings.remove_recent("presets", str(path))
 
     def _write_preset(self, path: Path, then: Callable[[], object] | None) -> None:
-        if self._document.path is None and self._document.preset.name == "untitled":
-            self._document.edit("name", path.stem[:120] or "untitled")
+        self._complete(path)
         if not self._told(lambda: self._document.save(path)):
             return
         self._messages.clear("file")
@@ -177,6 +191,17 @@ class FileFlows(QObject):
         self._settings.add_recent("presets", str(path))
         if then is not None:
             then()
+
+    def _complete(self, path: Path) -> None:
+        """Before it is saved, give a preset what it still lacks: a name, and the rig it was tuned on."""
+        preset, rig = self._document.preset, self._rig()
+        missing: dict[str, Any] = {}
+        if preset.name == "untitled":
+            missing["name"] = path.stem[:120] or "untitled"
+        if preset.rig is None and rig is not None:
+            missing["rig"] = rig.model_dump(mode="json")
+        if missing:
+            self._document.edit_many(missing)
 
     def _open_recording(self, name: str, path: Path) -> None:
         self._settings.set("folder/source", str(path.parent))

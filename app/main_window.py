@@ -9,6 +9,7 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
 
+from ..core.frames import Rig
 from ..core.preset import Preset
 from ..core.preset_file import shipped_presets
 from ..core.sources.registry import open_source
@@ -93,7 +94,7 @@ class MainWindow(QMainWindow):
         self.error_hook = ErrorHook(self)
         self.dialogs = Dialogs(self, native_dialogs)
         self.file_flows = FileFlows(
-            self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source
+            self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source, self._rig
         )
         self.presenter = FramePresenter(
             self.document,
@@ -200,6 +201,7 @@ class MainWindow(QMainWindow):
         actions.open_preset.triggered.connect(flows.open_preset_dialog)
         actions.save.triggered.connect(lambda _: flows.save())
         actions.save_as.triggered.connect(lambda _: flows.save_as())
+        actions.details.triggered.connect(flows.details)
         actions.open_folder.triggered.connect(flows.open_folder_dialog)
         actions.open_bag.triggered.connect(flows.open_bag_dialog)
         actions.export_patch.triggered.connect(self._export)
@@ -242,6 +244,9 @@ class MainWindow(QMainWindow):
             self.views.show_message(_OPENING)
         self.worker.open(request)
 
+    def _rig(self) -> Rig | None:
+        return self.result.source.rig if self.result is not None else None
+
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
         self.messages.clear("source")
@@ -256,10 +261,9 @@ class MainWindow(QMainWindow):
         height, width = info.rig.proximity.intrinsics.shape
         self.left.set_aspect(height / width)
 
-    def _open_failed(self, name: str, sentence: str) -> None:
+    def _open_failed(self, _name: str, sentence: str) -> None:
         self.opening.hide()
         if sentence:
-            self.settings.remove_recent("sources", name)
             self.messages.show_message("source", Severity.ERROR, sentence)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)

@@ -84,7 +84,7 @@ def test_a_refused_value_changes_nothing_and_says_why(document, preset, path, va
 def test_several_fields_change_as_one_step(document):
     document.edit_many({"mask.hue": (10, 20), "mask.value": (30, 40)})
     assert document.undo_stack.count() == 1
-    assert document.undo_stack.undoText() == "mask (2 values)"
+    assert document.undo_stack.undoText() == "Hue and value"
     document.undo_stack.undo()
     assert document.preset.mask.hue == (0, 179)
 

@@ -390,3 +390,28 @@ def test_a_source_that_fails_on_the_way_is_said_and_can_be_played_on(make_window
     qtbot.waitUntil(lambda: not window.transport.state.playing)
     window.worker.seek(3)
     qtbot.waitUntil(lambda: at_rest(window, 3))
+
+
+def test_naming_a_preset_is_one_step(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F2)
+    qtbot.waitUntil(lambda: QApplication.activeModalWidget() is not None)
+    dialog = QApplication.activeModalWidget()
+    entry = dialog.findChild(QLineEdit)
+    entry.selectAll()
+    QTest.keyClicks(entry, "green membrane")
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: window.document.preset.name == "green membrane")
+    assert window.toolbar.preset.text() == "Preset: green membrane *"
+    assert window.document.undo_stack.count() == 1
+    window.document.undo_stack.undo()
+    assert window.document.preset.name == "tiny"
+
+
+def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):
+    assert window.document.preset.rig is None
+    QTest.keyClick(window, Qt.Key.Key_S, CONTROL_SHIFT)
+    type_path(qtbot, tmp_path / "mine.json")
+    qtbot.waitUntil(lambda: window.document.path is not None)
+    assert load_preset(tmp_path / "mine.json").rig == tiny_rig()
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    assert window.result.warnings == ()
