@@ -17,7 +17,7 @@ class FrameReader:
 
     def __init__(self, source: FrameSource) -> None:
         self.source = source
-        self._thread = ThreadPoolExecutor(max_workers=1, thread_name_prefix="reader")
+        self._thread = ThreadPoolExecutor(1, "reader")
         self._ahead: tuple[int, Future[SensorFrame | None]] | None = None
 
     def read(self, index: int) -> SensorFrame | None:

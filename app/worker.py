@@ -6,7 +6,6 @@ mailbox, with one wake-up however many frames were dropped in between.
 
 from __future__ import annotations
 
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -14,7 +13,6 @@ from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Any
 
-import numba
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ..core.errors import TactuneError
@@ -22,6 +20,7 @@ from ..core.frames import SensorFrame
 from ..core.pipeline import ContactPatch, ContactPipeline
 from ..core.preset import Preset
 from ..core.sources.base import FrameSource
+from .cores import leave_room_for_the_window
 from .mailbox import Mailbox
 from .playback import Playback
 from .reader import FrameReader
@@ -338,15 +337,6 @@ class Worker(QThread):
     def _fail(self, sentence: str) -> None:
         self._playback.pause()
         self.failed.emit(sentence)
-
-
-def leave_room_for_the_window() -> None:
-    """Let compiled kernels of this thread use all cores but one.
-
-    The window draws on that one. Kernels that wait for a thread which the window keeps from running
-    take several times longer than on one core alone.
-    """
-    numba.set_num_threads(max(1, min(numba.get_num_threads(), (os.cpu_count() or 1) - 1)))
 
 
 def explain(error: Exception, what: str) -> str:

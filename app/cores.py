@@ -1,0 +1,16 @@
+"""How the processor's cores are shared between the window and its threads."""
+
+from __future__ import annotations
+
+import os
+
+import numba
+
+
+def leave_room_for_the_window() -> None:
+    """Let compiled kernels of the calling thread use all cores but one.
+
+    The window draws on that one. Kernels that wait for a thread which the window keeps from running
+    take several times longer than on one core alone.
+    """
+    numba.set_num_threads(max(1, min(numba.get_num_threads(), (os.cpu_count() or 1) - 1)))
