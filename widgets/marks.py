@@ -17,6 +17,8 @@ from .image_pane import ImagePane
 #: How near, in screen pixels, the mouse must come to a mark to take hold of it.
 REACH: Final = 9.0
 _RADIUS = 6.5
+#: From so many marks on, they are drawn small.
+_CROWD, _SMALL_RADIUS = 80, 3.5
 _ARROW_HEAD = 8.0
 _CASING = QColor(0, 0, 0, 170)
 
@@ -163,6 +165,9 @@ class MarkLayer(QWidget):
         style = Qt.PenStyle.DotLine if dashed else Qt.PenStyle.SolidLine
         if mark.selected:
             _ring(painter, place, QColor("white"), radius=_RADIUS + 4, width=2.0)
+        if len(self._marks) >= _CROWD:
+            _ring(painter, place, color, radius=_SMALL_RADIUS, width=1.4)
+            return
         _ring(painter, place, color, radius=_RADIUS, width=2.0, style=style)
         painter.setPen(QPen(color, 1.5))
         painter.drawPoint(place)

@@ -61,6 +61,7 @@ class FramesPage(QWidget):
         self._make_controls()
         self._lay_out()
         self._connect()
+        self.setFocusProxy(self.take)
         self._show_state(session.state)
         self._show_frame()
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from math import nan
+
 from PyQt6.QtCore import QSignalBlocker, Qt
 from PyQt6.QtWidgets import (
     QButtonGroup,
@@ -16,11 +18,13 @@ from PyQt6.QtWidgets import (
     QPushButton,
     QRadioButton,
     QSpinBox,
+    QSplitter,
     QVBoxLayout,
     QWidget,
 )
 
 from ...widgets.marks import Mark, MarkKind
+from ...widgets.point_table import PointRow, PointTable
 from .jobs import Job
 from .outcome import Outcome, same_pixels
 from .pair_view import PairView
@@ -43,10 +47,10 @@ _SIZES = {
     Helper.DOTS: "dots",
 }
 _DICTIONARIES = ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_ARUCO_ORIGINAL")
-_INTRO = (
-    "Press Find. What is found is drawn in green; click a ring to refuse it (grey) or take it back. Nothing counts "
-    "until you accept it."
+_ADVICE = (
+    "Click a green ring, or its check mark in the table, to refuse it or take it back. Nothing counts until you accept."
 )
+_INTRO = "Press Find; what is found is drawn in green. " + _ADVICE
 #: More rings than this are drawn without their numbers.
 _MOST_LABELS = 120
 
@@ -64,11 +68,19 @@ class HelpersPage(QWidget):
         self.view = PairView(lambda picture, place: None)
         self.view.set_snapping(False)
         self.view.set_loupe_wanted(False)
+        self.table = PointTable("proximity", "tactile")
         self._make_controls()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(8, 6, 8, 4)
         layout.addWidget(self._control_column())
-        layout.addWidget(self.view, 1)
+        split = QSplitter(Qt.Orientation.Vertical)
+        split.addWidget(self.view)
+        split.addWidget(self.table)
+        split.setStretchFactor(0, 1)
+        split.setSizes([480, 200])
+        split.setChildrenCollapsible(False)
+        layout.addWidget(split, 1)
+        self.setFocusProxy(self.search)
         self._connect()
         self._helper_chosen()
         self._show_state(session.state)
@@ -100,13 +112,11 @@ class HelpersPage(QWidget):
 
     def _make_controls(self) -> None:
         self.helpers = QButtonGroup(self)
-        for number, helper in enumerate(Helper):
-            button = QRadioButton(helper.value)
+        self.radios = {helper: QRadioButton(helper.value) for helper in Helper}
+        for number, (helper, button) in enumerate(self.radios.items()):
             button.setToolTip(_TIPS[helper])
             self.helpers.addButton(button, number)
-        first = self.helpers.button(0)
-        assert first is not None
-        first.setChecked(True)
+        self.radios[Helper.TEXTURE].setChecked(True)
         self.columns, self.rows = QSpinBox(), QSpinBox()
         for box, count in ((self.columns, 9), (self.rows, 6)):
             box.setRange(2, 60)
@@ -125,8 +135,8 @@ class HelpersPage(QWidget):
         self.everywhere = QCheckBox("Look in all snapshots")
         self.everywhere.setChecked(True)
         self.everywhere.setToolTip("Off: only in the one that is shown")
-        self.find = _push("Find", "Look for points now (Ctrl+F)")
-        self.find.setShortcut("Ctrl+F")
+        self.search = _push("Find", "Look for points now (Ctrl+F)")
+        self.search.setShortcut("Ctrl+F")
         self.cancel = _push("Cancel", "Stop looking")
         self.progress = QProgressBar()
         self.progress.setRange(0, 100)
@@ -139,13 +149,13 @@ class HelpersPage(QWidget):
     def _control_column(self) -> QWidget:
         choice = QGroupBox("Look for")
         helpers = QVBoxLayout(choice)
-        for button in self.helpers.buttons():
+        for button in self.radios.values():
             helpers.addWidget(button)
-        self.size = QGroupBox("Target")
-        form = QFormLayout(self.size)
-        self.size_labels = (QLabel("Columns"), QLabel("Rows"))
-        form.addRow(self.size_labels[0], self.columns)
-        form.addRow(self.size_labels[1], self.rows)
+        self.target = QGroupBox("Target")
+        form = QFormLayout(self.target)
+        self.target_labels = (QLabel("Columns"), QLabel("Rows"))
+        form.addRow(self.target_labels[0], self.columns)
+        form.addRow(self.target_labels[1], self.rows)
         self.marker_labels = (QLabel("Marker / square"), QLabel("Dictionary"))
         form.addRow(self.marker_labels[0], self.share)
         form.addRow(self.marker_labels[1], self.dictionary)
@@ -153,7 +163,7 @@ class HelpersPage(QWidget):
         column.setFixedWidth(270)
         layout = QVBoxLayout(column)
         layout.setContentsMargins(0, 0, 0, 0)
-        for widget in (choice, self.size, self.snapshot, self.everywhere, self.find, self.progress, self.cancel):
+        for widget in (choice, self.target, self.snapshot, self.everywhere, self.search, self.progress, self.cancel):
             layout.addWidget(widget)
         layout.addWidget(self.words, 1)
         row = QHBoxLayout()
@@ -166,12 +176,14 @@ class HelpersPage(QWidget):
         session = self._session
         self.helpers.idClicked.connect(lambda _: self._helper_chosen())
         self.snapshot.activated.connect(lambda _: session.look(snapshot=self.snapshot.currentData()))
-        self.find.clicked.connect(self.look)
+        self.search.clicked.connect(self.look)
         self.cancel.clicked.connect(self._job.cancel)
         self.accept.clicked.connect(self.accept_proposals)
         self.refuse.clicked.connect(lambda: self._take(Proposals((), "Refused; nothing was taken over.")))
         for image in self.view.images.values():
             image.pressed.connect(lambda key, _: self.toggle(key))
+        self.table.enabledToggled.connect(lambda key, _: self.toggle(key))
+        self.table.selectionEdited.connect(lambda _: self._show_proposals())
         session.changed.connect(self._show_state)
         self._job.progress.connect(self._show_progress)
         self._job.done.connect(self._take)
@@ -190,6 +202,7 @@ class HelpersPage(QWidget):
     def toggle(self, key: int) -> None:
         """Refuse a proposal, or take it back."""
         self._refused = self._refused ^ {key}
+        self._show_table()
         self._show_proposals()
 
     def accept_proposals(self) -> None:
@@ -203,8 +216,8 @@ class HelpersPage(QWidget):
 
     def _helper_chosen(self) -> None:
         helper = list(Helper)[self.helpers.checkedId()]
-        self.size.setVisible(helper is not Helper.TEXTURE)
-        for label, word in zip(self.size_labels, ("Columns", "Rows"), strict=True):
+        self.target.setVisible(helper is not Helper.TEXTURE)
+        for label, word in zip(self.target_labels, ("Columns", "Rows"), strict=True):
             label.setText(f"{word} of {_SIZES.get(helper, '')}")
         for widget in (*self.marker_labels, self.share, self.dictionary):
             widget.setVisible(helper is Helper.CHARUCO)
@@ -212,8 +225,8 @@ class HelpersPage(QWidget):
     def _show_state(self, state: SessionState) -> None:
         with QSignalBlocker(self.snapshot):
             self.snapshot.clear()
-            for snapshot in state.snapshots:
-                self.snapshot.addItem(snapshot.name, snapshot.digest)
+            for each in state.snapshots:
+                self.snapshot.addItem(each.name, each.digest)
             self.snapshot.setCurrentIndex(self.snapshot.findData(state.choices.snapshot))
         snapshot, choices = state.snapshot, state.choices
         for side in SIDES:
@@ -226,7 +239,7 @@ class HelpersPage(QWidget):
                 self.view.set_picture(side, None, "No snapshot yet: take one on the page Frames")
             else:
                 self.view.set_picture(side, picture(snapshot.frame, self._session.rig, side, choice, stretch=True))
-        self.find.setEnabled(bool(state.snapshots) and not self._job.busy)
+        self.search.setEnabled(bool(state.snapshots) and not self._job.busy)
         self._show_proposals()
 
     def _show_proposals(self) -> None:
@@ -237,13 +250,15 @@ class HelpersPage(QWidget):
             if pair.snapshot == state.choices.snapshot
             and same_pixels(pair, state.choices.proximity_image, self._session.rig)
         ]
+        selected = self.table.selected_keys()
         for side in SIDES:
             marks = []
             for pair in here:
                 place = pair.place(side)
                 assert place is not None
                 kind = MarkKind.OFF if pair.key in self._refused else MarkKind.PROPOSED
-                marks.append(Mark(pair.key, *place, str(pair.key) if len(here) <= _MOST_LABELS else "", kind))
+                label = str(pair.key) if len(here) <= _MOST_LABELS else ""
+                marks.append(Mark(pair.key, *place, label, kind, pair.key in selected))
             self.view.images[side].set_marks(marks)
         count = len(self.proposals)
         self.accept.setText(f"Accept {count}" if count else "Accept")
@@ -258,12 +273,28 @@ class HelpersPage(QWidget):
         busy = self._job.busy
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.find.setEnabled(not busy and bool(self._session.state.snapshots))
+        self.search.setEnabled(not busy and bool(self._session.state.snapshots))
 
     def _take(self, proposals: Proposals) -> None:
         self._pairs, self._refused = proposals.pairs, frozenset()
-        self.words.setText(proposals.words + (f" {_INTRO}" if proposals.pairs else ""))
+        self.words.setText(f"{proposals.words} {_ADVICE if proposals.pairs else ''}".strip())
+        self._show_table()
         self._show_proposals()
+
+    def _show_table(self) -> None:
+        self.table.set_rows([self._row(pair) for pair in self._pairs])
+
+    def _row(self, pair: PointPair) -> PointRow:
+        nowhere = (nan, nan)
+        snapshot = self._session.state.snapshot_of(pair)
+        return PointRow(
+            key=pair.key,
+            enabled=pair.key not in self._refused,
+            left=pair.proximity or nowhere,
+            right=pair.tactile or nowhere,
+            depth_m=nan if pair.tactile_depth_m is None else pair.tactile_depth_m,
+            note=f"{pair.origin}, {snapshot.name}" if snapshot is not None else pair.origin,
+        )
 
     def _failed(self, sentence: str) -> None:
         self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; nothing was taken over.")

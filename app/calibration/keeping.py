@@ -13,11 +13,12 @@ import numpy as np
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
 from ...core.atomic import atomic_path
+from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.frames import Rig, SensorFrame
 from ...core.preset import now
 from .session import Session
-from .state import Choices, PointPair, SessionState, Snapshot, digest_of, rig_key
+from .state import Choices, PointPair, SessionState, Snapshot, rig_key
 
 DELAY_MS = 600
 _VERSION = 1
@@ -163,7 +164,7 @@ def _read_images(path: Path, sequence: int) -> SensorFrame:
     with np.load(path) as stored:
         images = {name: stored[name] for name in _IMAGES if name in stored}
     frame = SensorFrame(sequence=sequence, **images)
-    if not path.name.startswith(f"snapshot-{digest_of(frame)[:24]}"):
+    if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")
     return frame
 

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from ...core.calibration.snapshots import depth_under
 from ...core.clouds import valid_depth
 from ...core.frames import Rig, SensorFrame
 from ...widgets.colormaps import depth_lut
@@ -17,9 +18,6 @@ from .state import ImageChoice, Side
 
 _RELIEF_SIGMA_PX = 9.0
 _RELIEF_LIMIT_M = 0.002
-#: Edge of the window over which the tactile depth under a click is read, pixels, and how many must be valid.
-_DEPTH_WINDOW = 5
-_FEWEST_DEPTHS = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,19 +58,8 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice, stret
 
 
 def tactile_depth_at(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
-    """Return the raw tactile depth in metres at a place: the median of a small window.
-
-    None where fewer than five of its pixels have a depth.
-    """
-    height, width = frame.tactile_depth.shape
-    column, row, reach = round(u), round(v), _DEPTH_WINDOW // 2
-    if not (0 <= column < width and 0 <= row < height):
-        return None
-    window = frame.tactile_depth[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1]
-    counts = window[valid_depth(window)]
-    if len(counts) < _FEWEST_DEPTHS:
-        return None
-    return float(np.median(counts)) * rig.tactile.depth_unit_m
+    """Return the raw tactile depth in metres at a place, from the pixels around it; None where there is none."""
+    return depth_under(frame.tactile_depth, rig.tactile.depth_unit_m, u, v)
 
 
 def pack_rgb(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:

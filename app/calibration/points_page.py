@@ -50,6 +50,7 @@ class PointsPage(QWidget):
         self._make_tools()
         self._lay_out()
         self._connect()
+        self.setFocusProxy(self.view.images["proximity"])
         self._show_state(session.state)
 
     # Building

@@ -13,12 +13,12 @@ from ...core.calibration.detect import (
     detect_circles,
     match_detections,
 )
+from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError
 from ...core.frames import Rig
 from .jobs import Progress
 from .pictures import Picture, picture, tactile_depth_at
 from .state import Choices, PointPair, Snapshot
-from .texture_proposals import texture_pairs
 
 
 class Helper(StrEnum):
@@ -60,6 +60,8 @@ def find_proposals(
     CalibrationError
         Nothing was found in any of them; the message is that of the last one.
     """
+    if options.helper is Helper.TEXTURE:
+        return _texture(snapshots, rig, progress)
     found: list[PointPair] = []
     problems: list[str] = []
     for number, snapshot in enumerate(snapshots):
@@ -71,14 +73,37 @@ def find_proposals(
     if not found:
         raise CalibrationError(problems[-1] if problems else "no snapshot yet: take one on the page Frames")
     pairs = tuple(pair.model_copy(update={"key": number + 1}) for number, pair in enumerate(found))
-    where = f"{len(snapshots)} snapshots" if len(snapshots) > 1 else snapshots[0].name
-    words = f"{len(pairs)} pairs were found in {where}."
+    words = f"{len(pairs)} pairs were found in {_snapshots(len(snapshots))}."
     return Proposals(pairs, " ".join([words, *(f"Not in {problem}." for problem in problems)]))
 
 
+def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Proposals:
+    progress(0.1, f"Matching droplets in {_snapshots(len(snapshots))}")
+    matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
+    pairs = tuple(
+        PointPair(
+            key=number + 1,
+            proximity=match.proximity,
+            tactile=match.tactile,
+            tactile_depth_m=match.tactile_depth_m,
+            proximity_image=match.proximity_image,
+            snapshot=snapshots[match.snapshot or 0].digest,
+            origin=f"texture, likeness {likeness:.2f}",
+        )
+        for number, (match, likeness) in enumerate(zip(matches.pairs, matches.likeness, strict=True))
+    )
+    return Proposals(
+        pairs,
+        f"{len(pairs)} droplets were found again in {_snapshots(len(snapshots))}; together they fit a rigid pose "
+        f"to {matches.fit.rms_px:.2f} px.",
+    )
+
+
+def _snapshots(count: int) -> str:
+    return "one snapshot" if count == 1 else f"{count} snapshots"
+
+
 def _pairs(options: HelperOptions, snapshot: Snapshot, choices: Choices, rig: Rig) -> list[PointPair]:
-    if options.helper is Helper.TEXTURE:
-        return texture_pairs(snapshot, rig)
     frame = snapshot.frame
     sides = (
         picture(frame, rig, "proximity", choices.proximity_image, stretch=True),

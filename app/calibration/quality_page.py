@@ -57,6 +57,7 @@ class QualityPage(QWidget):
         session.changed.connect(lambda _: self._draw())
         session.selectionChanged.connect(lambda _: self._show_marks())
         self.map.pressed.connect(lambda key, _: session.select([key]))
+        self.setFocusProxy(self.map)
         self.show_outcome(Outcome())
 
     def _map_column(self) -> QVBoxLayout:

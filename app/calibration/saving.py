@@ -1,9 +1,34 @@
-"""What a preset keeps of the wizard's snapshots."""
+"""What of a calibration goes into the preset."""
 
 from __future__ import annotations
 
+from typing import Any
+
+from pydantic import BaseModel
+
+from ...core.calibration import CalibrationReport
 from ...core.calibration_record import SnapshotRecord
+from ...core.preset import Preset
 from .state import SessionState
+
+_PATHS = (
+    "alignment.model",
+    "alignment.rigid.T_proximity_tactile",
+    "alignment.homography.H_p_t",
+    "alignment.depth_scale",
+    "alignment.depth_offset_m",
+    "alignment.calibration",
+    "rig",
+)
+
+
+def preset_values(report: CalibrationReport, preset: Preset, state: SessionState) -> dict[str, Any]:
+    """Return the preset's fields that a calibration sets, by their paths."""
+    calibrated = report.apply_to(preset, snapshots=snapshot_records(state))
+    values = {path: calibrated.value(path) for path in _PATHS}
+    return {
+        path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
+    }
 
 
 def snapshot_records(state: SessionState) -> tuple[SnapshotRecord, ...]:

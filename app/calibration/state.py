@@ -6,7 +6,6 @@ import hashlib
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-import numpy as np
 from pydantic import BaseModel, ConfigDict
 
 from ...core.frames import Rig, SensorFrame
@@ -120,16 +119,6 @@ class SessionState:
     def with_choices(self, **values: object) -> SessionState:
         """Change choices."""
         return replace(self, choices=Choices.model_validate({**self.choices.model_dump(), **values}))
-
-
-def digest_of(frame: SensorFrame) -> str:
-    """Return the SHA-256 of a frame's images, by which stored points find their images again."""
-    digest = hashlib.sha256()
-    for image in (frame.proximity_depth, frame.tactile_depth, frame.proximity_color, frame.tactile_color):
-        if image is not None:
-            digest.update(f"{image.shape}{image.dtype}".encode())
-            digest.update(np.ascontiguousarray(image).data)
-    return digest.hexdigest()
 
 
 def rig_key(rig: Rig) -> str:

@@ -23,7 +23,6 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport, read_points, write_points
 from ...core.calibration.verdict import grade
 from ...core.errors import TactuneError
-from ...core.preset import Preset
 from ...widgets.accent_button import AccentButton
 from ...widgets.cloud_view import BackendChoice
 from ...widgets.elided_label import ElidedLabel
@@ -41,7 +40,7 @@ from .outcome import Outcome
 from .pictures import tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
-from .saving import snapshot_records
+from .saving import preset_values
 from .session import Session
 from .snapping import snap
 from .state import SessionState
@@ -165,6 +164,7 @@ class CalibrationWizard(QDialog):
         self.points.exportRequested.connect(self._export_dialog)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
         self.fitter.fitted.connect(self._show_outcome)
+        self._document.refused.connect(lambda _, words: self.messages.show_message("saved", Severity.ERROR, words))
         session.changed.connect(self._show_state)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
@@ -187,6 +187,7 @@ class CalibrationWizard(QDialog):
         button = self.steps.button(number)
         assert button is not None
         button.setChecked(True)
+        self.pages[number].setFocus()
         self.back.setEnabled(number > 0)
         self.next.setEnabled(number < len(STEPS) - 1)
 
@@ -261,9 +262,7 @@ class CalibrationWizard(QDialog):
         report = self.outcome.report
         if report is None:
             return
-        preset: Preset = report.apply_to(self._document.preset, snapshots=snapshot_records(self.session.state))
-        values = {"alignment": preset.alignment.model_dump(mode="python"), "rig": preset.rig}
-        if self._document.edit_many(values):
+        if self._document.edit_many(preset_values(report, self._document.preset, self.session.state)):
             self.messages.show_message(
                 "saved",
                 Severity.INFO,
