@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from enum import StrEnum
+from html import escape
 
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor, QPalette
@@ -41,19 +42,18 @@ class Message(QFrame):
         stripe = QFrame()
         stripe.setFixedWidth(5)
         stripe.setAutoFillBackground(True)
+        stripe.setBackgroundRole(QPalette.ColorRole.Window)
         palette = stripe.palette()
         palette.setColor(QPalette.ColorRole.Window, QColor(_STRIPES[severity]))
         stripe.setPalette(palette)
 
-        label = QLabel(f"<b>{severity}.</b> ")
-        text = QLabel(sentence)
-        text.setTextFormat(Qt.TextFormat.PlainText)
+        text = QLabel(f"<b>{severity}.</b> {escape(sentence)}")
+        text.setTextFormat(Qt.TextFormat.RichText)
         text.setWordWrap(True)
         text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
 
         row = QHBoxLayout()
         row.setContentsMargins(8, 4, 4, 4)
-        row.addWidget(label, 0, Qt.AlignmentFlag.AlignTop)
         row.addWidget(text, 1)
         for name, action in offers:
             button = QPushButton(name)
@@ -71,7 +71,7 @@ class Message(QFrame):
         dismiss.setToolTip("Put this message away")
         dismiss.setAccessibleName("Dismiss")
         dismiss.clicked.connect(close)
-        row.addWidget(dismiss, 0, Qt.AlignmentFlag.AlignTop)
+        row.addWidget(dismiss)
 
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

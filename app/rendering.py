@@ -16,6 +16,7 @@ from ..core.errors import TactuneError
 from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
+from ..core.provenance import Provenance
 from ..widgets.cloud_data import DepthCloud
 from ..widgets.colormaps import (
     Theme,
@@ -83,6 +84,7 @@ class Renderer:
             histogram=difference_histogram(patch, preset.tolerance.t) if wanted.histogram and patch else None,
             median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
+            verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
         )
 
     def _steady_depth_range(self, rig: Rig, sample_m: npt.NDArray[np.float32]) -> tuple[float, float]:
@@ -183,6 +185,12 @@ def _proximity_cloud(
         count=count,
         framed=False,
     )
+
+
+def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:
+    """Return the values of provenance that occur in a frame."""
+    counts = np.bincount(patch.provenance.ravel(), minlength=len(Provenance))
+    return frozenset(verdict for verdict in Provenance if counts[verdict])
 
 
 def patch_difference_limit(t: float) -> float:

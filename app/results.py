@@ -14,6 +14,7 @@ import numpy.typing as npt
 from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
+from ..core.provenance import Provenance
 from .playback import PlaybackState
 
 if TYPE_CHECKING:
@@ -71,13 +72,17 @@ class Histogram:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """The pictures of one frame; what nobody wanted is missing."""
+    """The pictures of one frame; what nobody wanted is missing.
+
+    ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them.
+    """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
     strip: RenderedStrip | None = None
     histogram: Histogram | None = None
     median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)
+    verdicts: frozenset[Provenance] = frozenset()
 
 
 @dataclass(frozen=True)

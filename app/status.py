@@ -11,6 +11,7 @@ from .results import RateMeter, Result
 
 #: Numbers that change thirty times a second cannot be read; a few times is enough.
 INTERVAL_S = 0.2
+_WORTH_SAYING_MS = 0.05
 
 
 class FrameStatus(QStatusBar):
@@ -61,9 +62,8 @@ class FrameStatus(QStatusBar):
                 label.setText("")
             return
         times = result.patch.stage_ms
-        self._stages.setText(
-            "  ".join(f"{stage} {ms:.1f}" for stage, ms in times.items() if ms or stage != "clusters") + " ms"
-        )
+        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
+        self._stages.setText("  ".join(computed) + " ms" if computed else "nothing computed anew")
         self._stages.setToolTip(
             "Milliseconds per stage (0: cached or skipped)\n"
             + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())

@@ -8,6 +8,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
 
+from ..core.provenance import Provenance
 from ..widgets.cloud_view import BackendChoice, CloudView, link_cameras
 from ..widgets.colormaps import (
     Legend,
@@ -19,7 +20,7 @@ from ..widgets.colormaps import (
 )
 from .actions import Actions
 from .rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
-from .results import CloudName, ColorBy, Result
+from .results import CloudName, ColorBy, Rendered, Result
 
 TITLES = {
     CloudName.PROXIMITY: "Proximity",
@@ -116,12 +117,11 @@ class ViewArea(QWidget):
 
     def _show_legend(self, name: CloudName, result: Result, theme: Theme) -> None:
         """Explain the colours of a view, when they have changed."""
-        color_by, t = self.chosen_colors(), result.preset.tolerance.t
-        near, far = (round(limit, 3) for limit in result.rendered.depth_range_m)
-        key = (color_by, theme, t, near, far)
-        if self._legends.get(name) != key:
-            self._legends[name] = key
-            self.views[name].set_legend(legend_of(name, color_by, theme, t, (near, far)))
+        rendered, color_by = result.rendered, self.chosen_colors()
+        legend = legend_of(name, color_by, theme, result.preset.tolerance.t, rendered)
+        if self._legends.get(name) != legend:
+            self._legends[name] = legend
+            self.views[name].set_legend(legend)
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
         row = QHBoxLayout()
@@ -165,25 +165,26 @@ class ViewArea(QWidget):
             self.point_size.setValue(round(point_size))
 
 
-def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, depth_range_m: tuple[float, float]) -> Legend:
+def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, rendered: Rendered) -> Legend:
     """Return the legend of a view for a choice of colours."""
-    depth = depth_legend(*depth_range_m)
+    near, far = (round(limit, 3) for limit in rendered.depth_range_m)
     if name is CloudName.TACTILE:
-        return depth
+        return depth_legend(near, far)
     if color_by is ColorBy.PROVENANCE:
-        return provenance_legend(theme)
+        return provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH})
     if color_by is ColorBy.DIFFERENCE:
         return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
     if name is CloudName.PROXIMITY:
-        return depth
-    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth + patch_legend(theme)[1:]
+        return depth_legend(near, far)
+    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + patch_legend(theme)[1:]
 
 
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:
+    """Return both ends of the colours within a patch, and both sides of zero."""
     limit = patch_difference_limit(t)
     lut = patch_difference_lut(limit, theme)
-    ends = ((f"−{limit:.1%}", VALUE_ROWS + 1), ("0", VALUE_ROWS + 64), (f"+{limit:.1%}", 255))
-    return [(text, QColor(*(int(channel) for channel in lut[row, :3]))) for text, row in ends]
+    places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))
+    return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
 
 
 def _why_empty(result: Result) -> str:

@@ -5,6 +5,7 @@ Depth and relative difference use perceptually uniform maps. Contact has one fix
 
 from __future__ import annotations
 
+from collections.abc import Container
 from functools import cache, lru_cache
 from typing import Final, Literal
 
@@ -195,10 +196,10 @@ def patch_lut(theme: Theme) -> Lut:
     return _frozen(lut)
 
 
-def provenance_legend(theme: Theme) -> Legend:
-    """Return the name and colour of every `Provenance`, the most important first."""
+def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
+    """Return the name and colour of every `Provenance` that occurs, the most important first."""
     lut = provenance_lut(theme)
-    return [(name, _color(lut, provenance)) for provenance, name in _SHORT_NAMES.items()]
+    return [(name, _color(lut, verdict)) for verdict, name in _SHORT_NAMES.items() if verdict in occurring]
 
 
 def patch_legend(theme: Theme) -> Legend:

@@ -67,8 +67,8 @@ def test_colours_have_a_legend(window, qtbot, choice):
     expected = {
         ColorBy.CONTACT: ["contact", "not touching"],
         ColorBy.DEPTH: [" m", "not touching"],
-        ColorBy.DIFFERENCE: ["−3.0%", "+3.0%"],
-        ColorBy.PROVENANCE: ["contact", "masked", "outlier", "no tactile depth"],
+        ColorBy.DIFFERENCE: ["−3.0%", "below 0", "+3.0%"],
+        ColorBy.PROVENANCE: ["contact", "not touching"],
     }[choice]
 
     def explained():
