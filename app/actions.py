@@ -30,6 +30,8 @@ class Actions:
     save_as: QAction
     details: QAction
     export_patch: QAction
+    calibrate: QAction
+    recheck: QAction
     open_folder: QAction
     open_bag: QAction
     quit: QAction
@@ -90,6 +92,8 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
         details=action("Name and no&tes…", "Name the preset and note what it is for", "F2"),
         export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
+        calibrate=action("&Calibrate…", "Align both cameras: click points, see how good it is, save it", "Ctrl+K"),
+        recheck=action("&Re-check calibration", "Tell on this frame whether the alignment still holds", "Ctrl+Shift+K"),
         open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
         open_bag=action("Open &bag…", "Open a RealSense .bag recording"),
         quit=action("&Quit", shortcut="Ctrl+Q"),
@@ -182,6 +186,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     playback.addSeparator()
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
+    _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 

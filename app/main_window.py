@@ -18,6 +18,7 @@ from ..widgets.image_strip import ImageStrip
 from ..widgets.parameter_panel import ParameterPanel
 from ..widgets.theme import ThemeChoice, apply_theme, theme_name
 from .actions import make_actions, make_menus
+from .calibration.launcher import CalibrationLauncher
 from .dialogs import Dialogs
 from .document import Document
 from .error_hook import ErrorHook
@@ -106,6 +107,9 @@ class MainWindow(QMainWindow):
             messages=self.messages,
         )
         self.eyedropper = Eyedropper(self.document, self.panel, self.strip, self.messages)
+        self.calibration = CalibrationLauncher(
+            self.worker, self.document, self.messages, data_folder / "calibration", self, native_dialogs, backend
+        )
         self._closing = False
         self._lay_out()
         self._connect()
@@ -205,6 +209,9 @@ class MainWindow(QMainWindow):
         actions.open_folder.triggered.connect(flows.open_folder_dialog)
         actions.open_bag.triggered.connect(flows.open_bag_dialog)
         actions.export_patch.triggered.connect(self._export)
+        actions.calibrate.triggered.connect(self.calibration.open_wizard)
+        actions.recheck.triggered.connect(self.calibration.open_recheck)
+        self.frameShown.connect(lambda: self.calibration.show_result(self.result))
         actions.quit.triggered.connect(self.close)
         actions.show_strip.toggled.connect(self.strip.setVisible)
         actions.show_strip.toggled.connect(self._send_wanted)
@@ -373,6 +380,7 @@ class MainWindow(QMainWindow):
             self.file_flows.guarded(self.close_without_asking)
             return
         remember_layout(self, self.settings)
+        self.calibration.close()
         self.worker.shut_down()
         self.autosave.close()
         self.error_hook.remove()

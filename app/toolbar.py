@@ -32,10 +32,11 @@ class ToolBar(QToolBar):
         transport.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Preferred)
         self.addSeparator()
         self.addWidget(self.preset)
-        export = QToolButton()
-        export.setDefaultAction(actions.export_patch)
-        export.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
-        self.addWidget(export)
+        for action in (actions.calibrate, actions.export_patch):
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+            self.addWidget(button)
         self.show_source("none")
 
     def show_source(self, name: str) -> None:

@@ -42,7 +42,7 @@ COLORS: Final = {
     MarkKind.PROPOSED: QColor(120, 230, 130),
     MarkKind.GHOST: QColor(255, 214, 10),
 }
-_ARROW = QColor(255, 120, 230)
+_ARROW = QColor(255, 255, 255)
 
 
 @dataclass(frozen=True)

@@ -66,8 +66,12 @@ class WorkerFeed(FrameFeed):
         """Show another frame of a recording."""
         self._worker.seek(index)
 
-    def show_result(self, result: Result | None) -> None:
-        """Take what the main window shows, unless it is the same frame processed again or another source."""
-        if result is None or result.source is not self.info or result.frame is self.frame:
+    def show_result(self, result: Result) -> None:
+        """Take what the main window shows, unless it is the same frame processed again or of another rig."""
+        if result.frame is self.frame:
             return
+        if result.source is not self.info:
+            if result.source.rig != self.info.rig:
+                return
+            self.info = result.source
         self.deliver(result.frame, result.playback)

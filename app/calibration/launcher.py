@@ -41,8 +41,10 @@ class CalibrationLauncher(QObject):
         self.wizard: CalibrationWizard | None = None
         self.recheck: RecheckWindow | None = None
 
-    def show_result(self, result: Result) -> None:
+    def show_result(self, result: Result | None) -> None:
         """Take the newest frame of the main window."""
+        if result is None:
+            return
         self._result = result
         if self._feed is not None:
             self._feed.show_result(result)

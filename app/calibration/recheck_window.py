@@ -13,6 +13,7 @@ from ...widgets.marks import Mark, MarkKind
 from ...widgets.point_image import PointImage
 from .jobs import Job
 from .pictures import picture
+from .state import ImageChoice
 
 _FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
 _CHECKING = "Looking the points up on the present frame…"
@@ -77,7 +78,7 @@ class RecheckWindow(QDialog):
     def check(self, preset: Preset, rig: Rig, frame: SensorFrame) -> None:
         """Check a preset on a frame, on another thread."""
         self.sentence.setText(_CHECKING)
-        choice = "color" if frame.tactile_color is not None else "depth"
+        choice: ImageChoice = "color" if frame.tactile_color is not None else "depth"
         self.image.set_image(picture(frame, rig, "tactile", choice, stretch=True).pixels)
         self._job.start(lambda _: recheck(preset, rig, frame))
 

@@ -85,6 +85,10 @@ class Session(QObject):
         if after != self._state:
             self.show(after)
 
+    def close(self) -> None:
+        """Fall silent: a stack that is destroyed would tell widgets that are half gone."""
+        self.undo_stack.blockSignals(True)
+
     # Snapshots
 
     def add_snapshot(self, snapshot: Snapshot) -> None:

@@ -286,6 +286,7 @@ class CalibrationWizard(QDialog):
         for page in (self.helpers, self.quality, self.check):
             page.close_jobs()
         self.keeper.close()
+        self.session.close()
         super().closeEvent(event)
 
 
