@@ -1,0 +1,89 @@
+"""One frame and one preset give one patch, bit for bit: in the window, by ``tactune run``, in three lines of Python."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.app.cli import main
+from tactune.app.worker import SourceRequest
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset_file import load_preset
+from tactune.core.sources.base import SeekableSource
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.source import SimulatorSource
+
+from .conftest import at_rest
+
+ROOT = Path(__file__).resolve().parents[2]
+REAL_PAIR = ROOT.parent / "shared" / "data" / "real_pair"
+REAL_PAIR_PRESET = ROOT / "tests" / "data" / "real_pair.json"
+
+
+class Excerpt(SeekableSource):
+    """A few frames of another source."""
+
+    def __init__(self, whole: SeekableSource, indices: list[int]) -> None:
+        super().__init__("excerpt", whole.rig, len(indices))
+        self._whole, self._indices = whole, indices
+
+    def read(self, index):
+        return self._whole.read(self._indices[index])
+
+
+@pytest.fixture(scope="module")
+def pressed_cup(tmp_path_factory):
+    """Frames without contact, with some, and with much, as a folder that every way can read."""
+    folder = tmp_path_factory.mktemp("identical") / "cup"
+    export_folder(Excerpt(SimulatorSource("cup", cells=(88, 52)), [0, 30, 45]), folder)
+    return folder
+
+
+def patches_of_the_window(window, folder, qtbot):
+    """Step through a recording as a person does and return each patch that the window shows."""
+    name = f"folder:{folder}"
+    window.open_request(SourceRequest(name, lambda progress: open_source(name, progress)))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == name, timeout=60_000)
+    window.worker.pause()
+    patches = []
+    for index in range(window.result.source.length):
+        window.worker.seek(index)
+        qtbot.waitUntil(lambda index=index: at_rest(window, index), timeout=60_000)
+        patches.append(window.result.patch)
+    return patches
+
+
+def check(window, folder, preset_name, tmp_path, qtbot, monkeypatch):
+    seen = patches_of_the_window(window, folder, qtbot)
+    monkeypatch.setattr(
+        "sys.argv",
+        ["tactune", "run", "--source", f"folder:{folder}", "--preset", str(preset_name), "--out", str(tmp_path)],
+    )
+    assert main() == 0
+    with open_source(f"folder:{folder}") as source:
+        pipeline = ContactPipeline(load_preset(preset_name), source.rig)
+        for frame, shown in zip(source, seen, strict=True):
+            patch = pipeline.process(frame)
+            np.testing.assert_array_equal(shown.points, patch.points)
+            np.testing.assert_array_equal(shown.provenance, patch.provenance)
+            written = np.load(tmp_path / f"patch_{patch.sequence:06d}.npz")["points"]
+            np.testing.assert_array_equal(written, patch.points)
+            assert written.dtype == patch.points.dtype
+    return seen
+
+
+def test_on_the_simulator(make_window, pressed_cup, tmp_path, qtbot, monkeypatch):
+    window = make_window(load_preset("simulator"))
+    seen = check(window, pressed_cup, "simulator", tmp_path / "out", qtbot, monkeypatch)
+    assert len(seen[0].points) == 0
+    assert len(seen[2].points) > len(seen[1].points) > 100
+
+
+@pytest.mark.skipif(not REAL_PAIR.is_dir(), reason=f"the real recording is not at {REAL_PAIR}")
+def test_on_a_real_scene(make_window, tmp_path, qtbot, monkeypatch):
+    window = make_window(load_preset(REAL_PAIR_PRESET))
+    [patch] = check(window, REAL_PAIR, REAL_PAIR_PRESET, tmp_path / "out", qtbot, monkeypatch)
+    assert len(patch.points) > 100_000
