@@ -4,7 +4,17 @@ from __future__ import annotations
 
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtGui import QHideEvent, QShowEvent
-from PyQt6.QtWidgets import QButtonGroup, QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QCheckBox,
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QSlider,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
 
 from ...core.frames import SensorFrame
 from ...core.preset import Preset
@@ -63,6 +73,8 @@ class CheckPage(QWidget):
         link_cameras(list(self.clouds.values()))
         self.note = QLabel()
         self.note.setWordWrap(True)
+        self.set_tolerance = QCheckBox()
+        self.set_tolerance.setToolTip("The smallest tolerance t (no unit) that this calibration supports")
         self._make_controls()
         self._lay_out()
         self._connect()
@@ -107,6 +119,7 @@ class CheckPage(QWidget):
         column.addLayout(tools)
         column.addWidget(self.image, 1)
         column.addWidget(self.note)
+        column.addWidget(self.set_tolerance)
         right = QSplitter(Qt.Orientation.Vertical)
         for name in ("new", "present"):
             right.addWidget(self.clouds[name])
@@ -132,7 +145,7 @@ class CheckPage(QWidget):
         self._overlay_job.failed.connect(lambda words: self.image.set_image(None, words))
         self._patch_job.done.connect(self._show_patches)
         self._session.changed.connect(lambda _: self._draw())
-        self._document.presetChanged.connect(lambda _: self._draw())
+        self._document.presetChanged.connect(self._preset_changed)
         self._feed.frameArrived.connect(lambda _: self._find_patches())
 
     # What is shown
@@ -140,6 +153,7 @@ class CheckPage(QWidget):
     def show_outcome(self, outcome: Outcome) -> None:
         """Show another fit."""
         self._outcome = outcome
+        self._show_tolerance()
         self._draw()
 
     def close_jobs(self) -> None:
@@ -168,6 +182,12 @@ class CheckPage(QWidget):
         """Return the document's preset with the new alignment; None without a fit."""
         report = self._outcome.report
         return None if report is None else report.apply_to(self._document.preset)
+
+    def _show_tolerance(self) -> None:
+        report, present = self._outcome.report, self._document.preset.tolerance.t
+        self.set_tolerance.setEnabled(report is not None)
+        supported = "" if report is None else f" to {report.chosen.effect.supported_tolerance:.4f}"
+        self.set_tolerance.setText(f"Also set the tolerance t{supported} when saving; it is {present:.4f} now")
 
     def _frame(self) -> SensorFrame | None:
         """Return the frame that is looked at: the snapshot being clicked, or the live one."""
@@ -209,6 +229,10 @@ class CheckPage(QWidget):
             }
         )
 
+    def _preset_changed(self, _: Preset) -> None:
+        self._show_tolerance()
+        self._draw()
+
     def _show_overlay(self, overlay: Overlay) -> None:
         self._overlay = overlay
         self._compose()
@@ -227,14 +251,10 @@ class CheckPage(QWidget):
         if new.problem:
             self.note.setText("")
             return
+        before = "none" if old.problem else f"{old.area_mm2 / 100:.1f} cm²"
         self.note.setText(
-            f"Patch in the frame shown: {new.area_mm2 / 100:.1f} cm² with the new alignment, "
-            + (
-                f"{old.area_mm2 / 100:.1f} cm² with the present one."
-                if not old.problem
-                else "none with the present one."
-            )
-            + " The tolerance is the preset's; Save takes over the alignment only."
+            f"Patch in the frame shown, at the preset's tolerance: {new.area_mm2 / 100:.1f} cm² with the new "
+            f"alignment, {before} with the present one."
         )
 
     def _mode_chosen(self, _: int = 0) -> None:

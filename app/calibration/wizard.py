@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.calibration import CalibrationReport, read_points, write_points
+from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.verdict import grade
 from ...core.errors import TactuneError
 from ...widgets.accent_button import AccentButton
@@ -114,6 +114,7 @@ class CalibrationWizard(QDialog):
         self._connect()
         self.resize(1240, 760)
         self._offer(self.keeper.restore())
+        self._offer_stored()
         self._show_state(self.session.state)
         self.go_to(1 if self.session.state.snapshots else 0)
 
@@ -210,6 +211,21 @@ class CalibrationWizard(QDialog):
             offers=[("Start over", self.start_over)],
         )
 
+    def _offer_stored(self) -> None:
+        """Offer the points that the preset keeps, where there is nothing newer."""
+        record = self._document.preset.alignment.calibration
+        if record is None or not record.points or not self.session.state.empty:
+            return
+        stored = [Correspondence(**point.model_dump()) for point in record.points]
+        pairs = pairs_of(stored, self.session.state, self.session.rig, origin="preset")
+        self.messages.show_message(
+            "stored",
+            Severity.INFO,
+            f"The preset keeps {len(pairs)} pairs of {record.date.astimezone():%d %B %Y}. They hold as long as nothing "
+            "has been moved since.",
+            offers=[("Begin with them", lambda: self.session.add_pairs(pairs, "Take the preset's pairs"))],
+        )
+
     def _show_state(self, state: SessionState) -> None:
         self.over.setEnabled(not state.empty)
 
@@ -262,7 +278,9 @@ class CalibrationWizard(QDialog):
         report = self.outcome.report
         if report is None:
             return
-        if self._document.edit_many(preset_values(report, self._document.preset, self.session.state)):
+        set_tolerance = self.check.set_tolerance.isChecked()
+        values = preset_values(report, self._document.preset, self.session.state, set_tolerance)
+        if self._document.edit_many(values):
             self.messages.show_message(
                 "saved",
                 Severity.INFO,

@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import QEvent, QPoint, Qt
 from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
 from tactune.app.calibration.feed import FrameFeed
@@ -174,6 +175,8 @@ def open_wizard(qtbot: QtBot, feed: FrameFeed, document: Document, tmp_path: Pat
     for wizard in opened:
         wizard.close()
         wizard.deleteLater()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    QApplication.processEvents()
 
 
 class Hand:
