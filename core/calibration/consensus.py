@@ -30,7 +30,7 @@ Model = TypeVar("Model")
 #: log10 of the largest number of false alarms that counts as agreement.
 SIGNIFICANT = -3.0
 #: Fewer than this share of the pairs agreeing is a refusal: the others might be the right ones.
-SMALLEST_SHARE = 0.5
+SMALLEST_SHARE = 0.6
 _HYPOTHESES = 700
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
@@ -46,7 +46,7 @@ class Consensus:
 
     @property
     def significant(self) -> bool:
-        """Whether chance is ruled out and at least half of the pairs agree."""
+        """Whether chance is ruled out and at least `SMALLEST_SHARE` of the pairs agree."""
         return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= SMALLEST_SHARE
 
 

@@ -53,23 +53,29 @@ def snap_to_feature(image: npt.NDArray[Any], u: float, v: float, radius: float =
     -------
     Snapped, or None where nothing is within reach.
     """
-    gray = to_gray(image)
-    height, width = gray.shape
+    height, width = image.shape[:2]
     if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
         return None
-    return _blob_near(gray, u, v, radius) or _corner_near(gray, u, v, radius)
+    reach = int(4 * radius) + 16
+    left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
+    gray = to_gray(image[top : round(v) + reach + 1, left : round(u) + reach + 1], tails=0.0)
+    u, v = u - left, v - top
+    found = _blob_near(gray, u, v, radius) or _corner_near(gray, u, v, radius)
+    return None if found is None else Snapped(found.u + left, found.v + top, found.kind)
 
 
-def to_gray(image: npt.NDArray[Any]) -> GrayImage:
-    """Return an 8-bit grey image; deeper images are stretched between their 1st and 99th percentile."""
+def to_gray(image: npt.NDArray[Any], tails: float = 1.0) -> GrayImage:
+    """Return an 8-bit grey image; deeper images are stretched, all but some percent at either end."""
     if image.ndim == 3:
-        image = cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY)
+        image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY))
     if image.dtype == np.uint8:
-        return np.ascontiguousarray(image)
+        gray: GrayImage = np.ascontiguousarray(image, np.uint8)
+        return gray
     valid = image[image > 0] if (image > 0).any() else image
-    low, high = np.percentile(valid, [1, 99])
+    low, high = np.percentile(valid, [tails, 100 - tails])
     stretched = (image.astype(np.float64) - low) * (255.0 / max(float(high - low), 1e-9))
-    return np.clip(stretched, 0, 255).astype(np.uint8)
+    stretched_gray: GrayImage = np.clip(stretched, 0, 255).astype(np.uint8)
+    return stretched_gray
 
 
 def _blob_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | None:

@@ -20,11 +20,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..errors import CalibrationError
 from ..frames import Float64Array, Rig
 from .homography import CLICK_SIGMA_PX
 from .maximum_likelihood import UNMEASURED, BoolArray, Linearised, Measurements, Prior, inverse_information
-from .pairs import spread
+from .pairs import check_space, on_a_line, spread
 from .rays import color_lens, color_pose, ray_covariance, ray_seen
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
 
@@ -263,7 +262,7 @@ class RigidProblem(Problem[Pose]):
     def start(self, used: BoolArray) -> Pose | None:
         """Solve SQPnP on the used pairs."""
         space = self.space[used]
-        if len(space) < LEAST_POINTS or _on_a_line(space):
+        if len(space) < LEAST_POINTS or on_a_line(space):
             return None
         found, turn, shift = cv2.solvePnP(
             space, self.start_rays[used], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
@@ -274,7 +273,7 @@ class RigidProblem(Problem[Pose]):
         """Solve P3P on every sample: up to four poses each."""
         poses = []
         for sample in samples:
-            if _on_a_line(self.space[sample]):
+            if on_a_line(self.space[sample]):
                 continue
             count, turns, shifts = cv2.solveP3P(
                 self.space[sample], self.start_rays[sample], np.eye(3), None, flags=cv2.SOLVEPNP_AP3P
@@ -359,13 +358,8 @@ def fit_rigid(
         Fewer than four pairs with a depth, points on a line, or pairs that agree on no pose.
     """
     least = LEAST_POINTS + (1 if depth_scale else 0)
-    if len(points.tactile) < least:
-        raise CalibrationError(
-            f"a rigid alignment{' with depth scale' if depth_scale else ''} needs at least {least} pairs with a "
-            f"tactile depth, there are {len(points.tactile)}; add {least - len(points.tactile)} more, or better "
-            f"{least + 2 - len(points.tactile)}"
-        )
-    _check_points(points, least)
+    name = f"rigid alignment{' with depth scale' if depth_scale else ''}"
+    check_space(points.places, points.proximity, least, name)
     stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
     known = None if use is None else np.asarray(use, bool)
     for _ in range(_NOISE_ROUNDS if depth_scale else 1):
@@ -384,30 +378,6 @@ def fit_rigid(
         problem=problem,
         fit=fit,
     )
-
-
-def _check_points(points: RigidPoints, least: int) -> None:
-    for name in ("tactile", "proximity", "tactile_depth_m"):
-        values = np.asarray(getattr(points, name))
-        if not np.isfinite(values).all():
-            row = int(np.argwhere(~np.isfinite(values))[0][0])
-            raise CalibrationError(f"pair {row + 1}: {name} is {values[row].tolist()}; give finite numbers")
-    if (points.tactile_depth_m <= 0).any():
-        row = int(np.flatnonzero(points.tactile_depth_m <= 0)[0])
-        raise CalibrationError(
-            f"pair {row + 1}: the tactile depth is {points.tactile_depth_m[row]:g} m; it must be above 0"
-        )
-    different = len(np.unique(np.column_stack([points.places, points.proximity]), axis=0))
-    if different < least:
-        raise CalibrationError(
-            f"only {different} of the {len(points.tactile)} pairs differ from each other, a rigid alignment needs "
-            f"{least}; delete the repeated ones and add points elsewhere"
-        )
-
-
-def _on_a_line(space: Float64Array) -> bool:
-    values = np.linalg.svd(space - space.mean(axis=0), compute_uv=False)
-    return bool(values[1] <= 2e-3 * values[0])
 
 
 def _cross_matrices(vectors: Float64Array) -> Float64Array:

@@ -11,7 +11,7 @@ from scipy.stats import f as f_distribution
 
 from ..errors import CalibrationError
 from ..frames import Float64Array
-from .consensus import Consensus, find_consensus, score
+from .consensus import SMALLEST_SHARE, Consensus, find_consensus, score
 from .maximum_likelihood import (
     BoolArray,
     Linearised,
@@ -28,7 +28,7 @@ Theta = TypeVar("Theta")
 #: One honest pair in so many is taken for a wrong one.
 _HONEST_LOSS = 100_000
 #: Weight of the nominal click noise beside the observed one, in degrees of freedom, while judging pairs.
-_NOMINAL_DEGREES = 4
+_NOMINAL_DEGREES = 12
 #: Up to this ratio of observed to nominal noise, a fit of all pairs needs no search for a consensus.
 _USUAL_NOISE = 1.5
 #: Larger residuals, as a share of the extent of the points, are no alignment at all.
@@ -245,6 +245,7 @@ def _finish(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray)
     count = len(used)
     agreement = score(np.where(used, residuals, np.inf), problem.sample_size, problem.area)
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
-    if count > problem.sample_size and (used.mean() < 0.5 or not rms <= _LARGEST_RMS_SHARE * problem.extent):
-        raise no_agreement(problem.name, int(used.sum()), count, agreement.log10_nfa if used.mean() < 0.5 else 0.0)
+    few = used.mean() < SMALLEST_SHARE
+    if count > problem.sample_size and (few or not rms <= _LARGEST_RMS_SHARE * problem.extent):
+        raise no_agreement(problem.name, int(used.sum()), count, agreement.log10_nfa if few else 0.0)
     return RobustFit(solution, used, condition, agreement.log10_nfa)

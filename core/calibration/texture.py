@@ -15,16 +15,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.ndimage import map_coordinates
 
 from ..errors import CalibrationError
 from ..frames import Float64Array, Rig, SensorFrame
 from .correspondences import Correspondence
-from .detect import to_gray
+from .detect import GrayImage, to_gray
 from .rays import color_lens, color_pose, ray_seen
 from .rigid import Pose, RigidFit, RigidPoints, fit_rigid
 from .snapshots import depth_under
-
-FloatImage = npt.NDArray[np.float32]
 
 _ROUNDS = 3
 _PATCH_PX = 15
@@ -113,7 +112,7 @@ class _View:
         self.tactile = _textured(frame.tactile_color)
         self.proximity = _textured(frame.proximity_color)
         valid = (frame.tactile_depth > 0) & (frame.tactile_depth < 65535)
-        self.depth_m = _filled(frame.tactile_depth * rig.tactile.depth_unit_m, valid)
+        self.depth_m = _filled(frame.tactile_depth.astype(np.float64) * rig.tactile.depth_unit_m, valid)
         self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
         if places is None:
             corners = cv2.goodFeaturesToTrack(
@@ -155,7 +154,7 @@ def measure_pairs(
 
 
 def _guided(views: list[_View], rig: Rig, pose: Pose) -> _Found:
-    """Warp, measure what is left at each feature, and keep what is alike and agrees with its neighbours."""
+    """Warp, measure what is left at each feature, and keep what is alike."""
     parts = [_guided_view(view, rig, pose) for view in views]
     return _joined(parts)
 
@@ -165,19 +164,14 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
     v, u = np.mgrid[:height, :width].astype(np.float64)
     dense = np.column_stack([u.ravel(), v.ravel(), view.depth_m.ravel()])
     lookup = _color_pixels(dense, rig, pose).astype(np.float32).reshape(height, width, 2)
-    warped = cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC)
+    warped: GrayImage = np.asarray(cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC), np.uint8)
     start = view.features[:, :2].astype(np.float32).reshape(-1, 1, 2)
     if len(start) == 0:
         return _joined([])
-    settings = {
-        "winSize": (_PATCH_PX, _PATCH_PX),
-        "maxLevel": 2,
-        "criteria": (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001),
-    }
-    there, ahead, _ = cv2.calcOpticalFlowPyrLK(view.tactile, warped, start, None, **settings)
-    back, behind, _ = cv2.calcOpticalFlowPyrLK(warped, view.tactile, there, None, **settings)
+    there, ahead = _tracked(view.tactile, warped, start)
+    back, behind = _tracked(warped, view.tactile, there)
     moved = there.reshape(-1, 2).astype(np.float64)
-    kept = (ahead.ravel() == 1) & (behind.ravel() == 1)
+    kept = ahead & behind
     kept &= np.hypot(*(back - start).reshape(-1, 2).T) < 0.3
     kept &= np.hypot(*(moved - view.features[:, :2]).T) < _REACH_PX
     kept &= ((moved >= _PATCH_PX) & (moved < (width - _PATCH_PX, height - _PATCH_PX))).all(axis=1)
@@ -189,19 +183,20 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
     )
     kept &= likeness >= _LEAST_LIKENESS
     features, moved, likeness = view.features[kept], moved[kept], likeness[kept]
-    proximity = (
-        np.column_stack(
-            [
-                cv2.remap(
-                    np.ascontiguousarray(lookup[..., axis]), *moved.astype(np.float32).T[:, :, None], cv2.INTER_LINEAR
-                )
-                for axis in range(2)
-            ]
-        ).astype(np.float64)
-        if len(moved)
-        else np.zeros((0, 2))
+    places = moved[:, ::-1].T
+    proximity = np.column_stack([map_coordinates(lookup[..., axis], places, order=1) for axis in range(2)])
+    return _Found(_color_points(features, proximity.astype(np.float64)), np.full(len(features), view.number), likeness)
+
+
+def _tracked(
+    source: GrayImage, target: GrayImage, start: npt.NDArray[np.float32]
+) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+    """Follow places (N, 1, 2) from one image to the other; say which were found."""
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001)
+    places, found, _ = cv2.calcOpticalFlowPyrLK(
+        source, target, start, np.empty_like(start), winSize=(_PATCH_PX, _PATCH_PX), maxLevel=2, criteria=criteria
     )
-    return _Found(_color_points(features, proximity), np.full(len(features), view.number), likeness)
+    return np.asarray(places, np.float32), np.asarray(found).ravel() == 1
 
 
 def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
@@ -215,16 +210,15 @@ def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
 
 def _described(views: list[_View], rig: Rig) -> _Found:
     """Match SIFT descriptors, with the ratio test and mutual choice."""
-    sift = cv2.SIFT_create(nfeatures=2000)
+    sift = cv2.SIFT.create(nfeatures=2000)
     parts = []
     for view in views:
         tactile, proximity = (sift.detectAndCompute(image, None) for image in (view.tactile, view.proximity))
         if tactile[1] is None or proximity[1] is None or min(len(tactile[0]), len(proximity[0])) < 2:
             continue
-        forward = cv2.BFMatcher().knnMatch(tactile[1], proximity[1], k=2)
-        backward = {
-            match[0].queryIdx: match[0].trainIdx for match in cv2.BFMatcher().knnMatch(proximity[1], tactile[1], k=1)
-        }
+        matcher = cv2.BFMatcher()
+        forward = matcher.knnMatch(tactile[1], proximity[1], k=2)
+        backward = {match.queryIdx: match.trainIdx for match in matcher.match(proximity[1], tactile[1])}
         best = [
             first
             for first, second in forward
@@ -292,21 +286,19 @@ def _joined(parts: list[_Found]) -> _Found:
     )
 
 
-def _likeness(
-    first: npt.NDArray[np.uint8], second: npt.NDArray[np.uint8], here: Float64Array, there: Float64Array
-) -> float:
+def _likeness(first: GrayImage, second: GrayImage, here: Float64Array, there: Float64Array) -> float:
     size = (_PATCH_PX, _PATCH_PX)
     a = cv2.getRectSubPix(first, size, (float(here[0]), float(here[1])))
     b = cv2.getRectSubPix(second, size, (float(there[0]), float(there[1])))
     return float(cv2.matchTemplate(a, b, cv2.TM_CCOEFF_NORMED)[0, 0])
 
 
-def _textured(image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def _textured(image: GrayImage) -> GrayImage:
     """Return a grey image with local contrast evened out, so that both cameras' exposures compare."""
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(to_gray(image)))
 
 
-def _inner(valid: npt.NDArray[np.bool_]) -> npt.NDArray[np.uint8]:
+def _inner(valid: npt.NDArray[np.bool_]) -> GrayImage:
     """Return where a whole patch has depth, holes aside."""
     closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     return np.asarray(cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)))

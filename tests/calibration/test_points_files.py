@@ -1,0 +1,78 @@
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactune.core.calibration.correspondences import Correspondence, csv_text, parse_csv, read_points, write_points
+from tactune.core.errors import CalibrationError
+
+HEADER = "id,enabled,proximity_u,proximity_v,tactile_u,tactile_v,tactile_depth_m"
+pixel = st.floats(-1e6, 1e6)
+pairs = st.lists(
+    st.builds(
+        Correspondence,
+        id=st.text("abc 1,\"'é", min_size=1, max_size=8).filter(lambda text: text == text.strip()),
+        proximity_u=pixel,
+        proximity_v=pixel,
+        tactile_u=pixel,
+        tactile_v=pixel,
+        tactile_depth_m=st.none() | st.floats(1e-3, 10),
+        enabled=st.booleans(),
+        proximity_image=st.sampled_from(["depth", "color"]),
+        snapshot=st.none() | st.integers(0, 99),
+    ),
+    unique_by=lambda pair: pair.id,
+)
+
+
+@given(pairs)
+def test_pairs_survive_csv_bit_for_bit(points):
+    assert parse_csv(csv_text(points), "memory") == points
+
+
+def test_plain_pairs_are_written_with_the_plain_header(tmp_path):
+    points = [Correspondence("1", 1.5, 2, 3, 4, 0.3), Correspondence("2", 1, 2, 3, 5, None, enabled=False)]
+    write_points(tmp_path / "points.csv", points)
+    assert (tmp_path / "points.csv").read_text() == f"{HEADER}\n1,1,1.5,2,3,4,0.3\n2,0,1,2,3,5,\n"
+    assert read_points(tmp_path / "points.csv") == points
+
+
+def test_qgis_points_keep_pixels_and_switches(tmp_path):
+    points = [Correspondence("1", 10.25, 20, 30, 40), Correspondence("2", 1, 2, 3, 4, enabled=False)]
+    write_points(tmp_path / "a.points", points)
+    assert read_points(tmp_path / "a.points") == points
+    (tmp_path / "b.points").write_text("#CRS: none\nmapX,mapY,sourceX,sourceY,enable\n1,-2,3,-4,1\n")
+    assert read_points(tmp_path / "b.points") == [Correspondence("1", 1, 2, 3, 4)]
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "empty"),
+        ("a,b\n1,2\n", "lacks the column id"),
+        (f"{HEADER},colour\n", "column 'colour'"),
+        (f"{HEADER}\n1,1,2,3,4,5\n", "line 2: there are 6 values for 7 columns"),
+        (f"{HEADER}\n1,1,2,3,4,5,0.3\n1,1,2,3,4,6,0.3\n", "line 3: id '1' is taken"),
+        (f"{HEADER}\n1,1,2,x,4,5,0.3\n", "line 2: proximity_v is 'x'"),
+        (f"{HEADER}\n1,1,2,inf,4,5,0.3\n", "line 2: proximity_v is 'inf'"),
+        (f"{HEADER}\n1,maybe,2,3,4,5,0.3\n", "line 2: enabled is 'maybe'"),
+        (f"{HEADER}\n1,1,2,3,4,5,-0.3\n", "line 2: tactile_depth_m is '-0.3'"),
+        (f"{HEADER}\n1,1,2,3,4,5,295\n", "line 2: tactile_depth_m is '295'.*metres"),
+        (f"{HEADER}\n,1,2,3,4,5,0.3\n", "line 2: id is empty"),
+        (f"{HEADER},proximity_image\n1,1,2,3,4,5,0.3,infrared\n", "line 2: proximity_image is 'infrared'"),
+        (f"{HEADER},proximity_image,proximity_depth_m\n1,1,2,3,4,5,0.3,color,0.3\n", "looks through the membrane"),
+        (f'{HEADER}\n1,1,"2,3,4,5,0.3\n', "not CSV"),
+    ],
+)
+def test_a_bad_row_is_named_with_line_field_and_value(tmp_path, text, words):
+    (tmp_path / "bad.csv").write_text(text)
+    with pytest.raises(CalibrationError, match=words) as caught:
+        read_points(tmp_path / "bad.csv")
+    assert "bad.csv" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(CalibrationError, match=r"nowhere\.csv.*No such file"):
+        read_points(tmp_path / "nowhere.csv")
