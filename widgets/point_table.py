@@ -90,6 +90,7 @@ COLUMNS: Final = (
     _Column("Origin", "Image and snapshot that were clicked, or the helper that found it", lambda row: row.note),
 )
 _ENABLED = 1
+_RESIDUALS = range(7, 12)
 _WORST = {"light": QColor(255, 214, 209), "dark": QColor(104, 38, 34)}
 
 
@@ -209,6 +210,11 @@ class PointTable(QTableView):
         selection = self.selectionModel()
         assert selection is not None
         selection.selectionChanged.connect(self._selection_changed)
+
+    def hide_residuals(self) -> None:
+        """Leave out the columns that only a fit can fill."""
+        for number in _RESIDUALS:
+            self.setColumnHidden(number, True)
 
     def rows(self) -> tuple[PointRow, ...]:
         """Return the rows, unsorted."""

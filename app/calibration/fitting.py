@@ -205,9 +205,9 @@ def _line(report: CalibrationReport) -> str:
         parts.append(f"residual {chosen.rms_px:.2f} px")
         if chosen.cross_validated_px is not None:
             parts.append(f"left out {chosen.cross_validated_px:.2f} px")
-        parts.append(f"expected error {chosen.alignment_mm:.2f} mm")
+        parts.append(f"error {chosen.alignment_mm:.2f} mm")
     if chosen.excluded:
-        parts.append(f"{len(chosen.excluded)} contradict the others")
+        parts.append(f"{len(chosen.excluded)} excluded")
     return ", ".join(parts)
 
 

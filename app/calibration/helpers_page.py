@@ -69,6 +69,7 @@ class HelpersPage(QWidget):
         self.view.set_snapping(False)
         self.view.set_loupe_wanted(False)
         self.table = PointTable("proximity", "tactile")
+        self.table.hide_residuals()
         self._make_controls()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(8, 6, 8, 4)

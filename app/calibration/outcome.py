@@ -141,7 +141,7 @@ def _row(state: SessionState, pair: PointPair, outcome: Outcome) -> PointRow:
 
 def _origin(state: SessionState, pair: PointPair) -> str:
     snapshot = state.snapshot_of(pair)
-    parts = [pair.origin, pair.proximity_image]
+    parts = [f"{pair.origin} in {'colour' if pair.proximity_image == 'color' else 'depth'}"]
     if snapshot is not None:
         parts.append(snapshot.name)
     return ", ".join(parts)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -43,7 +44,7 @@ from .quality_page import QualityPage
 from .saving import preset_values
 from .session import Session
 from .snapping import snap
-from .state import SessionState
+from .state import ProximityImage, SessionState
 
 STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
 _TIPS = (
@@ -165,7 +166,7 @@ class CalibrationWizard(QDialog):
         self.points.exportRequested.connect(self._export_dialog)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
         self.fitter.fitted.connect(self._show_outcome)
-        self._document.refused.connect(lambda _, words: self.messages.show_message("saved", Severity.ERROR, words))
+        self._document.refused.connect(self._refused)
         session.changed.connect(self._show_state)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
@@ -247,7 +248,12 @@ class CalibrationWizard(QDialog):
         except TactuneError as error:
             self.messages.show_message("file", Severity.ERROR, str(error))
             return
-        pairs = pairs_of(points, self.session.state, self.session.rig, origin=path.name)
+        state = self.session.state
+        if path.suffix == ".points":  # says nothing of images, so the present ones are meant
+            image: ProximityImage = "color" if state.choices.proximity_image == "color" else "depth"
+            number = None if state.snapshot is None else state.snapshots.index(state.snapshot)
+            points = [replace(point, proximity_image=image, snapshot=number) for point in points]
+        pairs = pairs_of(points, state, self.session.rig, origin=path.name)
         self.session.add_pairs(pairs, f"Import {len(pairs)} pairs")
         self.messages.show_message("file", Severity.INFO, f"{len(pairs)} pairs were read from {path}.")
 
@@ -287,6 +293,10 @@ class CalibrationWizard(QDialog):
                 "The alignment is in the preset now; undo in the main window takes it out again.",
             )
             self.saved.emit()
+
+    def _refused(self, _: str, words: str) -> None:
+        if self.isVisible():
+            self.messages.show_message("saved", Severity.ERROR, words)
 
     # Events
 

@@ -10,6 +10,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from tactune.app.calibration.averaging import take_snapshot
 from tactune.app.playback import PlaybackState
 from tactune.core.alignment import tactile_pose
 from tactune.core.pipeline import ContactPipeline
@@ -196,6 +197,24 @@ def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
 
     wizard.import_points(tmp_path / "missing.csv")
     assert any("missing.csv" in sentence for sentence in wizard.messages.sentences())
+
+
+def test_a_qgis_file_is_read_as_clicks_in_the_present_images(open_wizard, feed, frames, scene, tmp_path):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(take_snapshot([frames[0.2]], feed.info, lambda share, words: None))
+    proximity, tactile = scene.proximity_pixels(0.2)[30], scene.tactile_pixels(0.2)[30]
+    path = tmp_path / "clicks.points"
+    path.write_text(
+        "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n"
+        f"{proximity[0]},{-proximity[1]},{tactile[0]},{-tactile[1]},1,0,0,0\n"
+    )
+    wizard.import_points(path)
+    (pair,) = wizard.session.state.pairs
+    assert pair.proximity == pytest.approx(tuple(proximity))
+    assert pair.tactile == pytest.approx(tuple(tactile))
+    assert pair.proximity_image == "color"
+    assert pair.snapshot == wizard.session.state.choices.snapshot
+    assert pair.tactile_depth_m == pytest.approx(tactile_depth(scene, 0.2, 30), abs=4e-4)
 
 
 def test_degenerate_points_are_refused_in_words(open_wizard, scene, qtbot):

@@ -76,6 +76,9 @@ def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
     assert window.calibration.wizard is wizard
     wizard.close()
     assert window.calibration.wizard is None
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    assert not window.document.edit("tolerance.t", -5.0)
+    window.document.edit("tolerance.t", 0.02)
     window.actions_.calibrate.trigger()
     assert len(window.calibration.wizard.session.state.snapshots) == 1
 
