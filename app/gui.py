@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import cast
 
 from PyQt6.QtCore import QCoreApplication, QObject, Qt, QTimer
@@ -58,9 +59,25 @@ def run_gui(
     """
     start_preset, preset_path = start_with(preset, source)
     application = make_application()
-    # A picture shall not depend on what somebody chose before, nor change it.
-    settings = Settings(None if screenshot else default_settings_file())
-    window = MainWindow(start_preset, settings, default_data_folder())
+    if screenshot is None:
+        window = MainWindow(start_preset, Settings(default_settings_file()), default_data_folder())
+        _prepare(window, preset_path, size, theme)
+        window.open_source(source)
+        window.offer_unsaved_work()
+        return application.exec()
+    # A picture shall not depend on what somebody chose before, nor leave anything behind.
+    with TemporaryDirectory(prefix="tactune-") as folder:
+        window = MainWindow(start_preset, Settings(Path(folder) / "window.ini"), Path(folder))
+        _prepare(window, preset_path, size, theme)
+        picture = _Screenshot(window, screenshot, after)
+        window.open_source(source)
+        application.exec()
+    if picture.problem:
+        raise ExportError(picture.problem)
+    return 0
+
+
+def _prepare(window: MainWindow, preset_path: Path | None, size: tuple[int, int] | None, theme: str | None) -> None:
     if preset_path is not None:
         window.document.open(preset_path)
     if theme is not None:
@@ -69,15 +86,6 @@ def run_gui(
         window.resize(*size)
     window.error_hook.install()
     window.show()
-    window.open_source(source)
-    if screenshot is None:
-        window.offer_unsaved_work()
-        return application.exec()
-    picture = _Screenshot(window, screenshot, after)
-    application.exec()
-    if picture.problem:
-        raise ExportError(picture.problem)
-    return 0
 
 
 def make_application() -> QApplication:
@@ -114,7 +122,7 @@ class _Screenshot(QObject):
         self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames came within {PATIENCE_MS // 1000} s"))
         window.frameShown.connect(self._frame_shown)
         window.worker.opened.connect(lambda _: self._patience.start())
-        window.worker.openFailed.connect(lambda name, sentence: self._give_up(sentence))
+        window.worker.openFailed.connect(lambda _, sentence: self._give_up(sentence))
         window.worker.failed.connect(self._give_up)
         window.error_hook.raised.connect(lambda sentence, details: self._give_up(f"{sentence}\n{details}"))
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import platformdirs
 from PyQt6.QtCore import QByteArray, QSettings
@@ -22,18 +21,9 @@ def default_settings_file() -> Path:
 
 
 class Settings:
-    """Typed access to the remembered values; a file that is missing or damaged means defaults.
+    """Typed access to the remembered values; a file that is missing or damaged means defaults."""
 
-    Parameters
-    ----------
-    path : Path or None
-        None: nothing is read and nothing outlives the program.
-    """
-
-    def __init__(self, path: Path | None) -> None:
-        if path is None:
-            self._forgotten = TemporaryDirectory(prefix="tactune-")
-            path = Path(self._forgotten.name) / "window.ini"
+    def __init__(self, path: Path) -> None:
         self._store = QSettings(str(path), QSettings.Format.IniFormat)
 
     def text(self, key: str, default: str = "") -> str:

@@ -131,7 +131,7 @@ def main() -> int:
     preset, _ = start_with(options.preset, options.source)
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
-        window = MainWindow(preset, Settings(None), Path(folder), backend=options.backend)
+        window = MainWindow(preset, Settings(Path(folder) / "window.ini"), Path(folder), backend=options.backend)
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)

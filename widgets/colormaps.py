@@ -183,7 +183,8 @@ def patch_index(
 def _shades(near: float, far: float) -> npt.NDArray[np.uint8]:
     """Return the row of the context for every raw count: uint8 (65536,)."""
     rows = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
-    return rows.astype(np.uint8)
+    table: npt.NDArray[np.uint8] = rows.astype(np.uint8)
+    return table
 
 
 @cache

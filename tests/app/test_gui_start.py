@@ -1,0 +1,58 @@
+"""``tactune gui``: what it starts with, and the screenshot."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtGui import QImage
+
+from tactune.app.gui import run_gui, start_with
+from tactune.core.errors import ExportError, PresetError
+from tactune.core.preset_file import save_preset
+from tactune.core.sources.folder import export_folder
+
+from .conftest import TinySource
+
+
+@pytest.fixture
+def recording(tmp_path):
+    export_folder(TinySource(length=3), tmp_path / "recording")
+    return f"folder:{tmp_path / 'recording'}"
+
+
+@pytest.mark.parametrize(
+    ("source", "name"), [("sim", "simulator"), ("sim:cube?seed=2", "simulator"), ("bag:x", "default")]
+)
+def test_the_preset_fits_the_source(source, name):
+    preset, path = start_with(None, source)
+    assert preset.name == name
+    assert path is None
+
+
+def test_a_preset_file_stays_the_document_s(preset, tmp_path):
+    save_preset(preset, tmp_path / "mine.json")
+    assert start_with(str(tmp_path / "mine.json"), "sim") == (preset, tmp_path / "mine.json")
+    with pytest.raises(PresetError, match="missing"):
+        start_with(str(tmp_path / "missing.json"), "sim")
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, theme):
+    picture = tmp_path / "window.png"
+    assert run_gui(recording, None, picture, after=2, size=(1100, 700), theme=theme) == 0
+    image = QImage(str(picture))
+    assert (image.width(), image.height()) == (1100, 700)
+    corner = image.pixelColor(1098, 690).lightness()
+    assert corner > 200 if theme == "light" else corner < 80
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["recording", "window.png"]
+
+
+def test_a_single_frame_is_enough_for_a_picture(qapp, tmp_path):
+    export_folder(TinySource(length=1), tmp_path / "one")
+    assert run_gui(f"folder:{tmp_path / 'one'}", None, tmp_path / "window.png", after=30) == 0
+    assert (tmp_path / "window.png").exists()
+
+
+def test_no_picture_without_a_source(qapp, tmp_path):
+    with pytest.raises(ExportError, match="nowhere"):
+        run_gui(f"folder:{tmp_path / 'nowhere'}", None, tmp_path / "window.png", after=1)
+    assert not (tmp_path / "window.png").exists()
