@@ -11,7 +11,7 @@ from ...core.calibration import CalibrationReport, Correspondence, calibrate
 from ...core.clouds import valid_depth
 from ...core.frames import Float64Array, Rig, SensorFrame
 from .jobs import Job
-from .outcome import Outcome, PairFit
+from .outcome import Outcome, PairFit, at_least
 from .pictures import tactile_depth_at
 from .prediction import Alignment
 from .session import Session
@@ -205,7 +205,7 @@ def _line(report: CalibrationReport) -> str:
         parts.append(f"residual {chosen.rms_px:.2f} px")
         if chosen.cross_validated_px is not None:
             parts.append(f"left out {chosen.cross_validated_px:.2f} px")
-        parts.append(f"error {chosen.alignment_mm:.2f} mm")
+        parts.append(f"error {at_least(chosen.alignment_mm, 'mm')}")
     if chosen.excluded:
         parts.append(f"{len(chosen.excluded)} excluded")
     return ", ".join(parts)

@@ -68,6 +68,12 @@ class Outcome:
         return frozenset(rejected | {key for key, length in lengths.items() if length > limit})
 
 
+def at_least(value: float, unit: str, decimals: int = 2) -> str:
+    """Write an error, never as zero: below the last decimal it is "below" that."""
+    smallest = 10.0**-decimals
+    return f"below {smallest:.{decimals}f} {unit}" if value < smallest else f"{value:.{decimals}f} {unit}"
+
+
 def table_rows(state: SessionState, outcome: Outcome) -> list[PointRow]:
     """Return the rows of the point table."""
     return [_row(state, pair, outcome) for pair in state.pairs]

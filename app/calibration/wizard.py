@@ -37,7 +37,7 @@ from .frames_page import FramesPage
 from .helpers_page import HelpersPage
 from .keeping import Keeper
 from .model_page import ModelPage
-from .outcome import Outcome
+from .outcome import Outcome, at_least
 from .pictures import tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
@@ -322,7 +322,8 @@ def _short(report: CalibrationReport) -> str:
     """Return the verdict in one line: the grade, the error, and the next step."""
     judged, quality = grade(report.chosen), report.chosen
     word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
-    return f"{word}, {report.model}: {quality.alignment_px:.2f} px, {quality.alignment_mm:.2f} mm. {next_step}"
+    errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
+    return f"{word}, {report.model}: {errors}. {next_step}"
 
 
 def _push(text: str, tip: str) -> QPushButton:
