@@ -277,3 +277,9 @@ def test_baseline_of_reset_is_what_the_file_holds(window, tmp_path):
     window.document.edit("tolerance.t", 0.02)
     window.document.save(tmp_path / "mine.json")
     assert window.panel.rows["tolerance.t"].reset_target == 0.02
+
+
+def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):
+    window._opened(window.result.source)
+    assert window.views.views[CloudName.PATCH].point_count() > 0
+    assert window.actions_.export_patch.isEnabled()
