@@ -58,7 +58,7 @@ class Collector(QObject):
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None
         self._take(frame)
-        if self._wanted and still:
+        if self._wanted:
             self._feed.play()
 
     def cancel(self) -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.frames import Rig, SensorFrame
@@ -16,9 +18,12 @@ class FrameFeed(QObject):
     Signals
     -------
     frameArrived(SensorFrame)
+    playbackChanged()
+        Playing, held or frozen now; `playback` tells.
     """
 
     frameArrived = pyqtSignal(object)
+    playbackChanged = pyqtSignal()
 
     def __init__(self, info: SourceInfo, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -49,10 +54,15 @@ class FrameFeed(QObject):
 class WorkerFeed(FrameFeed):
     """Frames from the worker of the main window, which goes on showing them."""
 
-    def __init__(self, worker: Worker, result: Result, parent: QObject | None = None) -> None:
+    def __init__(
+        self, worker: Worker, result: Result, playback: PlaybackState | None = None, parent: QObject | None = None
+    ) -> None:
         super().__init__(result.source, parent)
         self._worker = worker
-        self.frame, self.playback = result.frame, result.playback
+        shown = result.playback
+        self.frame = result.frame
+        self.playback = replace(playback or shown, index=shown.index, length=shown.length)
+        worker.playbackChanged.connect(self._playback_changed)
 
     def play(self) -> None:
         """Let frames come."""
@@ -74,4 +84,9 @@ class WorkerFeed(FrameFeed):
             if result.source.rig != self.info.rig:
                 return
             self.info = result.source
-        self.deliver(result.frame, result.playback)
+        self.deliver(result.frame, replace(self.playback, index=result.playback.index, length=result.playback.length))
+
+    def _playback_changed(self, state: PlaybackState) -> None:
+        """Take the orders' effect, which no frame tells while the source stands still."""
+        self.playback = replace(state, index=self.playback.index)
+        self.playbackChanged.emit()

@@ -140,6 +140,7 @@ class FramesPage(QWidget):
     def _connect(self) -> None:
         feed, collector, session = self._feed, self._collector, self._session
         feed.frameArrived.connect(self._frame_arrived)
+        feed.playbackChanged.connect(self._show_playback)
         self._redraw.timeout.connect(self._show_frame)
         self.play.clicked.connect(self._play_or_hold)
         self.seek.sliderMoved.connect(feed.seek)
@@ -166,18 +167,8 @@ class FramesPage(QWidget):
             self._redraw.start()
 
     def _show_frame(self) -> None:
-        frame, playback, info = self._feed.frame, self._feed.playback, self._feed.info
-        moving = playback.playing and not playback.frozen
-        self.play.setText("Hold" if moving else "Play")
-        self.play.setEnabled(info.length != 1)
-        self.seek.setVisible(info.length is not None and info.length > 1)
-        if info.length is not None:
-            self.seek.setMaximum(info.length - 1)
-            if not self.seek.isSliderDown():
-                self.seek.setValue(playback.index)
-            self.source.setText(f"recorded, frame {playback.index} of {info.length - 1}")
-        else:
-            self.source.setText("live" if moving else "live, held")
+        self._show_playback()
+        frame, info = self._feed.frame, self._feed.info
         for (side, image), pane in self.previews.items():
             if frame is None or image not in image_choices(frame, side):
                 pane.set_pixels(None, (640, 480), 1)
@@ -189,6 +180,20 @@ class FramesPage(QWidget):
             pane.set_pixels(shown.pixels, (width, height), 1)
             pane.show_rect(pane.image_rect())
         self._show_busy()
+
+    def _show_playback(self) -> None:
+        playback, info = self._feed.playback, self._feed.info
+        moving = playback.playing and not playback.frozen
+        self.play.setText("Hold" if moving else "Play")
+        self.play.setEnabled(info.length != 1)
+        self.seek.setVisible(info.length is not None and info.length > 1)
+        if info.length is not None:
+            self.seek.setMaximum(info.length - 1)
+            if not self.seek.isSliderDown():
+                self.seek.setValue(playback.index)
+            self.source.setText(f"recorded, frame {playback.index} of {info.length - 1}")
+        else:
+            self.source.setText("live" if moving else "live, held")
 
     def _show_state(self, state: SessionState) -> None:
         self.average.blockSignals(True)

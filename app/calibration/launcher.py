@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QWidget
 from ...widgets.cloud_view import BackendChoice
 from ..document import Document
 from ..message_bar import MessageBar, Severity
+from ..playback import PlaybackState
 from ..results import Result
 from ..worker import Worker
 from .feed import WorkerFeed
@@ -37,9 +38,11 @@ class CalibrationLauncher(QObject):
         self._folder, self._window = folder, window
         self._native, self._backend = native_dialogs, backend
         self._result: Result | None = None
+        self._playback: PlaybackState | None = None
         self._feed: WorkerFeed | None = None
         self.wizard: CalibrationWizard | None = None
         self.recheck: RecheckWindow | None = None
+        worker.playbackChanged.connect(self._playback_changed)
 
     def show_result(self, result: Result | None) -> None:
         """Take the newest frame of the main window."""
@@ -55,7 +58,7 @@ class CalibrationLauncher(QObject):
             self._messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
             return
         if self.wizard is None:
-            self._feed = WorkerFeed(self._worker, self._result, self)
+            self._feed = WorkerFeed(self._worker, self._result, self._playback, self)
             self.wizard = CalibrationWizard(
                 self._feed, self._document, self._folder, self._native, self._backend, self._window
             )
@@ -82,6 +85,9 @@ class CalibrationLauncher(QObject):
         for opened in (self.wizard, self.recheck):
             if opened is not None:
                 opened.close()
+
+    def _playback_changed(self, state: PlaybackState) -> None:
+        self._playback = state
 
     def _check(self) -> None:
         if self.recheck is not None and self._result is not None:

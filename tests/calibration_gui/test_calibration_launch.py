@@ -60,6 +60,7 @@ def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
     qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
     window.worker.pause()
     window.worker.seek(2)
+    qtbot.waitUntil(lambda: not window.transport.state.playing, timeout=15000)
     qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
     QTest.keyClick(window, Qt.Key.Key_K, CONTROL)
     wizard = window.calibration.wizard
@@ -70,7 +71,7 @@ def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
     qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
     assert wizard.session.state.snapshots[0].averaged == 3
     qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
-    assert not window.result.playback.playing
+    qtbot.waitUntil(lambda: not window.transport.state.playing, timeout=15000)
 
     window.actions_.calibrate.trigger()
     assert window.calibration.wizard is wizard
