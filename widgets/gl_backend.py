@@ -82,7 +82,7 @@ def probe_opengl() -> GLProbe:
     finally:
         context.doneCurrent()
     if any(name in renderer.lower() for name in _EMULATORS):
-        return GLProbe(True, True, renderer, f"OpenGL is only emulated here ({renderer.partition(' (')[0]})")
+        return GLProbe(True, True, renderer, f"OpenGL is emulated ({renderer.partition(' (')[0]})")
     return GLProbe(True, False, renderer, "")
 
 
