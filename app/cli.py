@@ -10,6 +10,7 @@ import re
 import sys
 from enum import StrEnum
 from importlib.metadata import version
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Annotated
 
@@ -82,10 +83,16 @@ def main() -> int:
 
     0: done; 2: something that the person can put right, said in one sentence; 130: interrupted.
     """
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be valid Unicode
     try:
         commands(prog_name="tactune")
     except TactuneError as error:
         typer.echo(f"tactune: {error}", err=True)
+        return USAGE_STATUS
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"tactune: {where}{error.strerror or error}; check the path, its permissions and the disk", err=True)
         return USAGE_STATUS
     except SystemExit as end:
         return int(end.code or 0)

@@ -48,7 +48,7 @@ def calibrate(
     cameras = find_rig(rig)
     base = None
     if out is not None:
-        base = load_preset(out) if out.exists() else Preset(name=out.stem)
+        base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
     report = fit(pairs, cameras, model.value, depth_scale=depth_scale)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)

@@ -100,7 +100,7 @@ def _parse_setting(text: str) -> tuple[str, Any]:
         raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
     try:
         return path.strip(), json.loads(value)
-    except ValueError:
+    except (ValueError, RecursionError):
         return path.strip(), value
 
 

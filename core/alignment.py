@@ -87,11 +87,21 @@ def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
 
     For the frontal plane z = d in the proximity frame, ``H_t_p = K_t (R + t n^T / d) K_p^-1`` with
     ``T_t_p = [R | t]`` and n = (0, 0, 1) (Hartley and Zisserman, Multiple View Geometry, eq. 13.2).
+
+    Raises
+    ------
+    RigMismatchError
+        There is no pose, or the tactile camera lies in that plane and sees it edge on.
     """
     if section.homography.H_p_t is not None:
         return np.asarray(section.homography.H_p_t)
     T_t_p = np.linalg.inv(tactile_pose(section, rig))
     plane = np.outer(T_t_p[:3, 3], (0.0, 0.0, 1.0 / section.homography.plane_distance_m))
+    if abs(np.linalg.det(T_t_p[:3, :3] + plane)) < 1e-6:
+        raise RigMismatchError(
+            f"alignment.homography.plane_distance_m is {section.homography.plane_distance_m:g}, "
+            "but the tactile camera lies in that plane; choose another distance or check the pose"
+        )
     K_p, K_t = rig.proximity.intrinsics.camera_matrix(), rig.tactile.intrinsics.camera_matrix()
     H_p_t = np.linalg.inv(K_t @ (T_t_p[:3, :3] + plane) @ np.linalg.inv(K_p))
     return np.asarray(H_p_t / H_p_t[2, 2])

@@ -16,22 +16,24 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success it replaces ``target`` in one step.
 
     The temporary file keeps the target's suffix, so writers that choose a format by it work.
-    Its folder is made if missing. On any error the temporary file is removed and ``target`` stays
-    as it was.
+    Its folder is made if missing. A link stays a link: what it points to is replaced. On any error
+    the temporary file is removed and ``target`` stays as it was.
 
     Raises
     ------
     ExportError
-        The operating system refuses: no such folder, no permission, disk full.
+        ``target`` is a folder or a device, or the operating system refuses: no permission, disk full.
     """
-    target = Path(target)
-    temporary = target.with_name(f".{target.stem}-{secrets.token_hex(4)}{target.suffix}")
+    final = Path(os.path.realpath(target))
+    temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
     try:
-        target.parent.mkdir(parents=True, exist_ok=True)
+        if final.exists() and not final.is_file():
+            raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
+        final.parent.mkdir(parents=True, exist_ok=True)
         yield temporary
         with temporary.open("rb+") as file:
             os.fsync(file.fileno())
-        temporary.replace(target)
+        temporary.replace(final)
     except OSError as error:
         raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
     finally:

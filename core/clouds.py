@@ -8,6 +8,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from .errors import SourceError
 from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
 from .intrinsics import Intrinsics
 from .preset import Preset
@@ -38,8 +39,20 @@ class PointCloud:
 
 @lru_cache(maxsize=8)
 def ray_table(intrinsics: Intrinsics) -> Float32Array:
-    """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only."""
-    table = intrinsics.rays()
+    """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only.
+
+    Raises
+    ------
+    SourceError
+        The lens bends some pixels so much that they see nothing.
+    """
+    with np.errstate(all="ignore"):
+        table = intrinsics.rays()
+    if not np.isfinite(table).all():
+        raise SourceError(
+            f"the lens coefficients {intrinsics.coefficients} leave some pixels of the "
+            f"{intrinsics.width} x {intrinsics.height} image without a ray; check them in the rig"
+        )
     table.flags.writeable = False
     return table
 

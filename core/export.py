@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 import struct
 import zipfile
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -29,7 +30,7 @@ Columns = dict[str, npt.NDArray[Any]]
 _XYZ = ("x", "y", "z")
 _RGB = ("red", "green", "blue")
 _CSV_XYZ = ("x_m", "y_m", "z_m")
-_RESERVED = {*_XYZ, *_RGB, *_CSV_XYZ, "rgb", "points", "colors"}
+_RESERVED = {*_XYZ, *_RGB, *_CSV_XYZ, "rgb", "points", "colors", "file", "allow_pickle"}
 _NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
 
 #: Both names that PLY has for each type. The first is written: Open3D skips "ushort" but knows "uint16".
@@ -111,7 +112,16 @@ def read_cloud(path: Path | str) -> PointCloud:
         return PointCloud(points, colors, dict(columns))
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
-    except (ValueError, KeyError, IndexError, TypeError, EOFError, struct.error, zipfile.BadZipFile) as error:
+    except (
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        EOFError,
+        struct.error,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
         detail = " ".join(str(error).split())
         raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
 
@@ -234,7 +244,8 @@ def _write_npz(path: Path, columns: Columns) -> None:
     arrays["points"] = np.stack([columns[name] for name in _XYZ], axis=1)
     if set(_RGB) <= columns.keys():
         arrays["colors"] = np.stack([columns[name] for name in _RGB], axis=1)
-    np.savez(path, allow_pickle=False, **arrays)
+    with path.open("wb") as file:  # given a name, NumPy would add .npz to .NPZ
+        np.savez(file, allow_pickle=False, **arrays)
 
 
 def _read_npz(path: Path) -> Columns:

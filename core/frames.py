@@ -22,6 +22,9 @@ Float64Array = npt.NDArray[np.float64]
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
 NO_DEPTH_COUNTS = (0, 65535)
 
+#: Both cameras sit in one housing; a longer way between frames is a mistake, such as millimetres.
+_FARTHEST_M = 10.0
+
 Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
 
@@ -37,13 +40,19 @@ def rigid_transform(matrix: Any) -> Matrix4:
     Raises
     ------
     ValueError
-        The matrix has another shape, is not finite, or its rotation part is not a rotation.
+        The matrix has another shape, is not finite, its rotation part is not a rotation, or its
+        translation is too long to be in metres.
     """
-    array = np.asarray(matrix, dtype=np.float64)
-    if array.shape != (4, 4):
-        raise ValueError(f"a pose is a 4 x 4 matrix, this one is {array.shape}")
+    raw = np.asarray(matrix)
+    if raw.shape != (4, 4):
+        raise ValueError(f"a pose is a 4 x 4 matrix, this one is {raw.shape}")
+    if raw.dtype.kind not in "iuf":
+        raise ValueError("a pose consists of numbers, this one does not")
+    array = raw.astype(np.float64)
     if not np.isfinite(array).all():
         raise ValueError("a pose has finite entries, this one contains nan or inf")
+    if np.abs(array[:3]).max() > _FARTHEST_M:
+        raise ValueError(f"a pose has a rotation and metres up to {_FARTHEST_M:g}, this one contains larger numbers")
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if deviation > 1e-3 or np.linalg.det(rotation) < 0:
@@ -64,7 +73,7 @@ class DepthCamera(_Frozen):
     model: str = "unknown"
     serial: str = ""
     intrinsics: Intrinsics
-    depth_unit_m: Annotated[float, Field(gt=0, le=1.0)]
+    depth_unit_m: Annotated[float, Field(ge=1e-7, le=1.0)]
 
 
 class ColorCamera(_Frozen):

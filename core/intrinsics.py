@@ -11,7 +11,9 @@ from pydantic import BaseModel, ConfigDict, Field
 
 Float64Array = npt.NDArray[np.float64]
 _PixelCount = Annotated[int, Field(ge=1, le=16384)]
-_FocalLength = Annotated[float, Field(gt=0)]
+_FocalLength = Annotated[float, Field(ge=0.1, le=1e6)]
+_Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Coefficient = Annotated[float, Field(ge=-1e3, le=1e3)]
 
 #: librealsense's own number of fixed-point steps when it removes distortion.
 _UNDISTORT_STEPS = 10
@@ -38,10 +40,16 @@ class Intrinsics(BaseModel):
     height: _PixelCount
     fx: _FocalLength
     fy: _FocalLength
-    cx: float
-    cy: float
+    cx: _Centre
+    cy: _Centre
     distortion: Distortion = Distortion.NONE
-    coefficients: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    coefficients: tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
 
     @property
     def shape(self) -> tuple[int, int]:

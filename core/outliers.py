@@ -7,6 +7,7 @@ outside it can be nearer than the k-th neighbour found so far.
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import cv2
@@ -15,6 +16,7 @@ import numpy.typing as npt
 from numba import njit, prange
 from scipy.spatial import cKDTree
 
+from .clouds import ray_table
 from .intrinsics import Intrinsics
 
 Bools = npt.NDArray[np.bool_]
@@ -25,7 +27,7 @@ _MOST_RINGS = 32
 
 
 def statistical_inliers(
-    points: Points, pixels: npt.NDArray[np.intp], rays: npt.NDArray[np.float32], k: int, ratio: float
+    points: Points, pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, k: int, ratio: float
 ) -> Bools:
     """Return which points are inliers, by Open3D's definition.
 
@@ -39,8 +41,8 @@ def statistical_inliers(
         Metres, camera frame, z > 0, in row-major pixel order.
     pixels : int, shape (N,)
         Flat pixel of each point.
-    rays : float32, shape (H, W, 2)
-        The camera's ray table; point = ray times depth.
+    intrinsics : Intrinsics
+        Of the camera that sees the points in these pixels.
     k : int
         Neighbours averaged, the point itself counting as one (PCL's k is one less).
     ratio : float
@@ -52,22 +54,22 @@ def statistical_inliers(
     """
     if len(points) == 0:
         return np.zeros(0, bool)
-    means = mean_neighbour_distances(points, pixels, rays, min(k, len(points)))
+    means = mean_neighbour_distances(points, pixels, intrinsics, min(k, len(points)))
     return np.asarray(_below_threshold(means, ratio))
 
 
 def mean_neighbour_distances(
-    points: Points, pixels: npt.NDArray[np.intp], rays: npt.NDArray[np.float32], k: int
+    points: Points, pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, k: int
 ) -> npt.NDArray[np.float64]:
     """Return each point's mean distance to its k nearest points, itself included, in metres.
 
     Parameters as in `statistical_inliers`; k is at most N.
     """
-    height, width = rays.shape[:2]
-    numbers = np.full(height * width, -1, np.int32)
+    numbers = np.full(intrinsics.height * intrinsics.width, -1, np.int32)
     numbers[pixels] = np.arange(len(points), dtype=np.int32)
     means = np.empty(len(points))
-    _ring_search(points, pixels, numbers.reshape(height, width), *_side_planes(rays), k, _MOST_RINGS, means)
+    planes = _side_planes(intrinsics)
+    _ring_search(points, pixels, numbers.reshape(intrinsics.shape), *planes, k, _MOST_RINGS, means)
     uncertain = np.isnan(means)
     if uncertain.any():
         distances, _ = cKDTree(points).query(points[uncertain], k)
@@ -75,7 +77,8 @@ def mean_neighbour_distances(
     return means
 
 
-def _side_planes(rays: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+@lru_cache(maxsize=8)
+def _side_planes(intrinsics: Intrinsics) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Return unit normals of planes through the camera that bound all pixels beyond a column or row.
 
     Entry ``[side, i]`` is (n, n_z) with ``n . point >= 0`` for every point seen at column (or row) i
@@ -91,7 +94,7 @@ def _side_planes(rays: npt.NDArray[np.float32]) -> tuple[npt.NDArray[np.float64]
         both = np.stack([left, right])
         return np.asarray(both / np.linalg.norm(both, axis=2, keepdims=True))
 
-    wide = rays.astype(np.float64)
+    wide = ray_table(intrinsics).astype(np.float64)
     return planes(wide[:, :, 0]), planes(wide[:, :, 1].T)
 
 

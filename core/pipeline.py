@@ -12,9 +12,10 @@ import numpy as np
 import numpy.typing as npt
 
 from .alignment import AlignedDepth, make_alignment
-from .clouds import deproject, ray_table
+from .clouds import deproject
 from .frames import Rig, SensorFrame
 from .fusion import region_bounds, tolerance_test
+from .intrinsics import Intrinsics
 from .masking import is_masked
 from .outliers import in_large_cluster, pixel_areas_m2, statistical_inliers
 from .preset import OutlierSection, Preset
@@ -145,15 +146,13 @@ class ContactPipeline:
             "tolerance", (preset.range, preset.tolerance), find_candidates, frame, aligned, region, self.rig, preset
         )
         if len(candidates) == 0:
-            return self._memory.patch(
-                frame, aligned, provenance, [(Provenance.CONTACT, candidates)], stage.ms, self.rig
-            )
+            return self._memory.patch(frame, aligned, provenance, [(Provenance.CONTACT, candidates)], stage, self.rig)
 
         unmasked = stage("mask", preset.mask, drop_masked, candidates, frame, self.rig, preset)
         outliers = preset.outliers
         inliers = stage(
             "outliers", (outliers.enabled, outliers.k, outliers.ratio),
-            drop_outliers, unmasked, ray_table(intrinsics), outliers,
+            drop_outliers, unmasked, intrinsics, outliers,
         )  # fmt: skip
         contact = stage("clusters", outliers.min_cluster_area_mm2, drop_small_clusters, inliers, self.rig, outliers)
 
@@ -163,7 +162,7 @@ class ContactPipeline:
             (Provenance.SMALL_CLUSTER, inliers),
             (Provenance.CONTACT, contact),
         ]
-        return self._memory.patch(frame, aligned, provenance, verdicts, stage.ms, self.rig)
+        return self._memory.patch(frame, aligned, provenance, verdicts, stage, self.rig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +205,11 @@ def drop_masked(candidates: Candidates, frame: SensorFrame, rig: Rig, preset: Pr
     return candidates.keep(~masked)
 
 
-def drop_outliers(candidates: Candidates, rays: npt.NDArray[np.float32], section: OutlierSection) -> Candidates:
+def drop_outliers(candidates: Candidates, intrinsics: Intrinsics, section: OutlierSection) -> Candidates:
     """Drop statistical outliers."""
     if not section.enabled:
         return candidates
-    inliers = statistical_inliers(candidates.points, candidates.pixels, rays, section.k, section.ratio)
+    inliers = statistical_inliers(candidates.points, candidates.pixels, intrinsics, section.k, section.ratio)
     return candidates.keep(inliers)
 
 
@@ -236,17 +235,17 @@ class _Memory:
         aligned: AlignedDepth,
         provenance: npt.NDArray[np.uint8],
         verdicts: list[tuple[Provenance, Candidates]],
-        stage_ms: dict[str, float],
+        stages: _StageRunner,
         rig: Rig,
     ) -> ContactPatch:
         """Assemble the patch: each verdict overwrites the pixels that reached its stage."""
-        if self.last_patch is not None and not any(stage_ms.values()):
-            return replace(self.last_patch, stage_ms=stage_ms)
+        if self.last_patch is not None and not stages.stale:
+            return replace(self.last_patch, stage_ms=stages.ms)
         provenance = provenance.copy()
         flat = provenance.reshape(-1)
         for verdict, reached in verdicts:
             flat[reached.pixels] = verdict
-        self.last_patch = ContactPatch(frame.sequence, verdicts[-1][1].points, provenance, aligned, rig, stage_ms)
+        self.last_patch = ContactPatch(frame.sequence, verdicts[-1][1].points, provenance, aligned, rig, stages.ms)
         return self.last_patch
 
 
@@ -255,15 +254,15 @@ class _StageRunner:
 
     def __init__(self, memory: _Memory) -> None:
         self._memory = memory
-        self._stale = False
+        self.stale = False
         self.ms = dict.fromkeys(STAGES, 0.0)
 
     def __call__(self, name: str, key: Any, compute: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         remembered_key, result = self._memory.results.get(name, (None, None))
-        if not self._stale and name in self._memory.results and remembered_key == key:
+        if not self.stale and name in self._memory.results and remembered_key == key:
             remembered: R = result
             return remembered
-        self._stale = True
+        self.stale = True
         start = time.perf_counter_ns()
         fresh = compute(*args, **kwargs)
         self.ms[name] = (time.perf_counter_ns() - start) / 1e6

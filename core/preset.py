@@ -78,7 +78,7 @@ class HomographyAlignment(Section):
         if value is None:
             return None
         singular_values = np.linalg.svd(np.asarray(value), compute_uv=False)
-        if singular_values[-1] <= 1e-15 * singular_values[0]:
+        if singular_values[-1] <= max(1e-15 * singular_values[0], 1e-12):
             raise ValueError("the homography is singular: it maps the image onto a line or a point; fit it again")
         return value
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import difflib
 import importlib.resources
 import json
+import re
+import reprlib
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -21,6 +23,9 @@ Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 SCHEMA_VERSION: Literal[2] = 2
+
+#: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
+_MOST_TOLD = 9
 
 
 def _add_calibration(document: Document) -> Document:
@@ -61,6 +66,8 @@ def load_preset(path_or_name: Path | str) -> Preset:
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
         return preset_from_text(resource.read_text("utf-8"), origin=f"shipped preset {path_or_name}")
     try:
+        if path.is_char_device():  # /dev/zero would never end
+            raise PresetError(f"{path} is no preset: it is a device; choose a .json file")
         text = path.read_text("utf-8")
     except OSError as error:
         raise PresetError(
@@ -85,16 +92,18 @@ def preset_from_text(text: str, origin: str) -> Preset:
     """Parse the text of a preset file; ``origin`` names it in messages."""
     try:
         document = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as error:
-        place = (
-            f"line {error.lineno}, column {error.colno}: {error.msg}"
-            if isinstance(error, json.JSONDecodeError)
-            else "too deep"
-        )
+    except json.JSONDecodeError as error:
+        place = f"line {error.lineno}, column {error.colno}: {error.msg}"
         raise PresetError(f"{origin} is no preset: not valid JSON ({place})") from error
-    if not isinstance(document, dict) or document.get("schema") != SCHEMA_NAME:
-        found = document.get("schema") if isinstance(document, dict) else type(document).__name__
-        raise PresetError(f'{origin} is no preset: "schema" should be "{SCHEMA_NAME}", it is {found!r}')
+    except RecursionError as error:
+        raise PresetError(f"{origin} is no preset: not valid JSON (too deep)") from error
+    except ValueError as error:  # Python refuses whole numbers of thousands of digits
+        raise PresetError(f"{origin} is no preset: it contains a number of too many digits") from error
+    if not isinstance(document, dict):
+        raise PresetError(f'{origin} is no preset: it is no JSON object with "schema": "{SCHEMA_NAME}"')
+    if document.get("schema") != SCHEMA_NAME:
+        found = reprlib.repr(document.get("schema"))
+        raise PresetError(f'{origin} is no preset: "schema" should be "{SCHEMA_NAME}", it is {found}')
     return parse_preset(migrate(document, origin), origin)
 
 
@@ -103,11 +112,11 @@ def migrate(document: Document, origin: str) -> Document:
     found = document.get("schema_version")
     if not isinstance(found, int) or isinstance(found, bool) or found < 1:
         raise PresetError(
-            f"{origin}: schema_version is {found!r}; it should be a whole number from 1 to {SCHEMA_VERSION}"
+            f"{origin}: schema_version is {reprlib.repr(found)}; it should be a whole number from 1 to {SCHEMA_VERSION}"
         )
     if found > SCHEMA_VERSION:
         raise PresetError(
-            f"{origin}: schema_version is {found}, this Tactune reads up to {SCHEMA_VERSION}; "
+            f"{origin}: schema_version is {reprlib.repr(found)}, this Tactune reads up to {SCHEMA_VERSION}; "
             f"update Tactune (the file was written by version {document.get('tool_version', 'unknown')})"
         )
     for step in MIGRATIONS[found - 1 :]:
@@ -121,14 +130,17 @@ def parse_preset(document: Document, origin: str) -> Preset:
     Raises
     ------
     PresetError
-        Names every bad field with its path, its value and what is allowed.
+        Names the first bad fields, each with its path, its value and what is allowed.
     """
     text = json.dumps(document, default=_plain)
     try:
         parsed = PresetDocument.model_validate_json(text, strict=True, by_alias=True)
     except ValidationError as error:
-        sentences = [_explain(detail) for detail in error.errors(include_url=False)]
-        raise PresetError(f"{origin}: " + "; ".join(dict.fromkeys(sentences))) from error
+        details = error.errors(include_url=False)
+        sentences = list(dict.fromkeys(_explain(detail) for detail in details[:_MOST_TOLD]))
+        if len(details) > _MOST_TOLD:
+            sentences.append(f"and {len(details) - _MOST_TOLD} more")
+        raise PresetError(f"{origin}: " + "; ".join(sentences)) from error
     return Preset.model_construct(**{name: getattr(parsed, name) for name in Preset.model_fields})
 
 
@@ -204,10 +216,12 @@ def preset_paths() -> list[str]:
 
 
 def _keep_older_version(path: Path) -> None:
+    if not path.is_file():
+        return
     try:
         document = json.loads(path.read_text("utf-8"))
         found = document["schema_version"] if document["schema"] == SCHEMA_NAME else SCHEMA_VERSION
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return  # nothing there, or no preset: there is no older preset to keep
     if isinstance(found, int) and found < SCHEMA_VERSION:
         kept = path.with_name(f"{path.stem}.schema-{found}{path.suffix}")
@@ -234,9 +248,12 @@ def _explain(error: Any) -> str:
         return f"{path} is not a field of a preset" + (f" (did you mean {hint[0]}?)" if hint else "; remove it")
     if error["type"] == "missing":
         return f"{path} is missing"
+    if error["type"] == "json_invalid":  # valid to Python's parser, so only texts and depth can be wrong
+        return f"a text is no valid Unicode or something is nested too deep ({error['msg']}); write it again"
     shown = repr(error["input"])
     shown = shown if len(shown) <= 80 else shown[:77] + "..."
-    message = error["msg"].removeprefix("Value error, ").replace("Input should", "it should")
+    message = error["msg"].removeprefix("Value error, ").removesuffix(" after validation")
+    message = re.sub(r"^(Input|String|Tuple) should", "it should", message)
     return f"{path} is {shown}: {message}{_allowed(location)}"
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from .errors import RigMismatchError
 from .frames import DepthCamera, Rig
+from .intrinsics import Intrinsics
 from .preset import Preset
 
 
@@ -36,11 +37,14 @@ def _compare(name: str, role: str, made_for: DepthCamera, found: DepthCamera) ->
             f"Preset {name!r} was made for the {role} camera {made_for.serial}, this one is {found.serial}; "
             "check the alignment."
         )
-    if made_for.intrinsics != found.intrinsics:
-        warnings.append(
-            f"Preset {name!r} was made for other {role} intrinsics "
-            f"(fx {made_for.intrinsics.fx:.2f}, here {found.intrinsics.fx:.2f}); check the alignment."
-        )
+    for field in Intrinsics.model_fields:
+        before, now = getattr(made_for.intrinsics, field), getattr(found.intrinsics, field)
+        if before != now:
+            warnings.append(
+                f"Preset {name!r} was made for other {role} intrinsics ({field} {before}, here {now}); "
+                "check the alignment."
+            )
+            break
     if made_for.depth_unit_m != found.depth_unit_m:
         warnings.append(
             f"Preset {name!r} was made for a {role} depth unit of {made_for.depth_unit_m:g} m, here it is "

@@ -68,6 +68,8 @@ def read_json_object(path: Path) -> dict[str, Any]:
         raise SourceError(
             f"{path} is no JSON: line {error.lineno}, {error.msg}; correct it or write it again"
         ) from error
+    except ValueError as error:  # Python refuses whole numbers of thousands of digits
+        raise SourceError(f"{path} contains a number of too many digits; correct it or write it again") from error
     if not isinstance(data, dict):
         raise SourceError(f"{path} holds a {type(data).__name__}, not a JSON object; wrap its fields in braces")
     return data

@@ -11,6 +11,7 @@ from ..clouds import deproject, valid_depth
 from ..errors import SourceError
 from ..frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from ..masking import colors_at
+from ..paths import user_path
 from .bag_reader import Camera, RealSenseBag, Stream
 from .base import Health, Progress, SeekableSource
 
@@ -44,7 +45,7 @@ class BagSource(SeekableSource):
 
     def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
         name = f"bag:{path}"
-        file = Path(path).expanduser()
+        file = user_path(path)
         if not file.is_file():
             raise SourceError(f"{name}: there is no file {file}; check the path")
         self._bag = RealSenseBag(file, progress)

@@ -34,6 +34,7 @@ import numpy.typing as npt
 from ..clouds import valid_depth
 from ..errors import ExportError, FrameError, SourceError
 from ..frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
+from ..paths import user_path
 from ..rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
 
@@ -64,13 +65,14 @@ class FolderSource(SeekableSource):
     """
 
     def __init__(self, path: Path | str) -> None:
-        self._path = Path(path).expanduser()
+        self._path = user_path(path)
         name = f"folder:{path}"
         if not self._path.is_dir():
             raise SourceError(f"{name}: there is no folder {self._path}; check the path")
         rig = load_rig(self._path / "rig.json")
         self._folders = _frame_folders(self._path)
         self._stamps = [_read_stamp(folder, index) for index, folder in enumerate(self._folders)]
+        self._refuse_same_sequence()
         super().__init__(name, rig, len(self._folders))
         self.read(0)
 
@@ -84,6 +86,16 @@ class FolderSource(SeekableSource):
     def read(self, index: int) -> SensorFrame:
         """Read frame ``index`` from its images."""
         return _read_frame(self._folders[index], self._stamps[index], self._rig)
+
+    def _refuse_same_sequence(self) -> None:
+        """Files that are made of a frame are named by its sequence number: two of one number would collide."""
+        seen: dict[int, Path] = {}
+        for folder, stamp in zip(self._folders, self._stamps, strict=True):
+            first = seen.setdefault(stamp.sequence, folder)
+            if first is not folder:
+                raise SourceError(
+                    f"{folder / 'frame.json'} has the sequence {stamp.sequence}, and so has {first.name}; correct it"
+                )
 
     def reference(self) -> SensorFrame | None:
         """Return the frame in the subfolder ``reference``, or None where there is none."""
@@ -120,17 +132,19 @@ def export_folder(
     Raises
     ------
     ExportError
-        The folder is not empty or cannot be written, or there is nothing to write.
+        The folder is not empty, is the working folder or cannot be written, or there is nothing to write.
     SourceError
         The source cannot be read.
     """
-    target = Path(path).expanduser()
+    target = Path.cwd() / user_path(path)
     if frames is not None and frames < 1:
         raise ExportError(f"cannot export {frames} frames of {source.name}; ask for 1 or more")
     if frames is None and source.length is None:
         raise ExportError(f"{source.name} is live and has no end; say how many frames to export")
-    temporary = target.with_name(f".{target.name}-{secrets.token_hex(4)}.partial")
+    temporary = target.parent / f".{target.name}-{secrets.token_hex(4)}.partial"
     try:
+        if target == Path.cwd():
+            raise ExportError(f"cannot replace {target}, the working folder; name a new folder")
         if target.exists() and (not target.is_dir() or any(target.iterdir())):
             raise ExportError(f"{target} is already there and not an empty folder; choose another name or remove it")
         temporary.mkdir(parents=True)
@@ -189,8 +203,8 @@ def _read_stamp(folder: Path, index: int) -> _Stamp:
         if key not in expected:
             raise SourceError(f"{path}: {key} is no field of a frame; it has {', '.join(expected)}")
         whole = key == "sequence"
-        good = type(value) is int or (not whole and type(value) is float and math.isfinite(value))
-        if not good or (whole and value < 0):
+        good = type(value) is int or (not whole and type(value) is float)
+        if not good or not abs(value) < 2**63 or (whole and value < 0):
             kind = "a whole number from 0" if whole else "a number of seconds"
             raise SourceError(f"{path}: {key} is {value!r}, but it should be {kind}; correct it")
     return _Stamp(data["sequence"], float(data["proximity_time_s"]), float(data["tactile_time_s"]))
@@ -239,9 +253,15 @@ def _read_color(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
 
 def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> npt.NDArray[Any]:
     """Read one image and insist on its bit depth, its channels and the size that the rig states."""
-    if not path.is_file():
-        raise SourceError(f"there is no file {path}; export or copy the recording again")
-    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    try:
+        # Not cv2.imread: a name that is no valid Unicode makes it crash the whole process.
+        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+    except OSError as error:
+        raise SourceError(
+            f"cannot read {path}: {error.strerror or error}; export or copy the recording again"
+        ) from error
+    except cv2.error:  # empty, or an absurd size
+        image = None
     if image is None:
         raise SourceError(f"{path} is no readable PNG image; export or copy it again")
     found = image.shape[2] if image.ndim == 3 else 1
@@ -263,7 +283,7 @@ def _read_metres(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     try:
         with path.open("rb") as file:
             depth = np.lib.format.read_array(file, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except (OSError, ValueError, EOFError, MemoryError) as error:
         raise SourceError(f"{path} is no readable NumPy array; export or copy it again") from error
     if depth.dtype != np.float32 or depth.shape != shape:
         raise SourceError(

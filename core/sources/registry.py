@@ -8,11 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 from urllib.parse import parse_qsl
 
 from ..errors import SourceError
+from ..paths import user_path
 from .base import FrameSource, Progress
 
 SCENES = ("cube", "cup", "octopus")
@@ -67,18 +67,20 @@ def open_source(name: str, progress: Progress | None = None) -> FrameSource:
     SourceError
         Unknown kind, scene or option, nothing at that path, or unreadable; the message says what to do.
     """
-    scheme, _, rest = name.partition(":")
-    if scheme in _KINDS:
+    try:
+        scheme, _, rest = name.partition(":")
+        if scheme not in _KINDS:
+            scheme, rest = _guess(name)
         _, opener = _KINDS[scheme]
         return opener(rest, progress)
-    scheme, path = _guess(name)
-    return _KINDS[scheme][1](path, progress)
+    except OSError as error:
+        raise SourceError(f"cannot open {name}: {error.strerror or error}; check the path") from error
 
 
 def _guess(name: str) -> tuple[str, str]:
     """Return the scheme and path of a name without a scheme."""
     forms = ", ".join(kind.form for kind in source_kinds())
-    path = Path(name).expanduser()
+    path = user_path(name)
     if not name or not path.exists():
         kind, colon, _ = name.partition(":")
         if colon and kind.isalnum() and len(kind) > 1:
@@ -132,8 +134,8 @@ def _noise(name: str, text: str) -> float:
         noise = float(text)
     except ValueError:
         noise = math.nan
-    if not (math.isfinite(noise) and noise >= 0.0):
-        raise SourceError(f"{name}: noise is {text!r}, but it must be a number from 0 (none), such as noise=0.5")
+    if not 0.0 <= noise <= 100.0:
+        raise SourceError(f"{name}: noise is {text!r}, but it must be a number from 0 (none) to 100, such as noise=0.5")
     return noise
 
 

@@ -76,6 +76,8 @@ def test_a_file_is_replaced_only_by_force(tactune: Tactune, recording: Path, tmp
         ("range.limits_m=[0.5,0.1]", ["range.limits_m"]),
         ("alignment=rigid", ["alignment"]),
         ("tolerance.t", ["tolerance.t", "FIELD=VALUE"]),
+        ("mask.hue=" + "[" * 50_000, ["mask.hue"]),
+        ("alignment.rigid.T_proximity_tactile={}", ["alignment.rigid.T_proximity_tactile"]),
     ],
 )
 def test_a_bad_setting_is_named_and_nothing_written(

@@ -164,6 +164,9 @@ def test_older_patches_in_the_folder_are_mentioned(tactune: Tactune, recording: 
         (["run", "--source", "RECORDING", "--out", "RECORDING/rig.json"], "rig.json"),
         (["export-folder", "--source", "RECORDING", "--out", "RECORDING"], "recording"),
         (["export-folder", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
+        (["export-folder", "--source", "RECORDING", "--out", "."], "working folder"),
+        (["run", "--source", "x" * 5000, "--json"], "too long"),
+        (["run", "--source", "~nosuchuser/x", "--json"], "nosuchuser"),
     ],
 )
 def test_what_cannot_be_used_is_named_in_one_sentence(
@@ -202,6 +205,27 @@ def test_export_folder_writes_what_it_read(tactune: Tactune, recording: Path, tm
         assert np.array_equal(one.proximity_depth, other.proximity_depth)
         assert np.array_equal(one.tactile_depth, other.tactile_depth)
         assert np.array_equal(one.proximity_color, other.proximity_color)
+
+
+def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, "run", "--source", str(recording), "--json"],
+            check=False, stdout=full, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert "No space left" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_name_that_is_no_unicode_can_be_printed(recording: Path, tmp_path: Path) -> None:
+    odd = recording.rename(recording.with_name(os.fsdecode(b"scene\xff")))
+    command = [*COMMAND, "run", "--source", str(odd), "--out", str(tmp_path / "out")]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    )
+    assert done.returncode == 0
+    assert "scene\\udcff" in done.stdout
 
 
 def test_a_reader_that_stops_reading_is_no_error(recording: Path) -> None:

@@ -171,6 +171,7 @@ def test_no_format_imports_open3d(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         (".pcd", {"count": np.zeros(7, np.complex64)}, r"\.pcd holds no complex64 such as count"),
         (".npz", {"u": np.zeros(6)}, r"u has the shape \(6,\), but there are 7 points"),
         (".npz", {"points": np.zeros(7)}, "cannot be called 'points'"),
+        (".npz", {"file": np.zeros(7)}, "cannot be called 'file'"),
         (".ply", {"red": np.zeros(7)}, "cannot be called 'red'"),
         (".ply", {"two words": np.zeros(7)}, "cannot be called 'two words'"),
         (".csv", {"a,b": np.zeros(7)}, "cannot be called 'a,b'"),
@@ -183,6 +184,14 @@ def test_what_cannot_be_written_is_refused_and_leaves_no_file(
     with pytest.raises(ExportError, match=sentence):
         write_cloud(tmp_path / f"cloud{suffix}", cloud)
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_the_suffix_may_be_in_capitals(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud{suffix.upper()}"
+    write_cloud(path, make_cloud())
+    assert np.array_equal(read_cloud(path).points, make_cloud().points)
+    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.parametrize("suffix", ALL)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import struct
+import zlib
 from pathlib import Path
 
 import cv2
@@ -234,11 +236,20 @@ def test_an_export_overwrites_nothing(tmp_path: Path) -> None:
     (target / "notes.txt").unlink()
     export_folder(ListSource([make_frame(0)]), target)
     assert FolderSource(target).length == 1
+    with pytest.raises(ExportError, match="already there"):
+        export_folder(ListSource([make_frame(0)]), "/")
     file = tmp_path / "file"
     file.write_text("mine")
     with pytest.raises(ExportError, match="already there"):
         export_folder(ListSource([make_frame(0)]), file)
     assert file.read_text() == "mine"
+
+
+def test_the_working_folder_is_not_pulled_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ExportError, match="the working folder; name a new folder"):
+        export_folder(ListSource([make_frame(0)]), ".")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
@@ -286,7 +297,9 @@ def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> Non
 
 def test_the_frame_rate_is_that_of_the_time_stamps(tmp_path: Path) -> None:
     times = [5.0, 5.1, 5.2, 6.2]
-    export_folder(ListSource([make_frame(0, proximity_time_s=time) for time in times]), tmp_path / "out")
+    export_folder(
+        ListSource([make_frame(0, sequence=i, proximity_time_s=time) for i, time in enumerate(times)]), tmp_path / "out"
+    )
     assert FolderSource(tmp_path / "out").frame_rate_hz == pytest.approx(10.0)
 
 
@@ -313,6 +326,17 @@ def edit(path: Path, **changes: object) -> None:
         else:
             data[key] = value
     path.write_text(json.dumps(data))
+
+
+def absurd_png() -> bytes:
+    """A PNG that claims 100,000 x 100,000 pixels."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", 100_000, 100_000, 16, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+
+
+def claim_shape(path: Path, shape: tuple[int, ...]) -> None:
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
 
 
 F = "000000"
@@ -394,6 +418,32 @@ BAD = {
     ),
     "sequence is a bool": (lambda p: edit(p / F / "frame.json", sequence=True), r"sequence is True"),
     "sequence is negative": (lambda p: edit(p / F / "frame.json", sequence=-1), r"sequence is -1.*whole number"),
+    "time is huge": (lambda p: edit(p / F / "frame.json", tactile_time_s=10**400), "tactile_time_s is 1000"),
+    "number of 5000 digits": (
+        lambda p: (p / F / "frame.json").write_text(f'{{"sequence": {"1" * 5000}}}'),
+        r"frame\.json contains a number of too many digits",
+    ),
+    "one sequence twice": (
+        lambda p: edit(p / "000001/frame.json", sequence=json.loads((p / F / "frame.json").read_text())["sequence"]),
+        r"000001/frame\.json has the sequence \d+, and so has 000000; correct it",
+    ),
+    "empty PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b""), r"tactile_depth\.png is no readable PNG"),
+    "PNG of absurd size": (
+        lambda p: (p / F / "tactile_depth.png").write_bytes(absurd_png()),
+        r"tactile_depth\.png is no readable PNG",
+    ),
+    "truth of absurd size": (
+        lambda p: claim_shape(p / F / "truth_depth.npy", (10**9, 10**9)),
+        r"truth_depth\.npy is no readable",
+    ),
+    "pose is an object": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile={}),
+        r"rig\.json: T_proximity_tactile: a pose is a 4 x 4 matrix",
+    ),
+    "pose in millimetres": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 40], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+        r"rig\.json: T_proximity_tactile: .*metres up to 10",
+    ),
     "time is nan": (lambda p: edit(p / F / "frame.json", proximity_time_s=float("nan")), r"proximity_time_s is nan"),
 }
 
@@ -406,6 +456,11 @@ def test_a_bad_recording_is_refused_in_one_sentence_when_it_is_opened(recording:
     with pytest.raises(SourceError, match=sentence) as caught:
         FolderSource(recording)
     assert "\n" not in str(caught.value)
+
+
+def test_a_folder_whose_name_is_no_unicode_is_read(recording: Path) -> None:
+    odd = recording.rename(recording.with_name(os.fsdecode(b"scene\xff")))
+    assert FolderSource(odd).length == len(list(odd.glob("00*")))
 
 
 def test_a_later_bad_frame_is_told_when_it_is_read(recording: Path) -> None:
@@ -436,8 +491,8 @@ BAD_CAMERA = {
     "model": (515, "proximity.model is 515, but it should be a valid string"),
     "height": ("480", "proximity.height is '480', but it should be a valid integer"),
     "width": (6.5, "proximity.width is 6.5, but it should be a valid integer"),
-    "fy": (-1.0, "proximity.fy is -1.0, but it should be greater than 0"),
-    "depth_unit_m": (0, "proximity.depth_unit_m is 0, but it should be greater than 0"),
+    "fy": (-1.0, "proximity.fy is -1.0, but it should be greater than or equal to 0.1"),
+    "depth_unit_m": (0, "proximity.depth_unit_m is 0, but it should be greater than or equal to 0.0000001"),
     "distortion": ("ftheta", "proximity.distortion is 'ftheta', but it should be 'none', 'brown_conrady'"),
     "coefficients": ([0.1], r"proximity.coefficients.1 is missing \(and 3 more\)"),
     "cx": (None, "proximity.cx is missing; add it"),

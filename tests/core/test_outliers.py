@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core import outliers
-from tactune.core.clouds import deproject, ray_table
+from tactune.core.clouds import deproject
 from tactune.core.frames import DepthCamera
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.outliers import in_large_cluster, mean_neighbour_distances, statistical_inliers
@@ -25,7 +25,7 @@ def scene(seed: int, width: int, height: int, share: float, noise_m: float, dist
     camera = DepthCamera(intrinsics=lens, depth_unit_m=0.0001)
     pixels = np.flatnonzero(rng.random(depth.shape) < share)
     counts = np.clip(depth / camera.depth_unit_m, 1, 65534).astype(np.uint16)
-    return deproject(counts, camera, pixels), pixels, ray_table(lens), lens
+    return deproject(counts, camera, pixels), pixels, lens
 
 
 def open3d_inliers(points, k, ratio):
@@ -41,8 +41,8 @@ def open3d_inliers(points, k, ratio):
 @pytest.mark.parametrize(("share", "noise_m"), [(0.9, 0.001), (0.3, 0.004), (0.02, 0.001)])
 @pytest.mark.parametrize("distortion", ["none", "brown_conrady", "inverse_brown_conrady"])
 def test_the_inlier_set_is_open3ds_point_for_point(k, ratio, share, noise_m, distortion):
-    points, pixels, rays, _ = scene(k, 160, 120, share, noise_m, distortion)
-    kept = statistical_inliers(points, pixels, rays, k, ratio)
+    points, pixels, lens = scene(k, 160, 120, share, noise_m, distortion)
+    kept = statistical_inliers(points, pixels, lens, k, ratio)
     assert np.array_equal(kept, open3d_inliers(points, k, ratio))
     assert 0 < kept.sum() < len(points)
 
@@ -50,30 +50,30 @@ def test_the_inlier_set_is_open3ds_point_for_point(k, ratio, share, noise_m, dis
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 40), share=st.floats(0.001, 1.0), noise=st.floats(0, 0.02))
 def test_neighbour_distances_are_a_brute_force_searchs(seed, k, share, noise):
-    points, pixels, rays, _ = scene(seed, 41, 23, share, noise)
+    points, pixels, lens = scene(seed, 41, 23, share, noise)
     if len(points) == 0:
         return
     k = min(k, len(points))
     wide = points.astype(np.float64)
     distances = np.sqrt(((wide[:, None] - wide[None]) ** 2).sum(axis=2))
     expected = np.sort(distances, axis=1)[:, :k].mean(axis=1)
-    assert mean_neighbour_distances(points, pixels, rays, k) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    assert mean_neighbour_distances(points, pixels, lens, k) == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
 def test_points_that_the_rings_do_not_settle_go_to_the_tree(monkeypatch):
-    points, pixels, rays, _ = scene(3, 160, 120, 0.02, 0.001)
+    points, pixels, lens = scene(3, 160, 120, 0.02, 0.001)
     calls = []
     tree = outliers.cKDTree
     monkeypatch.setattr(outliers, "cKDTree", lambda cloud: calls.append(len(cloud)) or tree(cloud))
-    kept = statistical_inliers(points, pixels, rays, 60, 2.0)
+    kept = statistical_inliers(points, pixels, lens, 60, 2.0)
     assert calls == [len(points)]
     assert np.array_equal(kept, open3d_inliers(points, 60, 2.0))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
 def test_tiny_clouds_follow_open3d(count):
-    points, pixels, rays, _ = scene(0, 20, 20, 1.0, 0.01)
-    some = statistical_inliers(points[:count], pixels[:count], rays, 20, 2.0)
+    points, pixels, lens = scene(0, 20, 20, 1.0, 0.01)
+    some = statistical_inliers(points[:count], pixels[:count], lens, 20, 2.0)
     assert some.shape == (count,)
     if count:
         assert np.array_equal(some, open3d_inliers(points[:count], 20, 2.0))
@@ -81,14 +81,14 @@ def test_tiny_clouds_follow_open3d(count):
 
 def test_the_result_does_not_depend_on_the_number_of_threads():
     numba = pytest.importorskip("numba")
-    points, pixels, rays, _ = scene(8, 160, 120, 0.8, 0.002)
+    points, pixels, lens = scene(8, 160, 120, 0.8, 0.002)
     threads = numba.get_num_threads()
     try:
         numba.set_num_threads(1)
-        alone = mean_neighbour_distances(points, pixels, rays, 20)
+        alone = mean_neighbour_distances(points, pixels, lens, 20)
     finally:
         numba.set_num_threads(threads)
-    assert np.array_equal(alone, mean_neighbour_distances(points, pixels, rays, 20))
+    assert np.array_equal(alone, mean_neighbour_distances(points, pixels, lens, 20))
 
 
 def test_clusters_are_kept_by_their_area():

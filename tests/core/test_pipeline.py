@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 from tactune.core import pipeline as pipeline_module
 from tactune.core.alignment import homography_table, tactile_homography
 from tactune.core.clouds import proximity_cloud, tactile_cloud
-from tactune.core.errors import FrameError, RigMismatchError
-from tactune.core.frames import Rig, SensorFrame
+from tactune.core.errors import FrameError, RigMismatchError, SourceError
+from tactune.core.frames import Rig, SensorFrame, rigid_transform
+from tactune.core.intrinsics import Distortion
 from tactune.core.masking import in_hsv_range
 from tactune.core.pipeline import STAGES, ContactPipeline
 from tactune.core.preset import MaskSection, Preset
@@ -249,6 +250,34 @@ def test_a_rig_without_a_pose_is_refused_in_words(make_rig):
     rig = make_rig().model_copy(update={"T_proximity_tactile": None})
     with pytest.raises(RigMismatchError, match="T_proximity_tactile is empty"):
         ContactPipeline(Preset(), rig)
+
+
+def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
+    pose = np.eye(4)
+    pose[2, 3] = 0.3
+    rig = make_rig().model_copy(update={"T_proximity_tactile": rigid_transform(pose)})
+    preset = Preset().with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
+    with pytest.raises(RigMismatchError, match=r"plane_distance_m is 0\.3"):
+        ContactPipeline(preset, rig)
+
+
+def test_a_lens_without_a_ray_for_every_pixel_is_refused(make_rig, make_frame):
+    rig = make_rig()
+    # Ten fixed-point steps with such tangential coefficients run away.
+    wild = rig.proximity.intrinsics.model_copy(
+        update={"distortion": Distortion.BROWN_CONRADY, "coefficients": (0.0, 0.0, 900.0, 900.0, 0.0)}
+    )
+    rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"intrinsics": wild})})
+    with pytest.raises(SourceError, match="without a ray"):
+        ContactPipeline(Preset(), rig).process(make_frame(rig))
+
+
+def test_other_intrinsics_are_warned_of_with_what_differs(make_rig):
+    rig = make_rig()
+    lens = rig.tactile.intrinsics.model_copy(update={"cy": 31.5})
+    other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
+    (warning,) = ContactPipeline(Preset(rig=rig), other).warnings
+    assert f"(cy {rig.tactile.intrinsics.cy}, here 31.5)" in warning
 
 
 def test_a_region_outside_the_image_is_refused(make_rig):

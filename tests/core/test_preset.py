@@ -1,6 +1,8 @@
 from __future__ import annotations
 
 import json
+import os
+from pathlib import Path
 
 import jsonschema
 import numpy as np
@@ -88,6 +90,10 @@ def test_the_default_preset_holds_the_papers_values():
         ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
         ("alignment.rigid.T_proximity_tactile", np.diag([2.0, 1, 1, 1]), ["no rotation"]),
         ("alignment.rigid.T_proximity_tactile", np.eye(3), ["4 x 4"]),
+        ("alignment.rigid.T_proximity_tactile", {}, ["4 x 4"]),
+        ("alignment.rigid.T_proximity_tactile", [["1", 0, 0, 0]] * 4, ["numbers"]),
+        ("alignment.rigid.T_proximity_tactile", [[10**400, 0, 0, 0]] * 4, ["numbers"]),
+        ("name", "\ud800", ["Unicode"]),
         ("mask.hu", [0, 1], ["no field 'mask.hu'", "mask.hue"]),
         ("mask", {}, ["no field 'mask'"]),
     ],
@@ -111,6 +117,9 @@ def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
         ('{"schema": "tactune.preset", "schema_version": 2, "toleranc": {}}', "toleranc is not a field.*tolerance"),
         ('{"schema": "tactune.preset", "schema_version": 2, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
         ("[" * 100_000, "JSON"),
+        ('{"schema": "tactune.preset", "schema_version": ' + "1" * 5000 + "}", "too many digits"),
+        ('{"schema": "tactune.preset", "schema_version": ' + "1" * 4000 + "}", "update Tactune"),
+        (json.dumps({"schema": "tactune.preset", "schema_version": 2} | {f"x{i}": 0 for i in range(99)}), "90 more"),
     ],
 )
 def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
@@ -173,6 +182,20 @@ def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
         save_preset(Preset(name="second"), path)
     assert load_preset(path).name == "first"
     assert list(tmp_path.iterdir()) == [path]
+
+
+def test_only_ordinary_files_are_replaced_and_a_link_stays_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", tmp_path, Path("/")):
+        with pytest.raises(ExportError, match="no ordinary file"):
+            save_preset(Preset(), place)
+    with pytest.raises(PresetError, match="device"):
+        load_preset("/dev/zero")
+    (tmp_path / "link.json").symlink_to("real.json")
+    save_preset(Preset(name="linked"), tmp_path / "link.json")
+    assert (tmp_path / "link.json").is_symlink()
+    assert load_preset(tmp_path / "real.json").name == "linked"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.json", "pipe", "real.json"]
 
 
 def test_every_field_is_listed_and_described():

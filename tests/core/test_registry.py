@@ -136,6 +136,12 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("sim:cup?noise=-1", r"noise is '-1'"),
         ("sim:cup?noise=nan", r"noise is 'nan'"),
         ("sim:cup?noise=inf", r"noise is 'inf'"),
+        ("sim:cup?noise=1e300", r"noise is '1e300'"),
+        ("x" * 5000, r"cannot open x+: File name too long"),
+        ("folder:" + "x" * 5000, r"cannot open folder:x+: File name too long"),
+        ("bag:" + "x" * 5000, r"cannot open bag:x+: File name too long"),
+        ("~nosuchuser/scene", r"'~nosuchuser/scene' is no source"),
+        ("folder:~nosuchuser/scene", r"there is no folder ~nosuchuser/scene"),
         ("C:/data/scene", r"'C:/data/scene' is no source"),
     ],
 )

@@ -12,6 +12,7 @@ import json
 import zipfile
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -75,7 +76,8 @@ def save_scene(path: Path, scene: SolvedScene) -> None:
     kind = path.name.rpartition("-")[0]
     for older in path.parent.glob(f"{kind}-*.zip"):
         if older != path:
-            older.unlink(missing_ok=True)
+            with suppress(OSError):  # somebody else's, or gone already
+                older.unlink()
 
 
 def _pack(state: CleanState) -> dict[str, bytes]:
