@@ -103,7 +103,7 @@ def calibrate(
         refused={name: text for name, text in refused.items() if text},
         coverage=covered,
         verdict=verdict(quality[chosen], covered, with_place[used], rig),
-        warnings=tuple(_warnings(pairs, rigid, rig)),
+        warnings=tuple(_warnings(pairs, rigid, rig, depth_scale)),
         pairs=tuple(correspondences),
         rig=rig,
         date=now(),
@@ -209,6 +209,9 @@ def _homography_quality(
 ) -> ModelQuality:
     spread = uncertainty_map(fit, places, rig)
     lateral, along, distance = spread.sigma_mm, np.zeros(len(spread.places)), spread.places[:, 2]
+    if rigid is None and fit.degrees > 0:
+        misfit_px = np.sqrt(max(fit.rms_px**2 - 4 * CLICK_SIGMA_PX**2, 0.0))
+        lateral = np.hypot(lateral, misfit_px * millimetres_per_pixel(distance, rig))
     if rigid is not None:
         _, tactile, _ = pixel_arrays(pairs)
         clicked = np.column_stack([tactile, depth])[np.isfinite(depth)]
@@ -324,8 +327,14 @@ def _refuse_repeated(pairs: list[Correspondence]) -> None:
         seen[place] = pair.id
 
 
-def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig) -> list[str]:
+def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, depth_scale: bool) -> list[str]:
     warnings = []
+    if depth_scale and rigid is not None and all(pair.proximity_depth_m is None for pair in pairs):
+        holder = "usual scales near 1" if rig.T_proximity_tactile is None else "the rig's stated baseline"
+        warnings.append(
+            f"clicks alone cannot tell the depth scale, {holder} had to; give proximity_depth_m to points of contact "
+            "clicked in the depth image"
+        )
     outside = [pair.id for pair in pairs if not _inside(pair, rig)]
     if outside:
         warnings.append(

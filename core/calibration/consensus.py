@@ -30,8 +30,9 @@ Model = TypeVar("Model")
 #: log10 of the largest number of false alarms that counts as agreement.
 SIGNIFICANT = -3.0
 #: Fewer than this share of the pairs agreeing is a refusal: the others might be the right ones.
-SMALLEST_SHARE = 0.6
+SMALLEST_SHARE = 0.55
 _HYPOTHESES = 700
+_FAR_PX = 1e300
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
 
@@ -58,7 +59,7 @@ def samples(count: int, size: int, seed: int = 0) -> npt.NDArray[np.intp]:
     return np.array([rng.choice(count, size, replace=False) for _ in range(_HYPOTHESES)], dtype=np.intp)
 
 
-def score(residuals_px: Float64Array, sample_size: int, area: float) -> Consensus:
+def score(residuals_px: Float64Array, sample_size: int, area: float, largest_px: float = np.inf) -> Consensus:
     """Choose the best hypothesis' inliers by the number of false alarms.
 
     Parameters
@@ -68,6 +69,8 @@ def score(residuals_px: Float64Array, sample_size: int, area: float) -> Consensu
     sample_size : int
     area : float
         Area in which wrong partners may lie, pixels squared.
+    largest_px : float
+        Pairs farther off never agree, however many they are.
     """
     count = len(residuals_px)
     order = np.argsort(residuals_px)
@@ -81,7 +84,7 @@ def score(residuals_px: Float64Array, sample_size: int, area: float) -> Consensu
         np.log(count - sample_size)
         + _log_binomial(count, k)
         + _log_binomial(k, sample_size)
-        + (k - sample_size) * np.where(np.isfinite(radius), chance, 0.0)
+        + (k - sample_size) * np.where(radius <= min(largest_px, _FAR_PX), chance, 0.0)
     )
     best = int(np.argmin(log_nfa))
     inliers = np.zeros(count, bool)
@@ -97,6 +100,7 @@ def find_consensus(
     residuals_px: Callable[[Model], Float64Array],
     refit: Callable[[BoolArray], Model | None],
     first: list[Model],
+    largest_px: float = np.inf,
 ) -> tuple[Consensus, Model] | None:
     """Search for the hypothesis with the fewest false alarms and polish it by refitting.
 
@@ -112,6 +116,8 @@ def find_consensus(
         Inliers to a model, or None where they determine none.
     first : list
         Models to try beside the sampled ones.
+    largest_px : float
+        See `score`.
 
     Returns
     -------
@@ -121,13 +127,13 @@ def find_consensus(
     if count > _SCORED_POINTS:
         some = np.random.default_rng(1).choice(count, _SCORED_POINTS, replace=False)
     models = [*first, *hypotheses(some[samples(len(some), sample_size)])]
-    ranked = [(score(residuals_px(model)[some], sample_size, area).log10_nfa, model) for model in models]
+    ranked = [(score(residuals_px(model)[some], sample_size, area, largest_px).log10_nfa, model) for model in models]
     if not ranked:
         return None
     ranked.sort(key=lambda entry: entry[0])
     best: tuple[Consensus, Model] | None = None
     for _, model in ranked[:5]:
-        found = _polish(model, sample_size, area, residuals_px, refit)
+        found = _polish(model, sample_size, area, residuals_px, refit, largest_px)
         if best is None or found[0].log10_nfa < best[0].log10_nfa:
             best = found
     return best
@@ -139,13 +145,14 @@ def _polish(
     area: float,
     residuals_px: Callable[[Model], Float64Array],
     refit: Callable[[BoolArray], Model | None],
+    largest_px: float,
 ) -> tuple[Consensus, Model]:
-    best = score(residuals_px(model), sample_size, area)
+    best = score(residuals_px(model), sample_size, area, largest_px)
     for _ in range(5):
         candidate = refit(best.inliers)
         if candidate is None:
             break
-        found = score(residuals_px(candidate), sample_size, area)
+        found = score(residuals_px(candidate), sample_size, area, largest_px)
         if not found.log10_nfa < best.log10_nfa:
             break
         best, model = found, candidate

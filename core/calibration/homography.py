@@ -23,6 +23,10 @@ from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
 #: Standard deviation of a careful click with a loupe, pixels.
 CLICK_SIGMA_PX = 0.7
 
+#: Points off one plane leave a homography with large residuals and are right nevertheless; from this share of the
+#: points' extent on, it aligns nothing.
+_LARGEST_RMS_SHARE = 0.05
+
 _SAMPLE = 4
 _ONE_CAMERA = np.zeros(0, np.intp)
 
@@ -105,7 +109,8 @@ class HomographyProblem(Problem[Float64Array]):
             np.broadcast_to(unit * (sigma_proximity * self.proximity_scale) ** 2, (count, 2, 2)),
             np.zeros(count, np.intp),
         )
-        self.extent, self.area = spread(proximity)
+        extent, self.area = spread(proximity)
+        self.largest_px, self.largest_rms_px = np.inf, _LARGEST_RMS_SHARE * extent
 
     def to_normal_tactile(self, tactile: Float64Array) -> Float64Array:
         """Normalise tactile pixels (N, 2)."""

@@ -9,10 +9,12 @@ from datetime import datetime
 from typing import Any, Literal
 
 import numpy as np
+from pydantic import ValidationError
 
 from ..calibration_record import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
+from ..errors import CalibrationError
 from ..frames import Float64Array, Rig
-from ..preset import HomographyAlignment, Preset, RigidAlignment, now
+from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from .correspondences import Correspondence
 from .homography import HomographyFit
 from .quality import Coverage, PatchEffect, UncertaintyMap
@@ -228,6 +230,11 @@ class CalibrationReport:
         ----------
         set_tolerance : bool
             Set ``tolerance.t`` to the smallest value that the calibration supports, too.
+
+        Raises
+        ------
+        CalibrationError
+            A fitted value lies beyond what a preset allows, such as a depth scale of 1.4.
         """
         section = preset.alignment.model_copy(update={"model": self.model, "calibration": self.record(snapshots)})
         if self.homography is not None:
@@ -251,6 +258,14 @@ class CalibrationReport:
         tolerance = preset.tolerance
         if set_tolerance:
             tolerance = tolerance.model_copy(update={"t": round(min(self.chosen.effect.supported_tolerance, 1.0), 4)})
+        try:
+            section = AlignmentSection.model_validate(section.model_dump())
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            raise CalibrationError(
+                f"the fit does not make a preset: {'.'.join(map(str, first['loc']))} is {first['input']!r} "
+                f"({first['msg']}); check the pairs and their tactile depths"
+            ) from error
         return preset.model_copy(
             update={"alignment": section, "tolerance": tolerance, "rig": self.rig, "modified": now()}
         )

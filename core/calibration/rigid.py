@@ -38,6 +38,9 @@ _SCALE_SIGMA, _OFFSET_SIGMA_M = 0.05, 0.03
 #: A prior has to be weighed against the noise that the pairs show, which a first fit tells.
 _NOISE_ROUNDS, _LEAST_NOISE = 3, 1e-6
 
+#: The pose is the true model: what lies farther off, pixels, is a wrong pair, whatever the lenses and depths.
+_LARGEST_PX = 12.0
+
 _SAMPLE = 3
 LEAST_POINTS = 4
 
@@ -219,7 +222,8 @@ class RigidProblem(Problem[Pose]):
         )
         self.space = np.column_stack([rays * points.tactile_depth_m[:, None], points.tactile_depth_m])
         self.start_rays = self._rays_of_depth_camera()
-        self.extent, self.area = spread(points.proximity)
+        _, self.area = spread(points.proximity)
+        self.largest_px = self.largest_rms_px = _LARGEST_PX
         self.prior = Prior(self._prior_residuals) if depth_scale else None
 
     def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:

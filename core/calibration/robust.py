@@ -11,7 +11,7 @@ from scipy.stats import f as f_distribution
 
 from ..errors import CalibrationError
 from ..frames import Float64Array
-from .consensus import SMALLEST_SHARE, Consensus, find_consensus, score
+from .consensus import SIGNIFICANT, SMALLEST_SHARE, Consensus, find_consensus, score
 from .maximum_likelihood import (
     BoolArray,
     Linearised,
@@ -31,8 +31,8 @@ _HONEST_LOSS = 100_000
 _NOMINAL_DEGREES = 12
 #: Up to this ratio of observed to nominal noise, a fit of all pairs needs no search for a consensus.
 _USUAL_NOISE = 1.5
-#: Larger residuals, as a share of the extent of the points, are no alignment at all.
-_LARGEST_RMS_SHARE = 0.05
+#: Left-out pairs are searched for another alignment from this share of all on, and agree if so many of them do.
+_LEAST_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
 #: Beyond this condition number of the scaled design, noise decides and not the clicks.
 LARGEST_CONDITION = 3e4
 #: Up to so many pairs are left out one by one; of more, `FOLDS` groups.
@@ -45,9 +45,11 @@ class Problem(Protocol[Theta]):
     name: str
     sample_size: int
     measurements: Measurements
-    #: Pixels squared in which a wrong partner may lie, and the points' extent in pixels.
+    #: Pixels squared in which a wrong partner may lie.
     area: float
-    extent: float
+    #: Pixels beyond which a pair contradicts the model, and beyond which the RMS residual is no alignment at all.
+    largest_px: float
+    largest_rms_px: float
     prior: Prior[Theta] | None
 
     def linearise(self, theta: Theta, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
@@ -116,7 +118,9 @@ def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> Robus
             return _finish(problem, solution, used)
     consensus, theta = _search(problem, None if solution is None else solution.theta)
     used, solution = _settle(problem, _solve(problem, consensus.inliers, theta), consensus.inliers)
-    return _finish(problem, solution, used)
+    fit = _finish(problem, solution, used)
+    _refuse_second_opinion(problem, used)
+    return fit
 
 
 def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Float64Array:
@@ -158,6 +162,7 @@ def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Th
         problem.residuals_px,
         refit,
         [] if first is None else [first],
+        problem.largest_px,
     )
     if found is None:
         raise CalibrationError(
@@ -167,6 +172,36 @@ def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Th
     if not found[0].significant:
         raise no_agreement(problem.name, int(found[0].inliers.sum()), count, found[0].log10_nfa)
     return found
+
+
+def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
+    """Refuse a fit whose left-out pairs agree on another alignment: either group may be the right one."""
+    left = np.flatnonzero(~used)
+    if len(left) < max(problem.sample_size + 3, _LEAST_SECOND_SHARE * len(used)):
+        return
+
+    def refit(inliers: BoolArray) -> Theta | None:
+        chosen = np.zeros(len(used), bool)
+        chosen[left[inliers]] = True
+        solution = _try(problem, chosen)
+        return None if solution is None else solution.theta
+
+    found = find_consensus(
+        len(left),
+        problem.sample_size,
+        problem.area,
+        lambda samples: problem.hypotheses(left[samples]),
+        lambda theta: problem.residuals_px(theta)[left],
+        refit,
+        [],
+        problem.largest_px,
+    )
+    if found is not None and found[0].log10_nfa < SIGNIFICANT and found[0].inliers.mean() >= _SECOND_AGREEMENT:
+        raise CalibrationError(
+            f"the pairs agree on two different alignments: {int(used.sum())} on one {problem.name}, "
+            f"{int(found[0].inliers.sum())} on another; check whether some were clicked in another moment or shifted "
+            "by one mark, and for a homography whether they lie at two depths"
+        )
 
 
 def no_agreement(name: str, agreeing: int, count: int, log10_nfa: float) -> CalibrationError:
@@ -246,6 +281,6 @@ def _finish(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray)
     agreement = score(np.where(used, residuals, np.inf), problem.sample_size, problem.area)
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
     few = used.mean() < SMALLEST_SHARE
-    if count > problem.sample_size and (few or not rms <= _LARGEST_RMS_SHARE * problem.extent):
+    if count > problem.sample_size and (few or not rms <= problem.largest_rms_px):
         raise no_agreement(problem.name, int(used.sum()), count, agreement.log10_nfa if few else 0.0)
     return RobustFit(solution, used, condition, agreement.log10_nfa)

@@ -140,6 +140,24 @@ def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
 RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
 
 
+def test_pairs_that_agree_on_two_alignments_are_refused(rig):
+    points = clicked(rig, 30)
+    shifted = [replace(p, proximity_u=p.proximity_u + 40) if int(p.id) % 5 < 3 else p for p in points]
+    with pytest.raises(CalibrationError, match="two different alignments"):
+        calibrate(shifted, rig, "rigid")
+
+
+def test_a_depth_scale_without_proximity_depths_is_warned_about(rig):
+    assert "cannot tell the depth scale" in calibrate(clicked(rig), rig, depth_scale=True).warnings[0]
+
+
+def test_a_fit_that_no_preset_allows_is_refused(rig):
+    report = calibrate(clicked(rig, 20), rig, depth_scale=True)
+    wild = replace(report, rigid=replace(report.rigid, pose=replace(report.rigid.pose, scale=1.4)))
+    with pytest.raises(CalibrationError, match=r"depth_scale is 1\.4"):
+        wild.apply_to(Preset())
+
+
 def test_pairs_from_another_rig_are_warned_about(rig):
     pose = np.array(rig.T_proximity_tactile)
     pose[0, 3] += 0.05
