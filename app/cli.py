@@ -5,6 +5,7 @@ Everything heavy is imported inside the commands, so that ``tactune --help`` ans
 
 from __future__ import annotations
 
+import ctypes
 import os
 import re
 import sys
@@ -165,6 +166,27 @@ def export_folder(
     export_frames(source, out, frames)
 
 
+def _check_x_display() -> None:
+    """Refuse an X display that does not answer in words; Qt would abort the process."""
+    display = os.environ.get("DISPLAY", "")
+    platform = os.environ.get("QT_QPA_PLATFORM", "xcb")
+    if sys.platform != "linux" or not display or os.environ.get("WAYLAND_DISPLAY") or not platform.startswith("xcb"):
+        return
+    try:
+        xcb = ctypes.CDLL("libxcb.so.1")
+    except OSError:
+        return  # Qt's own import says better what is missing
+    xcb.xcb_connect.restype = ctypes.c_void_p
+    connection = ctypes.c_void_p(xcb.xcb_connect(None, None))
+    refused = xcb.xcb_connection_has_error(connection)
+    xcb.xcb_disconnect(connection)
+    if refused:
+        raise TactuneError(
+            f"the display {display} does not answer; set DISPLAY to one that does, use tactune run, "
+            "or put xvfb-run before the command for a picture"
+        )
+
+
 def _open_window(
     source: str,
     preset: str | None,
@@ -178,6 +200,7 @@ def _open_window(
         raise TactuneError(
             "there is no display to open a window on; use tactune run, or put xvfb-run before the command for a picture"
         )
+    _check_x_display()
     try:
         from .gui import run_gui
     except ModuleNotFoundError as error:

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field, ValidationError
 
 from .atomic import atomic_path
-from .errors import PresetError
+from .errors import ExportError, PresetError
 from .preset import Preset
 
 Document = dict[str, Any]
@@ -161,7 +161,8 @@ def save_preset(preset: Preset, path: Path | str) -> None:
     Raises
     ------
     ExportError
-        The file cannot be written; whatever was there before is still there.
+        The file cannot be written, or holds a preset of a newer schema version; whatever was there
+        before is still there.
     """
     path = Path(path)
     _keep_older_version(path)
@@ -223,6 +224,11 @@ def _keep_older_version(path: Path) -> None:
         found = document["schema_version"] if document["schema"] == SCHEMA_NAME else SCHEMA_VERSION
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return  # nothing there, or no preset: there is no older preset to keep
+    if isinstance(found, int) and found > SCHEMA_VERSION:
+        raise ExportError(
+            f"{path} holds a preset of schema version {found}, newer than this Tactune's {SCHEMA_VERSION}; "
+            "it stays as it is: save under another name"
+        )
     if isinstance(found, int) and found < SCHEMA_VERSION:
         kept = path.with_name(f"{path.stem}.schema-{found}{path.suffix}")
         with atomic_path(kept) as temporary:

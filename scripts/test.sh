@@ -12,5 +12,7 @@ else
     echo "The OpenGL tests need xvfb-run or a display: install xvfb with your package manager." >&2
     exit 1
 fi
-eval "QT_QPA_PLATFORM=xcb $xvfb $pytest -m gl"
-QT_QPA_PLATFORM=offscreen exec $pytest -m "not gl"
+gl=0
+eval "QT_QPA_PLATFORM=xcb $xvfb $pytest -m gl" || gl=$?
+QT_QPA_PLATFORM=offscreen $pytest -m "not gl" || exit
+exit $gl

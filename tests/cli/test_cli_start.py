@@ -127,3 +127,11 @@ def test_without_a_display_the_window_is_declined(tactune: Tactune, monkeypatch:
     for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
         monkeypatch.delenv(name, raising=False)
     assert "tactune run" in tactune().sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="X displays are tried on Linux only")
+def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", ":9999")
+    assert "display :9999 does not answer" in tactune().sentence

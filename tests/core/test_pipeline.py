@@ -236,6 +236,24 @@ def test_a_preset_of_another_size_is_refused_and_of_another_serial_warned_of(mak
     assert ContactPipeline(Preset(rig=rig), rig).warnings == []
 
 
+def test_another_lens_or_colour_camera_is_warned_of_and_rounding_is_not(make_rig):
+    rig = make_rig()
+
+    def with_focal(factor, role="proximity"):
+        camera = getattr(rig, role)
+        lens = camera.intrinsics.model_copy(update={"fx": camera.intrinsics.fx * factor})
+        return rig.model_copy(update={role: camera.model_copy(update={"intrinsics": lens})})
+
+    preset = Preset(name="mine", rig=rig)
+    assert ContactPipeline(preset, with_focal(1 + 1e-7)).warnings == []
+    (lens,) = ContactPipeline(preset, with_focal(1.01)).warnings
+    assert "proximity intrinsics (fx" in lens
+    (color,) = ContactPipeline(preset, with_focal(1.01, "proximity_color")).warnings
+    assert "colour intrinsics (fx" in color
+    (missing,) = ContactPipeline(preset, rig.model_copy(update={"proximity_color": None})).warnings
+    assert "only the rig it was made for" in missing
+
+
 def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
     rig = make_rig()
     contact = ContactPipeline(Preset(), rig)

@@ -170,6 +170,15 @@ def test_a_file_of_version_1_gets_an_alignment_without_calibration():
         preset_from_text(json.dumps(old | {"schema_version": 1, "alignment": 3}), "old.json")
 
 
+def test_a_preset_of_a_newer_version_is_not_overwritten(tmp_path):
+    path = tmp_path / "cup.json"
+    newer = '{"schema": "tactune.preset", "schema_version": 99}'
+    path.write_text(newer)
+    with pytest.raises(ExportError, match=r"99.*another name"):
+        save_preset(Preset(), path)
+    assert path.read_text() == newer
+
+
 def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
     path = tmp_path / "cup.json"
     save_preset(Preset(name="first"), path)
