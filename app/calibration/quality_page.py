@@ -172,6 +172,8 @@ class QualityPage(QWidget):
         unit = self._unit()
         wanted = (report, snapshot.digest, unit)
         if wanted != self._drawn:
+            if not self._drawn:
+                self.map.set_image(None, "Drawing the map…")
             self._drawn = wanted
             self._job.start(lambda _: uncertainty_picture(report, snapshot.frame, rig, unit))
 
