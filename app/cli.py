@@ -147,8 +147,8 @@ def run(
     """Compute contact patches without a window."""
     from .cli_run import RunOptions, run_frames
 
-    if out is None and not json_lines:
-        raise typer.BadParameter("give --out DIR for patch files, --json for lines of numbers, or both")
+    if out is None and not json_lines and not truth:
+        raise typer.BadParameter("give --out DIR for patch files, --json for lines of numbers, --truth for a comparison")
     preset = preset or defaults.default_preset(source)
     run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))
 

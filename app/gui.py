@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -21,6 +22,9 @@ from .settings import Settings, default_data_folder, default_settings_file
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000
+#: How often an idle window lets Python notice a signal, and how it then ends, as shells expect.
+WAKE_MS = 200
+INTERRUPTED = 130
 
 
 def run_gui(
@@ -64,6 +68,7 @@ def run_gui(
         _prepare(window, preset_path, size, theme)
         window.open_source(source)
         window.offer_unsaved_work()
+        _stop_on_interrupt(window, application)
         return application.exec()
     # A picture shall not depend on what somebody chose before, nor leave anything behind.
     with TemporaryDirectory(prefix="tactune-") as folder:
@@ -75,6 +80,22 @@ def run_gui(
     if picture.problem:
         raise ExportError(picture.problem)
     return 0
+
+
+def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
+    """Let Ctrl+C in the terminal end the window; unsaved work is kept and offered at the next start."""
+
+    def stop() -> None:
+        window.autosave.flush()
+        window.calibration.close()
+        window.worker.shut_down()
+        application.exit(INTERRUPTED)
+
+    signal.signal(signal.SIGINT, lambda *_: QTimer.singleShot(0, stop))
+    # Python notices a signal only when it runs, and an idle window runs none of it.
+    wake = QTimer(window)
+    wake.timeout.connect(lambda: None)
+    wake.start(WAKE_MS)
 
 
 def _prepare(window: MainWindow, preset_path: Path | None, size: tuple[int, int] | None, theme: str | None) -> None:
@@ -144,6 +165,9 @@ class _Screenshot(QObject):
                     raise ExportError(f"cannot write {self._path}: Qt could not save the picture; choose another place")
         except TactuneError as error:
             self.problem = str(error)
+        result = self._window.result
+        if result is not None and result.problem:
+            self.problem = self.problem or f"{self._path} shows a problem: {result.problem}"
         self._window.close()
 
     def _give_up(self, problem: str) -> None:

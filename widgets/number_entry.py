@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from decimal import Decimal
 
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QValidator, QWheelEvent
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QValidator, QWheelEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QLineEdit, QWidget
 
 from .fields import FieldSpec, format_number
@@ -92,6 +92,14 @@ class NumberEntry(QAbstractSpinBox):
     def minimumSizeHint(self) -> QSize:
         """Never cut off a number."""
         return self.sizeHint()
+
+    def event(self, event: QEvent | None) -> bool:
+        """Leave undo and redo to the window, unless there is something typed to take back."""
+        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and not self._typing:
+            if event.matches(QKeySequence.StandardKey.Undo) or event.matches(QKeySequence.StandardKey.Redo):
+                event.ignore()
+                return False
+        return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Esc restores the text while typing."""

@@ -83,6 +83,20 @@ def drop(window, path):
     QApplication.sendEvent(window, QDropEvent(place, action, data, LEFT, none))
 
 
+def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
+    before = window.document.preset
+    entry = window.panel.rows["tolerance.t"].widget.entry
+    window.activateWindow()
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, "0.05")
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    assert window.document.preset.tolerance.t == 0.05
+    assert QApplication.focusWidget() is entry
+    QTest.keyClick(entry, Qt.Key.Key_Z, CONTROL)
+    assert window.document.preset is before
+
+
 def test_drag_a_slider_then_undo_and_redo(window, qtbot):
     before = window.document.preset
     points_before = len(window.result.patch.points)

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+import os
+import signal
+import subprocess
+import sys
+
 import pytest
 from PyQt6.QtGui import QImage
 
@@ -56,3 +61,32 @@ def test_no_picture_without_a_source(qapp, tmp_path):
     with pytest.raises(ExportError, match="nowhere"):
         run_gui(f"folder:{tmp_path / 'nowhere'}", None, tmp_path / "window.png", after=1)
     assert not (tmp_path / "window.png").exists()
+
+
+INTERRUPT = """
+import os, signal, sys
+from PyQt6.QtCore import QTimer
+from tactune.app import gui
+from tactune.app.main_window import MainWindow
+
+shown = MainWindow._show_newest
+def interrupt(window):
+    shown(window)
+    if window.result is not None and not window.document.dirty:
+        window.document.edit("tolerance.t", 0.07)
+        QTimer.singleShot(0, lambda: os.kill(os.getpid(), signal.SIGINT))
+MainWindow._show_newest = interrupt
+sys.exit(gui.run_gui(sys.argv[1], None, None, 1))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
+def test_ctrl_c_ends_the_window_and_keeps_unsaved_work(recording, tmp_path):
+    homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME")}
+    environment = os.environ | homes | {"QT_QPA_PLATFORM": "offscreen"}
+    command = [sys.executable, "-c", INTERRUPT, recording]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=60)
+    assert done.returncode == 128 + signal.SIGINT
+    assert "Traceback" not in done.stderr
+    (kept,) = (tmp_path / "XDG_DATA_HOME").rglob("unsaved-*.json")
+    assert '"t": 0.07' in kept.read_text()
