@@ -38,7 +38,7 @@ class Transport(QWidget):
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
         self._frame = QLabel()
-        self._frame.setToolTip("Frame shown / last frame, counted from 0")
+        self._frame.setToolTip("Frame shown / number of frames (names of exported files count from 0)")
         self._frame.setMinimumWidth(self._frame.fontMetrics().horizontalAdvance("000 / 000"))
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -68,10 +68,10 @@ class Transport(QWidget):
         if changed:
             self._show_mode()
         if state.length is None:
-            self._frame.setText(f"{state.index}" if state.index >= 0 else "")
+            self._frame.setText(f"{state.index + 1}" if state.index >= 0 else "")
             return
         last = max(0, state.length - 1)
-        self._frame.setText(f"{max(0, state.index)} / {last}")
+        self._frame.setText(f"{max(0, state.index) + 1} / {last + 1}")
         if not self.slider.isSliderDown():
             with QSignalBlocker(self.slider):
                 self.slider.setRange(0, last)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+import numpy.typing as npt
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
@@ -28,12 +30,21 @@ TITLES = {
     CloudName.PATCH: "Contact patch",
 }
 POINT_SIZES = (1, 8)
+_NO_TACTILE_CAMERA = "This recording has no tactile camera"
+_ONE_CAMERA = "One camera only: no contact can be found"
+_NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the two cameras' views, contact in its own colour in the patch",
     ColorBy.DEPTH: "Depth everywhere, also within the patch",
     ColorBy.DIFFERENCE: "(dp - dt) / dp: how well both cameras agree",
     ColorBy.PROVENANCE: "Why each point was kept or dropped",
+}
+#: The stages after the contact test: what drops points, and what to change where it drops too many.
+_DROPPED = {
+    Provenance.MASKED: ("the mask", "narrow its colour ranges, or switch it off"),
+    Provenance.OUTLIER: ("the outlier removal", "raise its ratio, or switch it off"),
+    Provenance.SMALL_CLUSTER: ("the limit on small clusters", "lower the smallest cluster"),
 }
 
 
@@ -105,9 +116,7 @@ class ViewArea(QWidget):
             if name in clouds:
                 view.set_cloud(clouds[name])
                 self._show_legend(name, result, theme)
-        self.views[CloudName.PATCH].set_message(_why_empty(result))
-        if CloudName.TACTILE in clouds and clouds[CloudName.TACTILE] is None:
-            self.views[CloudName.TACTILE].set_message(_NO_POSE)
+                view.set_message(_why_empty(name, result))
 
     def show_message(self, message: str) -> None:
         """Empty all views and say what happens or what to do."""
@@ -187,8 +196,29 @@ def _patch_difference_legend(t: float, theme: Theme) -> Legend:
     return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
 
 
-def _why_empty(result: Result) -> str:
-    """Say what to do while there is no patch."""
+def _why_empty(name: CloudName, result: Result) -> str:
+    """Say why a view has no points and what to do about it."""
+    one_camera = result.source.rig.tactile.model == "none"
+    if name is CloudName.TACTILE and one_camera:
+        return _NO_TACTILE_CAMERA
+    if name is CloudName.TACTILE and result.rendered.clouds[name] is None:
+        return _NO_POSE
+    if name is not CloudName.PATCH:
+        return _NO_DEPTH
+    if one_camera:
+        return _ONE_CAMERA
     if result.patch is None:
         return result.problem
-    return "No contact yet: press the object into the membrane, or raise the tolerance t"
+    return "" if len(result.patch.points) else why_no_contact(result.patch.provenance)
+
+
+def why_no_contact(provenance: npt.NDArray[np.uint8]) -> str:
+    """Say which stage dropped the points that passed the contact test, and what to change about it."""
+    dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in _DROPPED}
+    by = max(dropped, key=lambda verdict: dropped[verdict])
+    total = sum(dropped.values())
+    if total == 0:
+        return "No contact yet: press the object into the membrane, or raise the tolerance t"
+    stage, change = _DROPPED[by]
+    share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
+    return f"{total:,} point{'s' if total > 1 else ''} passed the contact test, but {stage} dropped {share}: {change}"

@@ -20,9 +20,10 @@ from PyQt6.QtGui import (
     QResizeEvent,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from .cloud_data import DepthCloud
+from .cloud_header import CloudHeader
 from .cloud_legend import LegendLine
 from .cloud_scene import CloudScene
 from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
@@ -85,12 +86,7 @@ class CloudView(QWidget):
         self.backend_name = ""
         self.backend_reason = ""
 
-        self._title = QLabel(title)
-        font = self._title.font()
-        font.setBold(True)
-        self._title.setFont(font)
-        self._count = QLabel()
-        self._count.setObjectName("count")
+        self._header = CloudHeader(title)
         self._legend = LegendLine()
         self._canvas = self._choose_canvas(backend)
         self._lay_out()
@@ -99,19 +95,10 @@ class CloudView(QWidget):
         self._show_count()
 
     def _lay_out(self) -> None:
-        header = QHBoxLayout()
-        header.setContentsMargins(4, 2, 4, 0)
-        header.addWidget(self._title)
-        header.addStretch(1)
-        header.addWidget(self._count)
-        for label in (self._title, self._count):
-            label.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-            header.setStretchFactor(label, 1)
-        self._count.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self._body = QVBoxLayout(self)
         self._body.setContentsMargins(_RING, 0, _RING, 0)
         self._body.setSpacing(_RING + 1)
-        self._body.addLayout(header)
+        self._body.addWidget(self._header)
         self._body.addWidget(self._canvas, 1)
         self._canvas.setObjectName("canvas")
         self._body.addWidget(self._legend)
@@ -160,7 +147,7 @@ class CloudView(QWidget):
 
     def _show_count(self) -> None:
         count = self.point_count()
-        self._count.setText(f"{count:,} point{'' if count == 1 else 's'}")
+        self._header.set_count(count)
         self._scene.message = self._message if count == 0 else ""
 
     # Camera

@@ -18,7 +18,7 @@ __all__ = ["PANES", "ImageStrip", "RenderedStrip", "StripImages", "render_strip"
 
 #: Name and title of each pane, left to right.
 PANES = {
-    "color": "Color + mask",
+    "color": "Colour + mask",
     "proximity": "Proximity depth",
     "tactile": "Tactile depth (aligned)",
     "difference": "Relative difference",

@@ -2,21 +2,38 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton
 
 from tactune.app.results import CloudName, ColorBy
+from tactune.app.view_area import why_no_contact
 from tactune.app.worker import SourceRequest
 from tactune.core.errors import SourceError
+from tactune.core.provenance import Provenance
 from tactune.widgets.colormaps import patch_lut
 from tactune.widgets.theme import theme_name
 
-from .conftest import TinySource, at_rest, tiny_rig
+from .conftest import TinySource, at_rest, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
+
+
+class OneCameraSource(TinySource):
+    """What a recording with one depth camera gives: no tactile depth anywhere."""
+
+    def __init__(self, rig):
+        super().__init__(rig=rig)
+        self.name = "one camera"
+
+    def read(self, index):
+        frame = tiny_frame(index, self.rig)
+        return replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
 
 
 def texts(widget):
@@ -37,7 +54,7 @@ def test_shows_every_part_of_a_frame(window):
     assert "skew 2.0 ms" in status
     assert f"{len(window.result.patch.points)} points" in status
     assert f"patch {window.result.area_mm2 / 100:.1f} cm²" in status
-    assert window.transport._frame.text() == "3 / 7"
+    assert window.transport._frame.text() == "4 / 8"
 
 
 def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
@@ -47,6 +64,47 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     window.document.edit("tolerance.t", 0.001)
     opened(window, TinySource(length=1), qtbot)
     qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
+    assert window.transport._frame.text() == "1 / 1"
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("mask.enabled", True, "the mask dropped all: narrow its colour ranges"),
+        ("outliers.min_cluster_area_mm2", 1e5, "the limit on small clusters dropped all: lower"),
+    ],
+)
+def test_says_which_stage_dropped_everything(window, qtbot, path, value, words):
+    view = window.views.views[CloudName.PATCH]
+    passed = view.point_count()
+    window.document.edit(path, value)
+    qtbot.waitUntil(lambda: view.message() != "")
+    assert view.message().startswith(f"{passed:,} points passed the contact test, but {words}")
+
+
+def test_the_stage_that_dropped_most_is_named():
+    provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
+    assert why_no_contact(provenance).startswith("No contact yet")
+    provenance[0, 0] = Provenance.OUTLIER
+    assert why_no_contact(provenance).startswith("1 point passed the contact test, but the outlier removal dropped it:")
+    provenance[0] = Provenance.OUTLIER
+    provenance[1, :2] = Provenance.MASKED
+    assert "but the outlier removal dropped 5 of 7: raise its ratio" in why_no_contact(provenance)
+
+
+def test_one_camera_says_that_there_is_no_contact_to_find(make_window, qtbot):
+    rig = tiny_rig()
+    nobody = rig.proximity.model_copy(update={"model": "none", "serial": ""})
+    alone = rig.model_copy(update={"tactile": nobody})
+    window = make_window()
+    opened(window, OneCameraSource(rig=alone), qtbot)
+    views = window.views.views
+    qtbot.waitUntil(lambda: views[CloudName.TACTILE].message() == "This recording has no tactile camera")
+    assert views[CloudName.PATCH].message() == "One camera only: no contact can be found"
+    assert views[CloudName.PROXIMITY].message() == ""
+    opened(window, TinySource(), qtbot)
+    qtbot.waitUntil(lambda: views[CloudName.PATCH].point_count() > 0)
+    assert {view.message() for view in views.values()} == {""}
 
 
 def test_hidden_parts_are_not_drawn(window, qtbot):

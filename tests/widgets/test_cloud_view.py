@@ -16,6 +16,7 @@ from pytestqt.qtbot import QtBot
 from tactune.core.intrinsics import Intrinsics
 from tactune.widgets import gl_backend
 from tactune.widgets.cloud_data import DepthCloud
+from tactune.widgets.cloud_header import CloudHeader, short_count
 from tactune.widgets.cloud_view import BackendChoice, CloudView, link_cameras
 from tactune.widgets.colormaps import depth_lut
 from tactune.widgets.gl_backend import GLCanvas, GLError, GLProbe, GLRenderer
@@ -281,6 +282,35 @@ def test_the_background_follows_the_theme(view: CloudView) -> None:
 
 
 # Words around it
+
+
+@pytest.mark.parametrize(
+    ("count", "short"),
+    [
+        *[(0, "0"), (999, "999"), (1000, "1.0k"), (9949, "9.9k"), (9951, "10k"), (222_102, "222k")],
+        *[(999_499, "999k"), (999_500, "1.0M"), (1_310_720, "1.3M"), (12_345_678, "12M")],
+    ],
+)
+def test_short_count(count: int, short: str) -> None:
+    assert short_count(count) == short
+
+
+@pytest.mark.parametrize("width", [60, 90, 130, 160, 200, 260, 420])
+def test_the_header_never_cuts_the_count(qtbot: QtBot, width: int) -> None:
+    header = CloudHeader("Contact patch")
+    qtbot.addWidget(header)
+    header.resize(width, header.sizeHint().height())
+    header.set_count(222_102)
+    title, count = header.findChild(QLabel, "title"), header.findChild(QLabel, "count")
+    assert title is not None and count is not None
+    wide = width >= 260
+    assert count.text() == ("222,102 points" if wide else "222k")
+    assert count.accessibleName() == "222,102 points"
+    assert count.toolTip() == ("" if wide else "222,102 points")
+    assert count.width() >= count.sizeHint().width()
+    assert not title.geometry().intersects(count.geometry())
+    assert header.rect().contains(count.geometry())
+    assert title.geometry().left() >= 0
 
 
 def test_title_count_and_message(view: CloudView) -> None:
