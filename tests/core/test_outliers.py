@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -80,7 +81,6 @@ def test_tiny_clouds_follow_open3d(count):
 
 
 def test_the_result_does_not_depend_on_the_number_of_threads():
-    numba = pytest.importorskip("numba")
     points, pixels, lens = scene(8, 160, 120, 0.8, 0.002)
     threads = numba.get_num_threads()
     try:
