@@ -90,7 +90,10 @@ def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
     painter.setFont(font)
     painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
     room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
-    text = QFontMetricsF(font).elidedText(note, Qt.TextElideMode.ElideRight, room.width())
+    metrics = QFontMetricsF(font)
+    # Where the reason does not fit, the tooltip still has it.
+    fitting = note if metrics.horizontalAdvance(note) <= room.width() else note.partition(":")[0]
+    text = metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, room.width())
     painter.drawText(room, int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom), text)
 
 
