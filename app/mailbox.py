@@ -6,6 +6,7 @@ shows the present.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from threading import Lock
 from typing import Generic, TypeVar
 
@@ -13,9 +14,17 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """Hands the newest item from one thread to another."""
+    """Hands the newest item from one thread to another.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    improves : callable, optional
+        Tells whether the second item is only a better version of the first, which is then not
+        counted as dropped.
+    """
+
+    def __init__(self, improves: Callable[[T, T], bool] = lambda _old, _new: False) -> None:
+        self._improves = improves
         self._lock = Lock()
         self._item: T | None = None
         self._dropped = 0
@@ -30,11 +39,10 @@ class Mailbox(Generic[T]):
             enough for any number of items.
         """
         with self._lock:
-            was_empty = self._item is None
-            if not was_empty:
+            waiting, self._item = self._item, item
+            if waiting is not None and not self._improves(waiting, item):
                 self._dropped += 1
-            self._item = item
-        return was_empty
+        return waiting is None
 
     def take(self) -> T | None:
         """Take the newest item, or None where there is none."""

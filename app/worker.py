@@ -73,7 +73,7 @@ class Worker(QThread):
     def __init__(self, preset: Preset, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
-        self._mailbox: Mailbox[Result] = Mailbox()
+        self._mailbox: Mailbox[Result] = Mailbox(lambda old, new: old.frame is new.frame)
         self._request: SourceRequest | None = None
         self._stopping = False
         self._playback = Playback()

@@ -11,6 +11,16 @@ def test_the_newest_item_wins_and_older_ones_are_counted():
     assert box.dropped == 2
 
 
+def test_a_better_version_of_an_item_drops_nothing():
+    box: Mailbox[float] = Mailbox(lambda old, new: int(old) == int(new))
+    box.put(1.0)
+    assert box.put(1.5) is False
+    assert box.dropped == 0
+    box.put(2.0)
+    assert box.dropped == 1
+    assert box.take() == 2.0
+
+
 def test_taking_makes_room_for_another_wake_up():
     box: Mailbox[int] = Mailbox()
     box.put(1)
