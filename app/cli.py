@@ -148,7 +148,9 @@ def run(
     from .cli_run import RunOptions, run_frames
 
     if out is None and not json_lines and not truth:
-        raise typer.BadParameter("give --out DIR for patch files, --json for lines of numbers, --truth for a comparison")
+        raise typer.BadParameter(
+            "give --out DIR for patch files, --json for a line a frame, or --truth for a comparison"
+        )
     preset = preset or defaults.default_preset(source)
     run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))
 
