@@ -12,6 +12,7 @@ from .fields import FieldSpec, format_number
 from .gestures import GestureClock
 
 _Step = QAbstractSpinBox.StepEnabledFlag
+_UNDO_KEYS = (QKeySequence.StandardKey.Undo, QKeySequence.StandardKey.Redo)
 
 
 class NumberEntry(QAbstractSpinBox):
@@ -95,10 +96,10 @@ class NumberEntry(QAbstractSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Leave undo and redo to the window, unless there is something typed to take back."""
-        if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and not self._typing:
-            if event.matches(QKeySequence.StandardKey.Undo) or event.matches(QKeySequence.StandardKey.Redo):
-                event.ignore()
-                return False
+        is_shortcut = event is not None and event.type() == QEvent.Type.ShortcutOverride
+        if is_shortcut and not self._typing and isinstance(event, QKeyEvent) and any(map(event.matches, _UNDO_KEYS)):
+            event.ignore()
+            return False
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
