@@ -12,7 +12,7 @@ names = [module.name for module in pkgutil.walk_packages(tactune.core.__path__, 
 for name in names:
     importlib.import_module(name)
 roots = {name.partition(".")[0] for name in sys.modules}
-print(len(names), sorted(roots & {"PyQt6", "pyqtgraph", "OpenGL", "superqt", "qtpy", "open3d", "pyrealsense2"}))
+print(len(names), sorted(roots & {"PyQt6", "pyqtgraph", "OpenGL", "open3d", "pyrealsense2"}))
 print(sorted(name for name in sys.modules if name.startswith(("tactune.widgets", "tactune.app"))))
 """
 
