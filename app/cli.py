@@ -26,7 +26,7 @@ from .cli_preset import preset_commands
 USAGE_STATUS = 2
 
 #: What the extra ``gui`` installs.
-GUI_PACKAGES = ("PyQt6", "pyqtgraph", "OpenGL")
+GUI_PACKAGES = ("PyQt6", "pyqtgraph")
 
 commands = typer.Typer(
     help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
