@@ -5,7 +5,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 from ..errors import SourceError
 from ..frames import Rig, SensorFrame
@@ -14,16 +14,66 @@ from ..frames import Rig, SensorFrame
 Progress = Callable[[float, str], None]
 
 
+#: Which of the two depth cameras of a rig.
+CameraRole = Literal["proximity", "tactile"]
+
+
+@dataclass(frozen=True)
+class CameraHealth:
+    """How one camera of a live source is doing; ``message`` is a sentence for the person."""
+
+    role: CameraRole
+    state: Literal["streaming", "stalled", "missing"]
+    model: str = ""
+    serial: str = ""
+    message: str = ""
+
+
 @dataclass(frozen=True)
 class Health:
     """How a source is doing, in words that can be shown as they are.
 
-    ``message`` is empty while all is well; ``dropped`` counts frames lost before they got here.
+    Attributes
+    ----------
+    message : str
+        Empty while all is well.
+    dropped : int
+        Frames lost before they got here.
+    stale : bool
+        The last frame is old: what it shows is no longer what the cameras see.
+    cameras : tuple of CameraHealth
+        One for each camera of a live source, empty for recordings.
+    unmatched : int
+        Images for which the other camera had no partner in time.
     """
 
     ok: bool = True
     message: str = ""
     dropped: int = 0
+    stale: bool = False
+    cameras: tuple[CameraHealth, ...] = ()
+    unmatched: int = 0
+
+
+@dataclass(frozen=True)
+class CameraOption:
+    """One setting of a camera as the device reports it; values are numbers in ``unit``.
+
+    ``choices`` names the values of a setting that is a list, such as a visual preset; ``name`` is
+    the driver's own name and is what presets store.
+    """
+
+    camera: CameraRole
+    name: str
+    description: str
+    minimum: float
+    maximum: float
+    step: float
+    default: float
+    value: float
+    unit: str = ""
+    choices: tuple[tuple[float, str], ...] = ()
+    read_only: bool = False
 
 
 class FrameSource(ABC):
@@ -66,6 +116,28 @@ class FrameSource(ABC):
         SourceError
             The frame cannot be read; the message names it and the remedy.
         """
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until `next_frame` will not block, and return whether it will not.
+
+        A recording is always ready; a live source waits for a frame, at most ``timeout_s``. Callers
+        that have other things to do ask this before `next_frame`.
+        """
+        return True
+
+    def options(self) -> tuple[CameraOption, ...]:
+        """Return the settings of the cameras; none for recordings."""
+        return ()
+
+    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        """Change one setting of a camera.
+
+        Raises
+        ------
+        SourceError
+            The source has no such camera or setting, or the camera refuses the value.
+        """
+        raise SourceError(f"{self.name}: there is no {camera} camera with an option {name!r}")
 
     def seek(self, index: int) -> None:
         """Make frame ``index`` (from 0) the next one; clamps nothing.
