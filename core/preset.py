@@ -258,6 +258,48 @@ class RegionSection(Section):
         return value
 
 
+class CameraSection(Section):
+    """Which of the connected devices is one of the two cameras, and how it is set up."""
+
+    serial: Annotated[
+        str,
+        _field(
+            "Serial number",
+            "Serial number of the camera. Empty: the only connected one of a fitting model.",
+            hidden=True,
+        ),
+        Field(max_length=64, pattern=r"^[0-9A-Za-z_.-]*$"),
+    ] = ""
+    options: Annotated[
+        dict[Annotated[str, Field(min_length=1, max_length=80)], float],
+        _field(
+            "Options",
+            "Settings of the camera by the driver's own names, such as laser_power; "
+            "what is not named here stays as the camera has it.",
+            hidden=True,
+        ),
+    ] = Field(default_factory=dict)
+
+
+class CamerasSection(Section):
+    """The two cameras of a live source. Recordings ignore it."""
+
+    proximity: CameraSection = CameraSection()
+    tactile: CameraSection = CameraSection()
+    tactile_delay_s: Annotated[
+        float,
+        _field(
+            "Tactile delay",
+            "How much later than the proximity camera's images with equal time stamps the tactile camera's show "
+            "the same moment; it is taken off their time stamps before images are paired.",
+            unit="s",
+            step=0.001,
+            hidden=True,
+        ),
+        Field(ge=-2.0, le=2.0),
+    ] = 0.0
+
+
 def now() -> datetime:
     """Return the present moment in UTC, to the second, as presets store it."""
     return datetime.now(UTC).replace(microsecond=0)
@@ -280,6 +322,7 @@ class Preset(Section):
     outliers: OutlierSection = OutlierSection()
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
+    cameras: CamerasSection = CamerasSection()
 
     def with_value(self, path: str, value: Any) -> Preset:
         """Return a copy with one field changed, validated as a whole.

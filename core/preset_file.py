@@ -22,7 +22,7 @@ from .preset import Preset
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[2] = 2
+SCHEMA_VERSION: Literal[3] = 3
 
 #: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
 _MOST_TOLD = 9
@@ -36,15 +36,21 @@ def _add_calibration(document: Document) -> Document:
     return {**document, "alignment": {**alignment, "calibration": None}}
 
 
+def _add_cameras(document: Document) -> Document:
+    """Version 3: presets name the cameras of a live source; up to version 2 any that fits is taken."""
+    camera = {"serial": "", "options": {}}
+    return {"cameras": {"proximity": camera, "tactile": camera, "tactile_delay_s": 0.0}, **document}
+
+
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
-MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration,)
+MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration, _add_cameras)
 
 
 class PresetDocument(Preset):
     """A preset as it stands in a file: the preset and what identifies the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
-    schema_version: Literal[2] = SCHEMA_VERSION
+    schema_version: Literal[3] = SCHEMA_VERSION
     tool_version: str = ""
 
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tactune.core import preset_file
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset import Preset
+from tactune.core.preset import CamerasSection, Preset
 from tactune.core.preset_file import (
     json_schema,
     load_preset,
@@ -114,12 +114,12 @@ def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
         ('{"schema": "tactune.preset"}', "schema_version is None"),
         ('{"schema": "tactune.preset", "schema_version": true}', "schema_version is True"),
         ('{"schema": "tactune.preset", "schema_version": 99, "tool_version": "7.1"}', "update Tactune .*7.1"),
-        ('{"schema": "tactune.preset", "schema_version": 2, "toleranc": {}}', "toleranc is not a field.*tolerance"),
-        ('{"schema": "tactune.preset", "schema_version": 2, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
+        ('{"schema": "tactune.preset", "schema_version": 3, "toleranc": {}}', "toleranc is not a field.*tolerance"),
+        ('{"schema": "tactune.preset", "schema_version": 3, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
         ("[" * 100_000, "JSON"),
         ('{"schema": "tactune.preset", "schema_version": ' + "1" * 5000 + "}", "too many digits"),
         ('{"schema": "tactune.preset", "schema_version": ' + "1" * 4000 + "}", "update Tactune"),
-        (json.dumps({"schema": "tactune.preset", "schema_version": 2} | {f"x{i}": 0 for i in range(99)}), "90 more"),
+        (json.dumps({"schema": "tactune.preset", "schema_version": 3} | {f"x{i}": 0 for i in range(99)}), "90 more"),
     ],
 )
 def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
@@ -168,6 +168,20 @@ def test_a_file_of_version_1_gets_an_alignment_without_calibration():
     assert read.name == "old"
     with pytest.raises(PresetError, match="alignment is 3"):
         preset_from_text(json.dumps(old | {"schema_version": 1, "alignment": 3}), "old.json")
+
+
+def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
+    old = json.loads(preset_json(Preset(name="old")))
+    del old["cameras"]
+    read = preset_from_text(json.dumps(old | {"schema_version": 2}), "old.json")
+    assert read.cameras == CamerasSection()
+    assert read.cameras.proximity.serial == ""
+    kept = read.with_values({"cameras.tactile.serial": "1234", "cameras.proximity.options": {"laser_power": 40.0}})
+    assert preset_from_text(preset_json(kept), "new.json").cameras == kept.cameras
+    with pytest.raises(PresetError, match=r"cameras.proximity.options.laser_power is 'much'"):
+        read.with_value("cameras.proximity.options", {"laser_power": "much"})
+    with pytest.raises(PresetError, match=r"cameras.tactile_delay_s is 3.0.*allowed: -2 to 2"):
+        read.with_value("cameras.tactile_delay_s", 3.0)
 
 
 def test_a_preset_of_a_newer_version_is_not_overwritten(tmp_path):
