@@ -1,0 +1,173 @@
+"""Depth quality in words: each number with what is good, and the next step where it is not.
+
+The limits of fill rate, plane fit and temporal noise follow the depth quality that Intel's data sheet of the D400
+family promises (fill rate 99 %, spatial and temporal noise in the order of 1 to 2 % of the distance); the bias is
+judged by the preset's own tolerance, since the contact test compares with that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import StrEnum
+
+from .depth_quality import NOISE_FRAMES, CameraQuality, DepthQuality
+
+_GOOD_FILL, _FAIR_FILL = 0.99, 0.95
+_GOOD_NOISE, _FAIR_NOISE = 0.01, 0.02
+_GOOD_SUBPIXEL_PX, _FAIR_SUBPIXEL_PX = 0.1, 0.3
+_NOT_FLAT = 0.03
+_TILTED_DEG = 15.0
+_GOOD_ACCURACY = 0.02
+#: A bias below this share of the tolerance does no harm.
+_HARMLESS_SHARE = 1 / 3
+#: Differences that scatter more than this share of the tolerance are not those of one surface.
+_ONE_SURFACE_SHARE = 1.5
+
+
+class Verdict(StrEnum):
+    """How good a value is; ``UNKNOWN`` where it cannot be said yet."""
+
+    GOOD = "good"
+    FAIR = "fair"
+    POOR = "poor"
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One value for the person.
+
+    Attributes
+    ----------
+    title : str
+        Such as ``"Fill rate"``.
+    value : str
+        With unit; empty where unknown.
+    verdict : Verdict
+    limit : str
+        What would be good.
+    step : str
+        What to do next; empty where nothing needs doing.
+    """
+
+    title: str
+    value: str
+    verdict: Verdict
+    limit: str = ""
+    step: str = ""
+
+    @property
+    def line(self) -> str:
+        """All of it in one line."""
+        value = f"{self.title}: {self.value}" if self.value else self.title
+        good = "" if self.verdict is Verdict.GOOD else "good: "
+        limit = f" ({good}{self.limit})" if self.limit else ""
+        return f"{value} – {self.verdict}{limit}." + (f" {self.step}" if self.step else "")
+
+
+def judge_camera(quality: CameraQuality) -> tuple[Reading, ...]:
+    """Return the readings of one camera, in the order in which they are looked at."""
+    readings = [_fill(quality), _plane(quality)]
+    if math.isfinite(quality.subpixel_rms_px):
+        readings.append(_subpixel(quality))
+    readings.append(_noise(quality))
+    if math.isfinite(quality.z_accuracy):
+        readings.append(_accuracy(quality))
+    return tuple(readings)
+
+
+def judge_bias(quality: DepthQuality, tolerance: float) -> Reading:
+    """Judge the bias between both cameras by the tolerance t of the contact test."""
+    bias = quality.bias
+    title = "Bias between the cameras"
+    if bias is None:
+        problem = quality.bias_problem or "the cameras cannot be compared"
+        return Reading(title, "", Verdict.UNKNOWN, step=f"{problem[0].upper()}{problem[1:]}.")
+    farther = "proximity" if bias.bias_m >= 0 else "tactile"
+    value = (
+        f"the {farther} camera reads {1e3 * abs(bias.bias_m):.2f} mm ({100 * abs(bias.share):.2f} %) farther, "
+        f"scatter {1e3 * bias.spread_m:.2f} mm"
+    )
+    distance_m = bias.bias_m / bias.share if bias.share else math.inf
+    if bias.spread_m > _ONE_SURFACE_SHARE * tolerance * distance_m:
+        step = "The cameras do not see one and the same surface: put a flat, opaque target before both."
+        return Reading(title, value, Verdict.UNKNOWN, step=step)
+    limit = f"below {100 * _HARMLESS_SHARE * tolerance:.2g} %, a third of the tolerance t"
+    if abs(bias.share) <= _HARMLESS_SHARE * tolerance:
+        return Reading(title, value, Verdict.GOOD, limit)
+    verdict = Verdict.FAIR if abs(bias.share) <= tolerance else Verdict.POOR
+    step = f"Where both see the same flat target, add {1e3 * bias.bias_m:+.1f} mm to the preset's depth offset."
+    return Reading(title, value, verdict, limit, step)
+
+
+def _fill(quality: CameraQuality) -> Reading:
+    steps = {
+        "proximity": "Raise the laser power or gain, lower the confidence threshold, keep sunlight and black or "
+        "shiny targets away.",
+        "tactile": "Light the scene evenly, give the target texture, stay beyond the shortest distance.",
+    }
+    share = quality.fill_rate
+    verdict = _low_end(share, _GOOD_FILL, _FAIR_FILL)
+    step = "" if verdict is Verdict.GOOD else steps[quality.role]
+    return Reading("Fill rate", f"{100 * share:.1f} %", verdict, f"{100 * _GOOD_FILL:.0f} % or more", step)
+
+
+def _plane(quality: CameraQuality) -> Reading:
+    share = quality.plane_rms_share
+    if not math.isfinite(share):
+        return Reading("Plane fit", "", Verdict.UNKNOWN, step="There are too few depths in the region for a plane.")
+    value = (
+        f"{1e3 * quality.plane_rms_m:.2f} mm, {100 * share:.2f} % of {1e3 * quality.distance_m:.0f} mm, "
+        f"tilted {quality.angle_deg:.0f}°"
+    )
+    limit = f"below {100 * _GOOD_NOISE:.0f} % at this distance"
+    verdict = _high_end(share, _GOOD_NOISE, _FAIR_NOISE)
+    step = ""
+    if share > _NOT_FLAT:
+        step = "No flat surface fills the region: choose a flat target, or drag the region onto one."
+    elif quality.angle_deg > _TILTED_DEG:
+        step = "Turn the target to face the camera."
+    elif verdict is not Verdict.GOOD:
+        step = "Check that the target is flat; otherwise come nearer and improve the light."
+    return Reading("Plane fit RMS", value, verdict, limit, step)
+
+
+def _subpixel(quality: CameraQuality) -> Reading:
+    error = quality.subpixel_rms_px
+    verdict = _high_end(error, _GOOD_SUBPIXEL_PX, _FAIR_SUBPIXEL_PX)
+    step = ""
+    if verdict is not Verdict.GOOD:
+        step = "Give the flat target a fine, irregular texture; if that does not help, recalibrate the camera."
+        if quality.plane_rms_share > _NOT_FLAT:
+            step = "Says something on a flat target only."
+    return Reading("Subpixel RMS", f"{error:.3f} px", verdict, f"below {_GOOD_SUBPIXEL_PX} px", step)
+
+
+def _noise(quality: CameraQuality) -> Reading:
+    share = quality.temporal_noise_share
+    if not math.isfinite(share):
+        step = f"It takes {NOISE_FRAMES} frames of a scene at rest; let the source play."
+        return Reading("Temporal noise", "", Verdict.UNKNOWN, step=step)
+    value = f"{1e3 * quality.temporal_noise_m:.2f} mm, {100 * share:.2f} %, over {quality.frames} frames"
+    limit = f"below {100 * _GOOD_NOISE:.0f} % at this distance"
+    verdict = _high_end(share, _GOOD_NOISE, _FAIR_NOISE)
+    step = "" if verdict is Verdict.GOOD else "Nothing may move meanwhile; otherwise improve light and texture."
+    return Reading("Temporal noise", value, verdict, limit, step)
+
+
+def _accuracy(quality: CameraQuality) -> Reading:
+    share = quality.z_accuracy
+    verdict = _high_end(abs(share), _GOOD_ACCURACY, 2 * _GOOD_ACCURACY)
+    step = "" if verdict is Verdict.GOOD else "Measure the true distance along the optical axis, from the front glass."
+    word = "too far" if share >= 0 else "too near"
+    limit = f"within {100 * _GOOD_ACCURACY:.0f} %"
+    return Reading("Z accuracy", f"{100 * abs(share):.2f} % {word}", verdict, limit, step)
+
+
+def _low_end(value: float, good: float, fair: float) -> Verdict:
+    return Verdict.GOOD if value >= good else Verdict.FAIR if value >= fair else Verdict.POOR
+
+
+def _high_end(value: float, good: float, fair: float) -> Verdict:
+    return Verdict.GOOD if value <= good else Verdict.FAIR if value <= fair else Verdict.POOR
