@@ -1,0 +1,1 @@
+"""Live cameras through librealsense: an Intel RealSense L515 and a D405."""
