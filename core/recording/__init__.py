@@ -1,0 +1,5 @@
+"""Recordings as ROS 2 bags in MCAP, which Foxglove, RViz and rosbag2 open, too."""
+
+from .writer import RecordingStatus, SessionWriter
+
+__all__ = ["RecordingStatus", "SessionWriter"]

@@ -1,0 +1,277 @@
+"""Records frames while they are taken, on a thread of its own."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+
+from ..errors import FrameError
+from ..frames import Rig, SensorFrame
+from ..preset import Preset
+from .bag import REFERENCE_NAME, Bag
+from .container import Buffer, Message
+from .messages import (
+    CAMERA_INFO,
+    IMAGE,
+    TEXT,
+    TRANSFORMS,
+    LogClock,
+    Topic,
+    frame_text,
+    nanoseconds,
+    stamped,
+    static_transforms,
+)
+from .reference import reference_bytes
+from .streams import image_streams, images_of
+
+#: Frames wait in no more memory than this: about two seconds of a full rig.
+QUEUE_BYTES = 256 * 2**20
+
+#: How much a power failure may cost; a killed process costs at most the frames that wait.
+_SYNC_EVERY_S = 2.0
+
+
+@dataclass(frozen=True)
+class RecordingStatus:
+    """How a recording is doing.
+
+    Attributes
+    ----------
+    frames : int
+        Frames in the file.
+    dropped : int
+        Frames that found no room in the queue or came after an error.
+    bytes : int
+        Size of the file.
+    seconds : float
+        Length of the recording, as a player shows it.
+    error : str
+        A sentence for the person; empty while all is well.
+    """
+
+    path: Path
+    frames: int
+    dropped: int
+    bytes: int
+    seconds: float
+    error: str
+
+
+class SessionWriter:
+    """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.recording.messages` describes it.
+
+    A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, given to
+    the operating system whole, so a killed process loses the frames that were still waiting and
+    nothing else. Where the disk refuses, the file is finished with the frames that it has.
+
+    Parameters
+    ----------
+    path : path of the new file
+    rig : Rig
+        Every frame must fit it.
+    preset : Preset, optional
+        Kept in the file.
+    frame_rate_hz : float
+        The source's rate, for playback.
+    reference : SensorFrame, optional
+        A frame of the untouched membrane, kept in the file.
+    queue_bytes : int
+        How much memory the frames that wait may take; one frame may always wait.
+
+    Raises
+    ------
+    ExportError
+        There is such a file already, or it cannot be written.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        rig: Rig,
+        *,
+        preset: Preset | None = None,
+        frame_rate_hz: float = 30.0,
+        reference: SensorFrame | None = None,
+        queue_bytes: int = QUEUE_BYTES,
+    ) -> None:
+        self._rig = rig
+        self._streams = image_streams(rig)
+        self._clock = LogClock(1.0 / frame_rate_hz)
+        self._bag = Bag(path, rig, preset, frame_rate_hz)
+        self._queue: deque[tuple[SensorFrame, int]] = deque()
+        self._queue_bytes = queue_bytes
+        self._waiting_bytes = 0
+        self._changed = threading.Condition()
+        self._closing = False
+        self._frames = self._dropped = 0
+        self._first_ns = self._last_ns = 0
+        self._error = ""
+        try:
+            if reference is not None:
+                self._bag.attach(REFERENCE_NAME, reference_bytes(reference))
+            self._add_topics()
+        except OSError as error:
+            self._bag.discard()
+            raise self._bag.refusal(error) from error
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def put(self, frame: SensorFrame, *, wait: bool) -> bool:
+        """Queue a frame and return whether it will be written.
+
+        Parameters
+        ----------
+        frame : SensorFrame
+        wait : bool
+            Wait for room, for a source that can wait; else a frame that finds none is dropped and counted.
+
+        Raises
+        ------
+        FrameError
+            The frame does not fit the rig.
+        """
+        size = self._check(frame)
+        with self._changed:
+            while wait and not self._has_room(size) and not self._error and not self._closing:
+                self._changed.wait()
+            if self._error or self._closing or not self._has_room(size):
+                self._dropped += 1
+                return False
+            self._queue.append((frame, size))
+            self._waiting_bytes += size
+            self._changed.notify_all()
+        return True
+
+    def status(self) -> RecordingStatus:
+        """Return how far the recording is, at any time."""
+        with self._changed:
+            return RecordingStatus(
+                path=self._bag.path,
+                frames=self._frames,
+                dropped=self._dropped,
+                bytes=self._bag.size,
+                seconds=(self._last_ns - self._first_ns) * 1e-9,
+                error=self._error,
+            )
+
+    def close(self) -> RecordingStatus:
+        """Write the frames that wait, finish the file and return how it ended; twice is harmless.
+
+        A file without any frame is removed, and the status says so.
+        """
+        with self._changed:
+            self._closing = True
+            self._changed.notify_all()
+        self._thread.join()
+        return self.status()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _add_topics(self) -> None:
+        self._bag.add_topic(Topic.FRAME, TEXT)
+        self._bag.add_topic(Topic.STATIC_TRANSFORMS, TRANSFORMS)
+        for stream in self._streams.values():
+            self._bag.add_topic(stream.topic, IMAGE)
+            if stream.lens is not None:
+                self._bag.add_topic(stream.topic.camera_info, CAMERA_INFO)
+
+    def _check(self, frame: SensorFrame) -> int:
+        """Refuse a frame that could not be written, and return its size in bytes."""
+        if not (math.isfinite(frame.proximity_time_s) and math.isfinite(frame.tactile_time_s)):
+            raise FrameError(f"frame {frame.sequence}: its time stamps are not finite; it cannot be recorded")
+        size = 0
+        for topic, image in images_of(frame):
+            self._streams[topic].check(image, frame.sequence)
+            size += image.nbytes
+        return size
+
+    def _has_room(self, size: int) -> bool:
+        return not self._queue or self._waiting_bytes + size <= self._queue_bytes
+
+    def _run(self) -> None:
+        self._attempt(self._write_frames)
+        with self._changed:  # after an error, what waits is never written
+            self._dropped += len(self._queue)
+            self._queue.clear()
+            self._changed.notify_all()
+        if self._frames:
+            self._attempt(self._bag.finish)
+            self._bag.close()
+        else:
+            self._fail("no frame was recorded")
+            self._bag.discard()
+
+    def _attempt(self, step: Callable[[], None]) -> None:
+        """Do a step and keep what goes wrong for `status`: a thread has nobody to raise to."""
+        try:
+            step()
+        except OSError as error:
+            self._fail(f"{error.strerror or error}; make room or choose another disk")
+        except Exception as error:
+            self._fail(f"{type(error).__name__}: {error}")
+
+    def _fail(self, reason: str) -> None:
+        with self._changed:
+            kept = f"it holds the {self._frames} frames before" if self._frames else "the file was removed"
+            self._error = self._error or f"recording {self._bag.path} stopped: {reason} ({kept})"
+            self._changed.notify_all()
+
+    def _write_frames(self) -> None:
+        synced_s = time.monotonic()
+        while (frame := self._next()) is not None:
+            self._write(frame)
+            if time.monotonic() - synced_s > _SYNC_EVERY_S:
+                self._bag.sync()
+                synced_s = time.monotonic()
+
+    def _next(self) -> SensorFrame | None:
+        """Wait for a frame; None when the recording is closed and all are written."""
+        with self._changed:
+            while not self._queue and not self._closing:
+                self._changed.wait()
+            if not self._queue:
+                return None
+            frame, size = self._queue.popleft()
+            self._waiting_bytes -= size
+            self._changed.notify_all()
+            return frame
+
+    def _write(self, frame: SensorFrame) -> None:
+        proximity_ns, tactile_ns = nanoseconds(frame.proximity_time_s), nanoseconds(frame.tactile_time_s)
+        log_ns = self._clock.tick(proximity_ns)
+
+        def message(topic: str, stamp_ns: int, *parts: Buffer) -> Message:
+            return Message(self._bag.channel(topic), frame.sequence, log_ns, max(stamp_ns, 0), parts)
+
+        messages = [message(Topic.FRAME, proximity_ns, frame_text(frame))]
+        if not self._frames:
+            transforms = static_transforms(self._rig, proximity_ns)
+            messages.append(message(Topic.STATIC_TRANSFORMS, proximity_ns, transforms))
+        for topic, image in images_of(frame):
+            stream = self._streams[topic]
+            stamp_ns = tactile_ns if stream.of_tactile else proximity_ns
+            pixels = memoryview(np.ascontiguousarray(image)).cast("B")
+            messages.append(message(topic, stamp_ns, stamped(stream.head, stamp_ns), pixels))
+            if stream.lens is not None:
+                messages.append(message(topic.camera_info, stamp_ns, stamped(stream.lens, stamp_ns)))
+        self._bag.write(messages)
+        with self._changed:
+            self._first_ns = self._first_ns if self._frames else log_ns
+            self._last_ns = log_ns
+            self._frames += 1
