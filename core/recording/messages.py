@@ -165,7 +165,8 @@ def static_transforms(rig: Rig, stamp_ns: int) -> bytes:
     if rig.T_proximity_tactile is not None:
         poses.append((TACTILE_FRAME, np.array(rig.T_proximity_tactile)))
     if rig.proximity_color is not None:
-        poses.append((PROXIMITY_COLOR_FRAME, np.linalg.inv(rig.proximity_color.T_color_depth)))
+        T_depth_color = np.linalg.inv(np.array(rig.proximity_color.T_color_depth)).astype(np.float64)
+        poses.append((PROXIMITY_COLOR_FRAME, T_depth_color))
     seconds, rest = divmod(stamp_ns, 10**9)
     header = _header(PROXIMITY_FRAME, seconds, rest)
     stamped_pose = _type("geometry_msgs/msg/TransformStamped")

@@ -21,7 +21,12 @@ from .messages import (
     image_head,
 )
 
-_DTYPES = {"16UC1": np.dtype("<u2"), "rgb8": np.dtype("u1"), "mono8": np.dtype("u1"), "32FC1": np.dtype("<f4")}
+_DTYPES: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype("<u2"),
+    "rgb8": np.dtype("u1"),
+    "mono8": np.dtype("u1"),
+    "32FC1": np.dtype("<f4"),
+}
 _CHANNELS = {"rgb8": 3}
 
 

@@ -113,7 +113,7 @@ class SessionWriter:
         self._waiting_bytes = 0
         self._changed = threading.Condition()
         self._closing = False
-        self._frames = self._dropped = 0
+        self._accepted = self._frames = self._dropped = 0
         self._first_ns = self._last_ns = 0
         self._error = ""
         try:
@@ -148,6 +148,7 @@ class SessionWriter:
                 self._dropped += 1
                 return False
             self._queue.append((frame, size))
+            self._accepted += 1
             self._waiting_bytes += size
             self._changed.notify_all()
         return True
@@ -207,7 +208,7 @@ class SessionWriter:
     def _run(self) -> None:
         self._attempt(self._write_frames)
         with self._changed:  # after an error, what waits is never written
-            self._dropped += len(self._queue)
+            self._dropped += self._accepted - self._frames
             self._queue.clear()
             self._changed.notify_all()
         if self._frames:
@@ -266,8 +267,8 @@ class SessionWriter:
         for topic, image in images_of(frame):
             stream = self._streams[topic]
             stamp_ns = tactile_ns if stream.of_tactile else proximity_ns
-            pixels = memoryview(np.ascontiguousarray(image)).cast("B")
-            messages.append(message(topic, stamp_ns, stamped(stream.head, stamp_ns), pixels))
+            pixels = np.ascontiguousarray(image).reshape(-1).view(np.uint8)
+            messages.append(message(topic, stamp_ns, stamped(stream.head, stamp_ns), pixels.data))
             if stream.lens is not None:
                 messages.append(message(topic.camera_info, stamp_ns, stamped(stream.lens, stamp_ns)))
         self._bag.write(messages)
