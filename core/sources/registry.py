@@ -8,12 +8,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from functools import partial
+from typing import TYPE_CHECKING, Literal
 from urllib.parse import parse_qsl
 
 from ..errors import SourceError
 from ..paths import user_path
 from .base import FrameSource, Progress
+
+if TYPE_CHECKING:
+    from ..preset import CamerasSection
 
 SCENES = ("cube", "cup", "octopus")
 _DEFAULT_SCENE = "cup"
@@ -51,7 +55,7 @@ def source_kinds() -> tuple[SourceKind, ...]:
     return tuple(kind for kind, _ in _KINDS.values())
 
 
-def open_source(name: str, progress: Progress | None = None) -> FrameSource:
+def open_source(name: str, progress: Progress | None = None, cameras: CamerasSection | None = None) -> FrameSource:
     """Open a source by its name.
 
     Parameters
@@ -61,6 +65,8 @@ def open_source(name: str, progress: Progress | None = None) -> FrameSource:
         kind is plain: a folder with ``rig.json``, that file itself, or a ``.bag``.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done, where opening takes long.
+    cameras : CamerasSection, optional
+        The preset's section ``cameras``: which devices ``realsense:`` opens, and their options.
 
     Raises
     ------
@@ -71,6 +77,8 @@ def open_source(name: str, progress: Progress | None = None) -> FrameSource:
         scheme, _, rest = name.partition(":")
         if scheme not in _KINDS:
             scheme, rest = _guess(name)
+        if scheme == "realsense":
+            return _open_realsense(rest, progress, cameras)
         _, opener = _KINDS[scheme]
         return opener(rest, progress)
     except OSError as error:
@@ -151,6 +159,52 @@ def _open_bag(rest: str, progress: Progress | None) -> FrameSource:
     return BagSource(_path("bag", rest), progress)
 
 
+def _open_live(rest: str, progress: Progress | None) -> FrameSource:
+    from .process import ProcessSource
+
+    if not rest:
+        raise SourceError("live: needs another source, as in live:sim")
+    return ProcessSource(partial(_play_live, rest), progress)
+
+
+def _play_live(name: str, progress: Progress) -> FrameSource:
+    """Open a recording to be played as if it were live; runs in the capture process."""
+    from .process.live import LiveLoop
+
+    source = open_source(name, progress)
+    try:
+        return LiveLoop(source)
+    except SourceError:
+        source.close()
+        raise
+
+
+def _open_realsense(rest: str, progress: Progress | None, cameras: CamerasSection | None = None) -> FrameSource:
+    """Open ``PROXIMITY,TACTILE``, the serial numbers of both cameras; without them the preset's, or the only ones."""
+    from ..preset import CamerasSection
+    from .process import ProcessSource
+
+    chosen = cameras or CamerasSection()
+    if rest:
+        serials = rest.split(",")
+        if len(serials) != 2 or not all(serials):
+            raise SourceError(
+                f"realsense:{rest}: give both serial numbers, as in realsense:f0090001,130322270002, or none"
+            )
+        for role, serial in zip(("proximity", "tactile"), serials, strict=True):
+            chosen = chosen.model_copy(
+                update={role: getattr(chosen, role).model_copy(update={"serial": serial.strip()})}
+            )
+    return ProcessSource(partial(_capture_realsense, chosen), progress)
+
+
+def _capture_realsense(cameras: CamerasSection, progress: Progress) -> FrameSource:
+    """Open the cameras; runs in the capture process."""
+    from .realsense.source import RealSenseSource
+
+    return RealSenseSource(cameras, progress=progress)
+
+
 def _path(scheme: str, rest: str) -> str:
     if not rest:
         raise SourceError(f"{scheme}: needs a path, as in {_KINDS[scheme][0].form}")
@@ -191,5 +245,27 @@ _KINDS: dict[str, tuple[SourceKind, _Opener]] = {
             pattern="*.bag",
         ),
         _open_bag,
+    ),
+    "realsense": (
+        SourceKind(
+            scheme="realsense",
+            title="RealSense cameras",
+            form="realsense:[PROXIMITY,TACTILE]",
+            description="A live L515 and a D405, captured in a process of their own; with serial numbers, those.",
+            needs="nothing",
+            examples=("realsense:",),
+        ),
+        _open_realsense,
+    ),
+    "live": (
+        SourceKind(
+            scheme="live",
+            title="Any source, played live",
+            form="live:SOURCE",
+            description="Plays a recording or the simulator over and over in real time, as cameras would give it.",
+            needs="nothing",
+            examples=("live:sim:cup",),
+        ),
+        _open_live,
     ),
 }

@@ -122,6 +122,9 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("mcap:x", r"there is no kind of source called 'mcap'; known are sim:SCENE.*, folder:PATH, bag:PATH"),
         ("folder:", r"folder: needs a path, as in folder:PATH"),
         ("bag:", r"bag: needs a path, as in bag:PATH"),
+        ("live:", r"live: needs another source, as in live:sim"),
+        ("live:folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
+        ("realsense:1", r"realsense:1: give both serial numbers, as in realsense:f0090001,130322270002, or none"),
         ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
         ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
         ("sim:table", r"sim:table: there is no scene 'table'; known are cube, cup, octopus"),
@@ -164,7 +167,7 @@ def test_a_path_of_no_known_kind_is_refused(tmp_path: Path, entry: str) -> None:
 
 def test_every_kind_tells_how_to_name_it() -> None:
     kinds = source_kinds()
-    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag"]
+    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "realsense", "live"]
     for kind in kinds:
         assert kind.form.startswith(f"{kind.scheme}:")
         assert kind.title
@@ -173,4 +176,6 @@ def test_every_kind_tells_how_to_name_it() -> None:
         ("nothing", ""),
         ("folder", "rig.json"),
         ("file", "*.bag"),
+        ("nothing", ""),
+        ("nothing", ""),
     ]

@@ -1,0 +1,206 @@
+"""The capture process: opens the source, hands its frames over, gives signs of life."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections import deque
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from queue import Empty, SimpleQueue
+from threading import Condition, Event, Lock, Thread
+from typing import Any, Final
+
+from ...errors import FrameError, TactuneError
+from ...frames import SensorFrame
+from ..base import FrameSource, Health
+from .messages import (
+    HEARTBEAT_S,
+    SLOTS,
+    Call,
+    Ended,
+    Failure,
+    FrameReady,
+    GiveBack,
+    Heartbeat,
+    Opened,
+    Opening,
+    Reply,
+    Start,
+    arrays_of,
+)
+from .ring import Ring, reserve_memory, slot_bytes
+
+#: At least so often the source is left alone to answer calls, seconds.
+_ROUND_S: Final = 0.2
+#: A process whose parent has gone closes its source in this time or ends without, seconds.
+_GRACE_S: Final = 2.0
+#: The kernel ends a process that has lost its parent while something holds the interpreter, seconds.
+_ALARM_S: Final = 60
+#: After so many unfit frames in a row the source has to be opened again.
+_MOST_UNFIT: Final = 30
+
+
+class _StoppedError(TactuneError):
+    """Raised inside a source that is being opened, to leave it."""
+
+
+def main(control: int, memory: int) -> None:
+    """Run the capture process on two inherited descriptors: the socket and the shared memory."""
+    _Capture(Connection(control), memory).run()
+
+
+class _Capture:
+    """The main thread alone touches the source; a second one talks to the parent and never waits for it."""
+
+    def __init__(self, connection: Connection, memory: int) -> None:
+        self._connection = connection
+        self._memory = memory
+        self._parent = os.getppid()
+        self._sending = Lock()
+        self._stop = Event()
+        self._calls: SimpleQueue[Call] = SimpleQueue()
+        self._slots = Condition()
+        self._free = deque(range(SLOTS))
+        self._health = Health()
+        self._round_s = time.monotonic()
+        self._dropped = 0
+        self._unfit = 0
+        self._unfit_in_a_row = 0
+        self._unfit_message = ""
+
+    def run(self) -> None:
+        """Open the source and capture until the parent goes or the source ends."""
+        try:
+            start: Start = self._connection.recv()
+        except (EOFError, OSError):
+            return
+        except Exception as error:  # whatever an import may raise
+            self._send(Failure.of(error, "the source cannot be imported in the capture process; define it in a module"))
+            return
+        Thread(target=self._converse, daemon=True).start()
+        try:
+            with start.opener(self._progress) as source:
+                self._serve(source, start.lossless)
+        except _StoppedError:
+            return
+        except Exception as error:  # a driver or a source may raise anything
+            self._send(Failure.of(error, "the capture failed unexpectedly"))
+
+    # The main thread
+
+    def _progress(self, fraction: float, text: str) -> None:
+        if self._stop.is_set():
+            raise _StoppedError("the capture process is no longer wanted")
+        self._round_s = time.monotonic()
+        self._send(Opening(fraction, text))
+
+    def _serve(self, source: FrameSource, lossless: bool) -> None:
+        rig = source.rig
+        size = slot_bytes(rig)
+        reserve_memory(self._memory, SLOTS * size)
+        ring = Ring(self._memory, SLOTS, size)
+        self._send(Opened(source.name, rig, source.frame_rate_hz, size))
+        while not self._stop.is_set():
+            self._round_s = time.monotonic()
+            self._answer(source)
+            self._health = self._health_of(source)
+            if lossless and not self._slot_comes_free():
+                continue
+            if not source.wait(_ROUND_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                self._send(Ended())
+                return
+            try:
+                frame.check_against(rig)
+                self._hand_over(ring, frame)
+                self._unfit_in_a_row = 0
+            except FrameError as error:
+                self._leave_out(error, lossless)
+
+    def _answer(self, source: FrameSource) -> None:
+        """Carry out the calls that have come; the source is touched by this thread only."""
+        while True:
+            try:
+                call = self._calls.get_nowait()
+            except Empty:
+                return
+            try:
+                reply = Reply(call.number, getattr(source, call.method)(*call.arguments))
+            except Exception as error:
+                reply = Reply(call.number, failure=Failure.of(error, f"{source.name}: {call.method} failed"))
+            self._send(reply)
+
+    def _health_of(self, source: FrameSource) -> Health:
+        health = source.health()
+        return replace(
+            health,
+            ok=health.ok and not self._unfit_in_a_row,
+            message=health.message or (self._unfit_message if self._unfit_in_a_row else ""),
+            dropped=health.dropped + self._unfit,
+            stale=health.stale or self._unfit_in_a_row > 0,
+        )
+
+    def _hand_over(self, ring: Ring, frame: SensorFrame) -> None:
+        with self._slots:
+            slot = self._free.popleft() if self._free else None
+        if slot is None:
+            self._dropped += 1
+            return
+        try:
+            places = ring.write(slot, arrays_of(frame))
+        except FrameError:
+            self._give_back(slot)
+            raise
+        stamps = float(frame.proximity_time_s), float(frame.tactile_time_s)
+        self._send(FrameReady(slot, places, int(frame.sequence), *stamps, self._dropped))
+
+    def _leave_out(self, error: FrameError, lossless: bool) -> None:
+        """Leave out a frame that does not fit the rig and say so; give up where all of them do not."""
+        self._unfit += 1
+        self._unfit_in_a_row += 1
+        self._unfit_message = str(error)
+        if lossless or self._unfit_in_a_row >= _MOST_UNFIT:
+            raise error
+
+    def _slot_comes_free(self) -> bool:
+        with self._slots:
+            return self._slots.wait_for(lambda: bool(self._free), _ROUND_S)
+
+    # The other thread
+
+    def _converse(self) -> None:
+        """Take orders and give signs of life until the parent has gone; then see to it that all ends."""
+        with suppress(EOFError, OSError):
+            due_s = time.monotonic()
+            while os.getppid() == self._parent:
+                # Armed anew all the time; goes off only where this thread cannot run any more.
+                signal.alarm(_ALARM_S)
+                if self._connection.poll(max(0.0, due_s - time.monotonic())):
+                    self._obey(self._connection.recv())
+                if time.monotonic() >= due_s:
+                    due_s = time.monotonic() + HEARTBEAT_S
+                    self._send(Heartbeat(self._health, time.monotonic() - self._round_s))
+        self._stop.set()
+        time.sleep(_GRACE_S)
+        os._exit(0)
+
+    def _obey(self, message: GiveBack | Call) -> None:
+        if isinstance(message, GiveBack):
+            self._give_back(message.slot)
+        else:
+            self._calls.put(message)
+
+    def _give_back(self, slot: int) -> None:
+        with self._slots:
+            self._free.append(slot)
+            self._slots.notify()
+
+    def _send(self, message: Any) -> None:
+        """Tell the parent; where it has gone, the other thread finds out as well."""
+        with self._sending, suppress(BrokenPipeError, ConnectionResetError):
+            self._connection.send(message)

@@ -1,0 +1,112 @@
+"""Plays a recording as if it were live: over and over, at its own frame rate."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+from ...errors import SourceError
+from ...frames import Rig, SensorFrame
+from ..base import FrameSource, Health
+
+
+class LiveLoop(FrameSource):
+    """A recording that has no length any more: frames come when they are due, whoever waits.
+
+    The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that
+    cannot be read in time is left out and counted as dropped, as a camera would. Times go on rising
+    when the recording starts over.
+
+    Raises
+    ------
+    SourceError
+        The source is live already, or has no frames.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        if source.length is None:
+            raise SourceError(f"live:{source.name}: {source.name} is live already; leave out live:")
+        if source.length == 0:
+            raise SourceError(f"live:{source.name}: there are no frames to play; choose another recording")
+        self.name = f"live:{source.name}"
+        self._source = source
+        self._length = source.length
+        self._period_s = 1.0 / source.frame_rate_hz
+        self._loop_s = self._length_s()
+        self._began_s: float | None = None
+        self._count = 0
+        self._dropped = 0
+        self._next: SensorFrame | None = None
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that took the frames."""
+        return self._source.rig
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate at which frames come, in Hz."""
+        return self._source.frame_rate_hz
+
+    def next_frame(self) -> SensorFrame:
+        """Return the next frame once it is due."""
+        frame = self._prepare()
+        time.sleep(max(0.0, self._due_in_s()))
+        self._next = None
+        self._count += 1
+        return frame
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until the next frame is due, at most ``timeout_s``."""
+        self._prepare()
+        due_in_s = self._due_in_s()
+        time.sleep(max(0.0, min(due_in_s, timeout_s)))
+        return due_in_s <= timeout_s
+
+    def reference(self) -> SensorFrame | None:
+        """Return a frame of the untouched membrane, or None where the recording has none."""
+        return self._source.reference()
+
+    def health(self) -> Health:
+        """Report how the recording is doing, and how many frames came too late."""
+        health = self._source.health()
+        return replace(health, dropped=health.dropped + self._dropped)
+
+    def close(self) -> None:
+        """Close the recording."""
+        self._source.close()
+
+    def _due_in_s(self) -> float:
+        if self._began_s is None:
+            self._began_s = time.monotonic()
+        return self._began_s + self._count * self._period_s - time.monotonic()
+
+    def _prepare(self) -> SensorFrame:
+        """Read the next frame before it is due; leave out those whose time has passed."""
+        if self._next is not None:
+            return self._next
+        late = max(0, int(-self._due_in_s() / self._period_s)) if self._count else 0
+        self._count += late
+        self._dropped += late
+        loop, index = divmod(self._count, self._length)
+        frame = self._read(index)
+        self._next = replace(
+            frame,
+            sequence=self._count,
+            proximity_time_s=frame.proximity_time_s + loop * self._loop_s,
+            tactile_time_s=frame.tactile_time_s + loop * self._loop_s,
+        )
+        return self._next
+
+    def _length_s(self) -> float:
+        """Return how long one loop takes by the recording's own time stamps, where those make sense."""
+        taken_s = self._read(self._length - 1).proximity_time_s - self._read(0).proximity_time_s
+        return max(taken_s, 0.0) + self._period_s
+
+    def _read(self, index: int) -> SensorFrame:
+        if self._source.position != index:
+            self._source.seek(index)
+        frame = self._source.next_frame()
+        if frame is None:
+            raise SourceError(f"{self.name}: frame {index} is missing; record again")
+        return frame

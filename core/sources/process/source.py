@@ -1,0 +1,125 @@
+"""Any source, opened in a process of its own."""
+
+from __future__ import annotations
+
+import weakref
+
+from ...frames import Rig, SensorFrame
+from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
+from .messages import Opener, Start
+from .supervisor import Supervisor
+
+
+class ProcessSource(FrameSource):
+    """A live source in a process of its own.
+
+    Frames come through shared memory, copied once. A capture process that dies, hangs or fails is
+    started again; meanwhile `health` says what happened and that the last frame is stale, and
+    `wait` tells that nothing is there. Sequence numbers and times go on rising. Frames that nobody
+    fetched in time are dropped, the oldest first, and counted in `health`. All methods may be called
+    from any thread.
+
+    Parameters
+    ----------
+    opener : callable
+        Opens the source in the capture process, given a progress callable. It travels as a pickle:
+        a function of a module (not of the main script or a notebook), or `functools.partial` of one.
+    progress : callable, optional
+        Told the share done, 0 to 1, and what is being done; called in this thread. An exception
+        that it raises leaves the opening.
+    lossless : bool
+        True: no frame is dropped, the capture process waits for the caller instead; and where it
+        fails, `next_frame` raises rather than going on with frames missing.
+
+    Raises
+    ------
+    TactuneError
+        The source cannot be opened; the same class and sentence as without the process.
+    SourceError
+        The opener cannot be sent to another process, or the process ends or hangs while opening.
+    """
+
+    def __init__(self, opener: Opener, progress: Progress | None = None, *, lossless: bool = False) -> None:
+        self._supervisor = Supervisor(Start(opener, lossless))
+        # Also at exit, and where a source is forgotten.
+        self._close = weakref.finalize(self, self._supervisor.stop)
+        try:
+            opened = self._supervisor.wait_until_open(progress)
+        except BaseException:
+            self._close()
+            raise
+        self.name = opened.name
+        self._rig = opened.rig
+        self._frame_rate_hz = opened.frame_rate_hz
+
+    @property
+    def rig(self) -> Rig:
+        """The rig that takes the frames."""
+        return self._rig
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate at which frames are taken, in Hz."""
+        return self._frame_rate_hz
+
+    @property
+    def capture_pid(self) -> int | None:
+        """Number of the capture process, or None while there is none."""
+        return self._supervisor.pid
+
+    def next_frame(self) -> SensorFrame | None:
+        """Return the next frame, or None at the end; block while there is none, or no process.
+
+        Raises
+        ------
+        TactuneError
+            The source cannot go on: the rig is another one after a restart, it is closed or, if
+            lossless, has failed.
+        """
+        return self._supervisor.next_frame()
+
+    def wait(self, timeout_s: float) -> bool:
+        """Wait until `next_frame` will not block, at most ``timeout_s``; return whether it will not."""
+        return self._supervisor.wait(timeout_s)
+
+    def health(self) -> Health:
+        """Report how the source is doing, and what has happened to its process."""
+        return self._supervisor.health()
+
+    def options(self) -> tuple[CameraOption, ...]:
+        """Return the settings of the cameras.
+
+        Raises
+        ------
+        SourceError
+            The capture process does not answer in time.
+        """
+        options: tuple[CameraOption, ...] = self._supervisor.call("options")
+        return options
+
+    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        """Change one setting of a camera; it is kept when the capture process is restarted.
+
+        Raises
+        ------
+        SourceError
+            The source has no such camera or setting, the camera refuses the value, or the capture
+            process does not answer in time.
+        """
+        self._supervisor.call("set_option", camera, name, value)
+        self._supervisor.remember_option(camera, name, value)
+
+    def reference(self) -> SensorFrame | None:
+        """Return a frame of the untouched membrane, or None where the source has none.
+
+        Raises
+        ------
+        SourceError
+            The capture process does not answer in time, or the frame cannot be read.
+        """
+        reference: SensorFrame | None = self._supervisor.call("reference")
+        return reference
+
+    def close(self) -> None:
+        """End the capture process. Closing twice is harmless."""
+        self._close()
