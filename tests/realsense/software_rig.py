@@ -96,8 +96,9 @@ class SoftwareCamera:
         self._in_use: deque[Any] = deque(maxlen=64)
         self.device = rs.software_device()
         product = "L500" if is_l515 else "D400"
-        # Older drivers append to a name that is there already.
-        name = self.device.update_info if hasattr(self.device, "update_info") else self.device.register_info
+        # 2.54 comes with a name, to which register_info would append; later ones have none to update.
+        has_name = self.device.supports(rs.camera_info.name)
+        name = self.device.update_info if has_name else self.device.register_info
         name(rs.camera_info.name, model or f"Intel RealSense {'L515' if is_l515 else 'D405'}")
         for info, text in {
             rs.camera_info.serial_number: serial or (PROXIMITY_SERIAL if is_l515 else TACTILE_SERIAL),
