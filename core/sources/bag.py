@@ -1,4 +1,4 @@
-"""RealSense recordings (ROS 1 ``.bag``) with one or two depth cameras, read without the camera driver."""
+"""RealSense recordings (``.bag``, ``.db3``) of one or two depth cameras, read without the camera driver."""
 
 from __future__ import annotations
 
@@ -11,58 +11,64 @@ from ..clouds import deproject, valid_depth
 from ..errors import SourceError
 from ..frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from ..masking import colors_at
-from ..paths import user_path
-from .bag_reader import Camera, RealSenseBag, Stream
 from .base import Health, Progress, SeekableSource
+from .realsense_files.opening import open_recordings
+from .realsense_files.pairing import common_times, nearest, pairs, period_s, span_text
+from .realsense_files.recording import Camera, Recording
 
-Float64Array = npt.NDArray[np.float64]
 _IDENTITY = rigid_transform(np.eye(4))
-_HARDWARE_CLOCK = "Hardware Clock"
 
 
 class BagSource(SeekableSource):
-    """A RealSense recording, with one frame for each proximity depth image.
+    """A RealSense recording: one file with one or two depth cameras, or two files with one each.
 
-    The proximity camera is the L515, or the first device where none is called so. Every other image
-    is the nearest in time: by the images' own time stamps where both are on one clock, else by the
-    moments at which they were recorded. How the two cameras stand to each other is not in a
-    recording, so the rig has no pose and the preset must bring it.
+    The proximity camera is the L515, or the first device where none is called so. A frame is one
+    proximity and one tactile depth image that are each other's nearest in time, within half a period
+    of the faster camera; other images are left out, and `health` counts them. Time is that of the
+    images' own stamps where both are on one clock (global or system time), else of their recording
+    or, for two files, of their arrival at the computer. Each camera's colour image is the nearest to
+    its depth image. How the two cameras stand to each other is not in a recording, so the rig has no
+    pose and the preset must bring it.
 
     With one depth camera the recording is for viewing only, and `health` says so: the rig's tactile
     camera is a copy in the same place with the model ``"none"``, its depth is 0 everywhere.
 
     Parameters
     ----------
-    path : path of the ``.bag`` file
+    name : path of the file, or two paths with a comma between them
+        A path may contain commas: what is a file as it stands is that file, else the name is parted
+        at the first comma that has a file on either side.
     progress : callable, optional
         Told the share of the images that are indexed, and what is being done.
 
     Raises
     ------
     SourceError
-        No such file, damaged, or not such a recording; the message says which and what to do.
+        No such file, damaged, not such a recording, or two that do not belong together; the message
+        says which and what to do.
     """
 
-    def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
-        name = f"bag:{path}"
-        file = user_path(path)
-        if not file.is_file():
-            raise SourceError(f"{name}: there is no file {file}; check the path")
-        self._bag = RealSenseBag(file, progress)
-        if len(self._bag.cameras) > 2:
-            models = ", ".join(camera.info.model for camera in self._bag.cameras)
-            self._bag.close()
-            raise SourceError(f"{name} has {len(self._bag.cameras)} depth cameras ({models}); record one or two")
-        cameras = sorted(self._bag.cameras, key=lambda camera: "L515" not in camera.info.model)
-        self._proximity, self._tactile = cameras[0], cameras[1] if len(cameras) > 1 else None
-        super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity.depth))
+    def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
+        recordings = open_recordings(str(name), progress)
+        try:
+            self._set_up(f"bag:{name}", recordings)
+        except BaseException:
+            for recording in recordings:
+                recording.close()
+            raise
 
-        depth, other = self._proximity.depth, self._tactile.depth if self._tactile else self._proximity.depth
-        self._proximity_times_s, self._tactile_times_s = _times(depth, other)
-        self._tactile_index = _nearest(self._proximity_times_s, self._tactile_times_s)
-        self._color_index = {
-            camera: _nearest(*_times(camera.depth, camera.color)) for camera in cameras if camera.color is not None
-        }
+    def _set_up(self, name: str, recordings: list[Recording]) -> None:
+        self._recordings = recordings
+        self._proximity, self._tactile = _roles(name, recordings)
+        self._cameras = [self._proximity] if self._tactile is None else [self._proximity, self._tactile]
+        self._unmatched, self._unmatched_words = 0, ""
+        if self._tactile is None:
+            self._proximity_times_s = self._tactile_times_s = self._proximity.depth.stamps_s
+            self._proximity_index = self._tactile_index = np.arange(len(self._proximity.depth))
+        else:
+            self._pair(name, self._tactile)
+        self._color_index = {camera: _color_index(camera) for camera in self._cameras if camera.color is not None}
+        super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity_index))
 
     @property
     def frame_rate_hz(self) -> float:
@@ -76,31 +82,38 @@ class BagSource(SeekableSource):
             lacks.append("this recording has one depth camera: for viewing only")
         if self._proximity.color is None:
             lacks.append("this recording has no proximity colour: its image stays black")
-        return Health(ok=not lacks, message="; ".join(lacks))
+        lacks += [
+            f"{recording.path.name} was not finished when it was recorded: it is shown up to its last whole part"
+            for recording in self._recordings
+            if not recording.is_complete
+        ]
+        words = [*lacks, self._unmatched_words] if self._unmatched_words else lacks
+        return Health(ok=not lacks, message="; ".join(words), unmatched=self._unmatched)
 
     def close(self) -> None:
-        """Close the file."""
-        self._bag.close()
+        """Close the files."""
+        for recording in self._recordings:
+            recording.close()
 
     def read(self, index: int) -> SensorFrame:
-        """Read frame ``index`` from the file."""
-        depth = self._bag.depth_image(self._proximity.depth, index)
-        tactile_index = int(self._tactile_index[index])
+        """Read frame ``index`` from the files."""
+        proximity_index, tactile_index = int(self._proximity_index[index]), int(self._tactile_index[index])
+        depth = self._proximity.recording.depth_image(self._proximity.depth, proximity_index)
         if self._tactile is None:
             tactile_depth, tactile_color = np.zeros_like(depth), None
         else:
-            tactile_depth = self._bag.depth_image(self._tactile.depth, tactile_index)
+            tactile_depth = self._tactile.recording.depth_image(self._tactile.depth, tactile_index)
             tactile_color = self._color(self._tactile, tactile_index)
             if tactile_color is not None:
                 tactile_color = _color_on_depth(tactile_color, tactile_depth, self._tactile)
-        proximity_color = self._color(self._proximity, index)
+        proximity_color = self._color(self._proximity, proximity_index)
         return SensorFrame(
             sequence=index,
             proximity_depth=depth,
             tactile_depth=tactile_depth,
             proximity_color=np.zeros((*depth.shape, 3), np.uint8) if proximity_color is None else proximity_color,
             tactile_color=tactile_color,
-            proximity_time_s=float(self._proximity_times_s[index]),
+            proximity_time_s=float(self._proximity_times_s[proximity_index]),
             tactile_time_s=float(self._tactile_times_s[tactile_index]),
         )
 
@@ -108,7 +121,65 @@ class BagSource(SeekableSource):
         """Return the colour image nearest to a depth image of the same camera."""
         if camera.color is None:
             return None
-        return self._bag.color_image(camera.color, int(self._color_index[camera][depth_index]))
+        return camera.recording.color_image(camera.color, int(self._color_index[camera][depth_index]))
+
+    def _pair(self, name: str, tactile: Camera) -> None:
+        """Find which depth images belong together, and refuse recordings of which none do."""
+        first, second = self._proximity, tactile
+        times = common_times(
+            first.depth, second.depth, same_recording=first.recording is second.recording, same_device=False
+        )
+        if times is None:
+            raise SourceError(
+                f"{name}: the cameras' clocks cannot be compared ({_clock(first)} and {_clock(second)}, and not both "
+                "files say when images arrived); record both cameras with global time enabled"
+            )
+        first_s, second_s = times
+        if first_s.max() < second_s.min() or second_s.max() < first_s.min():
+            raise SourceError(
+                f"{name}: the two cameras were not recorded at the same time: {first.info.model} from "
+                f"{span_text(first_s)}, {second.info.model} from {span_text(second_s)}; "
+                "give two recordings of the same moment"
+            )
+        farthest_s = min(period_s(first_s, first.depth.rate_hz), period_s(second_s, second.depth.rate_hz)) / 2
+        self._proximity_times_s, self._tactile_times_s = times
+        self._proximity_index, self._tactile_index = pairs(first_s, second_s, farthest_s)
+        count = len(self._proximity_index)
+        if count == 0:
+            raise SourceError(
+                f"{name}: no image of {first.info.model} has one of {second.info.model} within "
+                f"{farthest_s * 1e3:.1f} ms; record both cameras at once"
+            )
+        alone = len(first_s) - count, len(second_s) - count
+        self._unmatched = sum(alone)
+        if self._unmatched:
+            self._unmatched_words = (
+                f"left out because the other camera has no image within {farthest_s * 1e3:.1f} ms: "
+                f"{alone[0]} of {len(first_s)} proximity and {alone[1]} of {len(second_s)} tactile images"
+            )
+
+
+def _roles(name: str, recordings: list[Recording]) -> tuple[Camera, Camera | None]:
+    """Return the proximity and the tactile camera; the latter is None where there is one only."""
+    cameras = [camera for recording in recordings for camera in recording.cameras]
+    models = ", ".join(camera.info.model for camera in cameras)
+    if len(recordings) == 2 and len(cameras) != 2:
+        raise SourceError(
+            f"{name}: the two files have {len(cameras)} depth cameras ({models}); give files with one camera each"
+        )
+    if len(cameras) > 2:
+        raise SourceError(f"{name} has {len(cameras)} depth cameras ({models}); record one or two")
+    if len(cameras) == 2 and cameras[0].info.serial == cameras[1].info.serial != "":
+        raise SourceError(
+            f"{name}: both recordings are of the same camera, {cameras[0].info.model} {cameras[0].info.serial}; "
+            "give the recording of the other camera as well"
+        )
+    cameras.sort(key=lambda camera: "L515" not in camera.info.model)
+    return cameras[0], cameras[1] if len(cameras) == 2 else None
+
+
+def _clock(camera: Camera) -> str:
+    return f"{camera.info.model}: {camera.depth.clock or 'unknown'}"
 
 
 def _rig(proximity: Camera, tactile: Camera | None) -> Rig:
@@ -121,23 +192,12 @@ def _rig(proximity: Camera, tactile: Camera | None) -> Rig:
     return Rig(proximity=proximity.info, tactile=tactile.info, proximity_color=color)
 
 
-def _times(first: Stream, second: Stream) -> tuple[Float64Array, Float64Array]:
-    """Return both streams' times in seconds on one clock, the most exact that they share."""
-    same_clock = first.clock == second.clock != ""
-    if same_clock and (first.device == second.device or first.clock != _HARDWARE_CLOCK):
-        return first.stamps_s, second.stamps_s
-    return first.recorded_s, second.recorded_s
-
-
-def _nearest(times_s: Float64Array, candidates_s: Float64Array) -> npt.NDArray[np.intp]:
-    """Return for each time the index of the nearest candidate; the earlier of two that are as near."""
-    order = np.argsort(candidates_s, kind="stable")
-    ordered = candidates_s[order]
-    after = np.searchsorted(ordered, times_s).clip(1, max(len(ordered) - 1, 1))
-    before = after - 1
-    after = after.clip(max=len(ordered) - 1)
-    later_is_nearer = ordered[after] - times_s < times_s - ordered[before]
-    return order[np.where(later_is_nearer, after, before)]
+def _color_index(camera: Camera) -> npt.NDArray[np.intp]:
+    """Return for each depth image of a camera the index of its colour image."""
+    assert camera.color is not None
+    times = common_times(camera.depth, camera.color, same_recording=True, same_device=True)
+    assert times is not None
+    return nearest(*times)
 
 
 def _color_on_depth(

@@ -15,6 +15,7 @@ from urllib.parse import parse_qsl
 from ..errors import SourceError
 from ..paths import user_path
 from .base import FrameSource, Progress
+from .realsense_files.names import SUFFIXES, recording_files
 
 if TYPE_CHECKING:
     from ..preset import CamerasSection
@@ -36,7 +37,7 @@ class SourceKind:
     needs : {"nothing", "folder", "file"}
         What a person has to point at to open one.
     pattern : str
-        Names of the files that it opens, such as ``"*.bag"``; empty where it opens none.
+        Names of the files that it opens, such as ``"*.bag *.db3"``; empty where it opens none.
     examples : tuple of str
         Names that can be offered as they are.
     """
@@ -62,7 +63,8 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     ----------
     name : str
         ``"sim"``, ``"sim:cup?seed=3&noise=0.5"``, ``"folder:PATH"``, ``"bag:PATH"``, or a path whose
-        kind is plain: a folder with ``rig.json``, that file itself, or a ``.bag``.
+        kind is plain: a folder with ``rig.json``, that file itself, a ``.bag`` or ``.db3``, or two of
+        those with a comma between them.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done, where opening takes long.
     cameras : CamerasSection, optional
@@ -89,18 +91,22 @@ def _guess(name: str) -> tuple[str, str]:
     """Return the scheme and path of a name without a scheme."""
     forms = ", ".join(kind.form for kind in source_kinds())
     path = user_path(name)
+    if len(recording_files(name)) == 2:
+        return "bag", name
     if not name or not path.exists():
         kind, colon, _ = name.partition(":")
         if colon and kind.isalnum() and len(kind) > 1:
             raise SourceError(f"{name!r}: there is no kind of source called {kind!r}; known are {forms}")
         raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
-    if path.suffix == ".bag" and path.is_file():
+    if path.suffix in SUFFIXES and path.is_file():
         return "bag", name
     if (path / "rig.json").is_file():
         return "folder", name
     if path.name == "rig.json":
         return "folder", str(path.parent)
-    raise SourceError(f"{name!r} is neither a folder with rig.json nor a RealSense .bag; known sources are {forms}")
+    raise SourceError(
+        f"{name!r} is neither a folder with rig.json nor a RealSense .bag or .db3; known sources are {forms}"
+    )
 
 
 def _open_simulator(rest: str, progress: Progress | None) -> FrameSource:
@@ -239,10 +245,10 @@ _KINDS: dict[str, tuple[SourceKind, _Opener]] = {
         SourceKind(
             scheme="bag",
             title="RealSense recording",
-            form="bag:PATH",
-            description="A RealSense .bag with two depth cameras or, for viewing only, one.",
+            form="bag:PATH[,PATH]",
+            description="A RealSense .bag or .db3 of two depth cameras, two files of one each, or one for viewing only.",
             needs="file",
-            pattern="*.bag",
+            pattern="*.bag *.db3",
         ),
         _open_bag,
     ),

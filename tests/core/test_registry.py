@@ -87,6 +87,15 @@ def test_a_bag_is_opened_by_scheme_or_suffix(opened: list[dict[str, Any]], tmp_p
     assert opened == [{"path": str(path), "progress": None}] * 2
 
 
+def test_two_recordings_with_a_comma_between_are_one_source(opened: list[dict[str, Any]], tmp_path: Path) -> None:
+    first, second = tmp_path / "a,b.bag", tmp_path / "c.db3"
+    first.write_bytes(b"")
+    second.write_bytes(b"")
+    for name in (f"bag:{first},{second}", f"{first},{second}", str(second)):
+        open_source(name)
+    assert [call["path"] for call in opened] == [f"{first},{second}"] * 2 + [str(second)]
+
+
 def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
     for name in (f"folder:{recording}", str(recording), str(recording / "rig.json")):
         with open_source(name) as source:
@@ -175,7 +184,7 @@ def test_every_kind_tells_how_to_name_it() -> None:
     assert [(kind.needs, kind.pattern) for kind in kinds] == [
         ("nothing", ""),
         ("folder", "rig.json"),
-        ("file", "*.bag"),
+        ("file", "*.bag *.db3"),
         ("nothing", ""),
         ("nothing", ""),
     ]

@@ -1,0 +1,255 @@
+"""RealSense recordings in ``.db3`` files, as librealsense writes them from 2.58 on.
+
+Such a file is the SQLite database of a ROS 2 bag. Its descriptions are strings of ``key=value;``.
+2.58 compresses every message with zstd and keeps images raw; 2.59 keeps images as PNG.
+"""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import sys
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+import numpy as np
+import numpy.typing as npt
+
+from .damage import LARGEST_BYTES, Cursor, DamagedFileError, check_size
+from .images import RawImage, png_color, png_depth, raw_color, raw_depth
+from .recording import Float64Array, ImageTimes, Lens, Recording, Stream, milliseconds
+
+if sys.version_info >= (3, 14):
+    from compression import zstd
+else:
+    from backports import zstd
+
+MAGIC = b"SQLite format 3\x00"
+_STREAM_TOPIC = re.compile(
+    r"(/device_(\d{1,4})/sensor_(\d{1,4})/(Depth|Color)_\d{1,4})/image/data(?:/compressed|/compressedDepth)?"
+)
+_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
+_DEPTH_PNG_START = 12  # compressed_depth_image_transport puts its settings in front
+_LONGEST_TEXT = 2**14
+_STEPS_A_CALL = 100_000
+
+
+class Db3Recording(Recording):
+    """A RealSense ``.db3``, read without the camera driver."""
+
+    _database: sqlite3.Connection | None = None
+
+    def _open(self) -> None:
+        size = self.path.stat().st_size
+        # No row takes less than a few bytes and a few steps: more steps mean pages that form loops.
+        self._steps_allowed = (size // _STEPS_A_CALL + 1) * 10
+        uri = self.path.resolve().as_uri() + "?mode=ro&immutable=1"
+        with _database_told():
+            self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
+            self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, LARGEST_BYTES)
+            self._database.execute("PRAGMA trusted_schema = OFF")
+            self._database.execute("PRAGMA cell_size_check = ON")
+            self._database.set_progress_handler(self._count_steps, _STEPS_A_CALL)
+        self._check_tables()
+        self._ids = {
+            name: number
+            for number, name in self._rows("SELECT id, name FROM topics")
+            if isinstance(number, int) and isinstance(name, str)
+        }
+        self._images: dict[str, str] = {}
+        self._index: dict[str, npt.NDArray[np.int64]] = {}
+
+    def _close(self) -> None:
+        if self._database is not None:
+            self._database.close()
+
+    def _streams(self) -> dict[tuple[int, str], str]:
+        streams: dict[tuple[int, str], str] = {}
+        for topic in sorted(self._ids):
+            match = _STREAM_TOPIC.fullmatch(topic)
+            if match and (int(match[2]), match[4]) not in streams:
+                index = self._topic_index(topic)
+                if len(index):
+                    streams[int(match[2]), match[4]] = match[1]
+                    self._images[match[1]], self._index[match[1]] = topic, index
+        return streams
+
+    def _times(self, topics: Sequence[str]) -> Mapping[str, ImageTimes]:
+        times = {}
+        for number, topic in enumerate(topics, start=1):
+            times[topic] = self._stream_times(topic)
+            if self._progress is not None:
+                self._progress(number / len(topics), f"indexing {self.path.name}: stream {number} of {len(topics)}")
+        return times
+
+    def _stream_times(self, topic: str) -> ImageTimes:
+        recorded_ns = self._index[topic][:, 0]
+        metadata = {
+            int(time_ns): _pairs(self._text(row))
+            for time_ns, row in self._topic_index(f"{topic}/image/metadata").tolist()
+        }
+        stamps_s, clocks, arrived_ms = [], [], []
+        for time_ns in recorded_ns.tolist():
+            facts = metadata.get(time_ns, {})
+            if "timestamp" not in facts:
+                raise DamagedFileError(f"an image of {topic} has no time stamp")
+            stamps_s.append(milliseconds(facts["timestamp"]) * 1e-3)
+            clocks.append(facts.get("timestamp_domain", ""))
+            arrived_ms.append(milliseconds(facts.get("system_time", "")))
+        return ImageTimes(recorded_ns, np.array(stamps_s), clocks, np.array(arrived_ms))
+
+    def _device_info(self, device: int) -> Mapping[str, str]:
+        return self._facts(f"/device_{device}/info")
+
+    def _rate_hz(self, topic: str) -> float:
+        return _numbers(self._required(f"{topic}/info"), "fps")[0]
+
+    def _lens(self, topic: str) -> Lens:
+        facts = self._required(f"{topic}/camera_info")
+        width, height, fx, fy, cx, cy = (
+            _numbers(facts, key)[0] for key in ("width", "height", "fx", "fy", "ppx", "ppy")
+        )
+        return Lens(int(width), int(height), fx, fy, cx, cy, facts.get("model", ""), _numbers(facts, "coeffs"))
+
+    def _depth_unit_m(self, sensor: str) -> float | None:
+        facts = self._facts(f"{sensor}/option/Depth_Units/value")
+        return _numbers({"unit": next(iter(facts))}, "unit")[0] if facts else None
+
+    def _poses(self, topic: str) -> Mapping[str, Float64Array]:
+        prefix = f"{topic}/tf/"
+        return {name.removeprefix(prefix): _matrix(self._facts(name)) for name in self._ids if name.startswith(prefix)}
+
+    def _depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]:
+        cursor = self._image(stream, index)
+        if self._images[stream.topic].endswith("/compressedDepth"):
+            return png_depth(_compressed(cursor)[_DEPTH_PNG_START:], stream.intrinsics.shape)
+        return raw_depth(_raw(cursor), stream.intrinsics.shape)
+
+    def _color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]:
+        cursor = self._image(stream, index)
+        if self._images[stream.topic].endswith("/compressed"):
+            return png_color(_compressed(cursor), stream.intrinsics.shape)
+        return raw_color(_raw(cursor), stream.intrinsics.shape)
+
+    def _image(self, stream: Stream, index: int) -> Cursor:
+        """Return an image message from behind its header on."""
+        cursor = Cursor(self._message(int(self._index[stream.topic][index, 1]), LARGEST_BYTES), aligned=True)
+        cursor.u32()
+        cursor.u32()
+        cursor.text()
+        return cursor
+
+    def _required(self, topic: str) -> Mapping[str, str]:
+        facts = self._facts(topic)
+        if not facts:
+            raise self._refusal(f"the topic {topic} is missing")
+        return facts
+
+    def _facts(self, topic: str) -> dict[str, str]:
+        """Return what all messages of a topic of strings say together."""
+        if topic not in self._ids:
+            return {}
+        facts: dict[str, str] = {}
+        for row in self._topic_index(topic)[:, 1].tolist():
+            facts |= _pairs(self._text(row))
+        return facts
+
+    def _topic_index(self, topic: str) -> npt.NDArray[np.int64]:
+        """Return time in ns and row of a topic's messages in the order of time: shape (N, 2)."""
+        if topic not in self._ids:
+            return np.zeros((0, 2), np.int64)
+        query = "SELECT timestamp, id FROM messages WHERE topic_id = ?"
+        rows = np.fromiter(self._rows(query, self._ids[topic]), np.dtype((np.int64, 2)))
+        return rows[np.lexsort(rows.T[::-1])]
+
+    def _text(self, row: int) -> str:
+        return Cursor(self._message(row, _LONGEST_TEXT), aligned=True).text()
+
+    def _message(self, row: int, largest: int) -> bytes:
+        found = next(self._rows("SELECT data FROM messages WHERE id = ?", row), None)
+        if found is None or not isinstance(found[0], bytes):
+            raise DamagedFileError(f"message {row} is missing")
+        data = found[0]
+        if data.startswith(_ZSTD_MAGIC):
+            data = _unpack_zstd(data, largest)
+        check_size(len(data), largest)
+        return data
+
+    def _rows(self, query: str, *values: int) -> Iterator[tuple[object, ...]]:
+        assert self._database is not None
+        self._steps = 0
+        with _database_told():
+            yield from self._database.execute(query, values)
+
+    def _check_tables(self) -> None:
+        """Insist on plain tables: a view or a computed column could run anything."""
+        query = "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages')"
+        tables = {name for name, kind, page in self._rows(query) if kind == "table" and page}
+        if tables != {"topics", "messages"}:
+            raise DamagedFileError("it has no tables of topics and messages")
+        if any(column[6] for table in sorted(tables) for column in self._rows(f"PRAGMA table_xinfo({table})")):
+            raise DamagedFileError("its tables have computed columns")
+
+    def _count_steps(self) -> bool:
+        self._steps += 1
+        return self._steps > self._steps_allowed
+
+
+@contextmanager
+def _database_told() -> Iterator[None]:
+    try:
+        yield
+    except (sqlite3.Error, OverflowError, TypeError, ValueError) as error:
+        raise DamagedFileError(str(error)) from error
+
+
+def _unpack_zstd(data: bytes, largest: int) -> bytes:
+    try:
+        size = check_size(zstd.get_frame_info(data).decompressed_size, largest)
+        return zstd.ZstdDecompressor().decompress(data, max_length=size)
+    except zstd.ZstdError as error:
+        raise DamagedFileError(f"a message cannot be decompressed: {error}") from error
+
+
+def _raw(cursor: Cursor) -> RawImage:
+    return RawImage(
+        height=cursor.u32(),
+        width=cursor.u32(),
+        encoding=cursor.text(),
+        big_endian=bool(cursor.u8()),
+        step=cursor.u32(),
+        data=cursor.bytes(),
+    )
+
+
+def _compressed(cursor: Cursor) -> npt.NDArray[np.uint8]:
+    cursor.text()
+    return cursor.bytes()
+
+
+def _pairs(text: str) -> dict[str, str]:
+    """Return ``key=value;key=value``; a part without a value is a key of nothing."""
+    return {key: value for key, _, value in (part.partition("=") for part in text.split(";")) if key}
+
+
+def _numbers(facts: Mapping[str, str], key: str) -> tuple[float, ...]:
+    """Return the comma-separated numbers of a field, at the precision of the cameras."""
+    text = facts.get(key, "")
+    try:
+        numbers = tuple(float(np.float32(float(part))) for part in text.split(",")[:16] if abs(float(part)) < 1e30)
+    except ValueError:
+        numbers = ()
+    if len(numbers) != min(text.count(",") + 1, 16):
+        raise DamagedFileError(f"{key} is {text[:40]!r}, which is no number")
+    return numbers
+
+
+def _matrix(facts: Mapping[str, str]) -> Float64Array:
+    """Return the 4 x 4 matrix of a pose; its rotation is written column by column."""
+    rotation, translation = _numbers(facts, "rotation"), _numbers(facts, "translation")
+    if len(rotation) != 9 or len(translation) != 3:
+        raise DamagedFileError("a pose has not nine and three numbers")
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.reshape(rotation, (3, 3)).T
+    matrix[:3, 3] = translation
+    return matrix
