@@ -246,7 +246,7 @@ _KINDS: dict[str, tuple[SourceKind, _Opener]] = {
             scheme="bag",
             title="RealSense recording",
             form="bag:PATH[,PATH]",
-            description="A RealSense .bag or .db3 of two depth cameras, two files of one each, or one for viewing only.",
+            description="A RealSense .bag or .db3 of two depth cameras, two files of one each, or one to view only.",
             needs="file",
             pattern="*.bag *.db3",
         ),

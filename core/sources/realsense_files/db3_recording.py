@@ -11,6 +11,8 @@ import sqlite3
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from itertools import chain
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -158,15 +160,16 @@ class Db3Recording(Recording):
         """Return time in ns and row of a topic's messages in the order of time: shape (N, 2)."""
         if topic not in self._ids:
             return np.zeros((0, 2), np.int64)
-        query = "SELECT timestamp, id FROM messages WHERE topic_id = ?"
-        rows = np.fromiter(self._rows(query, self._ids[topic]), np.dtype((np.int64, 2)))
+        query = "SELECT timestamp, rowid FROM messages WHERE topic_id = ? AND typeof(timestamp) = 'integer'"
+        numbers: Iterator[Any] = chain.from_iterable(self._rows(query, self._ids[topic]))
+        rows = np.fromiter(numbers, np.int64).reshape(-1, 2)
         return rows[np.lexsort(rows.T[::-1])]
 
     def _text(self, row: int) -> str:
         return Cursor(self._message(row, _LONGEST_TEXT), aligned=True).text()
 
     def _message(self, row: int, largest: int) -> bytes:
-        found = next(self._rows("SELECT data FROM messages WHERE id = ?", row), None)
+        found = next(self._rows("SELECT data FROM messages WHERE rowid = ?", row), None)
         if found is None or not isinstance(found[0], bytes):
             raise DamagedFileError(f"message {row} is missing")
         data = found[0]
@@ -187,7 +190,8 @@ class Db3Recording(Recording):
         tables = {name for name, kind, page in self._rows(query) if kind == "table" and page}
         if tables != {"topics", "messages"}:
             raise DamagedFileError("it has no tables of topics and messages")
-        if any(column[6] for table in sorted(tables) for column in self._rows(f"PRAGMA table_xinfo({table})")):
+        columns = chain(self._rows("PRAGMA table_xinfo(topics)"), self._rows("PRAGMA table_xinfo(messages)"))
+        if any(column[6] for column in columns):
             raise DamagedFileError("its tables have computed columns")
 
     def _count_steps(self) -> bool:

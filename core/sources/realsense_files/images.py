@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from typing import Any
 
 import cv2
 import numpy as np
@@ -65,7 +66,8 @@ def png_depth(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArra
     image = _decoded(data, shape)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DamagedFileError("it is no PNG with 16 bits of depth")
-    return image
+    counts: npt.NDArray[np.uint16] = image
+    return counts
 
 
 def png_color(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
@@ -87,7 +89,7 @@ def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> npt.
     return np.ascontiguousarray(rows)
 
 
-def _decoded(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.uint8 | np.uint16]:
+def _decoded(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[Any]:
     # The size is looked at first, since the decoder allocates whatever the file claims.
     start = data[: len(_PNG_START) + 8].tobytes()
     if len(start) < len(_PNG_START) + 8 or not start.startswith(_PNG_START):

@@ -212,7 +212,7 @@ class Recording(ABC):
             rate_hz=self._rate_hz(topic),
             clock=clock,
             stamps_s=stamps_s,
-            recorded_s=times[topic].recorded_ns * 1e-9,
+            recorded_s=np.asarray(times[topic].recorded_ns * 1e-9, np.float64),
             arrived_s=arrived_s,
         )
 
