@@ -41,6 +41,8 @@ _GRACE_S: Final = 2.0
 _ALARM_S: Final = 60
 #: After so many unfit frames in a row the source has to be opened again.
 _MOST_UNFIT: Final = 30
+#: A frame that was left out is told so long, seconds.
+_TOLD_S: Final = 5.0
 
 
 class _StoppedError(TactuneError):
@@ -70,6 +72,7 @@ class _Capture:
         self._unfit = 0
         self._unfit_in_a_row = 0
         self._unfit_message = ""
+        self._unfit_told_until_s = 0.0
 
     def run(self) -> None:
         """Open the source and capture until the parent goes or the source ends."""
@@ -140,7 +143,7 @@ class _Capture:
         return replace(
             health,
             ok=health.ok and not self._unfit_in_a_row,
-            message=health.message or (self._unfit_message if self._unfit_in_a_row else ""),
+            message=health.message or (self._unfit_message if self._round_s < self._unfit_told_until_s else ""),
             dropped=health.dropped + self._unfit,
             stale=health.stale or self._unfit_in_a_row > 0,
         )
@@ -163,7 +166,8 @@ class _Capture:
         """Leave out a frame that does not fit the rig and say so; give up where all of them do not."""
         self._unfit += 1
         self._unfit_in_a_row += 1
-        self._unfit_message = str(error)
+        self._unfit_message = f"A frame was left out: {error}."
+        self._unfit_told_until_s = self._round_s + _TOLD_S
         if lossless or self._unfit_in_a_row >= _MOST_UNFIT:
             raise error
 

@@ -101,7 +101,7 @@ class Supervisor:
             self._changed.wait_for(lambda: bool(self._waiting) or self._finished)
             if not self._waiting:
                 if self._error is not None:
-                    raise self._error
+                    raise type(self._error)(str(self._error))
                 return None
             process, ring, ready = self._waiting.popleft()
         arrays = ring.read(ready.slot, ready.places)
@@ -188,7 +188,7 @@ class Supervisor:
 
     def _fail(self, error: TactuneError) -> None:
         with self._changed:
-            self._error = error
+            self._error = error.with_traceback(None)  # which would keep the shared memory
             self._changed.notify_all()
 
     def _keep_capturing(self) -> None:
@@ -210,16 +210,14 @@ class Supervisor:
             if isinstance(problem, Failure):
                 raise problem.error()
             raise SourceError(f"{self._name}: the capture process {problem}{' while opening' if first else ''}")
-        if isinstance(problem, Failure):
-            self._tell(f"Capturing failed: {problem.sentence.rstrip('.')}. The capture process is being restarted.")
-        else:
-            self._tell(f"The capture process {problem} and is being restarted.")
-
-    def _tell(self, notice: str, seconds: float = math.inf) -> None:
         with self._changed:
-            self._notice = notice
-            self._notice_until_s = time.monotonic() + seconds
-            self._changed.notify_all()
+            self._stale = True
+            self._record.restart()
+            if isinstance(problem, Failure):
+                notice = f"Capturing failed: {problem.sentence.rstrip('.')}. The capture process"
+            else:
+                notice = f"The capture process {problem} and"
+            self._notice, self._notice_until_s = f"{notice} is being restarted.", math.inf
 
     def _run_process(self) -> Failure | str:
         """Run one process to its end and say in words how that came about."""
@@ -233,9 +231,6 @@ class Supervisor:
         finally:
             with self._changed:
                 self._process = self._serving = None
-                if not self._ended:
-                    self._stale = True
-                    self._record.restart()
             status = process.end(politely=not hanging)
         return failure or hanging or ending_in_words(status)
 
@@ -276,7 +271,9 @@ class Supervisor:
             for (camera, name), value in options.items():
                 with suppress(OSError):  # it has gone again, which `_serve` notices
                     process.send(Call(next(self._numbers), "set_option", (camera, name, value)))
-            self._tell(self._notice.replace("is being restarted", "has been restarted"), _NOTICE_S)
+            with self._changed:
+                self._notice = self._notice.replace("is being restarted.", "has been restarted.")
+                self._notice_until_s = time.monotonic() + _NOTICE_S
         with self._changed:
             self._opened = before or opened
             self._serving = process

@@ -21,7 +21,7 @@ _SILENT_S: Final = 1.0
 #: So long at one call of the source, and it hangs, seconds: opening without progress, the first frame, and later.
 _BUSY_OPENING_S: Final = 120.0
 _BUSY_FIRST_FRAME_S: Final = 20.0
-_BUSY_S: Final = 2.0
+_BUSY_S: Final = 1.5
 #: The pauses before the first, second and further attempts to start a process again, seconds.
 _PAUSES_S: Final = (0.0, 0.2, 0.5, 1.0, 2.0)
 #: A process that has captured so long has recovered, seconds.
@@ -65,7 +65,7 @@ class Patience:
         if silent_s >= self._silent_limit_s:
             return f"has given no sign of life for {silent_s:.0f} s"
         if self._busy_s >= self._busy_limit_s:
-            return f"has waited {self._busy_s:.0f} s for its source"
+            return f"has waited {self._busy_s:.1f} s for its source"
         return ""
 
 

@@ -1,0 +1,47 @@
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+sys.path.append(str(Path(__file__).parent))  # the capture process gets this path and imports capture_sources from it
+
+
+@pytest.fixture
+def nothing_left() -> Iterator[None]:
+    """Check that no process, thread, descriptor or shared-memory segment is left by a test."""
+    before = _open_things()
+    yield
+    deadline_s = time.monotonic() + 5
+    while (left := _open_things()) != before and time.monotonic() < deadline_s:
+        time.sleep(0.02)
+    assert left == before
+
+
+def _open_things() -> dict[str, object]:
+    children = Path(f"/proc/self/task/{os.getpid()}/children")
+    return {
+        "children": children.read_text(),
+        "threads": threading.active_count(),
+        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
+        "segments": sorted(path.name for path in Path("/dev/shm").iterdir()),
+    }
+
+
+@pytest.fixture
+def until() -> Callable[[Callable[[], bool]], float]:
+    """Wait until something holds and return how long that took; generous, since machines are busy."""
+
+    def wait(holds: Callable[[], bool], seconds: float = 30.0) -> float:
+        began_s = time.monotonic()
+        while not holds():
+            assert time.monotonic() - began_s < seconds, "it did not happen in time"
+            time.sleep(0.005)
+        return time.monotonic() - began_s
+
+    return wait

@@ -1,0 +1,114 @@
+"""A recording played live: over and over, in time, with stamps that go on rising."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from capture_sources import Recorded, Troubled, make_frame, make_rig
+
+from tactune.core.errors import SourceError
+from tactune.core.sources.process import live
+from tactune.core.sources.process.live import LiveLoop
+from tactune.core.sources.registry import open_source
+
+RIG = make_rig()
+
+
+class Clock:
+    """Time that passes only where somebody sleeps or reads."""
+
+    def __init__(self) -> None:
+        self.now_s = 1000.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds >= 0
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
+    made = Clock()
+    monkeypatch.setattr(live, "time", made)
+    return made
+
+
+def recording(count: int, rate_hz: float = 30.0) -> Recorded:
+    return Recorded(RIG, [make_frame(RIG, number) for number in range(count)], rate_hz)
+
+
+def test_it_loops_in_time_and_without_drift(clock: Clock) -> None:
+    source = LiveLoop(recording(7, 50.0))
+    shown = []
+    for _ in range(100):
+        assert source.wait(1.0)
+        frame = source.next_frame()
+        shown.append((clock.now_s, frame))
+        clock.sleep(0.0007)  # whatever the caller does
+    times_s = np.array([moment for moment, _ in shown])
+    np.testing.assert_allclose(times_s - times_s[0], np.arange(100) / 50.0, atol=1e-6)
+    assert [frame.sequence for _, frame in shown] == list(range(100))
+    assert all(
+        np.array_equal(frame.tactile_depth, make_frame(RIG, n % 7).tactile_depth) for n, (_, frame) in enumerate(shown)
+    )
+    assert source.health().dropped == 0
+    assert source.length is None
+
+
+def test_stamps_go_on_rising_by_the_period(clock: Clock) -> None:
+    source = LiveLoop(recording(5))
+    frames = [source.next_frame() for _ in range(23)]
+    for one, other in pairwise(frames):
+        assert other.proximity_time_s - one.proximity_time_s == pytest.approx(1 / 30)
+        assert other.skew_s == pytest.approx(0.0021)
+
+
+def test_waiting_ends_when_it_is_told(clock: Clock) -> None:
+    source = LiveLoop(recording(5, 10.0))
+    source.next_frame()
+    began_s = clock.now_s
+    assert not source.wait(0.04)
+    assert clock.now_s - began_s == pytest.approx(0.04)
+    assert not source.wait(0.04)
+    assert source.wait(0.04)
+    assert clock.now_s - began_s == pytest.approx(0.1)
+
+
+def test_frames_whose_time_has_passed_are_left_out(clock: Clock) -> None:
+    source = LiveLoop(recording(5, 10.0))
+    assert source.next_frame().sequence == 0
+    clock.sleep(0.75)
+    assert source.next_frame().sequence == 7
+    assert source.health().dropped == 6
+    assert source.next_frame().sequence == 8
+    assert source.health().dropped == 6
+
+
+def test_one_image_is_shown_for_ever(clock: Clock) -> None:
+    source = LiveLoop(recording(1))
+    frames = [source.next_frame() for _ in range(5)]
+    assert [frame.sequence for frame in frames] == [0, 1, 2, 3, 4]
+    assert frames[4].proximity_time_s == pytest.approx(frames[0].proximity_time_s + 4 / 30)
+
+
+def test_what_is_live_already_or_empty_is_refused(tmp_path) -> None:
+    with pytest.raises(SourceError, match="live:troubled: troubled is live already; leave out live:"):
+        LiveLoop(Troubled(tmp_path, RIG))
+    with pytest.raises(SourceError, match="there are no frames to play"):
+        LiveLoop(recording(0))
+
+
+def test_a_folder_plays_live_by_name(nothing_left: None, tmp_path) -> None:
+    from tactune.core.sources.folder import export_folder
+
+    export_folder(recording(3), tmp_path / "scene")
+    with open_source(f"live:{tmp_path / 'scene'}") as source:
+        assert source.name == f"live:folder:{tmp_path / 'scene'}"
+        frames = [source.next_frame() for _ in range(8)]
+    for frame in frames:
+        assert frame is not None
+        assert np.array_equal(frame.tactile_depth, make_frame(RIG, frame.sequence % 3).tactile_depth)

@@ -1,0 +1,122 @@
+"""Whatever becomes of the parent, the capture process ends; a library user needs no main guard."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+HERE = Path(__file__).parent
+OPEN = f"""
+import sys, time
+sys.path.append({str(HERE)!r})
+from functools import partial
+from pathlib import Path
+from capture_sources import open_troubled
+from tactune.core.sources.process import ProcessSource
+source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
+source.next_frame()
+print(source.capture_pid, flush=True)
+"""
+Start = Callable[[str], tuple[subprocess.Popen[str], int]]
+
+
+def alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
+
+
+@pytest.fixture
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a program that opens a source and does something more; return it and its capture process."""
+    started = []
+
+    def run(more: str) -> tuple[subprocess.Popen[str], int]:
+        program = tmp_path / "program.py"  # without a main guard
+        program.write_text(OPEN + more)
+        parent = subprocess.Popen(
+            [sys.executable, program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        started.append(parent)
+        assert parent.stdout is not None
+        return parent, int(parent.stdout.readline())
+
+    yield run
+    for parent in started:
+        parent.kill()
+        parent.communicate()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_the_process_ends_with_a_parent_that_is_killed(
+    start: Start, until: Callable[[Callable[[], bool]], float], sent: signal.Signals
+) -> None:
+    parent, pid = start("time.sleep(60)")
+    assert alive(pid)
+    parent.send_signal(sent)
+    _, words = parent.communicate(timeout=30)
+    until(lambda: not alive(pid))
+    assert "capture" not in words  # no traceback of the capture process
+
+
+@pytest.mark.parametrize(
+    "more",
+    ["", "sys.exit(3)", "raise SystemExit", "source.close()", "del source", "import os; os._exit(0)"],
+    ids=["falls off", "exit", "raise", "close", "del", "abrupt"],
+)
+def test_the_process_ends_with_a_parent_that_ends(
+    start: Start, until: Callable[[Callable[[], bool]], float], more: str
+) -> None:
+    parent, pid = start(more)
+    _, words = parent.communicate(timeout=30)
+    assert words == ""
+    until(lambda: not alive(pid))
+
+
+def test_a_process_that_hangs_is_ended_with_its_source(
+    start: Start, until: Callable[[Callable[[], bool]], float]
+) -> None:
+    parent, pid = start("import os, signal; os.kill(source.capture_pid, signal.SIGSTOP); source.close()")
+    _, words = parent.communicate(timeout=30)
+    assert words == ""
+    assert not alive(pid)
+
+
+def test_ctrl_c_reaches_the_parent_only(start: Start) -> None:
+    parent, pid = start("""
+try:
+    time.sleep(60)
+except KeyboardInterrupt:
+    print(source.next_frame() is not None, source.health().message, flush=True)
+""")
+    assert os.getpgid(pid) != os.getpgid(parent.pid)
+    parent.send_signal(signal.SIGINT)
+    answer, words = parent.communicate(timeout=30)
+    assert (answer, words) == ("True \n", "")
+
+
+def test_no_source_is_opened_twice_without_a_main_guard_or_a_file() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", OPEN + "source.close()"], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert len(done.stdout.splitlines()) == 1
+    assert done.stderr == ""
+
+
+def test_the_process_loads_neither_a_window_nor_kernels_nor_a_driver() -> None:
+    program = """
+import sys
+import tactune.core.sources.process.child
+print(sorted({name.partition(".")[0] for name in sys.modules}
+    & {"PyQt6", "pyqtgraph", "cv2", "numba", "scipy", "pyrealsense2", "rosbags", "open3d"}))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True)
+    assert done.stdout == "[]\n"
