@@ -131,8 +131,10 @@ class SoftwareCamera:
             pose.rotation, pose.translation = [1, 0, 0, 0, 1, 0, 0, 0, 1], [0, 0, 0]
         self._profiles["depth"].register_extrinsics_to(self._profiles["color"], pose)
         self.context = rs.context()
+        alive: list[Any] = []  # from 2.55 on the context does not keep the device, what the callback gets does
+        self.context.set_devices_changed_callback(lambda changes: alive.append(changes.get_new_devices()))
+        self._alive = alive
         self.device.add_to(self.context)
-        self._list = self.context.query_devices()  # from 2.55 on the context alone does not keep it
 
     def send(self, number: int, time_s: float) -> None:
         """Send image ``number`` of each stream, or whatever the camera has been told to do instead."""
