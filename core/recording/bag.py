@@ -14,7 +14,7 @@ from ..preset import Preset
 from ..preset_file import preset_json
 from ..rig_file import json_text, rig_to_json
 from .container import McapWriter, Message
-from .messages import STATIC_QOS, TRANSFORMS, definition, type_hash
+from .messages import STATIC_QOS, definition, type_hash
 
 #: Names inside the file.
 METADATA_NAME: Final = "tactune"
@@ -74,11 +74,11 @@ class Bag:
         """Write a small file into the file."""
         self._writer.attach(name, "application/json" if name.endswith(".json") else "application/octet-stream", data)
 
-    def add_topic(self, topic: str, message_type: str) -> None:
-        """Declare a topic."""
+    def add_topic(self, topic: str, message_type: str, *, once: bool = False) -> None:
+        """Declare a topic; one with a message for all listeners, ``once``, is kept for those who come later."""
         if message_type not in self._types:
             self._types[message_type] = self._writer.add_schema(message_type, definition(message_type))
-        qos = STATIC_QOS if message_type == TRANSFORMS else ""
+        qos = STATIC_QOS if once else ""
         metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(message_type)}
         self._channels[topic] = self._writer.add_channel(topic, self._types[message_type], metadata)
 

@@ -77,6 +77,7 @@ class McapWriter:
         self._chunk_indexes: list[bytes] = []
         self._counts: dict[int, int] = {}
         self._first_ns, self._last_ns = _LAST_TIME_NS, 0
+        self._scratch = bytearray()
         # Kept from chunk to chunk: making one costs as much as compressing a frame.
         self._compressor = zstd.ZstdCompressor(level=_COMPRESSION_LEVEL)
         self._write(MAGIC + _record(HEADER, _text(PROFILE) + _text(library)))
@@ -124,23 +125,16 @@ class McapWriter:
         places: dict[int, list[tuple[int, int]]] = {}
         size = 0
         for message in messages:
-            length = 22 + sum(len(part) for part in message.parts)
-            head = struct.pack(
-                "<BQHIQQ",
-                MESSAGE,
-                length,
-                message.channel,
-                message.sequence & 0xFFFFFFFF,
-                message.log_time_ns,
-                message.publish_time_ns,
-            )
-            pieces += [head, *message.parts]
+            length = 22 + sum(map(len, message.parts))
+            number = message.sequence & 0xFFFFFFFF
+            times = message.log_time_ns, message.publish_time_ns
+            pieces += [struct.pack("<BQHIQQ", MESSAGE, length, message.channel, number, *times), *message.parts]
             places.setdefault(message.channel, []).append((message.log_time_ns, size))
             size += 9 + length
-        times = [time_ns for entries in places.values() for time_ns, _ in entries]
-        first_ns, last_ns = min(times), max(times)
+        raw = self._gather(pieces, size)
+        log_times = [time_ns for entries in places.values() for time_ns, _ in entries]
+        first_ns, last_ns = min(log_times), max(log_times)
 
-        raw = b"".join(pieces)
         packed = self._compressor.compress(raw, zstd.ZstdCompressor.FLUSH_FRAME)
         span = struct.pack("<QQ", first_ns, last_ns)
         head = span + struct.pack("<QI", len(raw), zlib.crc32(raw)) + _text("zstd") + struct.pack("<Q", len(packed))
@@ -167,6 +161,17 @@ class McapWriter:
         for channel, entries in places.items():
             self._counts[channel] += len(entries)
         self._first_ns, self._last_ns = min(self._first_ns, first_ns), max(self._last_ns, last_ns)
+
+    def _gather(self, pieces: list[Buffer], size: int) -> memoryview:
+        """Lay pieces one after the other, in memory that is kept: fresh pages cost more than the copy."""
+        if len(self._scratch) < size:
+            self._scratch = bytearray(size)
+        view = memoryview(self._scratch)[:size]
+        offset = 0
+        for piece in pieces:
+            view[offset : offset + len(piece)] = piece
+            offset += len(piece)
+        return view
 
     def finish(self) -> None:
         """Write the summary, which lets readers seek at once, and the footer."""

@@ -14,12 +14,14 @@ topic                               type                       contents
 ``/truth/depth/image``              ``sensor_msgs/Image``      32FC1, metres           (where known)
 ``/tactune/frame``                  ``std_msgs/String``        JSON: the sequence number and both
                                                                time stamps, every bit
+``/tactune/rig``                    ``std_msgs/String``        JSON: the rig, once
 ``/tf_static``                      ``tf2_msgs/TFMessage``     factory poses, once
 =================================== ========================== ==================================
 
 Depth stays as the cameras count it, so that playback gives the very bits. ROS takes 16UC1 for
 millimetres: clouds that Foxglove or RViz make of it are too large by the ratio of the units, 4 for
-an L515 (0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the attachment ``rig.json``.
+an L515 (0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the rig, which is also attached as
+``rig.json``; the topic is there for tools that copy messages and leave attachments out.
 
 A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is told as
 ``plumb_bob`` with the same coefficients, as the camera maker's own ROS driver does.
@@ -67,6 +69,7 @@ class Topic(StrEnum):
     """Topics of a recording."""
 
     FRAME = "/tactune/frame"
+    RIG = "/tactune/rig"
     STATIC_TRANSFORMS = "/tf_static"
     PROXIMITY_DEPTH = "/proximity/depth/image"
     PROXIMITY_COLOR = "/proximity/color/image"
@@ -175,6 +178,11 @@ def static_transforms(rig: Rig, stamp_ns: int) -> bytes:
     )
 
 
+def text(value: str) -> bytes:
+    """Return a text, serialised."""
+    return _serialise(_type(TEXT)(value), TEXT)
+
+
 def frame_text(frame: SensorFrame) -> bytes:
     """Return what images cannot say of a frame, serialised: its number and its exact time stamps."""
     values = {
@@ -182,7 +190,7 @@ def frame_text(frame: SensorFrame) -> bytes:
         "proximity_time_s": float(frame.proximity_time_s),
         "tactile_time_s": float(frame.tactile_time_s),
     }
-    return _serialise(_type(TEXT)(json.dumps(values, allow_nan=False)), TEXT)
+    return text(json.dumps(values, allow_nan=False))
 
 
 def point_cloud(points: npt.NDArray[np.float32], stamp_ns: int) -> bytes:

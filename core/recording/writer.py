@@ -17,6 +17,7 @@ import numpy as np
 from ..errors import FrameError
 from ..frames import Rig, SensorFrame
 from ..preset import Preset
+from ..rig_file import json_text, rig_to_json
 from .bag import REFERENCE_NAME, Bag
 from .container import Buffer, Message
 from .messages import (
@@ -30,6 +31,7 @@ from .messages import (
     nanoseconds,
     stamped,
     static_transforms,
+    text,
 )
 from .reference import reference_bytes
 from .streams import image_streams, images_of
@@ -186,7 +188,8 @@ class SessionWriter:
 
     def _add_topics(self) -> None:
         self._bag.add_topic(Topic.FRAME, TEXT)
-        self._bag.add_topic(Topic.STATIC_TRANSFORMS, TRANSFORMS)
+        self._bag.add_topic(Topic.RIG, TEXT, once=True)
+        self._bag.add_topic(Topic.STATIC_TRANSFORMS, TRANSFORMS, once=True)
         for stream in self._streams.values():
             self._bag.add_topic(stream.topic, IMAGE)
             if stream.lens is not None:
@@ -262,7 +265,9 @@ class SessionWriter:
 
         messages = [message(Topic.FRAME, proximity_ns, frame_text(frame))]
         if not self._frames:
+            rig = text(json_text(rig_to_json(self._rig)))
             transforms = static_transforms(self._rig, proximity_ns)
+            messages.append(message(Topic.RIG, proximity_ns, rig))
             messages.append(message(Topic.STATIC_TRANSFORMS, proximity_ns, transforms))
         for topic, image in images_of(frame):
             stream = self._streams[topic]

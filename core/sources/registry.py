@@ -63,8 +63,8 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
     ----------
     name : str
         ``"sim"``, ``"sim:cup?seed=3&noise=0.5"``, ``"folder:PATH"``, ``"bag:PATH"``, or a path whose
-        kind is plain: a folder with ``rig.json``, that file itself, a ``.bag`` or ``.db3``, or two of
-        those with a comma between them.
+        kind is plain: a folder with ``rig.json``, that file itself, an ``.mcap``, a ``.bag`` or
+        ``.db3``, or two of the latter with a comma between them.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done, where opening takes long.
     cameras : CamerasSection, optional
@@ -100,12 +100,15 @@ def _guess(name: str) -> tuple[str, str]:
         raise SourceError(f"{name!r} is no source: nothing is at that path; give an existing path or one of {forms}")
     if path.suffix in SUFFIXES and path.is_file():
         return "bag", name
+    if path.suffix == ".mcap" and path.is_file():
+        return "mcap", name
     if (path / "rig.json").is_file():
         return "folder", name
     if path.name == "rig.json":
         return "folder", str(path.parent)
     raise SourceError(
-        f"{name!r} is neither a folder with rig.json nor a RealSense .bag or .db3; known sources are {forms}"
+        f"{name!r} is neither a folder with rig.json nor an .mcap, nor a RealSense .bag or .db3; "
+        f"known sources are {forms}"
     )
 
 
@@ -211,6 +214,12 @@ def _capture_realsense(cameras: CamerasSection, progress: Progress) -> FrameSour
     return RealSenseSource(cameras, progress=progress)
 
 
+def _open_mcap(rest: str, progress: Progress | None) -> FrameSource:
+    from .mcap import McapSource
+
+    return McapSource(_path("mcap", rest), progress)
+
+
 def _path(scheme: str, rest: str) -> str:
     if not rest:
         raise SourceError(f"{scheme}: needs a path, as in {_KINDS[scheme][0].form}")
@@ -251,6 +260,17 @@ _KINDS: dict[str, tuple[SourceKind, _Opener]] = {
             pattern="*.bag *.db3",
         ),
         _open_bag,
+    ),
+    "mcap": (
+        SourceKind(
+            scheme="mcap",
+            title="Tactune recording",
+            form="mcap:PATH",
+            description="A recording in MCAP, as tactune record writes it: a ROS 2 bag with both cameras.",
+            needs="file",
+            pattern="*.mcap",
+        ),
+        _open_mcap,
     ),
     "realsense": (
         SourceKind(

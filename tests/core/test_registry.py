@@ -128,7 +128,7 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("", r"'' is no source: nothing is at that path; .* sim:SCENE"),
         ("nowhere/at/all", r"'nowhere/at/all' is no source: nothing is at that path; .*folder:PATH, bag:PATH"),
         ("nowhere.bag", r"'nowhere\.bag' is no source"),
-        ("mcap:x", r"there is no kind of source called 'mcap'; known are sim:SCENE.*, folder:PATH, bag:PATH"),
+        ("avi:x", r"there is no kind of source called 'avi'; known are sim:SCENE.*, folder:PATH, bag:PATH"),
         ("folder:", r"folder: needs a path, as in folder:PATH"),
         ("bag:", r"bag: needs a path, as in bag:PATH"),
         ("live:", r"live: needs another source, as in live:sim"),
@@ -176,7 +176,7 @@ def test_a_path_of_no_known_kind_is_refused(tmp_path: Path, entry: str) -> None:
 
 def test_every_kind_tells_how_to_name_it() -> None:
     kinds = source_kinds()
-    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "realsense", "live"]
+    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "mcap", "realsense", "live"]
     for kind in kinds:
         assert kind.form.startswith(f"{kind.scheme}:")
         assert kind.title
@@ -185,6 +185,7 @@ def test_every_kind_tells_how_to_name_it() -> None:
         ("nothing", ""),
         ("folder", "rig.json"),
         ("file", "*.bag *.db3"),
+        ("file", "*.mcap"),
         ("nothing", ""),
         ("nothing", ""),
     ]
