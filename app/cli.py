@@ -19,6 +19,7 @@ import typer
 
 from ..core.errors import MissingExtraError, TactuneError
 from . import defaults
+from .cli_bench import bench_commands
 from .cli_calibrate import calibrate
 from .cli_preset import preset_commands
 
@@ -36,6 +37,7 @@ commands = typer.Typer(
     add_completion=False,
 )
 commands.add_typer(preset_commands, name="preset")
+commands.add_typer(bench_commands, name="bench")
 commands.command()(calibrate)
 
 Source = Annotated[

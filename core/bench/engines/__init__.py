@@ -1,0 +1,1 @@
+"""One file for each family of engines; see `tactune.core.bench.registry`."""

@@ -1,0 +1,82 @@
+"""Our own pipeline and its stages, as robot programs call them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import cycle
+from typing import Any
+
+import numpy as np
+
+from ...frames import SensorFrame
+from ...outliers import statistical_inliers
+from ...pipeline import ContactPatch, ContactPipeline
+from ..registry import Job, Outcome, Runner, engine
+from ..scenes import BenchScene
+from .reference import candidate_points
+
+
+def pipeline_runner(scene: BenchScene, values: dict[str, Any] | None = None) -> Runner:
+    """Return a runner of the pipeline with some preset values changed.
+
+    It is given another frame object each time, since the pipeline does no frame twice.
+    """
+    pipeline = ContactPipeline(scene.preset.with_values(values or {}), scene.rig)
+    frames = cycle((scene.frame, replace(scene.frame)))
+
+    def run() -> Outcome:
+        return _outcome(pipeline.process(_next(frames)))
+
+    return run
+
+
+def _next(frames: Any) -> SensorFrame:
+    frame: SensorFrame = next(frames)
+    return frame
+
+
+def _outcome(patch: ContactPatch) -> Outcome:
+    return Outcome(mask=patch.mask, points=patch.points)
+
+
+@engine("tactune", Job.PIPELINE, "Tactune, exact")
+def whole_pipeline(scene: BenchScene) -> Runner:
+    """The whole pipeline."""
+    return pipeline_runner(scene)
+
+
+@engine("tactune-per-pixel", Job.PER_PIXEL, "Tactune, per-pixel chain")
+def per_pixel(scene: BenchScene) -> Runner:
+    """Without outlier removal and clusters."""
+    return pipeline_runner(scene, {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0})
+
+
+@engine("tactune-outliers", Job.OUTLIERS, "Tactune, organised search, exact")
+def outliers(scene: BenchScene) -> Runner:
+    """Outlier removal from the image grid."""
+    exact_points, pixels = candidate_points(scene)
+    section, intrinsics = scene.preset.outliers, scene.rig.proximity.intrinsics
+    points = exact_points.astype(np.float32)
+
+    def run() -> Outcome:
+        kept = statistical_inliers(points, pixels, intrinsics, section.k, section.ratio)
+        mask = np.zeros(intrinsics.shape, bool)
+        mask.reshape(-1)[pixels[kept]] = True
+        return Outcome(mask=mask)
+
+    return run
+
+
+@engine("copy-depths", Job.PIPELINE, "Copying both depth images", exact=False)
+def copy_depths(scene: BenchScene) -> Runner:
+    """What merely taking the images over costs; finds nothing."""
+    images = scene.frame.proximity_depth, scene.frame.tactile_depth
+    targets = [np.empty_like(image) for image in images]
+    nothing = np.zeros(images[0].shape, bool)
+
+    def run() -> Outcome:
+        for target, image in zip(targets, images, strict=True):
+            np.copyto(target, image)
+        return Outcome(mask=nothing)
+
+    return run

@@ -1,0 +1,63 @@
+"""How cost grows: with the number of contact points, with the size of the images, with threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from .measure import Timing, time_in_turns
+from .registry import Runner, find_engine
+from .scenes import BenchScene, synthetic_scene
+
+POINTS = (1_000, 3_000, 10_000, 30_000, 100_000, 300_000)
+SIZES = ((320, 240), (640, 480), (960, 540), (1280, 720))
+ENGINES = ("reference", "tactune")
+
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class GrowthRow:
+    """Run times of several engines at one size."""
+
+    points: int
+    width: int
+    height: int
+    timings: dict[str, Timing]
+
+
+def growth_with_points(
+    rounds: int, names: Sequence[str] = ENGINES, progress: Progress = lambda share, words: None
+) -> list[GrowthRow]:
+    """Measure from 1,000 to 300,000 contact points in 640 x 480 images."""
+    return _grow([synthetic_scene(points) for points in POINTS], rounds, names, progress)
+
+
+def growth_with_size(
+    rounds: int, names: Sequence[str] = ENGINES, progress: Progress = lambda share, words: None
+) -> list[GrowthRow]:
+    """Measure images from 320 x 240 to 1280 x 720, a tenth of the pixels in contact."""
+    scenes = [synthetic_scene(width * height // 10, width, height) for width, height in SIZES]
+    return _grow(scenes, rounds, names, progress)
+
+
+def _grow(scenes: list[BenchScene], rounds: int, names: Sequence[str], progress: Progress) -> list[GrowthRow]:
+    rows = []
+    for done, scene in enumerate(scenes):
+        height, width = scene.frame.proximity_depth.shape
+        progress(done / len(scenes), f"{scene.name}, {width} x {height}")
+        runners: dict[str, Runner] = {name: find_engine(name).make(scene) for name in names}
+        truth = scene.truth
+        points = int(truth.contact.sum()) if truth is not None else 0
+        rows.append(GrowthRow(points, width, height, time_in_turns(runners, rounds)))
+    return rows
+
+
+def growth_as_text(rows: list[GrowthRow]) -> str:
+    """Return a table: a line for each size, a column for each engine, milliseconds."""
+    names = list(rows[0].timings) if rows else []
+    lines = [f"{'points':>9} {'image':>11}" + "".join(f"{name:>24}" for name in names)]
+    for row in rows:
+        cells = "".join(f"{row.timings[name].median_ms:>21.3f} ms" for name in names)
+        lines.append(f"{row.points:>9,} {row.width:>5} x {row.height:<4}" + cells)
+    return "\n".join(lines)

@@ -1,0 +1,112 @@
+"""The engines: every way to do a job that the benchmark compares, registered by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import TactuneError
+from .scenes import BenchScene
+
+
+class Job(StrEnum):
+    """What an engine does, and so what it can be compared with."""
+
+    PIPELINE = "pipeline"
+    PER_PIXEL = "per pixel"
+    ALIGN = "align"
+    DEPROJECT = "deproject"
+    OUTLIERS = "outliers"
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What an engine found.
+
+    Attributes
+    ----------
+    mask : bool, shape (H, W), or None
+        Proximity pixels that are contact (pipeline, per pixel) or inliers (outliers).
+    points : float, shape (N, 3), or None
+        Metres, proximity depth frame.
+    values : float, shape (H, W) or (N,), or None
+        What else is compared, such as aligned depths in metres.
+    """
+
+    mask: npt.NDArray[np.bool_] | None = None
+    points: npt.NDArray[Any] | None = None
+    values: npt.NDArray[Any] | None = None
+
+
+#: Does the job once, on the scene that it was made for; all that can be made ready beforehand is.
+Runner = Callable[[], Outcome]
+
+
+@dataclass(frozen=True)
+class Engine:
+    """One way to do a job.
+
+    ``exact`` promises the outcome of the float64 reference up to rounding; ``baseline`` marks what
+    ratios are taken against; ``needs`` names the packages without which it is left out.
+    """
+
+    name: str
+    job: Job
+    title: str
+    make: Callable[[BenchScene], Runner]
+    exact: bool = True
+    baseline: bool = False
+    needs: tuple[str, ...] = ()
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Packages that it needs and that are not installed."""
+        return tuple(package for package in self.needs if find_spec(package) is None)
+
+
+_ENGINES: dict[str, Engine] = {}
+
+#: Each module registers its engines when it is imported.
+_MODULES = ("reference", "open3d_only", "librealsense", "kd_trees", "tactune")
+
+
+def engine(
+    name: str, job: Job, title: str, *, exact: bool = True, baseline: bool = False, needs: tuple[str, ...] = ()
+) -> Callable[[Callable[[BenchScene], Runner]], Callable[[BenchScene], Runner]]:
+    """Register a function that makes an engine ready for a scene and returns what is to be timed."""
+
+    def register(make: Callable[[BenchScene], Runner]) -> Callable[[BenchScene], Runner]:
+        if name in _ENGINES:
+            raise ValueError(f"two engines are called {name!r}")
+        _ENGINES[name] = Engine(name, job, title, make, exact, baseline, needs)
+        return make
+
+    return register
+
+
+def engines(job: Job | None = None) -> list[Engine]:
+    """Return the engines of one job, or all, in the order of their registration."""
+    for module in _MODULES:
+        import_module(f".engines.{module}", __package__)
+    return [found for found in _ENGINES.values() if job is None or found.job == job]
+
+
+def find_engine(name: str) -> Engine:
+    """Return an engine by its name.
+
+    Raises
+    ------
+    TactuneError
+        There is none; the message names those that there are.
+    """
+    engines()
+    if name not in _ENGINES:
+        raise TactuneError(f"there is no engine {name!r}; known are {', '.join(_ENGINES)}")
+    return _ENGINES[name]

@@ -1,0 +1,209 @@
+"""The driver: run time against error for every engine on every scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..clouds import ray_table
+from ..errors import TactuneError
+from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from ..provenance import Provenance
+from ..reference import reference_patch
+from .measure import Timing, peak_bytes, time_in_turns
+from .registry import Engine, Job, Outcome, Runner, engines
+from .scenes import BenchScene, make_scene
+
+Bools = npt.NDArray[np.bool_]
+Progress = Callable[[float, str], None]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One engine on one scene.
+
+    Attributes
+    ----------
+    ratio : float
+        The baseline's median over this engine's, both from this run; nan without a baseline.
+    differing_px : int or None
+        Pixels whose verdict is not the float64 reference's; None where the job has no mask.
+    iou, rmse_mm : float
+        Against the scene's truth; nan where there is none or a cloud is empty.
+    peak_mib : float or None
+        How far one call raises the process's memory.
+    """
+
+    scene: str
+    engine: str
+    job: str
+    title: str
+    exact: bool
+    timing: Timing
+    ratio: float
+    points: int
+    differing_px: int | None
+    iou: float
+    rmse_mm: float
+    peak_mib: float | None
+
+
+def compare_engines(
+    scenes: Sequence[str],
+    jobs: Sequence[Job],
+    *,
+    rounds: int = 15,
+    only: Sequence[str] = (),
+    progress: Progress = lambda share, words: None,
+) -> list[Row]:
+    """Measure the engines of some jobs on some scenes.
+
+    Parameters
+    ----------
+    scenes : sequence of str
+        Names as `tactune.core.bench.scenes.scene_names` gives them.
+    rounds : int
+        Turns of each engine on each scene.
+    only : sequence of str
+        Names of the engines to measure besides the baseline; all where empty.
+    progress : callable
+        Told the share done and what is being measured.
+
+    Raises
+    ------
+    TactuneError
+        No such scene or engine.
+    """
+    unknown = set(only) - {found.name for found in engines()}
+    if unknown:
+        raise TactuneError(
+            f"there is no engine {sorted(unknown)[0]!r}; known are {', '.join(found.name for found in engines())}"
+        )
+    tasks = [(scene, job) for scene in scenes for job in jobs]
+    rows: list[Row] = []
+    for done, (name, job) in enumerate(tasks):
+        progress(done / len(tasks), f"{name}: {job}")
+
+        def within(share: float, done: int = done, words: str = f"{name}: {job}") -> None:
+            progress((done + share) / len(tasks), words)
+
+        chosen = [
+            found for found in engines(job) if not found.missing and (not only or found.baseline or found.name in only)
+        ]
+        if not only or any(found.name in only for found in chosen):
+            rows += _compare(make_scene(name), chosen, rounds, within)
+    progress(1.0, "done")
+    return rows
+
+
+def _compare(scene: BenchScene, chosen: list[Engine], rounds: int, progress: Callable[[float], None]) -> list[Row]:
+    if not chosen or (chosen[0].job == Job.OUTLIERS and reference_mask(scene, outliers=False).sum() == 0):
+        return []
+    runners: dict[str, Runner] = {found.name: found.make(scene) for found in chosen}
+    outcomes = {name: run() for name, run in runners.items()}
+    peaks = {name: peak_bytes(run) for name, run in runners.items()}
+    timings = time_in_turns(runners, rounds, progress=progress)
+    baseline = next((timings[found.name] for found in chosen if found.baseline), None)
+    return [
+        _row(scene, found, timings[found.name], baseline, outcomes[found.name], peaks[found.name]) for found in chosen
+    ]
+
+
+def _row(
+    scene: BenchScene, found: Engine, timing: Timing, baseline: Timing | None, outcome: Outcome, peak: int | None
+) -> Row:
+    differing, iou, rmse_mm, points = None, math.nan, math.nan, 0
+    if outcome.mask is not None:
+        differing = int(np.count_nonzero(outcome.mask != expected_mask(scene, found.job)))
+        points = int(np.count_nonzero(outcome.mask))
+        if scene.truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
+            iou = pixel_scores(outcome.mask, scene.truth.contact).iou
+            cloud = outcome.points if outcome.points is not None else _points(outcome.mask, scene)
+            rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(scene.truth, scene.rig).points)
+    ratio = baseline.median_ms / timing.median_ms if baseline is not None else math.nan
+    return Row(
+        scene.name, found.name, found.job.value, found.title, found.exact, timing, ratio, points, differing, iou,
+        rmse_mm, None if peak is None else peak / 2**20,
+    )  # fmt: skip
+
+
+def expected_mask(scene: BenchScene, job: Job) -> Bools:
+    """Return the mask that an exact engine of this job gives, from the float64 reference."""
+    if job == Job.PIPELINE:
+        return reference_mask(scene)
+    if job == Job.PER_PIXEL:
+        return reference_mask(scene, outliers=False)
+    return reference_mask(scene, clusters=False)
+
+
+_MASKS: dict[tuple[int, bool, bool], tuple[BenchScene, Bools]] = {}
+
+
+def reference_mask(scene: BenchScene, *, outliers: bool = True, clusters: bool = True) -> Bools:
+    """Return the contact mask of the float64 reference, with or without its last stages; kept."""
+    key = (id(scene), outliers, clusters)
+    if key not in _MASKS:
+        values: dict[str, Any] = {}
+        if not outliers:
+            values = {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0}
+        elif not clusters:
+            values = {"outliers.min_cluster_area_mm2": 0.0}
+        preset = scene.preset.with_values(values)
+        found = reference_patch(preset, scene.rig, scene.frame, np.float64)
+        _MASKS[key] = scene, found.provenance == Provenance.CONTACT
+    return _MASKS[key][1]
+
+
+def _points(mask: Bools, scene: BenchScene) -> npt.NDArray[np.float64]:
+    depth = scene.frame.proximity_depth[mask].astype(np.float64)[:, None] * scene.rig.proximity.depth_unit_m
+    return np.concatenate([ray_table(scene.rig.proximity.intrinsics)[mask] * depth, depth], axis=1)
+
+
+def rows_as_json(rows: list[Row]) -> list[dict[str, Any]]:
+    """Return rows as JSON can hold them: nan becomes None."""
+
+    def plain(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: plain(entry) for key, entry in value.items()}
+        return None if isinstance(value, float) and not math.isfinite(value) else value
+
+    return [plain(asdict(row)) for row in rows]
+
+
+def rows_as_text(rows: list[Row]) -> str:
+    """Return a table for people, one block a scene and job."""
+    lines: list[str] = []
+    heading = ("engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm", "peak MiB")
+    last: tuple[str, str] | None = None
+    for row in rows:
+        if (row.scene, row.job) != last:
+            last = row.scene, row.job
+            lines += ["", f"{row.scene}, {row.job}", _line(heading)]
+        time = row.timing
+        cells = (
+            row.engine,
+            f"{time.median_ms:.3f}",
+            f"{time.lower_ms:.2f}-{time.upper_ms:.2f}",
+            _number(row.ratio, ".1f", "x"),
+            str(row.points),
+            "-" if row.differing_px is None else str(row.differing_px),
+            _number(row.iou, ".3f"),
+            _number(row.rmse_mm, ".2f"),
+            "-" if row.peak_mib is None else f"{row.peak_mib:.1f}",
+        )
+        lines.append(_line(cells))
+    return "\n".join(lines).lstrip("\n")
+
+
+def _line(cells: Sequence[str]) -> str:
+    first, *others = cells
+    return f"{first:<26}" + "".join(f" {cell:>15}" for cell in others)
+
+
+def _number(value: float, form: str, unit: str = "") -> str:
+    return f"{value:{form}}{unit}" if math.isfinite(value) else "-"

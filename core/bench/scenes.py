@@ -1,0 +1,175 @@
+"""The frames that engines are measured on: simulated presses and contacts of a chosen size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import TactuneError
+from ..frames import DepthCamera, GroundTruth, Rig, SensorFrame
+from ..intrinsics import Intrinsics
+from ..preset import Preset
+from ..preset_file import load_preset
+
+Float64Array = npt.NDArray[np.float64]
+
+#: Depths of the simulated presses, metres past first touch.
+LIGHT_M, MEDIUM_M = 0.003, 0.024
+
+_CONTACT_RGB = (172, 168, 160)
+_MEMBRANE_RGB = (36, 96, 190)
+
+
+@dataclass(frozen=True, eq=False)
+class BenchScene:
+    """One frame with its rig, the preset it is processed with, and what is true of it."""
+
+    name: str
+    title: str
+    rig: Rig
+    preset: Preset
+    frame: SensorFrame
+
+    @property
+    def truth(self) -> GroundTruth | None:
+        """The frame's truth, where it is known."""
+        return self.frame.truth
+
+
+def scene_names() -> tuple[str, ...]:
+    """Return the names of all scenes, from nothing in contact to everything."""
+    return tuple(_SCENES)
+
+
+@lru_cache(maxsize=16)
+def make_scene(name: str) -> BenchScene:
+    """Build a scene by its name.
+
+    Raises
+    ------
+    TactuneError
+        There is no such scene; the message names those that there are.
+    """
+    if name not in _SCENES:
+        raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
+    title, build = _SCENES[name]
+    scene = build()
+    return replace(scene, name=name, title=title)
+
+
+def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
+    """Take the first frame at least so deep (None: the deepest) from the simulator's press."""
+    from ..sources.simulator.source import SimulatorSource
+
+    source = SimulatorSource(scene=scene, seed=seed)
+    depths = np.array([source.facts(index).depth_m for index in range(source.length)])
+    index = int(np.argmax(depths)) if depth_m is None else int(np.argmax(depths >= depth_m))
+    return BenchScene(scene, "", source.rig, load_preset("simulator"), source.read(index))
+
+
+def _untouched() -> BenchScene:
+    from ..sources.simulator.source import SimulatorSource
+
+    source = SimulatorSource(scene="cup")
+    return BenchScene("untouched", "", source.rig, load_preset("simulator"), source.read(0))
+
+
+def synthetic_scene(
+    points: int, width: int = 640, height: int = 480, noise_m: float = 0.001, seed: int = 0
+) -> BenchScene:
+    """Return a curved surface of which about ``points`` proximity pixels in the middle are contact.
+
+    Both cameras see the same paraboloid there; around it the proximity camera looks at something
+    25 mm behind the membrane. The rig is the simulator's, scaled to the image size.
+
+    Parameters
+    ----------
+    points : int
+        Contact pixels; all pixels where it is at least width * height.
+    noise_m : float
+        Standard deviation of the proximity depth, metres; the tactile depth has a third of it.
+    """
+    rig = _scaled_rig(width, height)
+    random = np.random.default_rng(seed)
+    camera = rig.proximity.intrinsics
+    origin = np.eye(4)
+    membrane = _depth_of_paraboloid(camera, origin)
+    v, u = np.mgrid[:height, :width]
+    radius_px = np.sqrt(points / np.pi)
+    contact = np.hypot(u - camera.cx, v - camera.cy) <= radius_px
+    if points >= width * height:
+        contact[:] = True
+    seen = np.where(contact, membrane, membrane + 0.025) + random.normal(0, noise_m, membrane.shape)
+    tactile = _depth_of_paraboloid(rig.tactile.intrinsics, np.asarray(rig.T_proximity_tactile))
+    tactile = tactile + random.normal(0, noise_m / 3, tactile.shape)
+    color = np.where(contact[..., None], _CONTACT_RGB, _MEMBRANE_RGB).astype(np.uint8)
+    frame = SensorFrame(
+        sequence=0,
+        proximity_depth=_counts(seen, rig.proximity.depth_unit_m),
+        tactile_depth=_counts(tactile, rig.tactile.depth_unit_m),
+        proximity_color=color,
+        truth=GroundTruth(contact=contact, depth_m=membrane.astype(np.float32)),
+    )
+    preset = load_preset("simulator").with_values(
+        {"rig": None, "tolerance.t": 0.03, "mask.enabled": True, "mask.hue": (100, 125), "mask.saturation": (120, 255)}
+    )
+    return BenchScene(f"{points} points", "", rig, preset, frame)
+
+
+def _scaled_rig(width: int, height: int) -> Rig:
+    from ..sources.simulator.scene import simulator_rig
+
+    rig = simulator_rig()
+
+    def scaled(camera: DepthCamera) -> DepthCamera:
+        return camera.model_copy(update={"intrinsics": _scaled(camera.intrinsics, width, height)})
+
+    return Rig(
+        proximity=scaled(rig.proximity),
+        tactile=scaled(rig.tactile),
+        proximity_color=None,
+        T_proximity_tactile=rig.T_proximity_tactile,
+    )
+
+
+def _scaled(camera: Intrinsics, width: int, height: int) -> Intrinsics:
+    """Return the same field of view in another image size."""
+    across, down = width / camera.width, height / camera.height
+    return camera.model_copy(
+        update={
+            "width": width, "height": height, "fx": camera.fx * across, "fy": camera.fy * down,
+            "cx": (camera.cx + 0.5) * across - 0.5, "cy": (camera.cy + 0.5) * down - 0.5,
+        }
+    )  # fmt: skip
+
+
+def _depth_of_paraboloid(camera: Intrinsics, T_p_camera: Float64Array) -> Float64Array:
+    """Return the depth at which each pixel of a camera sees z = 0.25 + 0.6 (x^2 + y^2), metres."""
+    rays = np.concatenate([camera.rays().astype(np.float64), np.ones((*camera.shape, 1))], axis=2)
+    directions, start = rays @ T_p_camera[:3, :3].T, T_p_camera[:3, 3]
+    depth = np.full(camera.shape, 0.25)
+    for _ in range(60):
+        points = start + directions * depth[..., None]
+        miss = 0.25 + 0.6 * (points[..., 0] ** 2 + points[..., 1] ** 2) - points[..., 2]
+        slope = directions[..., 2] - 1.2 * (points[..., 0] * directions[..., 0] + points[..., 1] * directions[..., 1])
+        depth = depth + np.where(slope > 0.2, miss / slope, 0.0)
+    return depth
+
+
+def _counts(depth_m: Float64Array, unit_m: float) -> npt.NDArray[np.uint16]:
+    return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
+
+
+_SCENES: dict[str, tuple[str, Callable[[], BenchScene]]] = {
+    "empty": ("empty scene: nothing within 25 mm of the membrane", lambda: synthetic_scene(0)),
+    "untouched": ("simulator before the first touch, with its reflecting patches", _untouched),
+    "light-touch": ("light touch: cup, 3 mm deep", lambda: _simulated("cup", LIGHT_M)),
+    "cup-medium": ("cup, 24 mm deep", lambda: _simulated("cup", MEDIUM_M)),
+    "octopus-high": ("octopus, as deep as it goes", lambda: _simulated("octopus", None)),
+    "noisy-51k": ("contact of 51,000 points, twice the noise", lambda: synthetic_scene(51_000, noise_m=0.002)),
+    "full-contact": ("every pixel in contact, 307,200 points", lambda: synthetic_scene(640 * 480)),
+}

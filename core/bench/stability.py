@@ -1,0 +1,234 @@
+"""Does float32 change a verdict? Random and adversarial frames against the float64 reference.
+
+A pixel may differ only where the float64 value lies within a stated number of float32 units in the
+last place (ulps) of a threshold: of the tolerance, of a range limit, or of the border between two
+pixels of the image that is looked up. Everything else is an error of ours.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.transform import Rotation
+
+from ..alignment import tactile_homography, tactile_pose
+from ..frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
+from ..intrinsics import Distortion, Intrinsics
+from ..pipeline import ContactPipeline
+from ..preset import Preset
+from ..reference import reference_patch
+
+Float64Array = npt.NDArray[np.float64]
+
+#: The stated bound. A verdict takes some ten roundings after the tables, each of half an ulp of the
+#: largest number in it: the depth for the tolerance, the image's width for a looked-up pixel.
+BOUND_ULPS = 16.0
+
+_SIZE = (96, 72)
+
+
+@dataclass(frozen=True)
+class StabilityReport:
+    """What many frames showed.
+
+    Attributes
+    ----------
+    differing, unexplained : int
+        Pixels with another verdict than the float64 reference, and those of them farther than
+        ``BOUND_ULPS`` from every threshold.
+    worst_ulps : float
+        Distance of the differing pixel that lies farthest from its nearest threshold.
+    """
+
+    frames: int
+    pixels: int
+    differing: int
+    unexplained: int
+    worst_ulps: float
+
+    def words(self) -> str:
+        """Say it in one sentence."""
+        share = self.differing / max(self.pixels, 1)
+        return (
+            f"{self.frames:,} frames, {self.pixels:,} pixels: {self.differing:,} verdicts ({share:.1e}) differ from "
+            f"the float64 reference, the farthest {self.worst_ulps:.1f} ulps from its threshold; "
+            f"{self.unexplained:,} lie beyond the bound of {BOUND_ULPS:g} ulps"
+        )
+
+
+def check_stability(
+    frames: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None
+) -> StabilityReport:
+    """Compare the compiled pipeline with the float64 reference on seeded frames, every second one adversarial.
+
+    Parameters
+    ----------
+    frames : int
+        Frames of 96 x 72 pixels, each with its own rig and preset.
+    """
+    differing = unexplained = 0
+    worst = 0.0
+    for number in range(frames):
+        preset, rig, frame = random_case(np.random.default_rng((seed, number)), adversarial=number % 2 == 1)
+        ulps = differing_ulps(preset, rig, frame)
+        differing += len(ulps)
+        unexplained += int(np.count_nonzero(ulps > BOUND_ULPS))
+        worst = max(worst, float(ulps.max(initial=0.0)))
+        if number % 50 == 0:
+            progress(number / frames)
+    progress(1.0)
+    return StabilityReport(frames, frames * _SIZE[0] * _SIZE[1], differing, unexplained, worst)
+
+
+def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Preset, Rig, SensorFrame]:
+    """Return a rig, a preset and a frame; adversarial: the tolerance is exactly one pixel's difference."""
+    rig = Rig(
+        proximity=DepthCamera(intrinsics=_lens(random), depth_unit_m=float(random.choice((0.00025, 0.001, 1e-4)))),
+        tactile=DepthCamera(intrinsics=_lens(random), depth_unit_m=float(random.choice((0.0001, 0.001, 5e-5)))),
+        proximity_color=_color_camera(random),
+        T_proximity_tactile=_pose(random, 0.04),
+    )
+    width, height = _SIZE
+    v, u = np.mgrid[:height, :width]
+    surface = 0.25 + 0.05 * np.sin(u * random.uniform(0.02, 0.2)) * np.cos(v * random.uniform(0.02, 0.2))
+    behind = surface + np.where(random.random(surface.shape) < 0.5, 0.0, random.uniform(0.0, 0.02, surface.shape))
+    noise = float(random.choice((0.0, 0.001, 0.01)))
+    frame = SensorFrame(
+        sequence=0,
+        proximity_depth=_counts(behind + random.normal(0, noise, surface.shape), rig.proximity.depth_unit_m, random),
+        tactile_depth=_counts(surface + random.normal(0, noise, surface.shape), rig.tactile.depth_unit_m, random),
+        proximity_color=random.integers(0, 256, (height, width, 3), dtype=np.uint8),
+    )
+    preset = Preset().with_values(
+        {
+            "alignment.model": str(random.choice(("rigid", "homography"))),
+            "alignment.depth_scale": float(random.uniform(0.95, 1.05)),
+            "alignment.depth_offset_m": float(random.uniform(-0.01, 0.01)),
+            "tolerance.t": float(10 ** random.uniform(-3, -0.7)),
+            "outliers.enabled": False,
+            "range.enabled": bool(random.random() < 0.3),
+            "range.limits_m": (0.22, 0.29),
+            "mask.enabled": bool(random.random() < 0.5),
+            "mask.hue": (30, 120),
+        }
+    )
+    if adversarial:
+        preset = preset.with_value("tolerance.t", _difference_of_a_pixel(preset, rig, frame, random))
+    return preset, rig, frame
+
+
+def differing_ulps(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
+    """Return, for each pixel whose verdict differs from the float64 reference, its distance in ulps.
+
+    Returns
+    -------
+    float64, shape (N,)
+        Float32 ulps to the nearest threshold; empty where all verdicts agree.
+    """
+    found = ContactPipeline(preset, rig).process(frame).provenance
+    expected = reference_patch(preset, rig, frame, np.float64).provenance
+    where = np.flatnonzero(found != expected)
+    return np.zeros(0) if len(where) == 0 else _ulps_to_thresholds(preset, rig, frame)[where]
+
+
+def _ulps_to_thresholds(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
+    """Return every pixel's distance to the nearest threshold that decides about it, in float32 ulps."""
+    depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
+    expected, uv = _expected_and_pixels(preset, rig, depth)
+    counts = _look_up(frame.tactile_depth, uv)
+    measured = counts * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    with np.errstate(all="ignore"):
+        margin = np.abs(np.abs(expected - measured) - preset.tolerance.t * np.abs(expected))
+        ulps = margin / np.spacing(np.maximum(np.abs(expected), np.abs(measured)).astype(np.float32))
+        ulps = np.fmin(ulps, _ulps_to_next_pixel(uv, rig.tactile.intrinsics))
+        ulps = np.fmin(ulps, np.abs(expected) / np.spacing(np.float32(1.0)))
+    if rig.proximity_color is not None:
+        T_c_d = np.asarray(rig.proximity_color.T_color_depth)
+        rays = rig.proximity.intrinsics.rays().astype(np.float64).reshape(-1, 2)
+        points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1) @ T_c_d[:3, :3].T + T_c_d[:3, 3]
+        with np.errstate(all="ignore"):
+            color_uv = rig.proximity_color.intrinsics.project(points)
+            ulps = np.fmin(ulps, _ulps_to_next_pixel(color_uv, rig.proximity_color.intrinsics))
+    if preset.range.enabled:
+        for limit in preset.range.limits_m:
+            ulps = np.fmin(ulps, np.abs(depth - limit) / np.spacing(np.float32(limit)))
+    return np.where(np.isnan(ulps), np.inf, ulps)
+
+
+def _ulps_to_next_pixel(uv: Float64Array, camera: Intrinsics) -> Float64Array:
+    """Return how far each place (N, 2) is from where another pixel becomes the nearest, in ulps of the width."""
+    border = np.abs(uv - 0.5 - np.rint(uv - 0.5)).min(axis=1)
+    return np.asarray(border / np.spacing(np.float32(max(camera.shape))))
+
+
+def _expected_and_pixels(preset: Preset, rig: Rig, depth: Float64Array) -> tuple[Float64Array, Float64Array]:
+    """Return each proximity pixel's expected tactile depth (metres) and its place in the tactile image."""
+    camera = rig.proximity.intrinsics
+    if preset.alignment.model == "rigid":
+        T_t_p = np.linalg.inv(tactile_pose(preset.alignment, rig))
+        rays = camera.rays().astype(np.float64).reshape(-1, 2)
+        points = np.concatenate([rays * depth[:, None], depth[:, None]], axis=1) @ T_t_p[:3, :3].T + T_t_p[:3, 3]
+        with np.errstate(all="ignore"):
+            return points[:, 2], rig.tactile.intrinsics.project(points)
+    v, u = np.mgrid[: camera.height, : camera.width]
+    mapped = (
+        np.stack([u.ravel(), v.ravel(), np.ones(u.size)], axis=1)
+        @ np.linalg.inv(tactile_homography(preset.alignment, rig)).T
+    )
+    with np.errstate(all="ignore"):
+        return depth, mapped[:, :2] / mapped[:, 2:]
+
+
+def _look_up(image: npt.NDArray[np.uint16], uv: Float64Array) -> npt.NDArray[np.uint16]:
+    height, width = image.shape
+    with np.errstate(invalid="ignore"):
+        column, row = (np.nan_to_num(np.floor(uv + 0.5), posinf=0, neginf=0)).astype(np.int64).T
+    return np.asarray(image[np.clip(row, 0, height - 1), np.clip(column, 0, width - 1)])
+
+
+def _difference_of_a_pixel(preset: Preset, rig: Rig, frame: SensorFrame, random: np.random.Generator) -> float:
+    """Return the relative difference of some pixel, so that it lies on the threshold itself."""
+    depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
+    expected, uv = _expected_and_pixels(preset, rig, depth)
+    counts = _look_up(frame.tactile_depth, uv)
+    measured = counts * (rig.tactile.depth_unit_m * preset.alignment.depth_scale) + preset.alignment.depth_offset_m
+    with np.errstate(all="ignore"):
+        relative = np.abs(expected - measured) / np.abs(expected)
+    usable = relative[np.isfinite(relative) & (relative <= 1.0)]
+    return float(random.choice(usable)) if len(usable) else preset.tolerance.t
+
+
+def _color_camera(random: np.random.Generator) -> ColorCamera | None:
+    """Return a colour camera beside the depth camera, or None, with even odds."""
+    if random.random() < 0.5:
+        return None
+    return ColorCamera(intrinsics=_lens(random), T_color_depth=_pose(random, 0.015))
+
+
+def _lens(random: np.random.Generator) -> Intrinsics:
+    model = random.choice(list(Distortion))
+    coefficients = tuple(float(value) for value in random.normal(0, (0.05, 0.02, 0.001, 0.001, 0.01)))
+    width, height = _SIZE
+    return Intrinsics(
+        width=width, height=height, fx=float(random.uniform(55, 90)), fy=float(random.uniform(55, 90)),
+        cx=width / 2 + float(random.normal(0, 2)), cy=height / 2 + float(random.normal(0, 2)),
+        distortion=model, coefficients=(0.0,) * 5 if model is Distortion.NONE else coefficients,
+    )  # fmt: skip
+
+
+def _pose(random: np.random.Generator, spread_m: float) -> Matrix4:
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_rotvec(random.normal(0, 0.05, 3)).as_matrix()
+    matrix[:3, 3] = random.normal(0, (spread_m, 0.01, 0.01))
+    return rigid_transform(matrix)
+
+
+def _counts(depth_m: Float64Array, unit_m: float, random: np.random.Generator) -> npt.NDArray[np.uint16]:
+    """Return raw counts with some pixels that are no depth and some at the ends of the scale."""
+    counts = np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
+    odd = random.random(counts.shape) < 0.02
+    counts[odd] = random.choice(np.array([0, 1, 65534, 65535], np.uint16), int(odd.sum()))
+    return counts
