@@ -59,7 +59,6 @@ def test_it_is_told_and_mended(
     nothing_left: None,
     tmp_path: Path,
     until: Until,
-    record_property: Callable[[str, object], None],
     harm: Callable[[ProcessSource, Path], None],
     what: str,
 ) -> None:
@@ -75,8 +74,7 @@ def test_it_is_told_and_mended(
         assert not told.ok
         assert [camera.state for camera in told.cameras] in (["stalled"], ["streaming"])
         took_s += until(lambda: not source.health().stale)
-        record_property("recovered_s", round(took_s, 2))
-        assert took_s < 20  # measured: 0.5 s to 2.6 s
+        assert took_s < 20  # 3 s in words of a person; on a busy machine 0.3 s, 1.2 s or 1.7 s were measured
         after = take(source, 30)
         assert source.capture_pid not in (None, pid)
         numbers = [frame.sequence for frame in before + after]

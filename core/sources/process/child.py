@@ -105,7 +105,8 @@ class _Capture:
         size = slot_bytes(rig)
         reserve_memory(self._memory, SLOTS * size)
         ring = Ring(self._memory, SLOTS, size)
-        self._send(Opened(source.name, rig, source.frame_rate_hz, size))
+        self._health = source.health()
+        self._send(Opened(source.name, rig, source.frame_rate_hz, self._health, size))
         while not self._stop.is_set():
             self._round_s = time.monotonic()
             self._answer(source)

@@ -63,6 +63,7 @@ class Opened:
     name: str
     rig: Rig
     frame_rate_hz: float
+    health: Health
     slot_bytes: int
 
 

@@ -275,6 +275,7 @@ class Supervisor:
                 self._notice = self._notice.replace("is being restarted.", "has been restarted.")
                 self._notice_until_s = time.monotonic() + _NOTICE_S
         with self._changed:
+            self._record.heard(opened)
             self._opened = before or opened
             self._serving = process
             self._changed.notify_all()
@@ -298,7 +299,8 @@ class Supervisor:
             if isinstance(message, Opening):
                 self._opening = message
             elif isinstance(message, Heartbeat):
-                self._record.heard(message)
+                if self._serving is not None:
+                    self._record.heard(message)
             elif isinstance(message, Ended):
                 self._ended = True
             elif message.number in self._replies:

@@ -50,7 +50,7 @@ class Patience:
             self._busy_limit_s = min(self._busy_limit_s, _BUSY_S)
         elif isinstance(message, Heartbeat):
             self._busy_s = message.busy_s
-            if message.health.cameras:
+            if message.health.cameras:  # so the source is open
                 well = all(camera.state == "streaming" for camera in message.health.cameras)
                 self._silent_limit_s = _SILENT_S if well else _SILENT_TROUBLE_S
 
@@ -133,7 +133,7 @@ class HealthRecord:
 
     def heard(self, message: object) -> None:
         """Note what a message says of the source."""
-        if isinstance(message, Heartbeat):
+        if isinstance(message, Opened | Heartbeat):
             self._now = message.health
         elif isinstance(message, FrameReady):
             self._no_slot = message.dropped
