@@ -1,0 +1,200 @@
+"""Bags with one or two cameras: images, rig, pairing by time, colour."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
+from scipy.spatial.transform import Rotation
+
+from tactune.core.sources.bag import BagSource
+from tactune.core.sources.folder import FolderSource, export_folder
+
+Opener = Callable[..., BagSource]
+
+
+@pytest.fixture
+def two_cameras(tmp_path: Path) -> Path:
+    return make_bag(tmp_path / "two.bag", D405, L515)
+
+
+@pytest.mark.parametrize("compress", [False, True])
+def test_two_cameras_are_read_pixel_for_pixel_in_any_order(tmp_path: Path, compress: bool) -> None:
+    path = make_bag(tmp_path / "two.bag", D405, L515, compress=compress)
+    with BagSource(path) as source:
+        assert source.length == 3
+        assert source.frame_rate_hz == 15.0
+        assert source.health().message == ""
+        assert source.health().ok
+        for index in (2, 0, 1, 1):
+            frame = source.read(index)
+            assert frame.sequence == index
+            np.testing.assert_array_equal(frame.proximity_depth, L515.depth.images[index])
+            np.testing.assert_array_equal(frame.proximity_color, L515.color.images[index])
+            np.testing.assert_array_equal(frame.tactile_depth, D405.depth.images[index])
+            assert frame.tactile_color is None
+            frame.check_against(source.rig)
+
+
+def test_the_rig_is_the_recordings(open_bag: Opener, two_cameras: Path) -> None:
+    rig = open_bag(two_cameras).rig
+    assert (rig.proximity.model, rig.proximity.serial) == ("Intel RealSense L515", "sn1")
+    assert (rig.tactile.model, rig.tactile.serial) == ("Intel RealSense D405", "sn0")
+    assert rig.proximity.depth_unit_m == float(np.float32(0.00025))
+    assert rig.tactile.depth_unit_m == float(np.float32(0.0001))
+    lens = rig.proximity.intrinsics
+    assert (lens.width, lens.height, lens.fx, lens.fy, lens.cx, lens.cy) == (8, 6, 20.0, 21.0, 3.5, 2.5)
+    assert rig.T_proximity_tactile is None
+    assert rig.proximity_color is not None
+    assert rig.proximity_color.intrinsics.shape == (10, 12)
+
+
+def test_without_an_l515_the_first_device_is_proximity(open_bag: Opener, tmp_path: Path) -> None:
+    other = replace(L515, name="Intel RealSense D435")
+    source = open_bag(make_bag(tmp_path / "two.bag", D405, other))
+    assert source.rig.proximity.model == "Intel RealSense D405"
+    assert source.rig.tactile.model == "Intel RealSense D435"
+
+
+@pytest.mark.parametrize(
+    ("clocks", "expected", "times_s"),
+    [
+        (("Global Time", "Global Time"), [2, 0], [(50.0, 49.9), (60.0, 60.2)]),
+        (("System Time", "System Time"), [2, 0], [(50.0, 49.9), (60.0, 60.2)]),
+        (("Hardware Clock", "Hardware Clock"), [1, 2], [(1.0, 1.4), (2.0, 2.2)]),
+        (("Global Time", "System Time"), [1, 2], [(1.0, 1.4), (2.0, 2.2)]),
+        ((None, None), [1, 2], [(1.0, 1.4), (2.0, 2.2)]),
+    ],
+)
+def test_cameras_are_paired_on_a_clock_that_they_share(
+    open_bag: Opener, tmp_path: Path, clocks: tuple[str, str], expected: list[int], times_s: list[tuple[float, float]]
+) -> None:
+    proximity = depth_images(4, [1.0, 2.0], stamps_s=[50.0, 60.0], clock=clocks[0])
+    tactile = depth_images(5, [0.4, 1.4, 2.2], stamps_s=[60.2, 70.0, 49.9], clock=clocks[1])
+    path = make_bag(tmp_path / "two.bag", Device("L515", proximity), Device("D405", tactile))
+    frames = list(open_bag(path))
+    for frame, index, (proximity_s, tactile_s) in zip(frames, expected, times_s, strict=True):
+        np.testing.assert_array_equal(frame.tactile_depth, tactile.images[index])
+        assert frame.proximity_time_s == pytest.approx(proximity_s, abs=1e-9)
+        assert frame.tactile_time_s == pytest.approx(tactile_s, abs=1e-9)
+        assert frame.skew_s == pytest.approx(tactile_s - proximity_s)
+
+
+def test_one_devices_own_clock_pairs_its_colour(open_bag: Opener, tmp_path: Path) -> None:
+    depth = depth_images(4, [1.0, 2.0, 3.0], stamps_s=[101.0, 102.0, 103.0])
+    color = color_images(5, [1.0, 2.0, 3.0], stamps_s=[102.1, 103.1, 104.1])
+    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth, color)))
+    for index, expected in enumerate([0, 0, 1]):
+        np.testing.assert_array_equal(source.read(index).proximity_color, color.images[expected])
+
+
+def test_images_recorded_at_the_same_moment_are_told_apart(open_bag: Opener, tmp_path: Path) -> None:
+    depth = depth_images(4, [1.0, 1.0, 1.0], stamps_s=[101.0, 102.0, 103.0])
+    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth)))
+    for index in range(3):
+        np.testing.assert_array_equal(source.read(index).proximity_depth, depth.images[index])
+
+
+def test_the_colour_cameras_pose_goes_by_way_of_the_reference(open_bag: Opener, tmp_path: Path) -> None:
+    turn_depth, turn_color = Rotation.from_euler("xyz", [0.3, -0.2, 0.1]), Rotation.from_euler("xyz", [-0.1, 0.5, 0.2])
+    depth = depth_images(4, [1.0], pose=(turn_depth, (0.01, 0.02, 0.03)))
+    color = color_images(5, [1.0], pose=(turn_color, (-0.04, 0.05, 0.06)))
+    source = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth, color)))
+    assert source.rig.proximity_color is not None
+    T_c_d = np.asarray(source.rig.proximity_color.T_color_depth)
+    at_reference = np.array([0.3, -0.2, 0.7])
+    in_depth = turn_depth.apply(at_reference) + np.array([0.01, 0.02, 0.03])
+    in_color = turn_color.apply(at_reference) + np.array([-0.04, 0.05, 0.06])
+    np.testing.assert_allclose(T_c_d[:3, :3] @ in_depth + T_c_d[:3, 3], in_color, atol=1e-12)
+
+
+def test_tactile_colour_belongs_to_the_tactile_depth_image(open_bag: Opener, tmp_path: Path) -> None:
+    lens = {"K": (20.0, 21.0, 3.5, 2.5)}
+    colors = [np.full((6, 8, 3), value, np.uint8) for value in (10, 20, 30)]
+    tactile = Device("D405", depth_images(5, [1.0, 2.0, 3.0]), color_images(6, [1.0, 2.0, 3.0], images=colors, **lens))
+    source = open_bag(make_bag(tmp_path / "two.bag", Device("L515", depth_images(4, [2.99])), tactile))
+    frame = source.read(0)
+    np.testing.assert_array_equal(frame.tactile_depth, tactile.depth.images[2])
+    assert frame.tactile_color is not None
+    assert (frame.tactile_color == 30).all()
+
+
+def test_a_colour_camera_beside_depth_is_not_aligned_even_with_the_same_lens(open_bag: Opener, tmp_path: Path) -> None:
+    pose = (Rotation.identity(), (0.015, 0.0, 0.0))
+    color = Images([np.full((6, 8, 3), 9, np.uint8)], [1.0], [1.0], "rgb8", pose=pose)
+    rig = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).rig
+    assert rig.proximity_color is not None
+    assert rig.proximity_color.T_color_depth[0][3] == 0.015
+
+
+def test_colour_in_the_depth_cameras_own_pixels_needs_no_colour_camera(open_bag: Opener, tmp_path: Path) -> None:
+    color = Images([np.full((6, 8, 3), 9, np.uint8)], [1.0], [1.0], "rgb8")
+    path = make_bag(
+        tmp_path / "two.bag",
+        Device("L515", depth_images(4, [1.0]), color),
+        Device("D405", depth_images(5, [1.0]), color),
+    )
+    source = open_bag(path)
+    assert source.rig.proximity_color is None
+    frame = source.read(0)
+    frame.check_against(source.rig)
+    assert frame.tactile_color is not None
+    assert (frame.tactile_color == 9).all()
+
+
+def test_tactile_colour_is_brought_to_tactile_depth_pixels(open_bag: Opener, tmp_path: Path) -> None:
+    depth = np.full((6, 8), 1000, np.uint16)
+    depth[0, :] = 0
+    depth[5, 3] = 65535
+    color = color_images(6, [1.0], K=(20.0, 21.0, 3.5, 2.5), pose=(Rotation.identity(), (0.2, 0.0, 0.0)))
+    tactile = Device("D405", Images([depth], [1.0], [1.0], "mono16"), color, unit_m=0.001)
+    frame = open_bag(make_bag(tmp_path / "two.bag", Device("L515", depth_images(5, [1.0])), tactile)).read(0)
+    expected = np.zeros((6, 8, 3), np.uint8)
+    for v in range(1, 6):
+        for u in range(8):
+            x, y = (u - 3.5) / 20.0 + 0.2, (v - 2.5) / 21.0
+            expected[v, u] = color.images[0][round(y * 21.0 + 2.5), round(x * 20.0 + 3.5)]
+    expected[5, 3] = 0
+    assert frame.tactile_color is not None
+    np.testing.assert_array_equal(frame.tactile_color, expected)
+
+
+def test_a_bag_can_be_handed_on_as_a_folder(open_bag: Opener, two_cameras: Path, tmp_path: Path) -> None:
+    source = open_bag(two_cameras)
+    assert export_folder(source, tmp_path / "out") == 3
+    copy = FolderSource(tmp_path / "out")
+    assert copy.rig == source.rig
+    for index in range(3):
+        np.testing.assert_array_equal(copy.read(index).tactile_depth, source.read(index).tactile_depth)
+        assert copy.read(index).skew_s == source.read(index).skew_s
+
+
+def test_indexing_tells_how_far_it_is(open_bag: Opener, two_cameras: Path) -> None:
+    told: list[tuple[float, str]] = []
+    open_bag(two_cameras, lambda share, words: told.append((share, words)))
+    assert told[-1] == (1.0, "indexing two.bag: image 9 of 9")
+
+
+def test_one_camera_is_for_viewing_only(open_bag: Opener, tmp_path: Path) -> None:
+    source = open_bag(make_bag(tmp_path / "one.bag", L515))
+    assert source.health().message == "this recording has one depth camera: for viewing only"
+    assert source.rig.tactile.model == "none"
+    assert source.rig.tactile.intrinsics == source.rig.proximity.intrinsics
+    frame = source.read(1)
+    assert not frame.tactile_depth.any()
+    assert frame.tactile_color is None
+    assert frame.skew_s == 0.0
+    frame.check_against(source.rig)
+
+
+def test_without_colour_the_image_is_black_and_that_is_said(open_bag: Opener, tmp_path: Path) -> None:
+    source = open_bag(make_bag(tmp_path / "two.bag", replace(L515, color=None), D405))
+    assert source.health().message == "this recording has no proximity colour: its image stays black"
+    assert not source.health().ok
+    frame = source.read(0)
+    frame.check_against(source.rig)
+    assert not frame.proximity_color.any()

@@ -1,0 +1,185 @@
+"""Two recordings of one camera each as one source: names, clocks, pairs, and what is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_maker import D405, L515, depth_images, make_bag
+
+from tactune.core.errors import SourceError
+from tactune.core.sources.bag import BagSource
+from tactune.core.sources.registry import open_source
+
+Opener = Callable[..., BagSource]
+EPOCH_S = 1_750_000_000.0
+RATE_S = 1 / 30
+
+
+def times(count: int, start: float = 0.0, step: float = RATE_S) -> list[float]:
+    return [start + step * index for index in range(count)]
+
+
+def two_files(tmp_path: Path, proximity: Any, tactile: Any) -> str:
+    first = make_bag(tmp_path / "first.bag", replace(L515, depth=proximity, serial="p1"))
+    second = make_bag(tmp_path / "second.bag", replace(D405, depth=tactile, serial="t1"))
+    return f"{first},{second}"
+
+
+def on_global_time(seed: int, stamps_s: list[float], recorded_s: list[float] | None = None) -> Any:
+    return depth_images(seed, recorded_s or times(len(stamps_s)), stamps_s=stamps_s, clock="Global Time")
+
+
+@pytest.mark.parametrize("swapped", [False, True])
+def test_two_files_are_one_source_in_either_order(tmp_path: Path, swapped: bool) -> None:
+    tactile = make_bag(tmp_path / "d405.bag", replace(D405, serial="t1", depth=on_global_time(1, times(3, EPOCH_S))))
+    proximity = make_bag(tmp_path / "l515.bag", replace(L515, depth=on_global_time(2, times(3, EPOCH_S + 0.004))))
+    files = [tactile, proximity] if swapped else [proximity, tactile]
+    with open_source(f"bag:{files[0]},{files[1]}") as source:
+        assert source.name == f"bag:{files[0]},{files[1]}"
+        assert (source.rig.proximity.model, source.rig.tactile.model) == (L515.name, D405.name)
+        assert (source.rig.proximity.serial, source.rig.tactile.serial) == ("sn0", "t1")
+        assert source.length == 3
+        assert source.health().message == ""
+        source.seek(2)
+        frame = source.next_frame()
+        assert frame is not None
+        np.testing.assert_array_equal(frame.proximity_depth, on_global_time(2, times(3)).images[2])
+        np.testing.assert_array_equal(frame.tactile_depth, on_global_time(1, times(3)).images[2])
+        assert frame.skew_s == pytest.approx(-0.004, abs=1e-6)
+        assert frame.proximity_time_s == pytest.approx(EPOCH_S + 0.004 + 2 * RATE_S, abs=1e-6)
+
+
+def test_the_stamps_pair_images_whose_recorders_were_started_at_different_moments(
+    open_bag: Opener, tmp_path: Path
+) -> None:
+    proximity = on_global_time(1, times(5, EPOCH_S))
+    tactile = on_global_time(2, times(5, EPOCH_S + 2 * RATE_S + 0.003))
+    source = open_bag(two_files(tmp_path, proximity, tactile))
+    assert source.length == 3
+    for index, frame in enumerate(source):
+        assert frame.sequence == index
+        np.testing.assert_array_equal(frame.proximity_depth, proximity.images[index + 2])
+        np.testing.assert_array_equal(frame.tactile_depth, tactile.images[index])
+    assert source.health().unmatched == 4
+    assert source.health().ok
+    assert source.health().message == (
+        "left out because the other camera has no image within 16.7 ms: 2 of 5 proximity and 2 of 5 tactile images"
+    )
+
+
+def test_a_lost_image_leaves_its_partner_out_and_shifts_nothing(open_bag: Opener, tmp_path: Path) -> None:
+    stamps = times(6, EPOCH_S)
+    proximity, tactile = on_global_time(1, stamps), on_global_time(2, stamps[:2] + stamps[3:])
+    source = open_bag(two_files(tmp_path, proximity, tactile))
+    assert source.length == 5
+    assert source.health().unmatched == 1
+    for frame, of_proximity, of_tactile in zip(source, [0, 1, 3, 4, 5], [0, 1, 2, 3, 4], strict=True):
+        np.testing.assert_array_equal(frame.proximity_depth, proximity.images[of_proximity])
+        np.testing.assert_array_equal(frame.tactile_depth, tactile.images[of_tactile])
+
+
+def test_no_image_is_used_twice_when_one_camera_is_slower(open_bag: Opener, tmp_path: Path) -> None:
+    source = open_bag(
+        two_files(tmp_path, on_global_time(1, times(6, EPOCH_S)), on_global_time(2, times(3, EPOCH_S, 2 * RATE_S)))
+    )
+    assert source.length == 3
+    assert source.health().unmatched == 3
+    assert [frame.skew_s for frame in source] == pytest.approx([0, 0, 0], abs=1e-6)
+
+
+@pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
+def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: float, expected: int) -> None:
+    stamps = times(4, EPOCH_S)
+    alone = [stamps[0], stamps[1] + late_s, *stamps[2:]]
+    source = open_bag(two_files(tmp_path, on_global_time(1, stamps), on_global_time(2, alone)))
+    assert source.length == expected
+    assert source.health().unmatched == 2 * (4 - expected)
+
+
+def test_cameras_on_their_own_clocks_are_paired_by_arrival(open_bag: Opener, tmp_path: Path) -> None:
+    proximity = depth_images(1, times(4), stamps_s=times(4, 7.0), arrived_s=times(4, EPOCH_S))
+    tactile = depth_images(2, times(4), stamps_s=times(4, 999.0), arrived_s=times(4, EPOCH_S + RATE_S))
+    source = open_bag(two_files(tmp_path, proximity, tactile))
+    assert source.length == 3
+    frame = source.read(0)
+    np.testing.assert_array_equal(frame.proximity_depth, proximity.images[1])
+    np.testing.assert_array_equal(frame.tactile_depth, tactile.images[0])
+    assert frame.proximity_time_s == pytest.approx(EPOCH_S + RATE_S, abs=1e-5)
+
+
+def test_clocks_that_cannot_be_compared_are_refused(tmp_path: Path) -> None:
+    proximity, tactile = depth_images(1, times(3)), on_global_time(2, times(3, EPOCH_S))
+    sentence = r"clocks cannot be compared \(.*L515: Hardware Clock and .*D405: Global Time.*global time enabled"
+    with pytest.raises(SourceError, match=sentence):
+        BagSource(two_files(tmp_path, proximity, tactile))
+
+
+def test_first_images_on_the_cameras_own_clock_are_brought_to_the_others(open_bag: Opener, tmp_path: Path) -> None:
+    stamps = times(5, EPOCH_S)
+    clocks = ["Hardware Clock"] * 2 + ["Global Time"] * 3
+    proximity = depth_images(1, times(5, 3.0), stamps_s=[1.5, 1.6, *stamps[2:]], clocks=clocks)
+    source = open_bag(two_files(tmp_path, proximity, on_global_time(2, stamps)))
+    assert source.length == 5
+    assert [frame.proximity_time_s for frame in source] == pytest.approx(stamps, abs=1e-5)
+
+
+def test_recordings_of_different_moments_are_refused_with_both_spans(tmp_path: Path) -> None:
+    proximity, tactile = on_global_time(1, times(4, EPOCH_S)), on_global_time(2, times(4, EPOCH_S + 3600.5))
+    sentence = (
+        r"not recorded at the same time: Intel RealSense L515 from 2025-06-15 15:06:40\.000 UTC to "
+        r"2025-06-15 15:06:40\.\d+ UTC, Intel RealSense D405 from 2025-06-15 16:06:40\.\d+ UTC to "
+        r"2025-06-15 16:06:40\.\d+ UTC; give two recordings of the same moment"
+    )
+    with pytest.raises(SourceError, match=sentence) as caught:
+        BagSource(two_files(tmp_path, proximity, tactile))
+    assert "\n" not in str(caught.value)
+
+
+def test_recordings_without_one_pair_are_refused(tmp_path: Path) -> None:
+    between = replace(on_global_time(2, [EPOCH_S + 1.5 * RATE_S]), fps=30)
+    with pytest.raises(SourceError, match=r"no image of .*L515 has one of .*D405 within 16\.7 ms"):
+        BagSource(two_files(tmp_path, on_global_time(1, [EPOCH_S, EPOCH_S + 3 * RATE_S]), between))
+
+
+def test_the_same_camera_twice_is_refused(tmp_path: Path) -> None:
+    path = make_bag(tmp_path / "a.bag", L515)
+    copy = tmp_path / "b.bag"
+    copy.write_bytes(path.read_bytes())
+    with pytest.raises(SourceError, match=r"both recordings are of the same camera, Intel RealSense L515 sn0"):
+        BagSource(f"{path},{copy}")
+
+
+def test_more_than_two_cameras_in_two_files_are_refused(tmp_path: Path) -> None:
+    both, one = make_bag(tmp_path / "a.bag", L515, D405), make_bag(tmp_path / "b.bag", D405)
+    with pytest.raises(SourceError, match=r"the two files have 3 depth cameras .*; give files with one camera each"):
+        BagSource(f"{both},{one}")
+
+
+def test_paths_may_contain_commas(open_bag: Opener, tmp_path: Path) -> None:
+    folder = tmp_path / "lab, 3,2"
+    folder.mkdir()
+    first = make_bag(folder / "l515,a.bag", replace(L515, depth=on_global_time(1, times(3, EPOCH_S))))
+    second = make_bag(folder / "d405,b.bag", replace(D405, serial="t", depth=on_global_time(2, times(3, EPOCH_S))))
+    assert open_bag(f"{first},{second}").rig.tactile.model == D405.name
+    assert open_bag(first).rig.tactile.model == "none"
+    with open_source(f"{second},{first}") as source:
+        assert source.rig.proximity.model == L515.name
+
+
+@pytest.mark.parametrize("name", ["{}/a.bag,{}/gone.bag", "{}/gone.bag,{}/a.bag"])
+def test_the_file_that_is_missing_is_named(tmp_path: Path, name: str) -> None:
+    make_bag(tmp_path / "a.bag", L515)
+    with pytest.raises(SourceError, match=r"there is no file [^,]*gone\.bag; check the path"):
+        BagSource(name.replace("{}", str(tmp_path)))
+
+
+def test_a_damaged_second_file_closes_the_first(tmp_path: Path) -> None:
+    good = make_bag(tmp_path / "good.bag", L515)
+    (tmp_path / "bad.bag").write_bytes(good.read_bytes()[:-200])
+    with pytest.raises(SourceError, match=r"bad\.bag: this is no readable RealSense recording"):
+        BagSource(f"{good},{tmp_path / 'bad.bag'}")

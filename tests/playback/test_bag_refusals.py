@@ -1,0 +1,115 @@
+"""Bags that lack something or are damaged are refused in one sentence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
+
+from tactune.core.errors import SourceError
+from tactune.core.sources.bag import BagSource
+
+Opener = Callable[..., BagSource]
+
+
+@pytest.fixture
+def two_cameras(tmp_path: Path) -> Path:
+    return make_bag(tmp_path / "two.bag", D405, L515)
+
+
+ONE = [1.0]
+BAD: dict[str, tuple[list[Device], str]] = {
+    "no depth": ([Device("L515", None, color_images(1, ONE))], "it holds no depth images"),
+    "three cameras": (
+        [D405, L515, replace(D405, name="D415")],
+        r"has 3 depth cameras \(Intel RealSense D405, Intel RealSense L515, D415\); record one or two",
+    ),
+    "no unit": ([replace(D405, unit_topic=None)], "the depth unit is missing"),
+    "unit of zero": ([replace(D405, unit_m=0.0)], "the depth unit is 0.0 m"),
+    "no lens": ([replace(D405, without={"camera_info"})], r"Depth_0/info/camera_info is missing"),
+    "no stream info": ([replace(D405, without={"info"})], r"Depth_0/info is missing"),
+    "unknown lens": ([Device("D405", depth_images(1, ONE, lens="Ftheta"))], "the lens model 'Ftheta'; known are none"),
+    "focal length of zero": ([Device("D405", depth_images(1, ONE, K=(0.0, 1.0, 1.0, 1.0)))], "fx of the lens"),
+    "no pose": (
+        [Device("L515", depth_images(1, ONE), color_images(1, ONE, tf=None))],
+        r"the pose of /device_0/sensor_1/Color_0 to /device_0/sensor_0/Depth_0 is missing",
+    ),
+    "no common reference": (
+        [Device("L515", depth_images(1, ONE), color_images(1, ONE, tf="1"))],
+        r"the pose of .* is missing",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_recording_that_lacks_something_is_refused_in_one_sentence(tmp_path: Path, case: str) -> None:
+    devices, sentence = BAD[case]
+    path = make_bag(tmp_path / "bad.bag", *devices)
+    with pytest.raises(SourceError, match=sentence) as caught:
+        BagSource(path)
+    assert "bad.bag" in str(caught.value)
+    assert "record" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("device", "sentence"),
+    [
+        (Device("L515", depth_images(1, ONE, encoding="32FC1")), "'32FC1', not as 16 bit depth"),
+        (Device("L515", depth_images(1, ONE, size=(6, 9))), "it has 8 x 6 pixels, .* 9 x 6"),
+        (Device("L515", depth_images(1, ONE, missing_bytes=16)), "it has 80 bytes, too few for its size"),
+        (Device("L515", depth_images(1, ONE), color_images(1, ONE, encoding="jpeg")), "'jpeg'; known are rgb8"),
+        (Device("L515", depth_images(1, ONE), color_images(1, ONE, encoding="rgba8")), "too few for its size"),
+    ],
+)
+def test_an_image_that_is_not_as_stated_is_refused(
+    open_bag: Opener, tmp_path: Path, device: Device, sentence: str
+) -> None:
+    source = open_bag(make_bag(tmp_path / "bad.bag", device))
+    with pytest.raises(SourceError, match=sentence):
+        source.read(0)
+
+
+def test_a_path_that_is_no_bag_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(SourceError, match=r"there is no file .*missing\.bag"):
+        BagSource(tmp_path / "missing.bag")
+    (tmp_path / "text.bag").write_text("hello\n")
+    with pytest.raises(SourceError, match=r"text\.bag: this is no readable RealSense recording \(it begins"):
+        BagSource(tmp_path / "text.bag")
+    (tmp_path / "empty.bag").write_bytes(b"")
+    with pytest.raises(SourceError, match=r"empty\.bag: this is no readable RealSense recording \(it is empty\)"):
+        BagSource(tmp_path / "empty.bag")
+
+
+def test_damage_is_always_told_as_a_source_error(two_cameras: Path, tmp_path: Path) -> None:
+    whole = two_cameras.read_bytes()
+    rng = np.random.default_rng(0)
+    damaged = tmp_path / "damaged.bag"
+    refused = 0
+    for attempt in range(120):
+        data = bytearray(whole)
+        start = int(rng.integers(14, len(data)))
+        if attempt % 2:
+            del data[start:]
+        else:
+            data[start : start + 16] = rng.bytes(16)
+        damaged.write_bytes(data)
+        try:
+            with BagSource(damaged) as source:
+                list(source)
+        except SourceError as error:
+            refused += 1
+            assert "\n" not in str(error)
+    assert refused >= 60
+
+
+def test_a_closed_source_says_so(open_bag: Opener, two_cameras: Path) -> None:
+    source = open_bag(two_cameras)
+    source.close()
+    source.close()
+    with pytest.raises(SourceError, match=r"two\.bag is closed; open it again"):
+        source.read(0)
