@@ -30,6 +30,8 @@ MAGIC = b"SQLite format 3\x00"
 _STREAM_TOPIC = re.compile(
     r"(/device_(\d{1,4})/sensor_(\d{1,4})/(Depth|Color)_\d{1,4})/image/data(?:/compressed|/compressedDepth)?"
 )
+#: How 2.59 describes images that it cannot write as PNG.
+_ZSTD_LAYOUT = re.compile(r"(\w+); zstd; (\d{1,6})x(\d{1,6}) step=(\d{1,9})")
 _ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 _DEPTH_PNG_START = 12  # compressed_depth_image_transport puts its settings in front
 _LONGEST_TEXT = 2**14
@@ -122,24 +124,30 @@ class Db3Recording(Recording):
         return {name.removeprefix(prefix): _matrix(self._facts(name)) for name in self._ids if name.startswith(prefix)}
 
     def _depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]:
-        cursor = self._image(stream, index)
-        if self._images[stream.topic].endswith("/compressedDepth"):
-            return png_depth(_compressed(cursor)[_DEPTH_PNG_START:], stream.intrinsics.shape)
-        return raw_depth(_raw(cursor), stream.intrinsics.shape)
+        image = self._image(stream, index)
+        shape = stream.intrinsics.shape
+        return raw_depth(image, shape) if isinstance(image, RawImage) else png_depth(image[_DEPTH_PNG_START:], shape)
 
     def _color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]:
-        cursor = self._image(stream, index)
-        if self._images[stream.topic].endswith("/compressed"):
-            return png_color(_compressed(cursor), stream.intrinsics.shape)
-        return raw_color(_raw(cursor), stream.intrinsics.shape)
+        image = self._image(stream, index)
+        shape = stream.intrinsics.shape
+        return raw_color(image, shape) if isinstance(image, RawImage) else png_color(image, shape)
 
-    def _image(self, stream: Stream, index: int) -> Cursor:
-        """Return an image message from behind its header on."""
+    def _image(self, stream: Stream, index: int) -> RawImage | npt.NDArray[np.uint8]:
+        """Return an image as it is stored: raw, or the bytes of a PNG."""
+        topic = self._images[stream.topic]
         cursor = Cursor(self._message(int(self._index[stream.topic][index, 1]), LARGEST_BYTES), aligned=True)
         cursor.u32()
         cursor.u32()
         cursor.text()
-        return cursor
+        if topic.endswith("/image/data"):
+            return _raw(cursor)
+        layout = _ZSTD_LAYOUT.fullmatch(cursor.text())
+        data = cursor.bytes()
+        if layout is None:
+            return data
+        raw = np.frombuffer(_unpack_zstd(data.tobytes(), LARGEST_BYTES), np.uint8)
+        return RawImage(int(layout[3]), int(layout[2]), layout[1], False, int(layout[4]), raw)
 
     def _required(self, topic: str) -> Mapping[str, str]:
         facts = self._facts(topic)
@@ -224,11 +232,6 @@ def _raw(cursor: Cursor) -> RawImage:
         step=cursor.u32(),
         data=cursor.bytes(),
     )
-
-
-def _compressed(cursor: Cursor) -> npt.NDArray[np.uint8]:
-    cursor.text()
-    return cursor.bytes()
 
 
 def _pairs(text: str) -> dict[str, str]:

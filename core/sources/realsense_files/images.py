@@ -23,8 +23,8 @@ _TO_RGB = {
     "8UC1": (1, cv2.COLOR_GRAY2RGB),
     "mono8": (1, cv2.COLOR_GRAY2RGB),
     "YUYV": (2, cv2.COLOR_YUV2RGB_YUYV),
-    "yuv422_yuy2": (2, cv2.COLOR_YUV2RGB_YUYV),
     "yuv422": (2, cv2.COLOR_YUV2RGB_UYVY),
+    "UYVY": (2, cv2.COLOR_YUV2RGB_UYVY),
 }
 
 #: A PNG's signature and the fixed start of its first chunk, which holds the size.
