@@ -1,16 +1,19 @@
 from __future__ import annotations
 
-import numba
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core import outliers
 from tactune.core.clouds import deproject
 from tactune.core.frames import DepthCamera
 from tactune.core.intrinsics import Intrinsics
-from tactune.core.outliers import in_large_cluster, mean_neighbour_distances, statistical_inliers
+from tactune.core.outliers import statistical, threshold
+from tactune.core.outliers.clusters import in_large_cluster
+from tactune.core.outliers.rings import mean_neighbour_distances
+from tactune.core.outliers.statistical import near_means, statistical_inliers
+from tactune.core.threads import get_threads, set_threads
 
 
 def scene(seed: int, width: int, height: int, share: float, noise_m: float, distortion: str = "none"):
@@ -61,14 +64,62 @@ def test_neighbour_distances_are_a_brute_force_searchs(seed, k, share, noise):
     assert mean_neighbour_distances(points, pixels, lens, k) == pytest.approx(expected, rel=1e-12, abs=1e-15)
 
 
-def test_points_that_the_rings_do_not_settle_go_to_the_tree(monkeypatch):
-    points, pixels, lens = scene(3, 160, 120, 0.02, 0.001)
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), k=st.integers(2, 60), share=st.floats(0.01, 1.0), noise=st.floats(0, 0.02))
+def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
+    points, pixels, lens = scene(seed, 67, 41, share, noise)
+    if len(points) < 2:
+        return
+    k = min(k, len(points))
+    exact = mean_neighbour_distances(points, pixels, lens, k)
+    assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= threshold.UNCERTAINTY
+
+
+def test_a_point_too_near_to_the_threshold_is_decided_in_float64(monkeypatch):
+    points, pixels, lens = scene(5, 80, 60, 0.9, 0.001)
+    wanted = open3d_inliers(points, 20, 2.0)
+    exact = mean_neighbour_distances(points, pixels, lens, 20)
+    limit = exact.mean() + 2.0 * exact.std(ddof=1)
+    nearest = np.abs(exact / limit - 1).min()
+    assert nearest > 10 * threshold.UNCERTAINTY
     calls = []
-    tree = outliers.cKDTree
-    monkeypatch.setattr(outliers, "cKDTree", lambda cloud: calls.append(len(cloud)) or tree(cloud))
-    kept = statistical_inliers(points, pixels, lens, 60, 2.0)
+    monkeypatch.setattr(
+        statistical, "mean_neighbour_distances", lambda *a: calls.append(1) or mean_neighbour_distances(*a)
+    )
+    assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
+    assert not calls
+    monkeypatch.setattr(threshold, "UNCERTAINTY", nearest)
+    threshold._compare.recompile()
+    try:
+        assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
+    finally:
+        monkeypatch.undo()
+        threshold._compare.recompile()
+    assert calls
+
+
+def test_equal_distances_everywhere_have_no_inliers():
+    """Where the standard deviation is nothing but rounding, float32 must not decide."""
+    lens = Intrinsics(width=64, height=48, fx=50.0, fy=50.0, cx=32.0, cy=24.0)
+    pixels = np.arange(64 * 48)
+    points = deproject(np.full((48, 64), 3000, np.uint16), DepthCamera(intrinsics=lens, depth_unit_m=1e-4), pixels)
+    for k in (2, 3, 5, 20):
+        assert np.array_equal(statistical_inliers(points, pixels, lens, k, 1e-9), open3d_inliers(points, k, 1e-9))
+    coinciding = np.repeat(points[:1], 100, axis=0)
+    assert not statistical_inliers(coinciding, pixels[:100], lens, 20, 2.0).any()
+
+
+def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
+    points, pixels, lens = scene(3, 160, 120, 0.01, 0.001)
+    calls = []
+    tree = statistical.tree_means
+    monkeypatch.setattr(statistical, "tree_means", lambda *a: calls.append(len(a[1])) or tree(*a))
+    assert np.array_equal(statistical_inliers(points, pixels, lens, 60, 2.0), open3d_inliers(points, 60, 2.0))
+    assert calls
+    calls.clear()
+    far = points * np.float32(1e9)
+    assert np.array_equal(statistical_inliers(far, pixels, lens, 20, 2.0), open3d_inliers(far, 20, 2.0))
     assert calls == [len(points)]
-    assert np.array_equal(kept, open3d_inliers(points, 60, 2.0))
 
 
 @pytest.mark.parametrize("count", [0, 1, 2, 3])
@@ -82,13 +133,17 @@ def test_tiny_clouds_follow_open3d(count):
 
 def test_the_result_does_not_depend_on_the_number_of_threads():
     points, pixels, lens = scene(8, 160, 120, 0.8, 0.002)
-    threads = numba.get_num_threads()
+    threads = get_threads()
+    means = []
     try:
-        numba.set_num_threads(1)
-        alone = mean_neighbour_distances(points, pixels, lens, 20)
+        for count in (1, 2, 5):
+            set_threads(count)
+            means.append((near_means(points, pixels, lens, 20), mean_neighbour_distances(points, pixels, lens, 20)))
     finally:
-        numba.set_num_threads(threads)
-    assert np.array_equal(alone, mean_neighbour_distances(points, pixels, lens, 20))
+        set_threads(threads)
+    for near, exact in means[1:]:
+        assert np.array_equal(near, means[0][0])
+        assert np.array_equal(exact, means[0][1])
 
 
 def test_clusters_are_kept_by_their_area():
@@ -101,3 +156,17 @@ def test_clusters_are_kept_by_their_area():
     points[:, 2] = 0.3
     for smallest, survivors in ((0.0, 18), (199.0, 18), (201.0, 16), (1599.0, 16), (1601.0, 0)):
         assert in_large_cluster(points, pixels, lens, smallest).sum() == survivors
+
+
+@settings(max_examples=60, deadline=None)
+@given(seed=st.integers(0, 10_000), share=st.floats(0.05, 0.95), width=st.integers(1, 30), height=st.integers(1, 20))
+def test_groups_are_opencvs_components(seed, share, width, height):
+    rng = np.random.default_rng(seed)
+    mask = rng.random((height, width)) < share
+    lens = Intrinsics(width=width, height=height, fx=30.0, fy=30.0, cx=20.0, cy=15.0)
+    pixels = np.flatnonzero(mask)
+    points = np.full((len(pixels), 3), 0.3, np.float32)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
+    for pixels_needed in (1, 2, 5, 20):
+        expected = stats[labels[mask], cv2.CC_STAT_AREA] >= pixels_needed
+        assert np.array_equal(in_large_cluster(points, pixels, lens, 100.0 * (pixels_needed - 0.5)), expected)

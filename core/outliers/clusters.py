@@ -1,0 +1,84 @@
+"""Connected groups of pixels and their area."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..compiling import kernel
+from ..intrinsics import Intrinsics
+
+
+def pixel_areas_m2(depth_m: npt.NDArray[np.float32], intrinsics: Intrinsics) -> npt.NDArray[np.float64]:
+    """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
+    return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
+
+
+def in_large_cluster(
+    points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, min_area_mm2: float
+) -> npt.NDArray[np.bool_]:
+    """Tell which points belong to an 8-connected group of pixels of at least the given area.
+
+    Parameters
+    ----------
+    points : float32, shape (N, 3)
+        Metres, in row-major pixel order.
+    pixels : int, shape (N,)
+        Flat pixel of each point, ascending.
+    """
+    if min_area_mm2 <= 0 or len(points) == 0:
+        return np.ones(len(points), bool)
+    large = np.empty(len(points), np.bool_)
+    _mark_large(pixels, points[:, 2], intrinsics.width, intrinsics.fx * intrinsics.fy, min_area_mm2, large)
+    return large
+
+
+@kernel
+def _root(parents: Any, run: Any) -> Any:
+    while parents[run] != run:
+        parents[run] = parents[parents[run]]
+        run = parents[run]
+    return run
+
+
+@kernel
+def _mark_large(pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any, large: Any) -> None:
+    """Join runs of neighbouring pixels to those that they touch in the row above; add up areas in pixel order."""
+    count = len(pixels)
+    starts = np.empty(count + 1, np.int64)
+    runs = 0
+    for i in range(count):
+        if i == 0 or pixels[i] != pixels[i - 1] + 1 or pixels[i] % width == 0:
+            starts[runs] = i
+            runs += 1
+    starts[runs] = count
+
+    parents = np.arange(runs)
+    above = 0
+    for run in range(runs):
+        first = pixels[starts[run]]
+        last = pixels[starts[run + 1] - 1]
+        row = first // width
+        reach_left = max(first - 1, row * width) - width
+        reach_right = min(last + 1, row * width + width - 1) - width
+        while pixels[starts[above + 1] - 1] < reach_left:
+            above += 1
+        other = above
+        while other < run and pixels[starts[other]] <= reach_right:
+            a = _root(parents, run)
+            b = _root(parents, other)
+            parents[max(a, b)] = min(a, b)
+            other += 1
+
+    areas = np.zeros(runs, np.float64)
+    for run in range(runs):
+        parents[run] = _root(parents, run)
+        for i in range(starts[run], starts[run + 1]):
+            depth = np.float64(depths[i])
+            areas[parents[run]] += depth * depth / focal_product
+    for run in range(runs):
+        is_large = areas[parents[run]] * 1e6 >= min_area_mm2
+        for i in range(starts[run], starts[run + 1]):
+            large[i] = is_large

@@ -1,0 +1,167 @@
+"""Mean distance to the k nearest points, point by point, sixteen neighbours at once.
+
+For the points that `tiles` leaves: they lie at edges or among few others and need larger windows.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ..compiling import inline, kernel
+from ..simd import (
+    LANES,
+    as_ints,
+    doubles,
+    floats,
+    ints,
+    lesser,
+    load,
+    multiply_add,
+    sqrt,
+    store,
+    to_doubles,
+    total,
+    where,
+)
+from .grid import FARTHEST, MARGIN, MOST_SINGLE_RADIUS
+from .tiles import PLANE_SLACK, SQUARE_SLACK
+
+_ZERO = np.float32(0.0)
+_HUGE = np.float32(1e30)
+_NONE = np.int32(0)
+
+#: Windows that fill one, two and three vectors a row.
+_FIRST_RADIUS = 7
+_GROWTH = 8
+#: Interpolation steps, after which the bracket is walked through value by value.
+_STEPS = 10
+
+
+@inline
+def _side_distance(normal: Any, normal_z: Any, across: Any, z: Any) -> Any:
+    """Return the distance between a point and a side plane, less what rounding may add."""
+    a = np.float64(normal) * across
+    b = np.float64(normal_z) * z
+    return -(a + b) - PLANE_SLACK * (abs(a) + abs(b))
+
+
+@inline
+def _count_within(squares: Any, vectors: Any, threshold: Any) -> Any:
+    within = ints(_NONE)
+    for i in range(vectors):
+        within = within - as_ints(load(squares, i * LANES) <= floats(threshold))
+    return total(within)
+
+
+@inline
+def _next_above(squares: Any, vectors: Any, threshold: Any, minima: Any) -> Any:
+    least = floats(_HUGE)
+    for i in range(vectors):
+        square = load(squares, i * LANES)
+        least = lesser(least, where(square <= floats(threshold), floats(_HUGE), square))
+    store(minima, 0, least)
+    return minima.min()
+
+
+@kernel
+def search_single(
+    chosen: Any, points: Any, pixels: Any, width: Any, stride: Any, xs: Any, ys: Any, zs: Any, columns: Any,
+    rows: Any, k: Any, means: Any
+) -> None:  # fmt: skip
+    """Write the chosen points' mean distance to their k nearest; nan where the largest window is too small.
+
+    Parameters
+    ----------
+    chosen : int, shape (M,)
+        Numbers of points.
+    points, pixels
+        The whole cloud, (N, 3) and (N,).
+    width, stride, xs, ys, zs, columns, rows
+        Of the `Grid` that it lies in.
+    k, means
+        As in `tiles.search_tiles`, with the same precision.
+    """
+    across = (2 * MOST_SINGLE_RADIUS + LANES) // LANES
+    squares = np.empty((2 * MOST_SINGLE_RADIUS + 1) * across * LANES, np.float32)
+    minima = np.empty(LANES, np.float32)
+    columns_end = columns.shape[0] // 4
+    rows_end = rows.shape[0] // 4
+    for i in chosen:
+        v = pixels[i] // width
+        u = pixels[i] - v * width
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2]
+        means[i] = np.nan
+
+        radius = _FIRST_RADIUS
+        vectors = 0
+        limit = _ZERO
+        within_high = 0
+        while radius <= MOST_SINGLE_RADIUS:
+            left = MARGIN + u - radius - 1
+            right = MARGIN + u + radius + 1
+            top = MARGIN + v - radius - 1
+            bottom = MARGIN + v + radius + 1
+            bound = _side_distance(columns[left], columns[columns_end + left], x, z)
+            bound = min(bound, _side_distance(columns[2 * columns_end + right], columns[3 * columns_end + right], x, z))
+            bound = min(bound, _side_distance(rows[top], rows[rows_end + top], y, z))
+            bound = min(bound, _side_distance(rows[2 * rows_end + bottom], rows[3 * rows_end + bottom], y, z))
+            bound = max(bound, 0.0)
+            limit = np.float32(min(bound, FARTHEST) ** 2) * SQUARE_SLACK
+
+            across = (2 * radius + LANES) // LANES
+            vectors = 0
+            for row in range(v - radius, v + radius + 1):
+                place = (row + MARGIN) * stride + MARGIN + u - radius
+                for part in range(across):
+                    dx = floats(x) - load(xs, place + part * LANES)
+                    dy = floats(y) - load(ys, place + part * LANES)
+                    dz = floats(z) - load(zs, place + part * LANES)
+                    store(squares, vectors * LANES, multiply_add(dz, dz, multiply_add(dy, dy, dx * dx)))
+                    vectors += 1
+            within_high = _count_within(squares, vectors, limit)
+            if within_high >= k:
+                break
+            radius += _GROWTH
+        if within_high < k:
+            continue
+
+        low = np.float32(-1.0)
+        high = limit
+        within_low = 0
+        threshold = high
+        within = within_high
+        for _ in range(_STEPS):
+            if within == k or within == k - 1:
+                break
+            if within < k:
+                low = threshold
+                within_low = within
+            else:
+                high = threshold
+                within_high = within
+            start = max(low, _ZERO)
+            share = (np.float32(k) - np.float32(within_low)) / np.float32(within_high - within_low)
+            threshold = start + (high - start) * share
+            within = _count_within(squares, vectors, threshold)
+        if within > k:
+            threshold = low
+            within = within_low
+        beyond = threshold
+        while within < k:
+            beyond = _next_above(squares, vectors, threshold, minima)
+            reached = _count_within(squares, vectors, beyond)
+            if reached > k:
+                break
+            threshold = beyond
+            within = reached
+
+        summed = doubles(0.0)
+        for j in range(vectors):
+            square = load(squares, j * LANES)
+            summed = summed + to_doubles(where(square <= floats(threshold), sqrt(square), floats(_ZERO)))
+        missing = k - within
+        means[i] = (total(summed) + missing * np.sqrt(np.float64(beyond))) / k

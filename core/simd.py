@@ -1,0 +1,360 @@
+"""Sixteen pixels at once: vector values for numba kernels.
+
+LLVM does not vectorise the inner loops of the pipeline by itself, because they gather and select.
+Here a kernel works on vectors of `LANES` elements by name; LLVM cuts them into what the processor has
+(one AVX-512 register, two of AVX2, four of SSE or NEON). Every operation is the IEEE one of its
+element type and nothing is contracted or reordered, so a kernel gives the same bits everywhere.
+
+All functions are for use inside ``@kernel`` functions only. Arrays are indexed flat: one dimension, contiguous.
+"""
+
+from __future__ import annotations
+
+import operator
+from typing import Any, Final
+
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic as _numba_intrinsic
+from numba.extending import models, overload, register_model
+
+#: numba's own annotations describe what an intrinsic emits, not what a kernel calls.
+intrinsic: Any = _numba_intrinsic
+
+#: Elements of a vector.
+LANES: Final = 16
+
+
+class Vector(types.Type):
+    """The type of a vector of `LANES` elements."""
+
+    def __init__(self, name: str, element: ir.Type, scalar: types.Type) -> None:
+        super().__init__(name=f"tactune.{name}x{LANES}")
+        self.element = element
+        self.scalar = scalar
+
+    @property
+    def llvm(self) -> ir.VectorType:
+        """The LLVM type."""
+        return ir.VectorType(self.element, LANES)
+
+
+@register_model(Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, manager: Any, vector: Vector) -> None:
+        super().__init__(manager, vector, vector.llvm)  # type: ignore[no-untyped-call]
+
+
+FLOATS = Vector("float32", ir.FloatType(), types.float32)
+DOUBLES = Vector("float64", ir.DoubleType(), types.float64)
+INTS = Vector("int32", ir.IntType(32), types.int32)
+FLAGS = Vector("bool", ir.IntType(1), types.boolean)
+
+#: Return a function of the module, declaring it at first.
+declare: Any = cgutils.get_or_insert_function
+
+_OF_DTYPE = {
+    types.float32: FLOATS,
+    types.float64: DOUBLES,
+    types.int32: INTS,
+    types.uint16: INTS,
+    types.uint8: INTS,
+}
+
+
+def _constant(vector: Vector, values: Any) -> ir.Constant:
+    return ir.Constant(vector.llvm, list(values))
+
+
+def _place(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm: ir.Type) -> Any:
+    data = context.make_array(array_type)(context, builder, array).data
+    return builder.bitcast(builder.gep(data, [index]), llvm.as_pointer())
+
+
+def _bytes_of(array_type: Any) -> int:
+    return int(array_type.dtype.bitwidth // 8)
+
+
+@intrinsic
+def load(typing: Any, array: Any, index: Any) -> Any:
+    """Return elements ``index`` to ``index + LANES - 1``; uint8 and uint16 widen to int32."""
+    vector = _OF_DTYPE[array.dtype]
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
+        value = builder.load(_place(context, builder, array, arguments[0], arguments[1], stored))
+        value.align = _bytes_of(array)
+        return value if stored == vector.llvm else builder.zext(value, vector.llvm)
+
+    return vector(array, types.intp), emit
+
+
+@intrinsic
+def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
+    """Write a vector to elements ``index`` onwards; int32 narrows to the array's integer type."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        place, index, vector = arguments
+        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
+        if stored != value.llvm:
+            vector = builder.trunc(vector, stored)
+        instruction = builder.store(vector, _place(context, builder, array, place, index, stored))
+        instruction.align = _bytes_of(array)
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, value), emit
+
+
+def _splatted(builder: Any, vector: Vector, scalar: Any) -> Any:
+    one = builder.insert_element(ir.Constant(vector.llvm, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return builder.shuffle_vector(
+        one, ir.Constant(vector.llvm, ir.Undefined), ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    )
+
+
+def _make_splat(vector: Vector, doc: str) -> Any:
+    def splat(typing: Any, value: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return _splatted(builder, vector, arguments[0])
+
+        return vector(vector.scalar), emit
+
+    splat.__doc__ = doc
+    return intrinsic(splat)
+
+
+floats = _make_splat(FLOATS, "Return a float32 vector of one value.")
+doubles = _make_splat(DOUBLES, "Return a float64 vector of one value.")
+ints = _make_splat(INTS, "Return an int32 vector of one value.")
+
+
+@intrinsic
+def lane_numbers(typing: Any) -> Any:
+    """Return 0, 1, ..., LANES - 1 as int32."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _constant(INTS, range(LANES))
+
+    return INTS(), emit
+
+
+def _binary(name: str, vectors: dict[Vector, str]) -> Any:
+    def function(typing: Any, a: Any, b: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return getattr(builder, vectors[a])(*arguments)
+
+        return (a(a, a), emit) if a in vectors else None
+
+    function.__name__ = name
+    return intrinsic(function)
+
+
+def _define_operator(symbol: Any, vectors: dict[Vector, str]) -> None:
+    apply = _binary(f"_{symbol.__name__}", vectors)
+
+    @overload(symbol, strict=False)
+    def implementation(a: Any, b: Any) -> Any:
+        if isinstance(a, Vector) and a == b and a in vectors:
+            return lambda a, b: apply(a, b)  # noqa: PLW0108
+        return None
+
+
+_define_operator(operator.add, {FLOATS: "fadd", DOUBLES: "fadd", INTS: "add"})
+_define_operator(operator.sub, {FLOATS: "fsub", DOUBLES: "fsub", INTS: "sub"})
+_define_operator(operator.mul, {FLOATS: "fmul", DOUBLES: "fmul", INTS: "mul"})
+_define_operator(operator.truediv, {FLOATS: "fdiv", DOUBLES: "fdiv"})
+_define_operator(operator.and_, {FLAGS: "and_", INTS: "and_"})
+_define_operator(operator.or_, {FLAGS: "or_", INTS: "or_"})
+_define_operator(operator.xor, {FLAGS: "xor", INTS: "xor"})
+_define_operator(operator.rshift, {INTS: "ashr"})
+
+
+def _define_comparison(symbol: Any, sign: str) -> None:
+    def function(typing: Any, a: Any, b: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            if a is INTS:
+                return builder.icmp_signed(sign, *arguments)
+            compare = builder.fcmp_unordered if sign == "!=" else builder.fcmp_ordered
+            return compare(sign, *arguments)
+
+        return FLAGS(a, a), emit
+
+    function.__name__ = f"_{symbol.__name__}"
+    compare = intrinsic(function)
+
+    @overload(symbol, strict=False)
+    def implementation(a: Any, b: Any) -> Any:
+        if isinstance(a, Vector) and a == b:
+            return lambda a, b: compare(a, b)  # noqa: PLW0108
+        return None
+
+
+for _symbol, _sign in (
+    (operator.lt, "<"), (operator.le, "<="), (operator.gt, ">"),
+    (operator.ge, ">="), (operator.eq, "=="), (operator.ne, "!="),
+):  # fmt: skip
+    _define_comparison(_symbol, _sign)
+
+
+@intrinsic
+def _not(typing: Any, a: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.not_(arguments[0])
+
+    return FLAGS(FLAGS), emit
+
+
+@overload(operator.invert, strict=False)
+def _invert(a: Any) -> Any:
+    if a is FLAGS:
+        return lambda a: _not(a)  # noqa: PLW0108
+    return None
+
+
+@intrinsic
+def where(typing: Any, flags: Any, a: Any, b: Any) -> Any:
+    """Return ``a`` in the lanes that are flagged and ``b`` in the others."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.select(*arguments)
+
+    return a(FLAGS, a, a), emit
+
+
+def _conversion(source: Vector, target: Vector, instruction: str, doc: str) -> Any:
+    def convert(typing: Any, a: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            return getattr(builder, instruction)(arguments[0], target.llvm)
+
+        return target(source), emit
+
+    convert.__doc__ = doc
+    return intrinsic(convert)
+
+
+to_floats = _conversion(INTS, FLOATS, "sitofp", "Convert int32 to float32.")
+to_doubles = _conversion(FLOATS, DOUBLES, "fpext", "Widen float32 to float64.")
+#: The lanes must hold values that fit.
+to_ints = _conversion(FLOATS, INTS, "fptosi", "Convert float32 to int32, towards zero.")
+as_ints = _conversion(FLAGS, INTS, "sext", "Return -1 in the flagged lanes and 0 in the others.")
+
+
+def _unary(llvm_name: str, doc: str) -> Any:
+    def function(typing: Any, a: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            name = f"{llvm_name}.v{LANES}{a.element.intrinsic_name}"
+            function = declare(builder.module, ir.FunctionType(a.llvm, [a.llvm]), name)
+            return builder.call(function, arguments)
+
+        return a(a), emit
+
+    function.__doc__ = doc
+    return intrinsic(function)
+
+
+sqrt = _unary("llvm.sqrt", "Square root, correctly rounded.")
+floor = _unary("llvm.floor", "The largest whole number not above.")
+absolute = _unary("llvm.fabs", "Absolute value.")
+
+
+@intrinsic
+def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
+    """Return ``a * b + c``, fused where the processor can: the last bit may differ between processors."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        product = builder.fmul(arguments[0], arguments[1], flags=("contract",))
+        return builder.fadd(product, arguments[2], flags=("contract",))
+
+    return a(a, a, a), emit
+
+
+def lesser(a: Any, b: Any) -> Any:
+    """Return the smaller of each pair."""
+
+
+def greater(a: Any, b: Any) -> Any:
+    """Return the larger of each pair."""
+
+
+@overload(lesser, strict=False)
+def _lesser(a: Any, b: Any) -> Any:
+    return lambda a, b: where(a < b, a, b)
+
+
+@overload(greater, strict=False)
+def _greater(a: Any, b: Any) -> Any:
+    return lambda a, b: where(a > b, a, b)
+
+
+@intrinsic
+def bits(typing: Any, flags: Any) -> Any:
+    """Return the flags as an integer, lane 0 in the lowest bit."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.zext(builder.bitcast(arguments[0], ir.IntType(LANES)), ir.IntType(64))
+
+    return types.int64(FLAGS), emit
+
+
+@intrinsic
+def flags(typing: Any, number: Any) -> Any:
+    """Return the lowest `LANES` bits of an integer as flags; the inverse of `bits`."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        narrow = builder.trunc(arguments[0], ir.IntType(LANES))
+        return builder.bitcast(narrow, FLAGS.llvm)
+
+    return FLAGS(types.int64), emit
+
+
+@intrinsic
+def gather(typing: Any, array: Any, indices: Any) -> Any:
+    """Return ``array[indices]``, int32 indices; every lane must be a valid index."""
+    vector = _OF_DTYPE[array.dtype]
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(array)(context, builder, arguments[0]).data
+        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
+        value = ir.Constant(stored, ir.Undefined)
+        for lane in range(LANES):
+            number = ir.Constant(ir.IntType(32), lane)
+            index = builder.zext(builder.extract_element(arguments[1], number), ir.IntType(64))
+            value = builder.insert_element(value, builder.load(builder.gep(data, [index])), number)
+        return value if stored == vector.llvm else builder.zext(value, vector.llvm)
+
+    return vector(array, INTS), emit
+
+
+@intrinsic
+def count_trailing_zeros(typing: Any, number: Any) -> Any:
+    """Return the number of the lowest bit set in an int64 that is not 0."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.int64(types.int64), emit
+
+
+@intrinsic
+def count_ones(typing: Any, number: Any) -> Any:
+    """Return how many bits of an int64 are set."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.ctpop(arguments[0])
+
+    return types.int64(types.int64), emit
+
+
+@intrinsic
+def total(typing: Any, a: Any) -> Any:
+    """Return the sum of all lanes, added pairwise in a fixed order."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        values = [builder.extract_element(arguments[0], ir.Constant(ir.IntType(32), lane)) for lane in range(LANES)]
+        add = builder.add if a is INTS else builder.fadd
+        while len(values) > 1:
+            half = len(values) // 2
+            values = [add(values[i], values[i + half]) for i in range(half)]
+        return values[0]
+
+    return a.scalar(a), emit

@@ -1,0 +1,81 @@
+"""Shares work between threads, without numba's threading layers.
+
+Those abort the process when two Python threads start parallel kernels at once (workqueue) or in a
+forked child (OpenMP). Here kernels release the GIL and cover a part of the work each; Python threads
+take one part after another. The parts never depend on the number of threads, so neither do results.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+_local = threading.local()
+_lock = threading.Lock()
+_pool: ThreadPoolExecutor | None = None
+
+
+def available_threads() -> int:
+    """Return how many processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def get_threads() -> int:
+    """Return how many threads the calling thread's kernels share their work between, itself included."""
+    count: int = getattr(_local, "threads", 0)
+    return count or available_threads()
+
+
+def set_threads(count: int) -> None:
+    """Let the calling thread's kernels use so many threads, itself included; at least 1."""
+    _local.threads = max(1, count)
+
+
+def in_parallel(task: Callable[[int], None], count: int) -> None:
+    """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and its helpers.
+
+    A helper that has not begun when all work is taken is not waited for. The first error of a task is raised.
+    """
+    helpers = min(get_threads(), count) - 1
+    if helpers <= 0:
+        for part in range(count):
+            task(part)
+        return
+    parts = itertools.count()
+
+    def work() -> None:
+        while (part := next(parts)) < count:
+            task(part)
+
+    pool = _helpers()
+    futures = [pool.submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        begun = [future for future in futures if not future.cancel()]
+        for future in begun:
+            future.exception()
+    for future in begun:
+        future.result()
+
+
+def _helpers() -> ThreadPoolExecutor:
+    global _pool  # noqa: PLW0603
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="tactune")
+        return _pool
+
+
+def _forget_threads() -> None:
+    """Start anew in a forked child, which has none of its parent's threads."""
+    global _pool, _lock  # noqa: PLW0603
+    _pool = None
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_threads)
