@@ -33,7 +33,11 @@ class Actions:
     calibrate: QAction
     recheck: QAction
     open_folder: QAction
-    open_bag: QAction
+    open_recording: QAction
+    cameras: QAction
+    camera_settings: QAction
+    record: QAction
+    recordings_folder: QAction
     quit: QAction
     undo: QAction
     redo: QAction
@@ -95,7 +99,13 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         calibrate=action("&Calibrate…", "Align both cameras: click points, see how good it is, save it", "Ctrl+K"),
         recheck=action("&Re-check calibration", "Tell on this frame whether the alignment still holds", "Ctrl+Shift+K"),
         open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
-        open_bag=action("Open &bag…", "Open a RealSense .bag recording"),
+        open_recording=action(
+            "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
+        ),
+        cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
+        camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
+        record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
+        recordings_folder=action("Recordings fo&lder…", "Choose where recordings are kept"),
         quit=action("&Quit", shortcut="Ctrl+Q"),
         undo=undo,
         redo=redo,
@@ -140,13 +150,16 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     """Fill the menu bar, and build the two menus of the toolbar from the same actions."""
     parent = bar
     source = QMenu("Source", parent)
+    source.addActions([actions.cameras, actions.camera_settings])
+    source.addSeparator()
     for kind in source_kinds():
         for name in kind.examples:
-            entry = source.addAction(f"{kind.title}: {name.partition(':')[2]}")
+            entry = source.addAction(": ".join(filter(None, (kind.title, name.partition(":")[2]))))
             assert entry is not None
+            entry.setToolTip(kind.description)
             entry.setData(name)
     source.addSeparator()
-    source.addActions([actions.open_folder, actions.open_bag])
+    source.addActions([actions.open_recording, actions.open_folder])
     recent_sources = _submenu(source, "&Recent sources")
 
     preset = QMenu("Preset", parent)
@@ -161,7 +174,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     file_menu.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
     file_menu.addMenu(recent_presets)
     file_menu.addSeparator()
-    file_menu.addActions([actions.open_folder, actions.open_bag])
+    file_menu.addActions([actions.cameras, actions.camera_settings, actions.open_recording, actions.open_folder])
     file_menu.addMenu(recent_sources)
     file_menu.addSeparator()
     file_menu.addActions([actions.export_patch])
@@ -183,6 +196,8 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     playback.addActions([actions.play, actions.previous, actions.next, actions.first])
     playback.addSeparator()
     playback.addActions([actions.loop, actions.freeze])
+    playback.addSeparator()
+    playback.addActions([actions.record, actions.recordings_folder])
     playback.addSeparator()
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 

@@ -84,6 +84,13 @@ class Dialogs:
         """Ask for an existing file."""
         self._ask_path(title, folder, name_filter, QFileDialog.FileMode.ExistingFile, use)
 
+    def open_files(self, title: str, folder: Path, name_filters: list[str], use: Callable[[list[Path]], None]) -> None:
+        """Ask for existing files, one or several."""
+        dialog = self._dialog(title, folder)
+        dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
+        dialog.setNameFilters([*name_filters, "All files (*)"])
+        self._run(dialog, lambda _: use([Path(chosen) for chosen in dialog.selectedFiles()]))
+
     def open_folder(self, title: str, folder: Path, use: Callable[[Path], None]) -> None:
         """Ask for an existing folder."""
         self._ask_path(title, folder, "", QFileDialog.FileMode.Directory, use)

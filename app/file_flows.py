@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
+from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QMimeData, QObject
 
 from ..core.errors import TactuneError
 from ..core.frames import Rig
 from ..core.preset import now
 from ..core.preset_file import load_preset
+from ..core.sources.registry import source_kinds
+from .actions import Actions
 from .dialogs import PRESET_FILTER, Dialogs
 from .document import Document
 from .message_bar import MessageBar, Severity
 from .recovery import Autosave, UnsavedWork, unsaved_work
 from .settings import Settings
 
+#: Kinds of recordings that may lie in two files, one a camera.
+_IN_TWO_FILES = ("bag",)
 EXPORT_FILTERS = ["PLY, binary (*.ply)", "PCD, binary (*.pcd)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
@@ -51,6 +57,16 @@ class FileFlows(QObject):
         self._autosave = autosave
         self._open_source = open_source
         self._rig = rig
+
+    def connect_actions(self, actions: Actions) -> None:
+        """Do what these actions ask for."""
+        actions.new_preset.triggered.connect(lambda _: self.new())
+        actions.open_preset.triggered.connect(self.open_preset_dialog)
+        actions.save.triggered.connect(lambda _: self.save())
+        actions.save_as.triggered.connect(lambda _: self.save_as())
+        actions.details.triggered.connect(self.details)
+        actions.open_folder.triggered.connect(self.open_folder_dialog)
+        actions.open_recording.triggered.connect(self.open_recording_dialog)
 
     # Presets
 
@@ -110,30 +126,42 @@ class FileFlows(QObject):
             "Open a recorded folder", self._folder("source"), lambda path: self._open_recording(f"folder:{path}", path)
         )
 
-    def open_bag_dialog(self) -> None:
-        """Ask for a RealSense bag."""
-        self._dialogs.open_file(
-            "Open a RealSense recording",
-            self._folder("source"),
-            "RealSense recordings (*.bag)",
-            lambda path: self._open_recording(f"bag:{path}", path),
-        )
+    def open_recording_dialog(self) -> None:
+        """Ask for a recording in a file, or for the two files of two cameras."""
+        self._dialogs.open_files("Open a recording", self._folder("source"), recording_filters(), self.open_recordings)
 
-    def open_dropped(self, path: Path) -> None:
-        """Open whatever was dropped on the window, or say why not."""
-        if path.is_dir():
-            self._open_recording(f"folder:{path}", path)
-        elif path.suffix.lower() == ".bag":
-            self._open_recording(f"bag:{path}", path)
-        elif path.suffix.lower() == ".json":
-            self.open_preset(path)
+    def open_recordings(self, paths: list[Path]) -> None:
+        """Open a recording that is a file, or two of one kind that belong together; or say why not."""
+        schemes = {recording_scheme(path) for path in paths}
+        scheme = schemes.pop() if len(schemes) == 1 else ""
+        if not scheme:
+            names = ", ".join(path.name for path in paths)
+            endings = " ".join(recording_endings())
+            what = "is no recording" if len(paths) == 1 else "are not recordings of one kind"
+            self._refuse(f"{names} {what} (files {endings}, or a folder with rig.json); nothing was changed.")
+        elif len(paths) > (2 if scheme in _IN_TWO_FILES else 1):
+            self._refuse("Open one recording at a time, or the two .bag files of two cameras; nothing was changed.")
         else:
-            self._messages.show_message(
-                "file",
-                Severity.ERROR,
-                f"{path.name} is neither a preset (.json) nor a recording (a folder with rig.json, or a .bag file); "
-                "nothing was changed.",
+            self._open_recording(f"{scheme}:{','.join(map(str, sorted(paths)))}", paths[0])
+
+    def open_dropped(self, paths: list[Path]) -> None:
+        """Open whatever was dropped on the window, or say why not."""
+        first = paths[0]
+        if len(paths) == 1 and first.is_dir():
+            self._open_recording(f"folder:{first}", first)
+        elif len(paths) == 1 and first.suffix.lower() == ".json":
+            self.open_preset(first)
+        elif len(paths) == 1 and not recording_scheme(first):
+            self._refuse(
+                f"{first.name} is neither a preset (.json) nor a recording (a folder with rig.json, or a file "
+                f"{' '.join(recording_endings())}); nothing was changed."
             )
+        else:
+            self.open_recordings(paths)
+
+    def recordings_folder_dialog(self, present: Path, use: Callable[[Path], None]) -> None:
+        """Ask where recordings are to be kept."""
+        self._dialogs.open_folder("Folder for recordings", present if present.is_dir() else Path.home(), use)
 
     # Export
 
@@ -203,6 +231,9 @@ class FileFlows(QObject):
         if missing:
             self._document.edit_many(missing)
 
+    def _refuse(self, sentence: str) -> None:
+        self._messages.show_message("file", Severity.ERROR, sentence)
+
     def _open_recording(self, name: str, path: Path) -> None:
         self._settings.set("folder/source", str(path.parent))
         self._open_source(name)
@@ -219,6 +250,34 @@ class FileFlows(QObject):
     def _folder(self, kind: str) -> Path:
         remembered = Path(self._settings.text(f"folder/{kind}", str(Path.home())))
         return remembered if remembered.is_dir() else Path.home()
+
+
+def _patterns() -> dict[str, list[str]]:
+    """Return the file patterns of each kind of recording that is a file."""
+    return {kind.scheme: re.split(r"[ ,;]+", kind.pattern) for kind in source_kinds() if kind.needs == "file"}
+
+
+def recording_endings() -> list[str]:
+    """Return the endings of recordings, such as ``.bag``."""
+    return [pattern.removeprefix("*") for patterns in _patterns().values() for pattern in patterns]
+
+
+def recording_filters() -> list[str]:
+    """Return the filters of a file dialog, all recordings first."""
+    kinds = {kind.scheme: kind.title for kind in source_kinds()}
+    single = [f"{kinds[scheme]} ({' '.join(patterns)})" for scheme, patterns in _patterns().items()]
+    return [f"Recordings ({' '.join(f'*{ending}' for ending in recording_endings())})", *single]
+
+
+def recording_scheme(path: Path) -> str:
+    """Return the kind of source that opens a file, by its name; empty: none."""
+    name = path.name.lower()
+    return next((scheme for scheme, patterns in _patterns().items() if any(map(partial(fnmatch, name), patterns))), "")
+
+
+def local_files(data: QMimeData | None) -> list[Path]:
+    """Return the files and folders of this machine that are dragged."""
+    return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
 
 
 def file_name(name: str) -> str:

@@ -4,21 +4,32 @@ from __future__ import annotations
 
 import time
 
-from PyQt6.QtCore import QObject
+from PyQt6.QtCore import QObject, QTimer
 
+from ..core.sources.base import CameraRole
 from ..widgets.image_strip import ImageStrip
 from ..widgets.parameter_panel import ParameterPanel
 from ..widgets.theme import theme_name
 from .document import Document
 from .message_bar import MessageBar, Severity
 from .readout import readout
-from .results import Result
+from .results import CloudName, Result, SourceState
+from .staleness import badge, short_badge, source_sentence
 from .status import FrameStatus
 from .transport import Transport
 from .view_area import ViewArea
 
 #: The histogram and the readout are read, not watched; while frames run, a few times a second do.
 READING_INTERVAL_S = 0.1
+#: How often the age of an old frame is told anew.
+AGE_INTERVAL_MS = 500
+
+#: Whose images each view is made of.
+_CAMERAS: dict[CloudName, tuple[CameraRole, ...]] = {
+    CloudName.PROXIMITY: ("proximity",),
+    CloudName.TACTILE: ("tactile",),
+    CloudName.PATCH: ("proximity", "tactile"),
+}
 
 
 class FramePresenter(QObject):
@@ -43,6 +54,10 @@ class FramePresenter(QObject):
         self._pixel = (-1, -1)
         self._read_s = 0.0
         self._said: tuple[str, ...] = ()
+        self._state = SourceState()
+        self._ages = QTimer(self)
+        self._ages.setInterval(AGE_INTERVAL_MS)
+        self._ages.timeout.connect(self._show_badges)
         strip.hovered.connect(self._hovered)
 
     @property
@@ -54,8 +69,25 @@ class FramePresenter(QObject):
         """Begin with another source."""
         self._result = None
         self._said = ()
-        for key in ("problem", "health", "rig"):
+        for key in ("problem", "rig"):
             self._messages.clear(key)
+        self.show_state(SourceState())
+
+    def show_state(self, state: SourceState) -> None:
+        """Show how the source is doing: over the views what is old, above them what else is wrong."""
+        self._state = state
+        self._messages.state("health", Severity.WARNING, source_sentence(state))
+        self._status.show_state(state)
+        self._show_badges()
+        if state.stale:
+            self._ages.start()
+        else:
+            self._ages.stop()
+
+    def _show_badges(self) -> None:
+        now_s, shown = time.monotonic(), self._result is not None
+        self._views.show_badges({name: badge(self._state, roles, now_s, shown) for name, roles in _CAMERAS.items()})
+        self._strip.set_badge(short_badge(self._state, now_s) if shown else "")
 
     def show(self, result: Result) -> None:
         """Show a result; what was not drawn for it stays as it is."""
@@ -81,19 +113,12 @@ class FramePresenter(QObject):
 
     def _show_warnings(self, result: Result) -> None:
         """Say what is wrong once; a dismissed sentence stays away until it changes."""
-        said = (result.problem, result.health, *result.warnings)
+        said = (result.problem, *result.warnings)
         if said == self._said:
             return
         self._said = said
-        for key, severity, sentence in (
-            ("problem", Severity.ERROR, result.problem),
-            ("health", Severity.WARNING, result.health),
-            ("rig", Severity.WARNING, " ".join(result.warnings)),
-        ):
-            if sentence:
-                self._messages.show_message(key, severity, sentence)
-            else:
-                self._messages.clear(key)
+        self._messages.state("problem", Severity.ERROR, result.problem)
+        self._messages.state("rig", Severity.WARNING, " ".join(result.warnings))
 
     def _hovered(self, u: int, v: int) -> None:
         self._pixel = u, v

@@ -101,6 +101,12 @@ def _export(painter: QPainter) -> None:
     painter.drawLine(QPointF(3, 13), QPointF(13, 13))
 
 
+def _record(painter: QPainter) -> None:
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(QColor("#d64545"))
+    painter.drawEllipse(QPointF(8, 8), 5, 5)
+
+
 _DRAWINGS: dict[str, Draw] = {
     "play": _play,
     "pause": _pause,
@@ -110,9 +116,10 @@ _DRAWINGS: dict[str, Draw] = {
     "freeze": _freeze,
     "reset": _reset,
     "export": _export,
+    "record": _record,
 }
 
 
 def icon(name: str) -> QIcon:
-    """Return an icon by its name: play, pause, next, previous, loop, freeze, reset, export."""
+    """Return an icon by its name: play, pause, next, previous, loop, freeze, reset, export, record."""
     return QIcon(_PaletteIcon(_DRAWINGS[name]))

@@ -19,17 +19,21 @@ from ..widgets.parameter_panel import ParameterPanel
 from ..widgets.theme import ThemeChoice, apply_theme, theme_name
 from .actions import make_actions, make_menus
 from .calibration.launcher import CalibrationLauncher
+from .cameras.control import CAMERAS
 from .dialogs import Dialogs
 from .document import Document
 from .error_hook import ErrorHook
 from .eyedropper import Eyedropper
-from .file_flows import FileFlows
+from .file_flows import FileFlows, local_files
 from .frame_export import export_patch
 from .frame_presenter import FramePresenter
 from .help import show_about, show_shortcuts
 from .layout_memory import remember_layout, restore_layout
+from .live_controls import LiveControls
 from .message_bar import MessageBar, Severity
+from .opening import SourceRequest
 from .opening_bar import OpeningBar
+from .recording_bar import RecordingBar
 from .recovery import Autosave
 from .results import Result, SourceInfo, Wanted
 from .settings import Settings
@@ -38,7 +42,7 @@ from .strip_splitter import StripSplitter
 from .toolbar import ToolBar
 from .transport import Transport
 from .view_area import ViewArea
-from .worker import SourceRequest, Worker
+from .worker import Worker
 
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
@@ -87,6 +91,7 @@ class MainWindow(QMainWindow):
         self.actions_ = make_actions(self, self.document.undo_stack)
         self.messages = MessageBar()
         self.opening = OpeningBar()
+        self.recording_bar = RecordingBar()
         self.views = ViewArea(self.actions_, backend)
         self.strip = ImageStrip()
         self.panel = ParameterPanel()
@@ -110,6 +115,7 @@ class MainWindow(QMainWindow):
         self.calibration = CalibrationLauncher(
             self.worker, self.document, self.messages, data_folder / "calibration", self, native_dialogs, backend
         )
+        self.live = LiveControls(self)
         self._closing = False
         self._lay_out()
         self._connect()
@@ -149,6 +155,7 @@ class MainWindow(QMainWindow):
         column.setSpacing(2)
         column.addWidget(self.messages)
         column.addWidget(self.opening)
+        column.addWidget(self.recording_bar)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
@@ -183,8 +190,9 @@ class MainWindow(QMainWindow):
         worker.opening.connect(self.opening.show_progress)
         worker.opened.connect(self._opened)
         worker.openFailed.connect(self._open_failed)
-        worker.failed.connect(lambda sentence: self.messages.show_message("worker", Severity.ERROR, sentence))
+        worker.failed.connect(partial(self.messages.state, "worker", Severity.ERROR))
         worker.playbackChanged.connect(transport.show_state)
+        worker.stateChanged.connect(self.presenter.show_state)
         transport.seekRequested.connect(worker.seek)
         transport.held.connect(worker.set_held)
         self.opening.cancelled.connect(worker.cancel_open)
@@ -201,13 +209,7 @@ class MainWindow(QMainWindow):
         actions.first.triggered.connect(lambda: worker.seek(0))
         actions.loop.triggered.connect(worker.set_loop)
         actions.freeze.triggered.connect(worker.set_frozen)
-        actions.new_preset.triggered.connect(lambda _: flows.new())
-        actions.open_preset.triggered.connect(flows.open_preset_dialog)
-        actions.save.triggered.connect(lambda _: flows.save())
-        actions.save_as.triggered.connect(lambda _: flows.save_as())
-        actions.details.triggered.connect(flows.details)
-        actions.open_folder.triggered.connect(flows.open_folder_dialog)
-        actions.open_bag.triggered.connect(flows.open_bag_dialog)
+        flows.connect_actions(actions)
         actions.export_patch.triggered.connect(self._export)
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
@@ -242,7 +244,12 @@ class MainWindow(QMainWindow):
 
     def open_source(self, name: str) -> None:
         """Open a source by its name; the present one goes on until that has succeeded."""
-        self.open_request(SourceRequest(name, lambda progress: open_source(name, progress)))
+        cameras = self.document.preset.cameras
+        self.open_request(
+            SourceRequest(
+                name, lambda progress: open_source(name, progress, cameras), exclusive=name.startswith(CAMERAS)
+            )
+        )
 
     def open_request(self, request: SourceRequest) -> None:
         """Open a source that somebody else makes."""
@@ -264,7 +271,7 @@ class MainWindow(QMainWindow):
             self.views.show_message(_OPENING)
         self.settings.add_recent("sources", info.name)
         self.toolbar.show_source(info.name)
-        self.status.show_source(_describe(info))
+        self.status.show_source(info)
         height, width = info.rig.proximity.intrinsics.shape
         self.left.set_aspect(height / width)
 
@@ -301,10 +308,7 @@ class MainWindow(QMainWindow):
         )
 
     def _play_or_pause(self) -> None:
-        if self.transport.state.running:
-            self.worker.pause()
-        else:
-            self.worker.play()
+        (self.worker.pause if self.transport.state.running else self.worker.play)()
 
     def _export(self) -> None:
         result = self.result
@@ -358,28 +362,30 @@ class MainWindow(QMainWindow):
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
         """Take files; what they are is said when they are dropped."""
-        data = event.mimeData() if event is not None else None
-        if event is not None and data is not None and data.hasUrls():
+        if event is not None and local_files(event.mimeData()):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:
         """Open a preset or a recording."""
-        data = event.mimeData() if event is not None else None
-        paths = [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()] if data is not None else []
-        if event is None or not paths:
-            return
-        event.acceptProposedAction()
-        self.file_flows.open_dropped(paths[0])
+        paths = local_files(event.mimeData() if event is not None else None)
+        if event is not None and paths:
+            event.acceptProposedAction()
+            self.file_flows.open_dropped(paths)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Ask about unsaved changes; then remember the layout and stop the worker."""
+        """Ask about unsaved changes and finish a recording; then remember the layout and stop the worker."""
         if event is None:
             return
         if not self._closing and self.document.dirty:
             event.ignore()
             self.file_flows.guarded(self.close_without_asking)
             return
+        if self.live.recording.running:
+            event.ignore()
+            self.live.recording.finish(self.close_without_asking)
+            return
         remember_layout(self, self.settings)
+        self.live.close()
         self.calibration.close()
         self.worker.shut_down()
         self.autosave.close()
@@ -390,11 +396,3 @@ class MainWindow(QMainWindow):
         """Close, whatever is unsaved."""
         self._closing = True
         self.close()
-
-
-def _describe(info: SourceInfo) -> str:
-    """Say where the frames come from and which cameras took them, the most telling first."""
-    rig = info.rig
-    cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
-    length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
-    return f"{length}, {info.name}, {cameras}"

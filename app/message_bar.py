@@ -130,6 +130,13 @@ class MessageBar(QWidget):
             self.clear(next(iter(self._messages)))
         self.show()
 
+    def state(self, key: str, severity: Severity, sentence: str) -> None:
+        """Show a sentence, or put the message away where there is nothing to say any more."""
+        if sentence:
+            self.show_message(key, severity, sentence)
+        else:
+            self.clear(key)
+
     def clear(self, key: str) -> None:
         """Put a message away, if there is one of that key."""
         message = self._messages.pop(key, None)

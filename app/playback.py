@@ -41,7 +41,8 @@ class Playback:
     """Paces a source at its own frame rate times a speed factor.
 
     A recording is never skipped through: where a frame takes longer than its period, the recording
-    plays slower, and after a hold-up it does not race to catch up. Live sources pace themselves.
+    plays slower, and after a hold-up it does not race to catch up. Live sources pace themselves: of
+    them only whether they run is kept here.
     """
 
     def __init__(self) -> None:
@@ -88,17 +89,15 @@ class Playback:
         self.playing = False
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until the next frame is due (0: now); None while nothing is to be played."""
-        if not self.playing or (self.length is not None and (self.frozen or self.held)):
+        """Seconds until the next frame of a recording is due (0: now); None while nothing is to be played."""
+        if self.length is None or not self.playing or self.frozen or self.held:
             return None
-        if self.length is None:
-            return 0.0
         return max(0.0, self._due_s - now_s)
 
     def following_index(self) -> int | None:
-        """Index of the frame that comes next, or None at the end."""
+        """Index of the frame of a recording that comes next, or None at the end."""
         following = self.index + 1
-        if self.length is None or following < self.length:
+        if self.length is not None and following < self.length:
             return following
         return 0 if self.loop else None
 

@@ -15,6 +15,7 @@ from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
 from ..core.provenance import Provenance
+from ..core.sources.base import Health
 from .playback import PlaybackState
 
 if TYPE_CHECKING:
@@ -95,6 +96,28 @@ class SourceInfo:
     frame_rate_hz: float
 
 
+@dataclass(frozen=True)
+class SourceState:
+    """How the source is doing, told apart from its frames because it matters most while none come.
+
+    Attributes
+    ----------
+    health : Health
+        What the source says of itself.
+    stale : bool
+        The frame that was read last is old.
+    problem : str
+        Why no frame can be read, in one sentence.
+    last_frame_s : float
+        When the last frame came, by ``time.monotonic``; only while ``stale``.
+    """
+
+    health: Health = field(default_factory=Health)
+    stale: bool = False
+    problem: str = ""
+    last_frame_s: float = 0.0
+
+
 @dataclass(frozen=True, eq=False)
 class Result:
     """One processed frame.
@@ -109,6 +132,8 @@ class Result:
         As it was when the frame was taken.
     processed, dropped : int
         Frames processed since the start, and those never shown because newer ones came first.
+    unmatched : int
+        Images without a partner from the other camera.
     """
 
     source: SourceInfo
@@ -120,9 +145,9 @@ class Result:
     playback: PlaybackState
     problem: str = ""
     warnings: tuple[str, ...] = ()
-    health: str = ""
     processed: int = 0
     dropped: int = 0
+    unmatched: int = 0
     processed_fps: float = 0.0
     read_ms: float = 0.0
     render_ms: float = 0.0

@@ -20,6 +20,11 @@ def default_settings_file() -> Path:
     return Path(platformdirs.user_config_dir("tactune")) / "window.ini"
 
 
+def default_recordings_folder() -> Path:
+    """Return the folder for recordings, beside the person's other documents."""
+    return Path(platformdirs.user_documents_dir()) / "Tactune"
+
+
 class Settings:
     """Typed access to the remembered values; a file that is missing or damaged means defaults."""
 

@@ -7,7 +7,7 @@ import time
 from PyQt6.QtWidgets import QLabel, QStatusBar, QWidget
 
 from ..widgets.elided_label import ElidedLabel
-from .results import RateMeter, Result
+from .results import RateMeter, Result, SourceInfo, SourceState
 
 #: Numbers that change thirty times a second cannot be read; a few times is enough.
 INTERVAL_S = 0.2
@@ -26,11 +26,15 @@ class FrameStatus(QStatusBar):
         self._source = ElidedLabel()
         self.addWidget(self._source, 1)
         self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
-        self._dropped = self._number("0000 dropped", "Frames not drawn because a newer one was ready")
+        self._dropped = self._number(
+            "0000 dropped",
+            "Dropped: frames not drawn because a newer one was ready, or lost on their way\n"
+            "Unmatched: images without a partner from the other camera in time",
+        )
         self._stages = self._number(
             "align 00.0  tolerance 00.0  mask 00.0  outliers 00.0 ms", "Milliseconds per stage; 0 is cached or skipped"
         )
-        self._skew = self._number("skew 00.0 ms", "Tactile minus proximity time stamp")
+        self._skew = self._number("skew 00.0 ms", "Skew: tactile minus proximity time stamp, in milliseconds")
         self._points = self._number("000000 points", "Points of the patch")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
@@ -39,9 +43,20 @@ class FrameStatus(QStatusBar):
         """Frames drawn per second, over the last two seconds."""
         return self._shown_rate.rate()
 
-    def show_source(self, text: str) -> None:
-        """Name the source."""
-        self._source.setText(text)
+    def show_source(self, info: SourceInfo) -> None:
+        """Say where the frames come from and which cameras took them, the most telling first."""
+        rig = info.rig
+        cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
+        length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
+        self._source.setText(f"{length}, {info.name}, {cameras}")
+
+    def show_state(self, state: SourceState) -> None:
+        """Say that no frame comes, since no frame will say so."""
+        if state.stale:
+            self._rates.setText("no frame comes")
+
+    def _show_losses(self, dropped: int, unmatched: int) -> None:
+        self._dropped.setText(f"{dropped} dropped" + (f", {unmatched} unmatched" if unmatched else ""))
 
     def show_result(self, result: Result) -> None:
         """Count a frame as shown and refresh the numbers when it is time."""
@@ -55,7 +70,7 @@ class FrameStatus(QStatusBar):
             f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "standing still"
         )
         self._rates.setText(rates)
-        self._dropped.setText(f"{result.dropped} dropped")
+        self._show_losses(result.dropped, result.unmatched)
         self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
         if result.patch is None:
             for label in (self._stages, self._points, self._area):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -117,6 +118,11 @@ class ViewArea(QWidget):
                 view.set_cloud(clouds[name])
                 self._show_legend(name, result, theme)
                 view.set_message(_why_empty(name, result))
+
+    def show_badges(self, badges: Mapping[CloudName, str]) -> None:
+        """Mark views whose frame is old."""
+        for name, view in self.views.items():
+            view.set_badge(badges.get(name, ""))
 
     def show_message(self, message: str) -> None:
         """Empty all views and say what happens or what to do."""

@@ -1,4 +1,7 @@
-"""The worker: reads frames, finds the contact patch, draws what is looked at; one thread.
+"""The worker: reads frames, finds the contact patch, draws what is looked at.
+
+A recording is read when a frame is due. A live source is drained by a thread of its own, which
+leaves the newest frame and wakes the worker, so that orders are obeyed at once while no frame comes.
 
 The window never waits for it. Orders go in through a queue; results come out through a one-slot
 mailbox, with one wake-up however many frames were dropped in between.
@@ -9,41 +12,29 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
-from ..core.errors import TactuneError
 from ..core.frames import SensorFrame
-from ..core.pipeline import ContactPatch, ContactPipeline
 from ..core.preset import Preset
-from ..core.sources.base import FrameSource
+from ..core.sources.base import CameraOption, CameraRole, FrameSource
 from .cores import leave_room_for_the_window
+from .explain import explain
+from .live_reader import LiveReader
 from .mailbox import Mailbox
+from .opening import SourceRequest, open_requested
 from .playback import Playback
+from .processing import FrameProcessor
 from .reader import FrameReader
-from .rendering import Renderer
-from .results import RateMeter, Result, SourceInfo, Wanted
+from .recorder import Recorder, RecordingRequest
+from .results import Result, SourceInfo, SourceState, Wanted
 
 #: Python's 5 ms between thread switches would make the window wait for the worker's Python code.
 SWITCH_INTERVAL_S = 0.0005
-_PROGRESS_INTERVAL_S = 0.05
-
-Progress = Callable[[float, str], None]
-
-
-@dataclass(frozen=True)
-class SourceRequest:
-    """A source to open: what to call it meanwhile and how to open it."""
-
-    name: str
-    open: Callable[[Progress], FrameSource]
-
-
-class _OpeningCancelledError(TactuneError):
-    """Raised inside a source that is being opened, to leave it."""
 
 
 class Worker(QThread):
@@ -58,9 +49,19 @@ class Worker(QThread):
     openFailed(name: str, sentence: str)
         The sentence is empty where opening was cancelled. The former source goes on.
     failed(sentence: str)
-        Reading or processing a frame failed; playback is paused, the worker lives on.
+        Reading or processing a frame failed. A recording is paused; a live source goes on, and an
+        empty sentence follows when it is well again.
     playbackChanged(PlaybackState)
         Playing, looping, frozen or the speed changed; the frame number comes with each result.
+    stateChanged(SourceState)
+        How the source is doing, also while no frame comes.
+    optionsChanged(options: tuple[CameraOption, ...])
+        The settings of the source's cameras; empty for recordings.
+    optionRefused(sentence: str)
+    recordingStarted(path: Path)
+    recordingFailed(sentence: str)
+        It could not be started.
+    recordingEnded(RecordingEnd)
     """
 
     resultReady = pyqtSignal()
@@ -69,25 +70,33 @@ class Worker(QThread):
     openFailed = pyqtSignal(str, str)
     failed = pyqtSignal(str)
     playbackChanged = pyqtSignal(object)
+    stateChanged = pyqtSignal(object)
+    optionsChanged = pyqtSignal(object)
+    optionRefused = pyqtSignal(str)
+    recordingStarted = pyqtSignal(object)
+    recordingFailed = pyqtSignal(str)
+    recordingEnded = pyqtSignal(object)
 
     def __init__(self, preset: Preset, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._orders: SimpleQueue[Callable[[], None]] = SimpleQueue()
+        self.recorder = Recorder(self.recordingEnded.emit)
+        self._orders: SimpleQueue[Callable[[], object]] = SimpleQueue()
         self._mailbox: Mailbox[Result] = Mailbox(lambda old, new: old.frame is new.frame)
         self._request: SourceRequest | None = None
         self._stopping = False
         self._playback = Playback()
         self._preset = preset
         self._wanted = Wanted()
-        self._renderer = Renderer()
+        self._processor = FrameProcessor()
         self._reader: FrameReader | None = None
+        self._live: LiveReader | None = None
+        self._state = SourceState()
         self._info: SourceInfo | None = None
-        self._pipeline: ContactPipeline | None = None
         self._frame: SensorFrame | None = None
+        self._newest: SensorFrame | None = None
+        self._failing = False
         self._told = self._playback.state
-        self._stale = False
-        self._processed = 0
-        self._processed_rate = RateMeter()
+        self._redo = False
 
     # Orders, from any thread
 
@@ -120,7 +129,7 @@ class Worker(QThread):
         self._orders.put(self._playback.play)
 
     def pause(self) -> None:
-        """Stand still at the present frame."""
+        """Stand still at the present frame; a live source goes on behind it."""
         self._orders.put(self._stand_still)
 
     def step(self, by: int) -> None:
@@ -147,8 +156,20 @@ class Worker(QThread):
         """Make a recording wait while the person drags its slider."""
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
+    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        """Change a setting of a camera."""
+        self._orders.put(lambda: self._set_option(camera, name, value))
+
+    def start_recording(self, path: Path) -> None:
+        """Record into a file every frame that the source delivers: of a recording, those that are played."""
+        self._orders.put(lambda: self._start_recording(path))
+
+    def stop_recording(self, reason: str = "") -> None:
+        """Finish the file; `recordingEnded` tells when that is done."""
+        self._orders.put(lambda: self.recorder.stop(reason))
+
     def shut_down(self) -> None:
-        """Stop, release the source and wait until the thread has ended."""
+        """Stop, finish a recording, release the source and wait until the thread has ended."""
         self._request = None
         self._orders.put(lambda: setattr(self, "_stopping", True))
         self.wait()
@@ -166,14 +187,24 @@ class Worker(QThread):
                 if self._stopping:
                     break
                 self._tell_playback()
-                due = self._reader is not None and self._playback.wait_s(time.perf_counter()) == 0.0
-                if self._stale and self._frame is not None and (self._playback.frozen or not due):
-                    self._process(self._frame)
-                elif due:
-                    self._advance()
+                self._carry_on()
         finally:
-            if self._reader is not None:
-                self._reader.close()
+            self._close_source()
+            self.recorder.close()
+
+    def _carry_on(self) -> None:
+        """Do what is due now: a new frame, or the present one again."""
+        newest = self._newest
+        if newest is not None and newest is not self._frame and self._playback.state.running:
+            self._playback.shown(newest.sequence, time.perf_counter())
+            self._frame = newest
+            self._process(newest)
+            return
+        due = self._reader is not None and self._playback.wait_s(time.perf_counter()) == 0.0
+        if self._redo and self._frame is not None and (self._playback.frozen or not due):
+            self._process(self._frame)
+        elif due:
+            self._advance()
 
     def _tell_playback(self) -> None:
         """Tell of another mode of playback; the frame number comes with each result."""
@@ -184,7 +215,7 @@ class Worker(QThread):
 
     def _idle_s(self) -> float | None:
         """How long there is nothing to do but wait for orders; None: for ever."""
-        if self._stale and self._frame is not None:
+        if self._redo and self._frame is not None:
             return 0.0
         return self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
 
@@ -200,51 +231,106 @@ class Worker(QThread):
 
     def _change(self, name: str, value: Any) -> None:
         setattr(self, name, value)
-        self._stale = True
+        self._redo = True
 
     def _open(self, request: SourceRequest) -> None:
-        last_report_s = 0.0
-
-        def progress(fraction: float, text: str) -> None:
-            nonlocal last_report_s
-            if self._request is not request:
-                raise _OpeningCancelledError(f"opening {request.name} was cancelled")
-            if time.perf_counter() - last_report_s > _PROGRESS_INTERVAL_S:
-                last_report_s = time.perf_counter()
-                self.opening.emit(request.name, fraction, text)
-
-        self.opening.emit(request.name, 0.0, "")
+        if request.exclusive and self._live is not None:
+            closed = f"{self._live.source.name} was closed for {request.name}."
+            self._close_source(f"{request.name} is being opened")
+            self._tell_state(SourceState(stale=True, problem=closed, last_frame_s=time.monotonic()))
         try:
-            source = request.open(progress)
+            source = open_requested(
+                request,
+                lambda: self._request is request,
+                lambda fraction, text: self.opening.emit(request.name, fraction, text),
+            )
         except Exception as error:
             sentence = "" if self._request is not request else explain(error, f"{request.name} could not be opened")
             self.openFailed.emit(request.name, sentence)
             return
-        if self._request is not request:
-            source.close()
-            self.openFailed.emit(request.name, "")
-            return
         self._use_source(source)
 
     def _use_source(self, source: FrameSource) -> None:
-        if self._reader is not None:
-            self._reader.close()
-        self._reader = FrameReader(source)
+        self._close_source(f"{source.name} was opened")
         self._info = SourceInfo(source.name, source.rig, source.length, source.frame_rate_hz)
-        self._pipeline = None
-        self._frame = None
+        self._processor.forget()
         self._playback.start_source(source.length, source.frame_rate_hz)
         self.opened.emit(self._info)
+        if source.length is None:
+            self._live = LiveReader(source, self.recorder.put, self)
+            return
+        self._reader = FrameReader(source)
+        self.optionsChanged.emit(source.options())
+        self._tell_state(SourceState(source.health()))
         if not self._playback.playing:
             self._show(0)
 
+    def _close_source(self, reason: str = "") -> None:
+        """Let go of the present source, and finish its recording."""
+        self.recorder.stop(reason)
+        for reader in (self._live, self._reader):
+            if reader is not None:
+                reader.close()
+        self._live, self._reader, self._frame, self._newest = None, None, None, None
+        self._state = SourceState()
+
+    # What the reader of a live source tells, on its own thread
+
+    def frame_arrived(self, reader: LiveReader) -> None:
+        """Take the newest frame as soon as the worker has time for it."""
+        self._orders.put(lambda: self._take_newest(reader))
+
+    def state_changed(self, reader: LiveReader, state: SourceState) -> None:
+        """Tell how the source is doing."""
+        self._orders.put(lambda: self._tell_state(state) if reader is self._live else None)
+
+    def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
+        """Tell the settings of the cameras."""
+        self._orders.put(lambda: self.optionsChanged.emit(options) if reader is self._live else None)
+
+    def option_refused(self, reader: LiveReader, sentence: str) -> None:
+        """Tell that a setting could not be changed."""
+        self._orders.put(lambda: self.optionRefused.emit(sentence) if reader is self._live else None)
+
+    # Steps
+
+    def _take_newest(self, reader: LiveReader) -> None:
+        if reader is self._live:
+            self._newest = reader.take() or self._newest
+
+    def _tell_state(self, state: SourceState) -> None:
+        if state != self._state:
+            self._state = state
+            self.stateChanged.emit(state)
+
+    def _set_option(self, camera: CameraRole, name: str, value: float) -> None:
+        if self._live is not None:
+            self._live.set_option(camera, name, value)
+        else:
+            self.optionRefused.emit("No camera is open that could be set: open one in the Source menu.")
+
+    def _start_recording(self, path: Path) -> None:
+        if self._info is None or (self._live is None and self._reader is None):
+            self.recordingFailed.emit("There is nothing to record yet: open a source first.")
+            return
+        info = self._info
+        try:
+            reference = self._reader.reference() if self._reader is not None else None
+            self.recorder.start(RecordingRequest(path, info.rig, self._preset, info.frame_rate_hz, reference))
+        except Exception as error:
+            self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
+            return
+        if self._live is None and self._frame is not None:
+            self.recorder.put(self._frame, wait=True)  # a recording of a recording begins with what is shown
+        self.recordingStarted.emit(path)
+
     def _stand_still(self) -> None:
         self._playback.pause()
-        self._stale = True  # what stands still is drawn in full
+        self._redo = True  # what stands still is drawn in full
 
     def _freeze(self, frozen: bool) -> None:
         self._playback.frozen = frozen
-        self._stale = True
+        self._redo = True
 
     def _step(self, by: int) -> None:
         self._playback.pause()
@@ -255,92 +341,59 @@ class Worker(QThread):
 
     def _advance(self) -> None:
         index = self._playback.next_index()
-        if index is not None:
-            self._show(index)
+        if index is not None and (frame := self._show(index)) is not None:
+            self.recorder.put(frame, wait=True)
 
-    def _show(self, index: int) -> None:
-        """Read frame ``index`` (of a live source: the next one), process and post it."""
+    def _show(self, index: int) -> SensorFrame | None:
+        """Read frame ``index`` of a recording, process and post it; return it."""
         if self._reader is None or self._info is None:
-            return
+            return None
         started = time.perf_counter()
         try:
             frame = self._reader.read(index)
         except Exception as error:
             self._fail(explain(error, f"frame {index} of {self._info.name} could not be read"))
-            return
+            return None
         if frame is None:
             self._playback.pause()
-            return
+            return None
         self._playback.shown(index, time.perf_counter())
-        if self._playback.playing and self._info.length is not None:
-            self._read_ahead()
-        if self._playback.frozen and self._frame is not None and self._info.length is None:
-            return
+        if self._playback.playing:
+            self._reader.read_ahead(self._playback.following_index())
+        self._tell_state(SourceState(self._reader.source.health()))
         self._frame = frame
         self._process(frame, read_ms=1e3 * (time.perf_counter() - started))
-
-    def _read_ahead(self) -> None:
-        """Have the next frame read while this one is processed; errors appear when it is its turn."""
-        following = self._playback.following_index()
-        if self._reader is not None and following is not None:
-            self._reader.read_ahead(following)
+        return frame
 
     def _process(self, frame: SensorFrame, read_ms: float = 0.0) -> None:
         assert self._info is not None
-        self._stale = False
+        self._redo = False
+        health = self._state.health
+        not_taken = self._live.dropped if self._live is not None else 0
         try:
-            patch, problem = self._find_patch(frame)
-            started = time.perf_counter()
-            wanted = self._wanted.while_running() if self._playback.state.running else self._wanted
-            rendered = self._renderer.render(frame, patch, self._preset, self._info.rig, wanted)
-            render_ms = 1e3 * (time.perf_counter() - started)
-            area_mm2 = patch.area_mm2 if patch is not None else 0.0
+            result = self._processor.process(
+                self._info,
+                frame,
+                self._preset,
+                self._wanted,
+                self._playback.state,
+                dropped=self._mailbox.dropped + not_taken + health.dropped,
+                unmatched=health.unmatched,
+                read_ms=read_ms,
+            )
         except Exception as error:
             self._fail(explain(error, f"frame {frame.sequence} of {self._info.name} could not be processed"))
             return
-        self._processed += 1
-        self._processed_rate.tick()
-        source_health = self._reader.source.health() if self._reader is not None else None
-        result = Result(
-            source=self._info,
-            frame=frame,
-            preset=self._preset,
-            patch=patch,
-            area_mm2=area_mm2,
-            rendered=rendered,
-            playback=self._playback.state,
-            problem=problem,
-            warnings=tuple(self._pipeline.warnings) if self._pipeline is not None else (),
-            health=source_health.message if source_health is not None else "",
-            processed=self._processed,
-            dropped=self._mailbox.dropped + (source_health.dropped if source_health is not None else 0),
-            processed_fps=self._processed_rate.rate(),
-            read_ms=read_ms,
-            render_ms=render_ms,
-        )
+        if self._failing:
+            self._failing = False
+            self.failed.emit("")
         if self._mailbox.put(result):
             self.resultReady.emit()
 
-    def _find_patch(self, frame: SensorFrame) -> tuple[ContactPatch | None, str]:
-        """Return the patch, or None and why this preset cannot be used with this rig."""
-        assert self._info is not None
-        try:
-            if self._pipeline is None:
-                self._pipeline = ContactPipeline(self._preset, self._info.rig)
-            elif self._pipeline.preset is not self._preset:
-                self._pipeline.update(self._preset)
-            return self._pipeline.process(frame), ""
-        except TactuneError as error:
-            self._pipeline = None
-            return None, str(error)
-
     def _fail(self, sentence: str) -> None:
-        self._playback.pause()
+        if self._live is None:
+            self._playback.pause()
+        elif self._failing:
+            return  # frame after frame fails: saying it once is enough
+        self._failing = self._live is not None
         self.failed.emit(sentence)
-
-
-def explain(error: Exception, what: str) -> str:
-    """Turn an error into one sentence; the tool's own errors speak for themselves."""
-    if isinstance(error, TactuneError):
-        return str(error)
-    return f"{what[0].upper()}{what[1:]} ({type(error).__name__}: {error})."

@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QWidget
 
 from .cloud_data import DepthCloud
 from .colormaps import palette_theme
+from .stale_badge import paint_badge
 from .view_camera import ViewCamera
 
 _AXIS_COLORS = {
@@ -26,7 +27,7 @@ class CloudScene:
     """The state that a view shares with the canvas that draws it.
 
     ``point_size`` is in device-independent pixels; ``message`` is painted when not empty, ``note``
-    is painted small in the lower right corner.
+    is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it.
     """
 
     cloud: DepthCloud | None = None
@@ -34,6 +35,7 @@ class CloudScene:
     point_size: float = 2.0
     message: str = ""
     note: str = ""
+    badge: str = ""
 
     @staticmethod
     def background(widget: QWidget) -> tuple[int, int, int]:
@@ -43,7 +45,9 @@ class CloudScene:
 
 
 def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None:
-    """Paint the axes, the message and the note over a drawn cloud."""
+    """Paint the axes, the message, the note and the badge over a drawn cloud."""
+    if scene.badge:
+        paint_badge(painter, QRectF(widget.rect()), widget.palette(), widget.font(), scene.badge)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     _paint_axes(painter, widget, scene.camera)
     if scene.note:

@@ -145,6 +145,17 @@ class CloudView(QWidget):
         """Return the message that is visible now: empty while there are points."""
         return self._scene.message
 
+    def set_badge(self, text: str) -> None:
+        """Mark the cloud as old and say why; nothing: it is what the cameras see."""
+        if text != self._scene.badge:
+            self._scene.badge = text
+            self.setAccessibleDescription(text)
+            self._canvas.update()
+
+    def badge(self) -> str:
+        """Return why the cloud is old; empty while it is not."""
+        return self._scene.badge
+
     def _show_count(self) -> None:
         count = self.point_count()
         self._header.set_count(count)

@@ -15,6 +15,7 @@ Kind = Literal["flag", "choice", "number", "range", "rectangle", "matrix"]
 _SHOWN_UNITS: dict[str, tuple[float, str]] = {
     "": (1.0, ""),
     "m": (1000.0, " mm"),
+    "s": (1000.0, " ms"),
     "mm2": (1.0, " mm²"),
     "px": (1.0, " px"),
     "points": (1.0, ""),
@@ -24,6 +25,7 @@ _SHOWN_UNITS: dict[str, tuple[float, str]] = {
 
 _UNIT_WORDS = {
     "m": "millimetres",
+    "s": "milliseconds",
     "mm2": "square millimetres",
     "px": "pixels",
     "points": "a number of points",
@@ -119,6 +121,16 @@ def section_fields(model: type[BaseModel], prefix: str) -> Iterator[FieldSpec]:
             yield from section_fields(info.annotation, path)
         else:
             yield _read_field(path, info)
+
+
+def field_spec(model: type[BaseModel], path: str) -> FieldSpec:
+    """Return one field by its dotted path, also a hidden one."""
+    *parents, last = path.split(".")
+    for parent in parents:
+        inner = model.model_fields[parent].annotation
+        assert isinstance(inner, type) and issubclass(inner, BaseModel)
+        model = inner
+    return _read_field(path, model.model_fields[last])
 
 
 def _read_field(path: str, info: FieldInfo) -> FieldSpec:

@@ -13,6 +13,7 @@ from PyQt6.QtGui import QImage, QMouseEvent, QPainter
 from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from .pane_header import PaneHeader
+from .stale_badge import StaleBadge
 from .theme import theme_colors
 
 _SMALLEST_VIEW = 6.0
@@ -113,6 +114,7 @@ class ImagePane(QWidget):
         self._empty = QLabel("", self.view)
         self._empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self._empty.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self._badge = StaleBadge(self.view)
 
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -138,6 +140,10 @@ class ImagePane(QWidget):
         """Say why there is no image; empty where there is one."""
         self._empty.setText(text)
         self._empty.setGeometry(self.view.rect())
+
+    def set_badge(self, text: str) -> None:
+        """Mark the image as old and say so; nothing: it is what the cameras see."""
+        self._badge.set_text(text)
 
     def set_cross(self, u: int, v: int) -> None:
         """Mark a pixel; negative numbers unmark."""
@@ -178,6 +184,7 @@ class ImagePane(QWidget):
         """Keep the message in the middle."""
         super().resizeEvent(event)
         self._empty.setGeometry(self.view.rect())
+        self._badge.setGeometry(self.view.rect())
 
     def _recolor(self) -> None:
         self.view.setBackground(theme_colors().base)

@@ -99,6 +99,11 @@ class ImageStrip(QWidget):
             self.reset_view()
         self._show_legends(rendered)
 
+    def set_badge(self, text: str) -> None:
+        """Mark the images as old and say so; nothing: they are what the cameras see."""
+        for pane in self.panes.values():
+            pane.set_badge(text)
+
     def set_readout(self, text: str) -> None:
         """Say what is known of the pixel pointed at."""
         self._readout.setText(text)

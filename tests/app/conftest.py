@@ -141,6 +141,7 @@ def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[...
     for window in windows:
         if window.worker.isRunning():
             window.close_without_asking()
+            qtbot.waitUntil(window.worker.isFinished)  # a recording is finished first
         window.deleteLater()
     QApplication.processEvents()
 

@@ -1,0 +1,1 @@
+"""Live cameras in the window: which ones, and how they are set."""

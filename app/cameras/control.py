@@ -1,0 +1,144 @@
+"""Cameras, as the person sees them: choosing them, setting them, all kept in the preset."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PyQt6.QtCore import QObject
+from PyQt6.QtWidgets import QWidget
+
+from ...core.preset import CamerasSection, Preset
+from ...core.sources.base import CameraOption, CameraRole
+from ..document import Document
+from ..message_bar import MessageBar, Severity
+from ..results import SourceInfo, SourceState
+from ..worker import Worker
+from .chooser import CameraChooser
+from .panel import DELAY_PATH, CameraPanel
+from .search import CameraSearch
+
+CAMERAS = "realsense:"
+ROLES: tuple[CameraRole, ...] = ("proximity", "tactile")
+
+
+class CameraControl(QObject):
+    """Keeps at most one chooser and one settings panel.
+
+    What is set goes into the preset, as a step that can be undone; from the preset it goes to the
+    cameras, whoever changed it.
+
+    Parameters
+    ----------
+    open_cameras : callable
+        Opens the preset's cameras as the source.
+    """
+
+    def __init__(
+        self,
+        worker: Worker,
+        document: Document,
+        messages: MessageBar,
+        open_cameras: Callable[[], None],
+        window: QWidget,
+    ) -> None:
+        super().__init__(window)
+        self._worker, self._document, self._messages = worker, document, messages
+        self._open_cameras, self._window = open_cameras, window
+        self._cameras = document.preset.cameras
+        self._options: tuple[CameraOption, ...] = ()
+        self._source = ""
+        self._make_search: Callable[[], CameraSearch] = lambda: CameraSearch(self)
+        self.chooser: CameraChooser | None = None
+        self.panel = CameraPanel(window)
+        self.panel.set_cameras(self._cameras)
+        self.panel.optionEdited.connect(self._option_edited)
+        self.panel.delayEdited.connect(lambda value, gesture: document.edit(DELAY_PATH, value, gesture))
+        document.presetChanged.connect(self._preset_changed)
+        worker.opened.connect(self._opened)
+        worker.optionsChanged.connect(self._options_changed)
+        worker.optionRefused.connect(
+            lambda sentence: messages.show_message("camera option", Severity.WARNING, sentence)
+        )
+        worker.stateChanged.connect(self._state_changed)
+
+    def search_with(self, make: Callable[[], CameraSearch]) -> None:
+        """Look for cameras in another way."""
+        self._make_search = make
+
+    def choose(self) -> None:
+        """Ask which cameras to open."""
+        chooser = CameraChooser(self._document.preset.cameras, self._make_search(), self._window)
+        chooser.chosen.connect(self._chosen)
+        chooser.finished.connect(lambda _: self._chooser_closed(chooser))
+        self.chooser = chooser
+        chooser.open()
+
+    def show_panel(self) -> None:
+        """Show the settings, or bring them to the front."""
+        self.panel.show()
+        self.panel.raise_()
+        self.panel.activateWindow()
+
+    def close(self) -> None:
+        """Close what is open."""
+        if self.chooser is not None:
+            self.chooser.reject()
+        self.panel.close()
+
+    def _chosen(self, proximity: str, tactile: str) -> None:
+        self._document.edit_many({"cameras.proximity.serial": proximity, "cameras.tactile.serial": tactile})
+        self._open_cameras()
+
+    def _chooser_closed(self, chooser: CameraChooser) -> None:
+        self.chooser = None
+        chooser.deleteLater()
+
+    def _option_edited(self, role: CameraRole, name: str, value: float, gesture: int) -> None:
+        options = dict(getattr(self._document.preset.cameras, role).options)
+        default = next((o.default for o in self._options if (o.camera, o.name) == (role, name)), None)
+        if value == default:
+            options.pop(name, None)
+        else:
+            options[name] = value
+        self._document.edit(f"cameras.{role}.options", options, gesture)
+
+    def _preset_changed(self, preset: Preset) -> None:
+        """Bring to the cameras what has changed."""
+        before, self._cameras = self._cameras, preset.cameras
+        self.panel.set_cameras(preset.cameras)
+        if before == preset.cameras or not self._options:
+            return
+        for option in self._options:
+            value = _kept(preset.cameras, option)
+            if value != _kept(before, option):
+                self._worker.set_option(option.camera, option.name, option.default if value is None else value)
+        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERAS):
+            self._messages.show_message(
+                "cameras",
+                Severity.INFO,
+                "The preset names other cameras, or another delay; that takes effect when they are opened again.",
+                offers=[("Open again", self._open_cameras)],
+            )
+
+    def _opened(self, info: SourceInfo) -> None:
+        self._source = info.name
+        self._messages.clear("cameras")
+        self._messages.clear("camera option")
+
+    def _options_changed(self, options: tuple[CameraOption, ...]) -> None:
+        self._options = options
+        self.panel.set_options(options, self._document.preset.cameras)
+
+    def _state_changed(self, state: SourceState) -> None:
+        self.panel.set_health(state.health.cameras)
+
+
+def _kept(cameras: CamerasSection, option: CameraOption) -> float | None:
+    """Return what a preset holds for an option; None: nothing."""
+    value: float | None = getattr(cameras, option.camera).options.get(option.name)
+    return value
+
+
+def _needs_reopening(before: CamerasSection, after: CamerasSection) -> bool:
+    serials = [(cameras.proximity.serial, cameras.tactile.serial) for cameras in (before, after)]
+    return serials[0] != serials[1] or before.tactile_delay_s != after.tactile_delay_s

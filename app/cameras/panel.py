@@ -1,0 +1,232 @@
+"""The cameras' settings: a row for each option that the devices report, and the delay between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QDialog,
+    QDialogButtonBox,
+    QFrame,
+    QGridLayout,
+    QLabel,
+    QScrollArea,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.preset import CamerasSection, Preset
+from ...core.sources.base import CameraHealth, CameraOption, CameraRole
+from ...widgets.collapsible import CollapsibleSection
+from ...widgets.fields import FieldSpec, field_spec
+from ...widgets.parameter_row import ParameterRow
+
+DELAY_PATH = "cameras.tactile_delay_s"
+_TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
+_NOTHING = (
+    "No camera is open, or it is not connected: its settings appear here once it is. "
+    "What the preset holds for it is used then."
+)
+#: A range that spans more than this is easier to set on a logarithmic slider, such as exposure times.
+_LOG_SPAN = 500.0
+
+
+class OptionRow(ParameterRow):
+    """The row of one option; its values are the device's numbers, whatever the editor shows.
+
+    Signals
+    -------
+    chosen(value: float, gesture: int)
+    """
+
+    chosen = pyqtSignal(float, int)
+
+    def __init__(self, option: CameraOption, parent: QWidget | None = None) -> None:
+        super().__init__(option_spec(option), parent)
+        self.option = option
+        if isinstance(self.widget, QCheckBox):
+            self.widget.setText("on")
+        self.set_reset_target(self._shown(option.default), "the camera's default")
+        self.edited.connect(lambda _, shown, gesture: self.chosen.emit(self._number(shown), gesture))
+        self.show_number(option.value)
+        self.set_editable(not option.read_only)
+
+    def show_number(self, value: float) -> None:
+        """Show a value of the device; one that is being dragged stays where it is."""
+        slider = getattr(self.widget, "slider", None)
+        if slider is None or not slider.isSliderDown():
+            self.show_value(self._shown(value))
+
+    def number(self) -> float:
+        """Return the value that is shown, as the device counts."""
+        return self._number(self.editor.value())
+
+    def _shown(self, value: float) -> Any:
+        if self.spec.kind == "choice":
+            nearest = min(self.option.choices, key=lambda choice: abs(choice[0] - value))
+            return nearest[1]
+        if self.spec.kind == "flag":
+            return value >= 0.5
+        return round(value) if self.spec.integer else value
+
+    def _number(self, shown: Any) -> float:
+        if self.spec.kind == "choice":
+            return next(value for value, name in self.option.choices if name == shown)
+        return float(shown)
+
+
+def option_spec(option: CameraOption) -> FieldSpec:
+    """Return what a row has to know of an option."""
+    title = option.name.replace("_", " ").replace("-", " ").capitalize()
+    common: dict[str, Any] = {
+        "path": f"cameras.{option.camera}.options.{option.name}",
+        "title": title,
+        "description": option.description or title,
+    }
+    if option.choices:
+        names = tuple(name for _, name in option.choices)
+        return FieldSpec(kind="choice", choices=names, default=names[0], **common)
+    if (option.minimum, option.maximum, option.step) == (0.0, 1.0, 1.0):
+        return FieldSpec(kind="flag", default=option.default >= 0.5, **common)
+    integer = all(float(number).is_integer() for number in (option.minimum, option.maximum, option.step))
+    log = option.minimum > 0 and option.maximum / option.minimum > _LOG_SPAN
+    return FieldSpec(
+        kind="number",
+        default=option.default,
+        unit=option.unit,
+        suffix=f" {option.unit}" if option.unit else "",
+        minimum=option.minimum,
+        maximum=option.maximum,
+        slider=(option.minimum, option.maximum),
+        step=option.step or (option.maximum - option.minimum) / 200.0 or 1.0,
+        integer=integer and option.step >= 1.0,
+        log=log,
+        **common,
+    )
+
+
+class CameraPanel(QDialog):
+    """Shows what can be set on the cameras; stays open beside the window.
+
+    Signals
+    -------
+    optionEdited(camera: str, name: str, value: float, gesture: int)
+    delayEdited(seconds: float, gesture: int)
+    """
+
+    optionEdited = pyqtSignal(str, str, float, int)
+    delayEdited = pyqtSignal(float, int)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Camera settings")
+        self.rows: dict[tuple[CameraRole, str], OptionRow] = {}
+        self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
+        self._options: tuple[CameraOption, ...] = ()
+        self._sections: dict[CameraRole, CollapsibleSection] = {}
+        self._bodies: dict[CameraRole, QWidget] = {}
+        column_widget = QWidget()
+        self._column = QVBoxLayout(column_widget)
+        self._column.setContentsMargins(4, 4, 4, 4)
+        for role, title in _TITLES.items():
+            self._sections[role] = _section(title)
+            self._column.addWidget(self._sections[role])
+            self._replace_body(role, _note(_NOTHING))
+        timing = _section("Timing")
+        grid_widget = QWidget()
+        grid = QGridLayout(grid_widget)
+        grid.setColumnStretch(1, 1)
+        self.delay.add_to(grid)
+        _fill(timing, grid_widget)
+        self._column.addWidget(timing)
+        self._column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(column_widget)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        buttons.rejected.connect(self.close)
+        layout = QVBoxLayout(self)
+        layout.addWidget(scroll, 1)
+        layout.addWidget(buttons)
+        self.delay.edited.connect(lambda _, value, gesture: self.delayEdited.emit(float(value), gesture))
+        self.resize(460, 620)
+
+    def set_cameras(self, cameras: CamerasSection) -> None:
+        """Show what the preset holds; an option that it does not name is shown as the camera has it."""
+        self.delay.show_value(cameras.tactile_delay_s)
+        for (role, name), row in self.rows.items():
+            row.show_number(getattr(cameras, role).options.get(name, row.option.value))
+
+    def set_options(self, options: tuple[CameraOption, ...], cameras: CamerasSection) -> None:
+        """Show the options that the devices report now."""
+        shape, before = _shape(options), _shape(self._options)
+        self._options = options
+        for role in _TITLES:
+            if shape.get(role) != before.get(role):
+                self._rebuild(role, [option for option in options if option.camera == role])
+        for option in options:
+            self.rows[option.camera, option.name].option = option
+        self.set_cameras(cameras)
+
+    def set_health(self, cameras: tuple[CameraHealth, ...]) -> None:
+        """Name the devices behind the two roles."""
+        for camera in cameras:
+            words = [_TITLES[camera.role], camera.model, f"(serial {camera.serial})" if camera.serial else ""]
+            self._sections[camera.role].button.setText(" ".join(word for word in words if word))
+
+    def _rebuild(self, role: CameraRole, options: list[CameraOption]) -> None:
+        self.rows = {key: row for key, row in self.rows.items() if key[0] != role}
+        if not options:
+            self._replace_body(role, _note(_NOTHING))
+            return
+        body = QWidget()
+        grid = QGridLayout(body)
+        grid.setColumnStretch(1, 1)
+        for option in options:
+            row = OptionRow(option, body)
+            row.add_to(grid)
+            row.chosen.connect(
+                lambda value, gesture, name=option.name: self.optionEdited.emit(role, name, value, gesture)
+            )
+            self.rows[role, option.name] = row
+        self._replace_body(role, body)
+
+    def _replace_body(self, role: CameraRole, body: QWidget) -> None:
+        old = self._bodies.get(role)
+        if old is not None:
+            old.hide()
+            old.deleteLater()
+        self._bodies[role] = body
+        _fill(self._sections[role], body)
+
+
+def _shape(options: tuple[CameraOption, ...]) -> dict[CameraRole, list[object]]:
+    """Return all that the rows are made of, values aside."""
+    shape: dict[CameraRole, list[object]] = {}
+    for option in options:
+        parts = (option.name, option.minimum, option.maximum, option.step, option.default, option.choices)
+        shape.setdefault(option.camera, []).append((*parts, option.read_only, option.unit))
+    return shape
+
+
+def _section(title: str) -> CollapsibleSection:
+    section = CollapsibleSection(title)
+    QVBoxLayout(section.body).setContentsMargins(0, 0, 0, 0)
+    return section
+
+
+def _fill(section: CollapsibleSection, body: QWidget) -> None:
+    layout = section.body.layout()
+    if layout is not None:
+        layout.addWidget(body)
+
+
+def _note(text: str) -> QLabel:
+    label = QLabel(text)
+    label.setWordWrap(True)
+    label.setContentsMargins(6, 2, 6, 6)
+    return label

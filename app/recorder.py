@@ -1,0 +1,159 @@
+"""The recording that is running, if any: frames go in from the thread that reads them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import Lock, Thread
+from typing import Protocol
+
+from ..core.errors import FrameError, TactuneError
+from ..core.frames import Rig, SensorFrame
+from ..core.preset import Preset
+from ..core.recording.writer import RecordingStatus, SessionWriter
+from .explain import explain
+
+
+class Writer(Protocol):
+    """What a recorder asks of a file that is being written; see `SessionWriter`."""
+
+    def put(self, frame: SensorFrame, *, wait: bool) -> bool:
+        """Take a frame; False where there was no room for it."""
+
+    def status(self) -> RecordingStatus:
+        """Return how far the file is."""
+
+    def close(self) -> RecordingStatus:
+        """Finish the file."""
+
+
+@dataclass(frozen=True)
+class RecordingRequest:
+    """What to record into which file."""
+
+    path: Path
+    rig: Rig
+    preset: Preset
+    frame_rate_hz: float
+    reference: SensorFrame | None = None
+
+
+@dataclass(frozen=True)
+class RecordingEnd:
+    """How a recording ended: the finished file, and why where nobody asked for it."""
+
+    status: RecordingStatus
+    reason: str = ""
+
+
+def open_writer(request: RecordingRequest) -> Writer:
+    """Begin a file."""
+    return SessionWriter(
+        request.path,
+        request.rig,
+        preset=request.preset,
+        frame_rate_hz=request.frame_rate_hz,
+        reference=request.reference,
+    )
+
+
+class Recorder:
+    """Writes at most one file at a time; every method may be called from any thread.
+
+    Parameters
+    ----------
+    ended : callable
+        Told of each finished file, on a thread of its own: finishing one takes as long as its disk.
+    writer : callable
+        Makes the writer of a file.
+    """
+
+    def __init__(
+        self, ended: Callable[[RecordingEnd], None], writer: Callable[[RecordingRequest], Writer] = open_writer
+    ) -> None:
+        self._ended = ended
+        self._open = writer
+        self._lock = Lock()
+        self._writer: Writer | None = None
+        self._refused = 0
+        self._finishing: list[Thread] = []
+
+    @property
+    def running(self) -> bool:
+        """Whether frames are being recorded."""
+        return self._writer is not None
+
+    def status(self) -> RecordingStatus | None:
+        """Return how far the recording is, or None where there is none."""
+        writer = self._writer
+        return None if writer is None else self._with_refused(writer.status())
+
+    def start(self, request: RecordingRequest) -> None:
+        """Begin a file; a recording that is running goes on instead.
+
+        Raises
+        ------
+        TactuneError
+            The file cannot be written.
+        """
+        with self._lock:
+            if self._writer is not None:
+                return
+            try:
+                self._writer = self._open(request)
+                self._refused = 0
+            except OSError as error:
+                raise TactuneError(
+                    f"{request.path} cannot be recorded: {error.strerror or error}; choose another folder"
+                ) from error
+
+    def put(self, frame: SensorFrame, *, wait: bool = False) -> None:
+        """Record a frame, if there is a recording; one that does not fit its rig counts as dropped.
+
+        Parameters
+        ----------
+        frame : SensorFrame
+        wait : bool
+            Wait while the disk is behind. Live frames do not wait: what finds no room is counted.
+        """
+        if self._writer is None:
+            return
+        problem = ""
+        with self._lock:
+            if self._writer is not None:
+                try:
+                    self._writer.put(frame, wait=wait)
+                except FrameError:
+                    self._refused += 1
+                except Exception as error:
+                    problem = explain(error, f"frame {frame.sequence} could not be recorded")
+        if problem:
+            self.stop(problem)
+
+    def stop(self, reason: str = "") -> None:
+        """Take no more frames and finish the file; ``ended`` is told once that is done."""
+        with self._lock:
+            writer, self._writer = self._writer, None
+            if writer is None:
+                return
+            thread = Thread(target=lambda: self._finish(writer, reason), name="recording finisher")
+            self._finishing.append(thread)
+            thread.start()
+
+    def close(self) -> None:
+        """Finish the file and wait until it lies on the disk."""
+        self.stop()
+        for thread in self._finishing:
+            thread.join()
+        self._finishing.clear()
+
+    def _finish(self, writer: Writer, reason: str) -> None:
+        try:
+            self._ended(RecordingEnd(self._with_refused(writer.close()), reason))
+        except Exception as error:
+            status = writer.status()
+            self._ended(RecordingEnd(status, explain(error, f"{status.path} could not be finished")))
+
+    def _with_refused(self, status: RecordingStatus) -> RecordingStatus:
+        return replace(status, dropped=status.dropped + self._refused)

@@ -1,0 +1,194 @@
+"""The worker with cameras: orders while no frame comes, faults, and nothing that waits in vain."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from tactune.app import live_reader
+from tactune.app.worker import SourceRequest, Worker
+
+from .conftest import LiveSource, TinySource
+from .fake_cameras import FakeCameras
+
+
+class Watched:
+    """A worker with everything that it said."""
+
+    def __init__(self, preset) -> None:
+        self.worker = Worker(preset)
+        self.results, self.states, self.modes, self.failures, self.options, self.refusals = ([] for _ in range(6))
+        self.worker.resultReady.connect(lambda: self.results.append(self.worker.take()))
+        self.worker.stateChanged.connect(self.states.append)
+        self.worker.playbackChanged.connect(self.modes.append)
+        self.worker.failed.connect(self.failures.append)
+        self.worker.optionsChanged.connect(self.options.append)
+        self.worker.optionRefused.connect(self.refusals.append)
+        self.worker.start()
+
+    def open(self, source):
+        self.worker.open(SourceRequest(source.name, lambda progress: source))
+
+    @property
+    def last(self):
+        return self.results[-1] if self.results else None
+
+
+@pytest.fixture
+def watched(qtbot, preset):
+    made = Watched(preset)
+    yield made
+    made.worker.shut_down()
+    assert made.worker.isFinished()
+
+
+@pytest.fixture
+def cameras(watched, qtbot):
+    """Cameras that have given their first frame, which is shown."""
+    made = FakeCameras()
+    watched.open(made)
+    made.release()
+    qtbot.waitUntil(lambda: watched.last is not None)
+    return made
+
+
+def test_frames_are_shown_as_they_come(watched, cameras, qtbot):
+    cameras.release()
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == 1)
+    assert watched.last.frame is cameras.given[1]
+    assert watched.last.playback.index == 1
+    assert watched.last.source.length is None
+
+
+def test_a_preset_is_used_at_once_while_no_frame_comes(watched, cameras, qtbot, preset):
+    watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
+    qtbot.waitUntil(lambda: watched.last.preset.tolerance.t == 0.5)
+    assert watched.last.frame is cameras.given[0]
+    assert len(cameras.given) == 1
+
+
+def test_another_source_opens_while_no_frame_comes(watched, cameras, qtbot):
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last.source.name == "tiny")
+    assert cameras.closed.is_set()
+
+
+def test_shutting_down_while_no_frame_comes(qtbot, preset):
+    watched = Watched(preset)
+    cameras = FakeCameras()
+    watched.open(cameras)
+    qtbot.waitUntil(lambda: cameras.waits > 1)
+    started = time.monotonic()
+    watched.worker.shut_down()
+    assert time.monotonic() - started < live_reader.PATIENCE_S / 2
+    assert watched.worker.isFinished()
+    assert cameras.closed.is_set()
+
+
+def test_a_driver_that_hangs_does_not_keep_the_window_open(qtbot, preset, monkeypatch):
+    monkeypatch.setattr(live_reader, "PATIENCE_S", 0.1)
+    watched = Watched(preset)
+    source = LiveSource()
+    watched.open(source)
+    qtbot.waitUntil(lambda: watched.worker._live is not None)
+    watched.worker.shut_down()
+    assert watched.worker.isFinished()
+    source.stopped.set()
+
+
+def test_waiting_costs_next_to_nothing(watched, cameras):
+    before, started = cameras.waits, time.monotonic()
+    watched.worker.msleep(300)
+    assert (cameras.waits - before) / (time.monotonic() - started) < 2 / live_reader.POLL_S
+
+
+@pytest.mark.parametrize("hold", ["pause", "freeze"])
+def test_a_held_live_source_is_drained_and_goes_on_with_the_newest(watched, cameras, qtbot, hold):
+    hold_on = watched.worker.pause if hold == "pause" else lambda: watched.worker.set_frozen(True)
+    hold_on()
+    qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].running)
+    cameras.release(5)
+    qtbot.waitUntil(lambda: len(cameras.given) == 6)
+    watched.worker.msleep(50)
+    assert watched.last.frame.sequence == 0
+    watched.worker.play()
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == 5)
+    shown = {result.frame.sequence for result in watched.results}
+    assert shown == {0, 5}
+
+
+def test_no_frame_for_a_while_is_stale_and_the_next_one_is_not(watched, cameras, qtbot, monkeypatch):
+    monkeypatch.setattr(live_reader, "STALE_AFTER_S", 0.3)
+    qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].stale)
+    cameras.release()
+    qtbot.waitUntil(lambda: not watched.states[-1].stale)
+
+
+def test_the_health_is_told_while_no_frame_comes(watched, cameras, qtbot):
+    cameras.faults["tactile"] = "missing"
+    cameras.unmatched = 7
+    qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].health.unmatched == 7)
+    assert watched.states[-1].stale
+    assert watched.states[-1].health.cameras[1].state == "missing"
+    cameras.faults.clear()
+    cameras.release()
+    qtbot.waitUntil(lambda: watched.states[-1].health.ok)
+    assert not watched.states[-1].stale
+
+
+def test_an_error_of_the_source_is_told_and_it_is_asked_again(watched, cameras, qtbot):
+    cameras.fail("the D405 sends frames of 1280 x 720, the rig says 640 x 480: unplug it and plug it in again")
+    qtbot.waitUntil(lambda: bool(watched.states) and "1280 x 720" in watched.states[-1].problem)
+    assert watched.modes[-1].playing
+    cameras.error = ""
+    cameras.release()
+    qtbot.waitUntil(lambda: watched.states[-1].problem == "")
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == 1)
+
+
+def test_the_end_of_a_live_source_is_told(watched, cameras, qtbot):
+    cameras.end()
+    qtbot.waitUntil(lambda: bool(watched.states) and "has ended: open it again" in watched.states[-1].problem)
+    assert watched.states[-1].stale
+
+
+def test_the_options_are_told_again_when_a_camera_comes_back(watched, cameras, qtbot):
+    qtbot.waitUntil(lambda: bool(watched.options) and len(watched.options[-1]) == 5)
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: len(watched.options[-1]) == 2)
+    cameras.faults.clear()
+    qtbot.waitUntil(lambda: len(watched.options[-1]) == 5)
+
+
+def test_an_option_is_set_between_frames_and_the_newest_value_counts(watched, cameras, qtbot):
+    for value in (10.0, 20.0, 30.0):
+        watched.worker.set_option("proximity", "laser_power", value)
+    qtbot.waitUntil(lambda: bool(watched.options) and watched.options[-1][0].value == 30.0)
+    assert watched.refusals == []
+
+
+def test_a_refused_option_is_a_sentence(watched, cameras, qtbot):
+    cameras.refuses.add("exposure")
+    watched.worker.set_option("tactile", "exposure", 5.0)
+    qtbot.waitUntil(lambda: len(watched.refusals) == 1)
+    assert watched.refusals == ["the tactile camera refuses exposure = 5: switch auto exposure off first"]
+
+
+def test_frames_that_come_too_fast_are_dropped_and_counted(watched, cameras, qtbot):
+    cameras.release(200)
+    qtbot.waitUntil(lambda: watched.last.frame.sequence == 200)
+    processed = watched.last.processed
+    assert processed + watched.last.dropped >= 201
+    assert processed < 201
+
+
+def test_cameras_are_closed_before_they_are_opened_again(watched, cameras, qtbot):
+    order = []
+
+    def open_again(progress):
+        order.append(cameras.closed.is_set())
+        return FakeCameras()
+
+    watched.worker.open(SourceRequest("cameras", open_again, exclusive=True))
+    qtbot.waitUntil(lambda: order == [True])

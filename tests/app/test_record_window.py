@@ -1,0 +1,219 @@
+"""Recording in the window, by its key: what is in the file, and what the person is told."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QPushButton
+
+from tactune.app import recording_control
+from tactune.app.worker import SourceRequest
+from tactune.core.sources.registry import open_source
+
+from .conftest import TinySource, tiny_frame, tiny_rig
+from .fake_cameras import FakeCameras
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+@pytest.fixture
+def folder(make_window, settings_file, tmp_path):
+    return tmp_path / "recordings"
+
+
+@pytest.fixture
+def window(make_window, folder):
+    made = make_window()
+    made.settings.set("folder/recordings", str(folder))
+    return made
+
+
+@pytest.fixture
+def cameras(window, qtbot):
+    made = FakeCameras()
+    window.open_request(SourceRequest(made.name, lambda progress: made))
+    made.release()
+    qtbot.waitUntil(lambda: window.result is not None)
+    return made
+
+
+def press_record(window):
+    QTest.keyClick(window, Qt.Key.Key_F9)
+
+
+def begin(window, qtbot):
+    press_record(window)
+    qtbot.waitUntil(lambda: window.live.recording.running)
+
+
+def end(window, qtbot):
+    press_record(window)
+    qtbot.waitUntil(lambda: not window.live.recording.running)
+
+
+def told(window):
+    message = window.messages.message("recording")
+    return "" if message is None else message.sentence
+
+
+def frames_of(path):
+    with open_source(f"mcap:{path}") as source:
+        return list(source)
+
+
+def assert_same(read, given):
+    assert [frame.sequence for frame in read] == [frame.sequence for frame in given] != []
+    for one, other in zip(read, given, strict=True):
+        for name in ("proximity_depth", "tactile_depth", "proximity_color"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+        assert one.proximity_time_s == pytest.approx(other.proximity_time_s, abs=1e-9)
+
+
+def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    assert window.actions_.record.isChecked()
+    assert window.recording_bar.isVisible()
+    cameras.release(40)
+    qtbot.waitUntil(lambda: len(cameras.given) == 41)
+    end(window, qtbot)
+    assert not window.recording_bar.isVisible()
+    assert not window.actions_.record.isChecked()
+    [path] = folder.iterdir()
+    assert_same(frames_of(path), cameras.given[1:])
+    assert told(window).startswith(f"Recorded {path.name}: ")
+    assert "40 frames" in told(window)
+
+
+def test_frames_are_recorded_that_were_never_shown(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    QTest.keyClick(window, Qt.Key.Key_F)
+    qtbot.waitUntil(lambda: window.transport.state.frozen)
+    cameras.release(20)
+    qtbot.waitUntil(lambda: len(cameras.given) == 21)
+    assert window.result.frame.sequence == 0
+    end(window, qtbot)
+    [path] = folder.iterdir()
+    assert len(frames_of(path)) == 20
+
+
+def test_the_file_can_be_opened_from_the_message(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    cameras.release(3)
+    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    end(window, qtbot)
+    [button] = [
+        button
+        for button in window.messages.message("recording").findChildren(QPushButton)
+        if button.text() == "Open recording"
+    ]
+    QTest.mouseClick(button, LEFT)
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 3)
+    assert window.transport.state.seekable
+
+
+def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder):
+    source = TinySource(length=8)
+    window.open_request(SourceRequest(source.name, lambda progress: source))
+    qtbot.waitUntil(lambda: window.result is not None)
+    window.worker.set_loop(False)
+    window.worker.pause()
+    window.worker.seek(3)
+    qtbot.waitUntil(lambda: window.transport.state.index == 3 and not window.transport.state.playing)
+    begin(window, qtbot)
+    assert "press Space" in window.recording_bar._name.text()
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: window.transport.state.at_end and not window.transport.state.playing)
+    end(window, qtbot)
+    [path] = folder.iterdir()
+    assert [frame.sequence for frame in frames_of(path)] == [3, 4, 5, 6, 7]
+
+
+def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    cameras.release(2)
+    qtbot.waitUntil(lambda: len(cameras.given) == 3)
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    qtbot.waitUntil(lambda: not window.live.recording.running)
+    assert "It ended because tiny was opened." in told(window)
+    [path] = folder.iterdir()
+    assert len(frames_of(path)) == 2
+
+
+def test_cameras_that_come_back_are_recorded_on(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    cameras.release()
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: "not connected" in window.views.views["tactile"].badge())
+    cameras.faults.clear()
+    cameras.release(2)
+    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    assert window.live.recording.running
+    end(window, qtbot)
+    [path] = folder.iterdir()
+    assert len(frames_of(path)) == 3
+
+
+def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    cameras.release(30)
+    qtbot.waitUntil(lambda: len(cameras.given) == 31)
+    window.close()
+    qtbot.waitUntil(lambda: not window.isVisible())
+    assert window.worker.isFinished()
+    [path] = folder.iterdir()
+    assert_same(frames_of(path), cameras.given[1:])
+
+
+def test_without_a_source_there_is_nothing_to_record(window, qtbot, folder):
+    press_record(window)
+    qtbot.waitUntil(lambda: "open a source first" in told(window))
+    assert not window.actions_.record.isChecked()
+
+
+def test_nothing_recorded_is_said_and_leaves_no_file(window, cameras, qtbot, folder):
+    begin(window, qtbot)
+    end(window, qtbot)
+    assert "no frame came" in told(window)
+    assert list(folder.iterdir()) == []
+
+
+def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
+    monkeypatch.setattr(recording_control, "free_bytes", lambda folder: 300_000_000)
+    press_record(window)
+    assert "There are only 300 MB left" in told(window)
+    assert "make room, or choose another folder" in told(window)
+    assert not window.live.recording.running
+
+
+def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot, monkeypatch, folder):
+    begin(window, qtbot)
+    cameras.release(4)
+    qtbot.waitUntil(lambda: len(cameras.given) == 5)
+    monkeypatch.setattr(recording_control, "free_bytes", lambda folder: 1_000_000)
+    qtbot.waitUntil(lambda: not window.live.recording.running)
+    assert "It ended because only 1.0 MB are left on the disk" in told(window)
+    [path] = folder.iterdir()
+    assert len(frames_of(path)) == 4
+
+
+def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
+    (tmp_path / "file").write_text("")
+    window.settings.set("folder/recordings", str(tmp_path / "file" / "below"))
+    press_record(window)
+    assert "Nothing can be recorded in" in told(window)
+    assert not window.live.recording.running
+
+
+def test_drops_are_red(window, cameras, qtbot):
+    bar = window.recording_bar
+    begin(window, qtbot)
+    qtbot.waitUntil(lambda: bar._dropped.text() == "0 dropped")
+    calm = bar._dropped.palette().windowText().color()
+    for index in range(2):
+        window.worker.recorder.put(tiny_frame(index, tiny_rig(32, 24)))
+    qtbot.waitUntil(lambda: bar._dropped.text() == "2 dropped")
+    assert bar._dropped.palette().windowText().color() != calm
+    assert "GB free" in bar._room.text() or "MB free" in bar._room.text()
+    assert ":" in bar._time.text()

@@ -1,0 +1,161 @@
+"""The recorder between the reading thread and the file."""
+
+from __future__ import annotations
+
+from threading import Event
+
+import pytest
+
+from tactune.app.recorder import Recorder, RecordingRequest
+from tactune.app.recording_bar import clock, duration, size
+from tactune.core.errors import FrameError, TactuneError
+from tactune.core.preset import Preset
+from tactune.core.recording.writer import RecordingStatus
+
+from .conftest import tiny_frame, tiny_rig
+
+
+class FakeWriter:
+    """A file that takes frames until told otherwise."""
+
+    def __init__(self, request) -> None:
+        self.path = request.path
+        self.frames, self.dropped = [], 0
+        self.room = True
+        self.error: Exception | None = None
+        self.may_close = Event()
+        self.may_close.set()
+        self.closed = False
+
+    def put(self, frame, *, wait):
+        assert not self.closed
+        if self.error is not None:
+            raise self.error
+        if not self.room:
+            self.dropped += 1
+            return False
+        self.frames.append((frame.sequence, wait))
+        return True
+
+    def status(self):
+        return RecordingStatus(self.path, len(self.frames), self.dropped, 1000 * len(self.frames), 1.0, "")
+
+    def close(self):
+        self.may_close.wait(10.0)
+        self.closed = True
+        return self.status()
+
+
+@pytest.fixture
+def made():
+    return []
+
+
+@pytest.fixture
+def ends():
+    return []
+
+
+@pytest.fixture
+def recorder(made, ends):
+    def open_writer(request):
+        made.append(FakeWriter(request))
+        return made[-1]
+
+    recorder = Recorder(ends.append, open_writer)
+    yield recorder
+    recorder.close()
+
+
+def request(tmp_path):
+    return RecordingRequest(tmp_path / "a.mcap", tiny_rig(), Preset(), 30.0)
+
+
+def frame(index):
+    return tiny_frame(index, tiny_rig())
+
+
+def test_without_a_recording_frames_pass_by(recorder, made):
+    recorder.put(frame(0))
+    assert made == []
+    assert recorder.status() is None
+
+
+def test_every_frame_between_start_and_stop_is_recorded(recorder, made, ends, tmp_path):
+    recorder.start(request(tmp_path))
+    recorder.put(frame(0))
+    recorder.put(frame(1), wait=True)
+    recorder.close()
+    recorder.put(frame(2))
+    assert made[0].frames == [(0, False), (1, True)]
+    assert made[0].closed
+    [end] = ends
+    assert end.status.frames == 2
+    assert end.reason == ""
+
+
+def test_a_second_start_changes_nothing(recorder, made, tmp_path):
+    recorder.start(request(tmp_path))
+    recorder.start(request(tmp_path))
+    assert len(made) == 1
+
+
+def test_stopping_does_not_wait_for_the_disk(recorder, made, ends, tmp_path):
+    recorder.start(request(tmp_path))
+    recorder.put(frame(0))
+    made[0].may_close.clear()
+    recorder.stop("another source was opened")
+    assert not recorder.running
+    assert ends == []
+    made[0].may_close.set()
+    recorder.close()
+    assert ends[0].reason == "another source was opened"
+
+
+def test_a_frame_that_does_not_fit_counts_as_dropped_and_the_recording_goes_on(recorder, made, ends, tmp_path):
+    recorder.start(request(tmp_path))
+    made[0].error = FrameError("frame 0 is 1280 x 720")
+    recorder.put(frame(0))
+    made[0].error = None
+    recorder.put(frame(1))
+    assert recorder.status().dropped == 1
+    recorder.close()
+    assert (ends[0].status.frames, ends[0].status.dropped) == (1, 1)
+
+
+def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tmp_path):
+    recorder.start(request(tmp_path))
+    recorder.put(frame(0))
+    made[0].error = RuntimeError("broken")
+    recorder.put(frame(1))
+    assert not recorder.running
+    recorder.close()
+    assert ends[0].reason == "Frame 1 could not be recorded (RuntimeError: broken)."
+    assert ends[0].status.frames == 1
+
+
+def test_a_file_that_cannot_be_begun_is_a_sentence(ends, tmp_path):
+    def refuse(_):
+        raise OSError(28, "No space left on device")
+
+    recorder = Recorder(ends.append, refuse)
+    with pytest.raises(TactuneError, match=r"a\.mcap cannot be recorded: No space left on device; choose"):
+        recorder.start(request(tmp_path))
+    assert not recorder.running
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(7.9, "0:07"), (750, "12:30"), (3723, "1:02:03")])
+def test_clock(seconds, text):
+    assert clock(seconds) == text
+
+
+@pytest.mark.parametrize(("seconds", "text"), [(45, "45 s"), (1000, "16 min"), (12_000, "3 h 20 min"), (1e6, "277 h")])
+def test_duration(seconds, text):
+    assert duration(seconds) == text
+
+
+@pytest.mark.parametrize(
+    ("count", "text"), [(850, "1 kB"), (850_000, "850 kB"), (12.34e6, "12.3 MB"), (540e9, "540 GB")]
+)
+def test_size(count, text):
+    assert size(count) == text
