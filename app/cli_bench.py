@@ -49,22 +49,32 @@ def bench(
 def stability(
     *,
     frames: Annotated[int, typer.Option("--frames", min=1, metavar="N", help="Seeded frames to try.")] = 10_000,
+    changes: Annotated[
+        int, typer.Option("--changes", min=0, metavar="N", help="Then change parameters and frames so often.")
+    ] = 0,
     seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Chooses the frames.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Compare the compiled pipeline with a float64 reference on random and adversarial frames.
 
-    Exit status 1 where a verdict differs that no rounding explains.
+    Exit status 1 where a verdict differs that no rounding explains, or a remembered result is not a fresh one.
     """
     from dataclasses import asdict
 
+    from ..core.bench.long_run import check_long_run
     from ..core.bench.stability import check_stability
     from .cli_progress import CliProgress
 
     with CliProgress(quiet=as_json) as progress:
         report = check_stability(frames, seed, lambda share: progress.preparing(share, "comparing frames"))
-    typer.echo(json.dumps(asdict(report)) if as_json else report.words())
-    raise typer.Exit(1 if report.unexplained else 0)
+        run = check_long_run(changes, seed, lambda share: progress.preparing(share, "changing parameters and frames"))
+    if as_json:
+        typer.echo(json.dumps({"stability": asdict(report), "long_run": asdict(run)}))
+    else:
+        typer.echo(report.words())
+        if changes:
+            typer.echo(run.words())
+    raise typer.Exit(1 if report.unexplained or run.different else 0)
 
 
 def _names(text: str) -> list[str]:

@@ -209,14 +209,19 @@ def _color_camera(random: np.random.Generator) -> ColorCamera | None:
 
 
 def _lens(random: np.random.Generator) -> Intrinsics:
-    model = random.choice(list(Distortion))
-    coefficients = tuple(float(value) for value in random.normal(0, (0.05, 0.02, 0.001, 0.001, 0.01)))
+    """Return a lens of any model whose distortion can be undone everywhere in the image."""
     width, height = _SIZE
-    return Intrinsics(
-        width=width, height=height, fx=float(random.uniform(55, 90)), fy=float(random.uniform(55, 90)),
-        cx=width / 2 + float(random.normal(0, 2)), cy=height / 2 + float(random.normal(0, 2)),
-        distortion=model, coefficients=(0.0,) * 5 if model is Distortion.NONE else coefficients,
-    )  # fmt: skip
+    while True:
+        model = random.choice(list(Distortion))
+        coefficients = tuple(float(value) for value in random.normal(0, (0.05, 0.02, 0.001, 0.001, 0.01)))
+        lens = Intrinsics(
+            width=width, height=height, fx=float(random.uniform(55, 90)), fy=float(random.uniform(55, 90)),
+            cx=width / 2 + float(random.normal(0, 2)), cy=height / 2 + float(random.normal(0, 2)),
+            distortion=model, coefficients=(0.0,) * 5 if model is Distortion.NONE else coefficients,
+        )  # fmt: skip
+        with np.errstate(all="ignore"):
+            if np.abs(lens.rays()).max() < 3:
+                return lens
 
 
 def _pose(random: np.random.Generator, spread_m: float) -> Matrix4:

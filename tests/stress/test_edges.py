@@ -1,0 +1,200 @@
+"""The edges: every extreme input gives the reference's answer or a clear refusal, never nan or silence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactune.core.bench.scenes import synthetic_scene
+from tactune.core.errors import TactuneError
+from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
+from tactune.core.intrinsics import Distortion, Intrinsics
+from tactune.core.outliers import statistical_inliers
+from tactune.core.pipeline import ContactPatch, ContactPipeline
+from tactune.core.preset import Preset
+from tactune.core.reference import reference_patch
+
+
+def small_rig(width: int = 64, height: int = 48, **tactile: Any) -> Rig:
+    lens = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=(width - 1) / 2, cy=(height - 1) / 2)
+    return Rig(
+        proximity=DepthCamera(intrinsics=lens, depth_unit_m=0.00025),
+        tactile=DepthCamera(intrinsics=lens.model_copy(update=tactile), depth_unit_m=0.0001),
+        T_proximity_tactile=rigid_transform(np.eye(4)),
+    )
+
+
+def frame_of(rig: Rig, proximity: Any, tactile: Any) -> SensorFrame:
+    height, width = rig.proximity.intrinsics.shape
+    return SensorFrame(
+        sequence=0,
+        proximity_depth=np.broadcast_to(np.asarray(proximity, np.uint16), (height, width)).copy(),
+        tactile_depth=np.broadcast_to(np.asarray(tactile, np.uint16), (height, width)).copy(),
+        proximity_color=np.full((height, width, 3), 128, np.uint8),
+    )
+
+
+def agrees_with_reference(preset: Preset, rig: Rig, frame: SensorFrame) -> ContactPatch:
+    patch = ContactPipeline(preset, rig).process(frame)
+    expected = reference_patch(preset, rig, frame)
+    assert np.array_equal(patch.provenance, expected.provenance)
+    assert np.isfinite(patch.points).all()
+    assert np.array_equal(patch.points, expected.points)
+    return patch
+
+
+def answer_or_refusal(preset_values: dict[str, Any], rig: Rig, frame: SensorFrame) -> None:
+    try:
+        preset = Preset().with_values({"outliers.enabled": False} | preset_values)
+        pipeline = ContactPipeline(preset, rig)
+    except TactuneError as error:
+        assert len(str(error)) > 20
+        return
+    agrees_with_reference(pipeline.preset, rig, frame)
+
+
+@pytest.mark.parametrize("exponent", range(13))
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_homographies_of_every_condition(exponent: int, mirrored: bool) -> None:
+    rig = small_rig()
+    frame = frame_of(rig, 1200, 3000)
+    squeeze = np.diag([1.0, 10.0**-exponent, 1.0])
+    if mirrored:
+        squeeze[0] *= -1
+        squeeze[0, 2] = 63
+    answer_or_refusal({"alignment.model": "homography", "alignment.homography.H_p_t": squeeze.tolist()}, rig, frame)
+
+
+@pytest.mark.parametrize(
+    "matrix",
+    [
+        [[1, 0, 1e6], [0, 1, 0], [0, 0, 1]],
+        [[1, 0, -1e6], [0, 1, 1e6], [0, 0, 1]],
+        [[1, 0, 0], [0, 1, 0], [1 / 32, 0, -0.5]],
+        [[1, 0, 0], [0, 1, 0], [-1 / 32, 0, 1]],
+        [[1, 0, 0], [0, 1, 0], [0, 0, -1]],
+        [[1, 1, 0], [1, 1 + 1e-9, 0], [0, 0, 1]],
+        [[1e-150, 0, 0], [0, 1e-150, 0], [0, 0, 1e-150]],
+        [[1e150, 0, 0], [0, 1e150, 0], [0, 0, 1e150]],
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[float("nan"), 0, 0], [0, 1, 0], [0, 0, 1]],
+        [[float("inf"), 0, 0], [0, 1, 0], [0, 0, 1]],
+    ],
+)
+def test_odd_homographies(matrix: list[list[float]]) -> None:
+    rig = small_rig()
+    answer_or_refusal(
+        {"alignment.model": "homography", "alignment.homography.H_p_t": matrix}, rig, frame_of(rig, 1200, 3000)
+    )
+
+
+@pytest.mark.parametrize("depth", [0, 1, 2, 65534, 65535])
+@pytest.mark.parametrize("other", [0, 1, 65534, 65535])
+@pytest.mark.parametrize("model", ["rigid", "homography"])
+def test_depths_at_the_ends_of_the_scale(depth: int, other: int, model: str) -> None:
+    rig = small_rig()
+    patch = agrees_with_reference(
+        Preset().with_values({"alignment.model": model, "outliers.enabled": False, "tolerance.t": 1.0}),
+        rig,
+        frame_of(rig, depth, other),
+    )
+    if depth in {0, 65535} or other in {0, 65535}:
+        assert len(patch.points) == 0
+
+
+@pytest.mark.parametrize("t", [0.0, 1e-9, 1.0])
+def test_tolerances_at_the_ends(t: float) -> None:
+    rig = small_rig()
+    same = frame_of(rig, 1200, 3000)
+    patch = agrees_with_reference(Preset().with_values({"tolerance.t": t, "outliers.enabled": False}), rig, same)
+    assert t < 1 or len(patch.points) == 64 * 48
+
+
+@pytest.mark.parametrize("t", [float("nan"), float("inf"), -1e-9, 1.0000001])
+def test_tolerances_that_mean_nothing_are_refused(t: float) -> None:
+    with pytest.raises(TactuneError, match=r"tolerance\.t"):
+        Preset().with_value("tolerance.t", t)
+
+
+@pytest.mark.parametrize(
+    "pose",
+    [
+        ((0.0, 0.0, 0.5), 0.0),  # every point behind the tactile camera
+        ((0.0, 0.0, 0.3), 0.0),  # the camera stands in the surface
+        ((0.3, 0.0, 0.3), 1.5),  # it looks along the surface
+        ((0.0, 0.0, 0.0), np.pi),  # it looks away
+        ((9.0, 0.0, 0.0), 0.0),
+    ],
+)
+@pytest.mark.parametrize("distorted", [False, True])
+def test_odd_poses(pose: tuple[tuple[float, float, float], float], distorted: bool) -> None:
+    translation, angle = pose
+    matrix = np.eye(4)
+    matrix[:3, :3] = [[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]]
+    matrix[:3, 3] = translation
+    lens = {"distortion": Distortion.BROWN_CONRADY, "coefficients": (4.0, -9.0, 0.3, 0.3, 30.0)} if distorted else {}
+    rig = small_rig(**lens)
+    answer_or_refusal(
+        {"alignment.rigid.T_proximity_tactile": matrix.tolist(), "tolerance.t": 1.0}, rig, frame_of(rig, 1200, 3000)
+    )
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 37), (41, 1), (33, 7), (1280, 720)])
+@pytest.mark.parametrize("model", ["rigid", "homography"])
+def test_image_sizes(size: tuple[int, int], model: str) -> None:
+    rig = small_rig(*size)
+    values = {"alignment.model": model, "outliers.k": 3, "outliers.enabled": size != (1280, 720)}
+    agrees_with_reference(Preset().with_values(values), rig, frame_of(rig, 1200, 3000))
+
+
+def test_arrays_of_any_layout_give_the_same_bits() -> None:
+    scene = synthetic_scene(600, 96, 72)
+    expected = ContactPipeline(scene.preset, scene.rig).process(scene.frame)
+    frame = scene.frame
+    wide = np.zeros((72, 192), np.uint16)
+    wide[:, ::2] = frame.proximity_depth
+    fortran = np.asfortranarray(frame.tactile_depth)
+    read_only = frame.proximity_color.copy()
+    read_only.flags.writeable = False
+    odd = replace(frame, proximity_depth=wide[:, ::2], tactile_depth=fortran, proximity_color=read_only)
+    patch = ContactPipeline(scene.preset, scene.rig).process(odd)
+    assert patch.points.tobytes() == expected.points.tobytes()
+    with pytest.raises(TactuneError, match="proximity_depth"):
+        replace(frame, proximity_depth=frame.proximity_depth.astype(">u2"))
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3, 20, 21])
+@pytest.mark.parametrize("k", [1, 2, 20, 1000])
+@pytest.mark.parametrize("spread", ["plane", "identical depth", "far and near"])
+def test_few_points_and_any_k(count: int, k: int, spread: str) -> None:
+    rig = small_rig()
+    frame = frame_of(rig, 0, 3000)
+    proximity = frame.proximity_depth.copy()
+    flat = proximity.reshape(-1)
+    places = np.linspace(0, flat.size - 1, count).astype(int)
+    flat[places] = 1200 if spread != "far and near" else np.where(np.arange(count) % 2, 1190, 1210)
+    preset = Preset().with_values({"outliers.k": k, "outliers.ratio": 1e-9 if spread == "plane" else 2.0})
+    agrees_with_reference(preset, rig, replace(frame, proximity_depth=proximity))
+
+
+def test_points_in_one_place_have_no_inliers() -> None:
+    lens = small_rig().proximity.intrinsics
+    points = np.zeros((30, 3), np.float32)
+    points[:, 2] = np.float32(1e-40)  # a denormal depth
+    found = statistical_inliers(points, np.arange(30), lens, 5, 2.0)
+    assert found.shape == (30,)
+    assert not found.any()
+
+
+def test_a_colour_camera_that_sees_nothing() -> None:
+    rig = small_rig()
+    away = np.diag([-1.0, 1.0, -1.0, 1.0])
+    looking_away = ColorCamera(intrinsics=rig.proximity.intrinsics, T_color_depth=rigid_transform(away))
+    rig = rig.model_copy(update={"proximity_color": looking_away})
+    patch = agrees_with_reference(
+        Preset().with_values({"mask.enabled": True, "outliers.enabled": False}), rig, frame_of(rig, 1200, 3000)
+    )
+    assert len(patch.points) == 64 * 48

@@ -1,0 +1,59 @@
+"""Float32 against float64, remembered against fresh: the seeded checks of the benchmark, in short."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactune.core import kernels
+from tactune.core.bench.long_run import check_long_run
+from tactune.core.bench.stability import BOUND_ULPS, check_stability, differing_ulps, random_case
+
+
+def test_no_verdict_differs_beyond_the_stated_bound() -> None:
+    report = check_stability(120)
+    assert report.frames == 120
+    assert report.unexplained == 0
+    assert report.worst_ulps <= BOUND_ULPS
+    # ties are in there: with none the check would prove nothing
+    assert report.differing > 0
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), adversarial=st.booleans())
+def test_any_seed(seed: int, adversarial: bool) -> None:
+    ulps = differing_ulps(*random_case(np.random.default_rng(seed), adversarial=adversarial))
+    assert (ulps <= BOUND_ULPS).all()
+
+
+def test_a_wrong_pipeline_is_found_out() -> None:
+    """A tolerance that is off by a twentieth is far beyond any rounding."""
+    preset, rig, frame = random_case(np.random.default_rng(5), adversarial=False)
+    from tactune.core.bench import stability
+
+    wrong = preset.with_value("tolerance.t", preset.tolerance.t * 1.05)
+    found = stability.ContactPipeline(wrong, rig).process(frame).provenance
+    right = stability.reference_patch(preset, rig, frame, np.float64).provenance
+    where = np.flatnonzero(found != right)
+    assert len(where) > 0
+    assert (stability._ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
+
+
+def test_remembering_changes_nothing() -> None:
+    assert check_long_run(400, seed=3).different == 0
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_report_counts_what_it_tried(seed: int) -> None:
+    first, again = check_stability(6, seed), check_stability(6, seed)
+    assert first == again
+    assert first.pixels == 6 * 96 * 72
+
+
+def test_kernels_do_not_use_fast_math() -> None:
+    for value in vars(kernels).values():
+        options = getattr(value, "targetoptions", None)
+        if options is not None:
+            assert not options.get("fastmath", False)
