@@ -22,6 +22,7 @@ from . import defaults
 from .cli_bench import bench_commands
 from .cli_calibrate import calibrate
 from .cli_preset import preset_commands
+from .cli_record import convert, record
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
 USAGE_STATUS = 2
@@ -39,6 +40,8 @@ commands = typer.Typer(
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.command()(calibrate)
+commands.command()(record)
+commands.command()(convert)
 
 Source = Annotated[
     str,
@@ -47,7 +50,7 @@ Source = Annotated[
         "-s",
         metavar="SOURCE",
         help="Where frames come from: sim, sim:cube, sim:cup, sim:octopus (options as in 'sim:cup?seed=3'), "
-        "folder:PATH, bag:PATH, or a path.",
+        "folder:PATH, bag:PATH, mcap:PATH, or a path.",
     ),
 ]
 PresetName = Annotated[
@@ -138,7 +141,13 @@ def run(
     preset: PresetName = None,
     frames: FrameCount = None,
     out: Annotated[
-        Path | None, typer.Option("--out", "-o", metavar="DIR", help="Write a file a frame, such as patch_000012.npz.")
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR|FILE.mcap",
+            help="A folder: a file a frame, such as patch_000012.npz. A .mcap: all patches, as PointCloud2 for ROS 2.",
+        ),
     ] = None,
     file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
     json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
@@ -151,7 +160,7 @@ def run(
 
     if out is None and not json_lines and not truth:
         raise typer.BadParameter(
-            "give --out DIR for patch files, --json for a line a frame, or --truth for a comparison"
+            "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
         )
     preset = preset or defaults.default_preset(source)
     run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))

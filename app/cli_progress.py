@@ -44,9 +44,9 @@ class CliProgress:
             typer.echo(f"tactune: {what} ...", err=True)
         self._bar.update(self._task, description=what, completed=round(100 * share), total=100, visible=share < 1)
 
-    def frames(self, done: int, total: int | None) -> None:
+    def frames(self, done: int, total: int | None, what: str = "frames") -> None:
         """Tell the number of frames done, and of how many where that is known."""
-        self._bar.update(self._task, description="frames", completed=done, total=total, visible=True)
+        self._bar.update(self._task, description=what, completed=done, total=total, visible=True)
 
     def __enter__(self) -> Self:
         self._bar.start()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +17,9 @@ import typer
 from ..core.errors import ExportError, SourceError
 from ..core.evaluation.metrics import compare_with_truth
 from ..core.export import patch_cloud, write_cloud
-from ..core.frames import GroundTruth, Rig
+from ..core.frames import GroundTruth, Rig, SensorFrame
 from ..core.pipeline import ContactPatch, ContactPipeline
+from ..core.preset import CamerasSection, Preset
 from ..core.preset_file import load_preset
 from ..core.sources import FrameSource
 from ..core.sources.folder import export_folder
@@ -27,6 +28,10 @@ from .cli_progress import CliProgress
 from .patch_record import finite_or_none, patch_record
 
 Record = dict[str, Any]
+SavePatch = Callable[[ContactPatch, SensorFrame], None]
+
+#: Recordings and bags of patches are named so.
+MCAP_SUFFIX = ".mcap"
 
 #: What ``--truth`` adds to a record, and its unit.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
@@ -48,13 +53,14 @@ class RunOptions:
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
     preset = load_preset(options.preset)
-    if options.out is not None:
+    if options.out is not None and options.out.suffix != MCAP_SUFFIX:
         make_folder(options.out)
-    with open_with_progress(options.source) as source:
+    with open_with_progress(options.source, preset.cameras) as source:
         pipeline = ContactPipeline(preset, source.rig)
         for sentence in pipeline.warnings:
             warn(sentence)
-        records = process_frames(source, pipeline, options)
+        with patch_output(options, source, preset) as save:
+            records = process_frames(source, pipeline, options, save)
         if not records:
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
@@ -63,7 +69,26 @@ def run_frames(options: RunOptions) -> None:
             typer.echo(summary(records, source.name, preset.name, options))
 
 
-def process_frames(source: FrameSource, pipeline: ContactPipeline, options: RunOptions) -> list[Record]:
+@contextmanager
+def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
+    """Yield what takes each patch: a bag of all, files of their own, or nothing."""
+    out = options.out
+    if out is None:
+        yield lambda patch, frame: None
+    elif out.suffix == MCAP_SUFFIX:
+        from ..core.recording.patches import PatchWriter
+
+        with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
+            yield lambda patch, frame: writer.write(patch.points, patch.sequence, frame.proximity_time_s)
+    else:
+        yield lambda patch, frame: write_cloud(
+            patch_path(out, patch.sequence, options.file_format), patch_cloud(patch, frame, source.rig)
+        )
+
+
+def process_frames(
+    source: FrameSource, pipeline: ContactPipeline, options: RunOptions, save: SavePatch
+) -> list[Record]:
     """Do what is asked for with each frame; return what can be said of it."""
     records: list[Record] = []
     total = number_of_frames(source, options.frames)
@@ -73,10 +98,7 @@ def process_frames(source: FrameSource, pipeline: ContactPipeline, options: RunO
             record = patch_record(patch)
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
-            if options.out is not None:
-                write_cloud(
-                    patch_path(options.out, patch.sequence, options.file_format), patch_cloud(patch, frame, source.rig)
-                )
+            save(patch, frame)
             if options.json_lines:
                 typer.echo(json.dumps(record, allow_nan=False))
             records.append(record)
@@ -94,10 +116,10 @@ def export_frames(source_name: str, out: Path, frames: int | None) -> None:
 
 
 @contextmanager
-def open_with_progress(name: str) -> Iterator[FrameSource]:
-    """Open a source, showing how its preparation goes."""
+def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
+    """Open a source, showing how its preparation goes; ``cameras`` of a preset are for live ones."""
     with CliProgress() as progress:
-        source = open_source(name, progress.preparing)
+        source = open_source(name, progress.preparing, cameras)
     with source:
         yield source
 
@@ -151,7 +173,9 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
         known = [record[key] for record in records if record.get(key) is not None]
         if known:
             lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')}")
-    if options.out is not None:
+    if options.out is not None and options.out.suffix == MCAP_SUFFIX:
+        lines.append(f"wrote {options.out}")
+    elif options.out is not None:
         first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
         lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
     if options.frames is not None and len(records) < options.frames:

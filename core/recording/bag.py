@@ -1,8 +1,10 @@
-"""What a session and a file of patches have in common: a new MCAP file that says what it was made with."""
+"""What a session and a file of patches have in common: a new ROS 2 bag that says what it was made with."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
 from typing import Final
@@ -14,7 +16,7 @@ from ..preset import Preset
 from ..preset_file import preset_json
 from ..rig_file import json_text, rig_to_json
 from .container import McapWriter, Message
-from .messages import STATIC_QOS, definition, type_hash
+from .messages import SAID_ONCE, STATIC_QOS, definition, type_hash
 
 #: Names inside the file.
 METADATA_NAME: Final = "tactune"
@@ -27,87 +29,109 @@ FORMAT_VERSION: Final = 1
 
 
 class Bag:
-    """A new ROS 2 bag with the rig and the preset inside; its topics must be added before messages.
+    """A new ROS 2 bag in MCAP with the rig and the preset inside.
 
     Parameters
     ----------
     path : path of the new file
         Its folder is made if missing.
+    topics : mapping of topic to message type
+        All topics that there will be.
     rig : Rig
-    preset : Preset, optional
+    preset : Preset or None
     frame_rate_hz : float
+    attachments : mapping of name to bytes
+        Further files to keep inside.
 
     Raises
     ------
     ExportError
-        There is such a file already, or it cannot be written.
+        From the constructor: there is such a file already. From every method: the operating system
+        refuses to write; what was written before stays readable.
     """
 
-    def __init__(self, path: Path | str, rig: Rig, preset: Preset | None, frame_rate_hz: float) -> None:
+    def __init__(
+        self,
+        path: Path | str,
+        topics: Mapping[str, str],
+        rig: Rig,
+        preset: Preset | None,
+        frame_rate_hz: float,
+        attachments: Mapping[str, bytes] | None = None,
+    ) -> None:
         self.path = user_path(path)
-        self._types: dict[str, int] = {}
-        self._channels: dict[str, int] = {}
-        try:
+        self._chunks = 0
+        files = {RIG_NAME: json_text(rig_to_json(rig)).encode(), **(attachments or {})}
+        if preset is not None:
+            files[PRESET_NAME] = preset_json(preset).encode()
+        with self._refusals():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("xb", buffering=0)
-        except FileExistsError as error:
-            raise ExportError(f"{self.path} is already there; choose another name or remove it") from error
-        except OSError as error:
-            raise self.refusal(error) from error
         try:
-            self._writer = McapWriter(self._file, f"tactune {version('tactune')}")
-            about = {"format_version": str(FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
-            self._writer.add_metadata(METADATA_NAME, about)
-            self.attach(RIG_NAME, json_text(rig_to_json(rig)).encode())
-            if preset is not None:
-                self.attach(PRESET_NAME, preset_json(preset).encode())
-        except OSError as error:
-            self.discard()
-            raise self.refusal(error) from error
+            with self._refusals():
+                self._writer = McapWriter(self._file, f"tactune {version('tactune')}")
+                about = {"format_version": str(FORMAT_VERSION), "frame_rate_hz": repr(float(frame_rate_hz))}
+                self._writer.add_metadata(METADATA_NAME, about)
+                for name, data in files.items():
+                    media_type = "application/json" if name.endswith(".json") else "application/octet-stream"
+                    self._writer.attach(name, media_type, data)
+                self._channels = self._add_channels(topics)
+        except BaseException:
+            self._discard()
+            raise
 
     @property
     def size(self) -> int:
         """Bytes in the file."""
         return self._writer.size
 
-    def attach(self, name: str, data: bytes) -> None:
-        """Write a small file into the file."""
-        self._writer.attach(name, "application/json" if name.endswith(".json") else "application/octet-stream", data)
-
-    def add_topic(self, topic: str, message_type: str, *, once: bool = False) -> None:
-        """Declare a topic; one with a message for all listeners, ``once``, is kept for those who come later."""
-        if message_type not in self._types:
-            self._types[message_type] = self._writer.add_schema(message_type, definition(message_type))
-        qos = STATIC_QOS if once else ""
-        metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(message_type)}
-        self._channels[topic] = self._writer.add_channel(topic, self._types[message_type], metadata)
-
     def channel(self, topic: str) -> int:
         """Return the number of a topic."""
         return self._channels[topic]
 
     def write(self, messages: list[Message]) -> None:
-        """Write messages as one chunk; the system has it when this returns."""
-        self._writer.write_chunk(messages)
+        """Write messages as one chunk; the operating system has it when this returns."""
+        with self._refusals():
+            self._writer.write_chunk(messages)
+        self._chunks += 1
 
     def sync(self) -> None:
         """Have the disk hold what was written."""
-        os.fsync(self._file.fileno())
-
-    def finish(self) -> None:
-        """Write what lets readers seek at once."""
-        self._writer.finish()
-        self.sync()
+        with self._refusals():
+            os.fsync(self._file.fileno())
 
     def close(self) -> None:
-        """Close the file; twice is harmless."""
-        self._file.close()
+        """Finish the file, or remove it where it has no messages; twice is harmless."""
+        if self._file.closed:
+            return
+        if self._chunks == 0:
+            self._discard()
+            return
+        try:
+            with self._refusals():
+                self._writer.finish()
+            self.sync()
+        finally:
+            self._file.close()
 
-    def discard(self) -> None:
-        """Close and remove the file."""
-        self.close()
+    def _add_channels(self, topics: Mapping[str, str]) -> dict[str, int]:
+        schemas = {kind: self._writer.add_schema(kind, definition(kind)) for kind in dict.fromkeys(topics.values())}
+        channels = {}
+        for topic, kind in topics.items():
+            qos = STATIC_QOS if topic in SAID_ONCE else ""
+            metadata = {"offered_qos_profiles": qos, "topic_type_hash": type_hash(kind)}
+            channels[topic] = self._writer.add_channel(topic, schemas[kind], metadata)
+        return channels
+
+    def _discard(self) -> None:
+        self._file.close()
         self.path.unlink(missing_ok=True)
 
-    def refusal(self, error: OSError) -> ExportError:
-        """Say that the operating system refuses to write."""
-        return ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another place")
+    @contextmanager
+    def _refusals(self) -> Iterator[None]:
+        try:
+            yield
+        except FileExistsError as error:
+            raise ExportError(f"{self.path} is already there; choose another name or remove it") from error
+        except OSError as error:
+            raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another place") from error

@@ -85,6 +85,9 @@ class Topic(StrEnum):
         return self.removesuffix("image") + "camera_info"
 
 
+#: Topics with one message, which is kept for listeners who come later.
+SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
+
 PROXIMITY_FRAME: Final = "proximity_depth_optical_frame"
 PROXIMITY_COLOR_FRAME: Final = "proximity_color_optical_frame"
 TACTILE_FRAME: Final = "tactile_depth_optical_frame"

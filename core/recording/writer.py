@@ -14,7 +14,7 @@ from typing import Self
 
 import numpy as np
 
-from ..errors import FrameError
+from ..errors import FrameError, TactuneError
 from ..frames import Rig, SensorFrame
 from ..preset import Preset
 from ..rig_file import json_text, rig_to_json
@@ -109,7 +109,8 @@ class SessionWriter:
         self._rig = rig
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
-        self._bag = Bag(path, rig, preset, frame_rate_hz)
+        attachments = {} if reference is None else {REFERENCE_NAME: reference_bytes(reference)}
+        self._bag = Bag(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[SensorFrame, int]] = deque()
         self._queue_bytes = queue_bytes
         self._waiting_bytes = 0
@@ -118,13 +119,6 @@ class SessionWriter:
         self._accepted = self._frames = self._dropped = 0
         self._first_ns = self._last_ns = 0
         self._error = ""
-        try:
-            if reference is not None:
-                self._bag.attach(REFERENCE_NAME, reference_bytes(reference))
-            self._add_topics()
-        except OSError as error:
-            self._bag.discard()
-            raise self._bag.refusal(error) from error
         self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
         self._thread.start()
 
@@ -186,14 +180,13 @@ class SessionWriter:
     ) -> None:
         self.close()
 
-    def _add_topics(self) -> None:
-        self._bag.add_topic(Topic.FRAME, TEXT)
-        self._bag.add_topic(Topic.RIG, TEXT, once=True)
-        self._bag.add_topic(Topic.STATIC_TRANSFORMS, TRANSFORMS, once=True)
+    def _topics(self) -> dict[str, str]:
+        topics: dict[str, str] = {Topic.FRAME: TEXT, Topic.RIG: TEXT, Topic.STATIC_TRANSFORMS: TRANSFORMS}
         for stream in self._streams.values():
-            self._bag.add_topic(stream.topic, IMAGE)
+            topics[stream.topic] = IMAGE
             if stream.lens is not None:
-                self._bag.add_topic(stream.topic.camera_info, CAMERA_INFO)
+                topics[stream.topic.camera_info] = CAMERA_INFO
+        return topics
 
     def _check(self, frame: SensorFrame) -> int:
         """Refuse a frame that could not be written, and return its size in bytes."""
@@ -214,26 +207,23 @@ class SessionWriter:
             self._dropped += self._accepted - self._frames
             self._queue.clear()
             self._changed.notify_all()
-        if self._frames:
-            self._attempt(self._bag.finish)
-            self._bag.close()
-        else:
-            self._fail("no frame was recorded")
-            self._bag.discard()
+        self._attempt(self._bag.close)
+        if not self._frames:
+            self._fail(f"no frame arrived for {self._bag.path}, so there is no file; check the source")
 
     def _attempt(self, step: Callable[[], None]) -> None:
         """Do a step and keep what goes wrong for `status`: a thread has nobody to raise to."""
         try:
             step()
-        except OSError as error:
-            self._fail(f"{error.strerror or error}; make room or choose another disk")
+        except TactuneError as error:
+            self._fail(str(error))
         except Exception as error:
-            self._fail(f"{type(error).__name__}: {error}")
+            self._fail(f"cannot go on writing {self._bag.path} ({type(error).__name__}: {error})")
 
     def _fail(self, reason: str) -> None:
+        """Keep the first thing that went wrong."""
         with self._changed:
-            kept = f"it holds the {self._frames} frames before" if self._frames else "the file was removed"
-            self._error = self._error or f"recording {self._bag.path} stopped: {reason} ({kept})"
+            self._error = self._error or reason
             self._changed.notify_all()
 
     def _write_frames(self) -> None:

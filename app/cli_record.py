@@ -1,0 +1,179 @@
+"""The commands ``tactune record`` and ``tactune convert``: frames in, a recording out."""
+
+from __future__ import annotations
+
+import math
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ..core.errors import ExportError
+
+if TYPE_CHECKING:
+    from ..core.recording import RecordingStatus, SessionWriter
+    from ..core.sources import FrameSource
+
+#: How long a live source may keep a person waiting who pressed Ctrl+C.
+_WAIT_S = 0.2
+
+#: Formats that can be read only, and would otherwise become folders of that name.
+_READ_ONLY_SUFFIXES = (".bag", ".db3")
+
+_Preset = Annotated[
+    str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="A preset to keep in the recording.")
+]
+_Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many frames.")]
+_Force = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
+
+
+def record(
+    *,
+    source: Annotated[
+        str, typer.Option("--source", "-s", metavar="SOURCE", help="realsense:, live:SOURCE, or any recording.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
+    preset: _Preset = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after so much time.")
+    ] = None,
+    frames: _Frames = None,
+    force: _Force = False,
+) -> None:
+    """Record into a ROS 2 bag (MCAP). Ctrl+C ends the recording; so does the end of the source.
+
+    A recording or the simulator is written completely, however long that takes; a live source does
+    not wait, and what the disk was too slow for is counted and said.
+    """
+    from ..core.preset_file import load_preset
+    from ..core.recording import SessionWriter
+    from .cli_run import open_with_progress
+
+    if out.suffix != ".mcap":
+        raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
+    _refuse_existing(out, force)
+    kept = None if preset is None else load_preset(preset)
+    with open_with_progress(source, kept.cameras if kept else None) as opened:
+        if force:
+            out.unlink(missing_ok=True)
+        with SessionWriter(
+            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=opened.reference()
+        ) as writer:
+            _record_frames(opened, writer, frames, seconds)
+        _tell(opened, writer.close())
+
+
+def convert(
+    *,
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="A recording of any kind, or the simulator.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="FILE.mcap|DIR", help="A .mcap, or a new folder for PNG images with rig.json.")
+    ],
+    preset: _Preset = None,
+    frames: _Frames = None,
+    force: _Force = False,
+) -> None:
+    """Write any recording as MCAP, or as a folder of PNG images. Nothing is lost either way."""
+    from ..core.preset_file import load_preset
+    from ..core.recording.convert import export_mcap
+    from ..core.sources.folder import export_folder
+    from ..core.sources.mcap import McapSource
+    from .cli_progress import CliProgress
+    from .cli_run import counted, open_with_progress, warn
+
+    if target.suffix in _READ_ONLY_SUFFIXES:
+        raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
+    to_mcap = target.suffix == ".mcap"
+    if to_mcap:
+        _refuse_existing(target, force)
+    kept = None if preset is None else load_preset(preset)
+    with open_with_progress(source) as opened, CliProgress() as progress:
+        if kept is None and isinstance(opened, McapSource):
+            kept = opened.preset()
+
+        def show(share: float, _: str) -> None:
+            progress.frames(round(share * 100), 100)
+
+        if to_mcap:
+            count = export_mcap(opened, target, frames, preset=kept, progress=show)
+        else:
+            count = export_folder(opened, target, frames, show)
+            if kept is not None:
+                warn(f"a folder holds no preset; {kept.name!r} stays behind")
+        if opened.health().message:
+            warn(opened.health().message)
+    typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
+
+
+def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:
+    """Hand frames over until the source ends, enough are there, something fails or Ctrl+C is pressed."""
+    from .cli_progress import CliProgress
+    from .cli_run import number_of_frames, warn
+
+    live = source.length is None
+    total, end_s = number_of_frames(source, frames), math.inf
+    if seconds is not None and live:
+        end_s = time.monotonic() + seconds
+    elif seconds is not None and total is not None:
+        total = min(total, math.ceil(seconds * source.frame_rate_hz))
+    said = ""
+    done = 0
+    with CliProgress() as progress, _interrupt() as interrupted:
+        while done != total and time.monotonic() < end_s and not interrupted.is_set():
+            if source.health().message != said and (said := source.health().message):
+                warn(said)
+            if not source.wait(_WAIT_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                break
+            done += writer.put(frame, wait=not live)
+            status = writer.status()
+            if status.error:
+                break
+            dropped = f", {status.dropped} dropped" if status.dropped else ""
+            progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
+
+
+def _tell(source: FrameSource, status: RecordingStatus) -> None:
+    from .cli_run import counted, warn
+
+    if status.error:
+        kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
+        raise ExportError(status.error + kept)
+    if status.dropped:
+        warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
+    size = f"{status.bytes / 1e6:.1f} MB"
+    typer.echo(
+        f"recorded {counted(status.frames, 'frame')} of {source.name}, {status.seconds:.1f} s, {size}, "
+        f"into {status.path}"
+    )
+
+
+def _refuse_existing(path: Path, force: bool) -> None:
+    if path.exists() and not (force and path.is_file()):
+        raise ExportError(
+            f"{path} is already there; choose another name" + (" or give --force" if path.is_file() else "")
+        )
+
+
+@contextmanager
+def _interrupt() -> Iterator[threading.Event]:
+    """Yield what is set at the first Ctrl+C; the second ends the program as usual."""
+    pressed = threading.Event()
+    usual = signal.getsignal(signal.SIGINT)
+
+    def press(*_: object) -> None:
+        pressed.set()
+        signal.signal(signal.SIGINT, usual)
+
+    signal.signal(signal.SIGINT, press)
+    try:
+        yield pressed
+    finally:
+        signal.signal(signal.SIGINT, usual)
