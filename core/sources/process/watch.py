@@ -24,6 +24,8 @@ _BUSY_FIRST_FRAME_S: Final = 20.0
 _BUSY_S: Final = 1.5
 #: The pauses before the first, second and further attempts to start a process again, seconds.
 _PAUSES_S: Final = (0.0, 0.2, 0.5, 1.0, 2.0)
+#: What is to be said of each camera meanwhile.
+_RESTARTING: Final = "The capture process is being restarted."
 #: A process that has captured so long has recovered, seconds.
 _RECOVERED_S: Final = 5.0
 
@@ -144,7 +146,7 @@ class HealthRecord:
         self._lost += now.dropped + self._no_slot
         self._unmatched += now.unmatched
         self._no_slot = 0
-        cameras = tuple(replace(camera, state="stalled", message="") for camera in now.cameras)
+        cameras = tuple(replace(camera, state="stalled", message=_RESTARTING) for camera in now.cameras)
         self._now = Health(cameras=cameras)
 
     def health(self, notice: str, *, stale: bool) -> Health:
