@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import re
 import sqlite3
+import struct
 import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -47,6 +48,13 @@ class Db3Recording(Recording):
         size = self.path.stat().st_size
         # No row takes less than a few bytes and a few steps: more steps mean pages that form loops.
         self._steps_allowed = (size // _STEPS_A_CALL + 1) * 10
+        with self.path.open("rb") as file:
+            head = file.read(100)
+        if len(head) < 100:
+            raise DamagedFileError(f"it ends at byte {size}")
+        page_size, pages = struct.unpack_from(">H", head, 16)[0], struct.unpack_from(">I", head, 28)[0]
+        if size < pages * (page_size if page_size > 1 else 65536):
+            raise DamagedFileError(f"it ends at byte {size} of {pages * page_size}")
         uri = self.path.resolve().as_uri() + "?mode=ro&immutable=1"
         with _database_told():
             self._database = sqlite3.connect(uri, uri=True, check_same_thread=False)
@@ -177,10 +185,10 @@ class Db3Recording(Recording):
         return Cursor(self._message(row, _LONGEST_TEXT), aligned=True).text()
 
     def _message(self, row: int, largest: int) -> bytes:
-        found = next(self._rows("SELECT data FROM messages WHERE rowid = ?", row), None)
-        if found is None or not isinstance(found[0], bytes):
+        found = list(self._rows("SELECT data FROM messages WHERE rowid = ?", row))
+        data = found[0][0] if found else None
+        if not isinstance(data, bytes):
             raise DamagedFileError(f"message {row} is missing")
-        data = found[0]
         if data.startswith(_ZSTD_MAGIC):
             data = _unpack_zstd(data, largest)
         check_size(len(data), largest)
@@ -198,7 +206,7 @@ class Db3Recording(Recording):
         tables = {name for name, kind, page in self._rows(query) if kind == "table" and page}
         if tables != {"topics", "messages"}:
             raise DamagedFileError("it has no tables of topics and messages")
-        columns = chain(self._rows("PRAGMA table_xinfo(topics)"), self._rows("PRAGMA table_xinfo(messages)"))
+        columns = [*self._rows("PRAGMA table_xinfo(topics)"), *self._rows("PRAGMA table_xinfo(messages)")]
         if any(column[6] for column in columns):
             raise DamagedFileError("its tables have computed columns")
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import struct
+import zlib
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -90,19 +92,33 @@ def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> npt.
 
 
 def _decoded(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[Any]:
-    # The size is looked at first, since the decoder allocates whatever the file claims.
-    start = data[: len(_PNG_START) + 8].tobytes()
-    if len(start) < len(_PNG_START) + 8 or not start.startswith(_PNG_START):
+    # Size and checksums are looked at first: the decoder allocates whatever the file claims, and
+    # complains about damage on the terminal.
+    raw = data.tobytes()
+    if len(raw) < len(_PNG_START) + 8 or not raw.startswith(_PNG_START):
         raise DamagedFileError("it is no PNG image")
-    width, height = struct.unpack_from(">II", start, len(_PNG_START))
+    width, height = struct.unpack_from(">II", raw, len(_PNG_START))
     _check_shape((height, width), shape)
-    try:
-        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
+    image = None
+    if _checksums_are_right(raw):
+        with suppress(cv2.error):
+            image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
     if image is None or image.shape[:2] != shape:
         raise DamagedFileError("its PNG data are damaged")
     return image
+
+
+def _checksums_are_right(png: bytes) -> bool:
+    at = 8
+    while at + 12 <= len(png):
+        (size,) = struct.unpack_from(">I", png, at)
+        end = at + 8 + size
+        if end + 4 > len(png) or zlib.crc32(memoryview(png)[at + 4 : end]) != struct.unpack_from(">I", png, end)[0]:
+            return False
+        if png[at + 4 : at + 8] == b"IEND":
+            return True
+        at = end + 4
+    return False
 
 
 def _check_shape(found: tuple[int, int], stated: tuple[int, int]) -> None:

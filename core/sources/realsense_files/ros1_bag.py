@@ -146,6 +146,8 @@ class Ros1Bag:
             header, at = self._record_header(at, _CHUNK_INFO)
             places.append((_number(header, b"chunk_pos", "<Q"), _number(header, b"count")))
             at += 4 + self._u32(at)
+        if at > self._size:
+            raise DamagedFileError(f"it ends at byte {self._size} of {at}")
         entries: dict[str, list[npt.NDArray[np.int64]]] = {}
         end = 0
         for place, index_count in sorted(places):
