@@ -45,6 +45,7 @@ class CameraChooser(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Connect cameras")
         self._search = search
+        search.setParent(self)
         self._remembered = (cameras.proximity.serial, cameras.tactile.serial)
         self._found: list[FoundCamera] = []
         self.note = QLabel()

@@ -1,0 +1,278 @@
+"""Choosing and setting cameras: lists, words where there are none, the preset as the one truth."""
+
+from __future__ import annotations
+
+import json
+import sys
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QPushButton
+
+from tactune.app.cameras import search as search_module
+from tactune.app.cameras.search import CameraSearch, FoundCamera
+from tactune.app.worker import SourceRequest
+
+from .fake_cameras import FakeCameras
+
+LEFT = Qt.MouseButton.LeftButton
+CONTROL = Qt.KeyboardModifier.ControlModifier
+L515 = {"model": "L515", "serial": "f001", "firmware": "1.5.8.1", "usb": "3.2"}
+D405 = {"model": "D405", "serial": "d002", "firmware": "5.12.14", "usb": "3.2"}
+D405_TOO = {**D405, "serial": "d003"}
+
+
+def answering(window, text):
+    """Let the search for cameras answer with this program."""
+    window.live.cameras.search_with(lambda: CameraSearch(window, ["-c", text]))
+
+
+def finding(window, *devices):
+    answering(window, f"print({json.dumps(json.dumps({'devices': devices}))})")
+
+
+@pytest.fixture
+def window(make_window):
+    made = make_window()
+    made.opened_names = []
+    made.live.cameras._open_cameras = lambda: made.opened_names.append("realsense:")
+    return made
+
+
+def chooser(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F3)
+    qtbot.waitUntil(lambda: window.live.cameras.chooser is not None)
+    made = window.live.cameras.chooser
+    qtbot.waitUntil(made.refresh.isEnabled)
+    return made
+
+
+def open_button(dialog):
+    return dialog.buttons.button(QDialogButtonBox.StandardButton.Open)
+
+
+def test_the_cameras_are_listed_and_guessed_by_their_model(window, qtbot):
+    finding(window, D405, L515)
+    dialog = chooser(window, qtbot)
+    assert [dialog.list.topLevelItem(row).text(1) for row in range(2)] == ["d002", "f001"]
+    assert dialog.list.topLevelItem(0).text(3) == "USB 3.2"
+    assert (dialog.proximity.currentData(), dialog.tactile.currentData()) == ("f001", "d002")
+    assert dialog.note.text() == "2 cameras were found."
+    QTest.mouseClick(open_button(dialog), LEFT)
+    qtbot.waitUntil(lambda: window.opened_names == ["realsense:"])
+    cameras = window.document.preset.cameras
+    assert (cameras.proximity.serial, cameras.tactile.serial) == ("f001", "d002")
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
+    assert window.document.preset.cameras.proximity.serial == ""
+
+
+def test_the_serials_of_the_preset_are_chosen_again(window, qtbot):
+    window.document.edit("cameras.tactile.serial", "d003")
+    finding(window, L515, D405, D405_TOO)
+    dialog = chooser(window, qtbot)
+    assert dialog.tactile.currentData() == "d003"
+
+
+def test_one_camera_twice_cannot_be_opened(window, qtbot):
+    finding(window, L515, D405)
+    dialog = chooser(window, qtbot)
+    assert open_button(dialog).isEnabled()
+    dialog.tactile.setFocus()
+    QTest.keyClick(dialog.tactile, Qt.Key.Key_Up)
+    assert dialog.tactile.currentData() == "f001"
+    assert "same camera" in dialog.note.text()
+    assert not open_button(dialog).isEnabled()
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("print('{\"devices\": []}')", "No RealSense camera was found. Plug both cameras into USB 3 ports"),
+        (f"print('{json.dumps({'devices': [L515]})}')", "Only one camera was found"),
+        (
+            'print(\'{"problem": "live cameras need the camera driver pyrealsense2, which is not installed"}\')',
+            "Live cameras need the camera driver pyrealsense2, which is not installed.",
+        ),
+        ("import os; os.abort()", "The camera driver failed while it looked for cameras"),
+        ("print('hello')", "The search for cameras gave no answer: run “tactune doctor”"),
+    ],
+)
+def test_what_is_wrong_is_said_with_what_to_do(window, qtbot, program, words):
+    answering(window, program)
+    dialog = chooser(window, qtbot)
+    qtbot.waitUntil(lambda: dialog.note.text().startswith(words))
+    assert not open_button(dialog).isEnabled()
+
+
+def test_a_driver_that_hangs_is_given_up(window, qtbot, monkeypatch):
+    monkeypatch.setattr(search_module, "PATIENCE_MS", 300)
+    answering(window, "import time; time.sleep(60)")
+    dialog = chooser(window, qtbot)
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
+
+
+def test_refreshing_finds_what_was_plugged_in_meanwhile(window, qtbot, tmp_path):
+    answer = tmp_path / "answer.json"
+    answer.write_text(json.dumps({"devices": []}))
+    answering(window, f"print(open({str(answer)!r}).read())")
+    dialog = chooser(window, qtbot)
+    answer.write_text(json.dumps({"devices": [L515, D405]}))
+    QTest.keyClick(dialog, Qt.Key.Key_F5)
+    qtbot.waitUntil(lambda: dialog.list.topLevelItemCount() == 2)
+    qtbot.waitUntil(lambda: open_button(dialog).isEnabled())
+
+
+def test_the_real_search_answers_in_words_without_cameras(qtbot):
+    found, failed = [], []
+    search = CameraSearch()
+    search.found.connect(found.append)
+    search.failed.connect(failed.append)
+    search.start()
+    qtbot.waitUntil(lambda: bool(found or failed), timeout=search_module.PATIENCE_MS + 5000)
+    assert found == [[]] or failed[0].endswith(".")
+
+
+def test_a_missing_interpreter_is_said(qtbot, monkeypatch):
+    monkeypatch.setattr(sys, "executable", "/nowhere/python")
+    failed = []
+    search = CameraSearch()
+    search.failed.connect(failed.append)
+    search.start()
+    qtbot.waitUntil(lambda: len(failed) == 1)
+    assert failed[0].startswith("Cameras cannot be looked for")
+
+
+def test_an_l515_sees_proximity():
+    assert FoundCamera("Intel RealSense L515", "1").sees_proximity
+    assert not FoundCamera("Intel RealSense D405", "1").sees_proximity
+
+
+# Settings
+
+
+@pytest.fixture
+def cameras(window, qtbot):
+    made = FakeCameras()
+    window.open_request(SourceRequest(made.name, lambda progress: made))
+    made.release()
+    qtbot.waitUntil(lambda: window.result is not None)
+    return made
+
+
+@pytest.fixture
+def panel(window, cameras, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F4)
+    made = window.live.cameras.panel
+    qtbot.waitUntil(lambda: made.isVisible() and len(made.rows) == 5)
+    return made
+
+
+def enter(row, text):
+    row.widget.entry.setFocus()
+    row.widget.entry.selectAll()
+    QTest.keyClicks(row.widget.entry, text)
+    QTest.keyClick(row.widget.entry, Qt.Key.Key_Return)
+
+
+def test_every_option_has_a_row_that_says_what_it_means(panel):
+    row = panel.rows["tactile", "exposure"]
+    assert row.label.text() == "Exposure"
+    assert "Exposure time of the stereo images." in row.widget.toolTip()
+    assert "µs" in row.widget.toolTip()
+    assert row.widget.value() == 8500
+    assert not panel.rows["tactile", "temperature"].widget.isEnabled()
+    assert panel.rows["proximity", "visual_preset"].widget.currentText() == "Custom"
+    assert isinstance(panel.rows["tactile", "enable_auto_exposure"].widget, QCheckBox)
+    assert "L515" in panel._sections["proximity"].button.text()
+
+
+def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(window, cameras, panel, qtbot):
+    enter(panel.rows["tactile", "exposure"], "1234")
+    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
+    assert window.document.preset.cameras.tactile.options == {"exposure": 1234.0}
+    assert window.document.dirty
+    window.document.undo_stack.undo()
+    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
+    assert window.document.preset.cameras.tactile.options == {}
+    assert panel.rows["tactile", "exposure"].widget.value() == 8500
+
+
+def test_a_drag_is_one_step_and_the_camera_ends_where_the_slider_does(window, cameras, panel, qtbot):
+    row = panel.rows["proximity", "laser_power"]
+    slider = row.widget.slider
+    left, length = slider.travel()
+    points = [QPoint(int(left + length * share), slider.height() // 2) for share in (0.7, 0.5, 0.2)]
+    QTest.mousePress(slider, LEFT, pos=points[0])
+    for point in points[1:]:
+        QTest.mouseMove(slider, point)
+    QTest.mouseRelease(slider, LEFT, pos=points[-1])
+    value = row.widget.value()
+    assert 15 <= value <= 25
+    qtbot.waitUntil(lambda: cameras.values["proximity", "laser_power"] == value)
+    assert window.document.undo_stack.count() == 1
+
+
+def test_a_choice_and_a_flag(window, cameras, panel, qtbot):
+    choice = panel.rows["proximity", "visual_preset"].widget
+    choice.setFocus()
+    QTest.keyClick(choice, Qt.Key.Key_Down)
+    qtbot.waitUntil(lambda: cameras.values["proximity", "visual_preset"] == 5)
+    flag = panel.rows["tactile", "enable_auto_exposure"].widget
+    QTest.mouseClick(flag, LEFT, pos=QPoint(8, flag.height() // 2))
+    qtbot.waitUntil(lambda: cameras.values["tactile", "enable_auto_exposure"] == 0)
+    assert window.document.preset.cameras.tactile.options == {"enable_auto_exposure": 0.0}
+
+
+def test_reset_goes_back_to_the_camera_s_default(window, cameras, panel, qtbot):
+    row = panel.rows["tactile", "exposure"]
+    enter(row, "1234")
+    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
+    assert "8500" in row.reset.toolTip()
+    QTest.mouseClick(row.reset, LEFT)
+    qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
+    assert window.document.preset.cameras.tactile.options == {}
+
+
+def test_a_refusal_is_said(window, cameras, panel, qtbot):
+    cameras.refuses.add("exposure")
+    enter(panel.rows["tactile", "exposure"], "1234")
+    qtbot.waitUntil(lambda: any("switch auto exposure off first" in said for said in window.messages.sentences()))
+    assert cameras.values["tactile", "exposure"] == 8500
+
+
+def test_another_preset_sets_the_cameras(window, cameras, panel, preset, qtbot):
+    window.document.new(preset.with_value("cameras.proximity.options", {"laser_power": 12.0}))
+    qtbot.waitUntil(lambda: cameras.values["proximity", "laser_power"] == 12)
+    assert panel.rows["proximity", "laser_power"].widget.value() == 12
+
+
+def test_the_delay_is_entered_in_milliseconds(window, panel):
+    entry = panel.delay.widget.entry
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, "12.5")
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    assert window.document.preset.cameras.tactile_delay_s == pytest.approx(0.0125)
+    assert "milliseconds" in entry.toolTip()
+
+
+def test_changed_cameras_are_offered_to_be_opened_again(window, cameras, panel, qtbot):
+    window.live.cameras._source = "realsense:f001,d002"
+    window.document.edit("cameras.tactile_delay_s", 0.1)
+    message = window.messages.message("cameras")
+    assert message is not None
+    [button] = [button for button in message.findChildren(QPushButton) if button.text() == "Open again"]
+    QTest.mouseClick(button, LEFT)
+    assert window.opened_names == ["realsense:"]
+
+
+def test_without_cameras_the_panel_says_so(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F4)
+    panel = window.live.cameras.panel
+    qtbot.waitUntil(panel.isVisible)
+    assert "No camera is open" in panel._bodies["proximity"].text()
+    panel.close()
+    QApplication.processEvents()

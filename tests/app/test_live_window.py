@@ -1,0 +1,218 @@
+"""The window with cameras: what is old is marked, what is missing is named, and all goes on by itself."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from PyQt6.QtCore import Qt, QTimer
+from PyQt6.QtGui import QImage
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QLabel
+
+from tactune.app import live_reader
+from tactune.app.results import CloudName, SourceState
+from tactune.app.staleness import badge, source_sentence
+from tactune.app.worker import SourceRequest
+from tactune.core.sources.base import CameraHealth, Health
+from tactune.widgets.stale_badge import BADGE_COLORS
+from tactune.widgets.theme import contrast_ratio
+
+from .conftest import TinySource
+from .fake_cameras import FakeCameras
+
+
+def opened(window, source, qtbot):
+    window.open_request(SourceRequest(source.name, lambda progress: source))
+    source.release()
+    qtbot.waitUntil(lambda: window.result is not None)
+    return source
+
+
+@pytest.fixture
+def window(make_window):
+    return make_window()
+
+
+@pytest.fixture
+def cameras(window, qtbot):
+    return opened(window, FakeCameras(), qtbot)
+
+
+def badges(window):
+    return {str(name): view.badge() for name, view in window.views.views.items()}
+
+
+def texts(widget):
+    return " ".join(label.text() for label in widget.findChildren(QLabel))
+
+
+def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window, cameras, qtbot):
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: badges(window)["tactile"] != "")
+    said = badges(window)
+    assert said["tactile"].startswith("Tactile camera D405 (serial d002) is not connected: plug it in.")
+    assert "Shown is the last frame," in said["tactile"]
+    assert said["proximity"].startswith("Waits for the tactile camera. Shown is the last frame,")
+    assert "plug it in" in said["patch"]
+    assert all(pane._badge.text().startswith("Old:") for pane in window.strip.panes.values())
+    assert window.views.views[CloudName.TACTILE].point_count() > 0
+    assert window.views.views[CloudName.TACTILE].accessibleDescription() == said["tactile"]
+    assert "no frame comes" in texts(window.status)
+
+
+def test_the_age_of_the_last_frame_is_told_anew(window, cameras, qtbot):
+    cameras.faults["proximity"] = "stalled"
+    qtbot.waitUntil(lambda: "1 s old" in badges(window)["proximity"])
+    qtbot.waitUntil(lambda: "2 s old" in badges(window)["proximity"])
+    assert "sends no images: check its cable" in badges(window)["proximity"]
+
+
+def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: badges(window)["patch"] != "")
+    cameras.faults.clear()
+    cameras.release()
+    qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
+    assert {pane._badge.text() for pane in window.strip.panes.values()} == {""}
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 1)
+
+
+def test_another_source_takes_the_marks_away(window, cameras, qtbot):
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: badges(window)["patch"] != "")
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == "tiny")
+    assert set(badges(window).values()) == {""}
+
+
+@pytest.mark.parametrize("theme", ["light", "dark"])
+def test_the_mark_is_to_be_seen_and_to_be_read(window, cameras, qtbot, theme):
+    window.set_theme(theme, remember=False)
+    view = window.views.views[CloudName.TACTILE]
+    canvas = view.findChild(type(view._canvas), "canvas")
+    plate, _, ink = BADGE_COLORS[theme]
+    assert contrast_ratio(plate, ink) > 7
+    assert plate not in colors_of(canvas.grab().toImage())
+    cameras.faults["tactile"] = "missing"
+    qtbot.waitUntil(lambda: view.badge() != "")
+    assert {plate, ink} <= colors_of(canvas.grab().toImage())
+
+
+def colors_of(image: QImage) -> set[str]:
+    return {image.pixelColor(x, y).name() for y in range(0, image.height() // 2) for x in range(0, image.width(), 2)}
+
+
+def test_what_concerns_the_whole_source_is_said_above_the_views(window, cameras, qtbot):
+    cameras.message = "the capture process ended with status 1 and was started again"
+    qtbot.waitUntil(lambda: cameras.message in window.messages.sentences())
+    cameras.message = ""
+    qtbot.waitUntil(lambda: window.messages.sentences() == [])
+
+
+def test_losses_are_told_in_the_status_bar(window, cameras, qtbot):
+    cameras.dropped, cameras.unmatched = 3, 5
+    qtbot.waitUntil(lambda: cameras.release() or "3 dropped, 5 unmatched" in texts(window.status))
+    assert "skew 2.0 ms" in texts(window.status)
+
+
+def test_freezing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F)
+    qtbot.waitUntil(lambda: window.transport.state.frozen)
+    for _ in range(12):
+        cameras.release()
+        QTest.qWait(100)
+    assert window.result.frame.sequence == 0
+    assert set(badges(window).values()) == {""}
+    QTest.keyClick(window, Qt.Key.Key_F)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 12)
+
+
+def test_space_pauses_and_goes_on(window, cameras, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not window.transport.state.playing)
+    cameras.release(3)
+    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 3)
+    assert not window.transport.slider.isEnabled()
+    assert not window.actions_.next.isEnabled()
+
+
+def test_closing_the_window_while_no_frame_comes(window, cameras, qtbot):
+    started = time.monotonic()
+    window.close()
+    assert not window.isVisible()
+    assert time.monotonic() - started < live_reader.PATIENCE_S / 2
+    assert cameras.closed.is_set()
+
+
+def test_the_window_stays_awake_in_a_storm_of_faults(window, cameras, qtbot):
+    gaps, last = [], [time.perf_counter()]
+
+    def beat() -> None:
+        now = time.perf_counter()
+        gaps.append(now - last[0])
+        last[0] = now
+
+    heart = QTimer()
+    heart.setTimerType(Qt.TimerType.PreciseTimer)
+    heart.timeout.connect(beat)
+    cameras.run(60.0)
+    QTest.qWait(200)
+    last[0] = time.perf_counter()
+    heart.start(10)
+    QTest.qWait(500)
+    calm = max(gaps)
+    gaps.clear()
+    for _ in range(3):
+        for fault in ("missing", "stalled"):
+            cameras.faults["tactile"] = fault
+            QTest.qWait(60)
+            cameras.fail("the tactile camera sends frames of another size")
+            QTest.qWait(60)
+            cameras.faults["proximity"] = fault
+            cameras.message = "the capture process does not answer and is started again"
+            QTest.qWait(60)
+            cameras.error, cameras.message = "", ""
+            cameras.faults.clear()
+            QTest.qWait(60)
+    heart.stop()
+    assert max(gaps) < max(0.2, 3 * calm)  # a machine that does other things, too, is slow in calm as well
+    newest = len(cameras.given)
+    qtbot.waitUntil(lambda: window.result.frame.sequence >= newest)
+    qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
+
+
+def state(tactile="missing", *, stale=True, message="", problem="", own=""):
+    cameras = (
+        CameraHealth("proximity", "streaming", "L515", "f001"),
+        CameraHealth("tactile", tactile, "D405", "d002", own),
+    )
+    return SourceState(Health(message=message, cameras=cameras), stale, problem, last_frame_s=100.0)
+
+
+@pytest.mark.parametrize(
+    ("given", "roles", "words"),
+    [
+        (state(), ("tactile",), "Tactile camera D405 (serial d002) is not connected: plug it in. Shown is the last "),
+        (state(own="the D405 is used by another program"), ("tactile",), "the D405 is used by another program. Shown"),
+        (state("stalled", stale=False), ("tactile",), "Tactile camera D405 (serial d002) sends no images"),
+        (state("streaming", stale=False), ("tactile",), ""),
+        (state("streaming"), ("tactile",), "No new frame has come. Shown is the last frame, 3 s old."),
+        (state("streaming", problem="sim has ended."), ("proximity",), "sim has ended. Shown is the last frame"),
+    ],
+)
+def test_words_of_a_badge(given, roles, words):
+    said = badge(given, roles, now_s=103.5, shown=True)
+    assert said.startswith(words)
+    assert bool(said) == bool(words)
+
+
+def test_a_badge_before_the_first_frame_speaks_of_none():
+    assert "last frame" not in badge(state(), ("tactile",), now_s=103.5, shown=False)
+
+
+def test_what_a_view_says_already_is_not_said_twice():
+    assert source_sentence(state(own="the D405 is gone", message="the D405 is gone.")) == ""
+    assert source_sentence(state(message="started again")) == "started again"
