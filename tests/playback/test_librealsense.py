@@ -41,14 +41,22 @@ def _assert_lens(ours: Intrinsics, lens: np.ndarray, model: str) -> None:
     assert ours.distortion.value == model
 
 
-def _assert_as_played(source: BagSource, played: dict[str, np.ndarray]) -> None:
+def _assert_as_played(source: BagSource, played: dict[str, np.ndarray], complete: bool = True) -> None:
+    """Compare with what librealsense plays; newer versions may miss images until all sensors have started."""
     rig = source.rig
-    assert source.length == len(played["Depth"])
-    colors = [int(np.argmin(np.abs(played["Color_times_ms"] - time_ms))) for time_ms in played["Depth_times_ms"]]
-    for index, frame in enumerate(source):
-        np.testing.assert_array_equal(frame.proximity_depth, played["Depth"][index])
-        np.testing.assert_array_equal(frame.proximity_color, played["Color"][colors[index]])
-        assert frame.proximity_time_s * 1e3 == pytest.approx(played["Depth_times_ms"][index], abs=2e-3)
+    depth_ms, color_ms = played["Depth_times_ms"], played["Color_times_ms"]
+    if complete:
+        assert source.length == len(depth_ms)
+    compared = 0
+    for frame in source:
+        time_ms = frame.proximity_time_s * 1e3
+        depth, color = int(np.argmin(np.abs(depth_ms - time_ms))), int(np.argmin(np.abs(color_ms - time_ms)))
+        if complete or max(abs(depth_ms[depth] - time_ms), abs(color_ms[color] - time_ms)) < 1:
+            np.testing.assert_array_equal(frame.proximity_depth, played["Depth"][depth])
+            np.testing.assert_array_equal(frame.proximity_color, played["Color"][color])
+            assert time_ms == pytest.approx(depth_ms[depth], abs=2e-3)
+            compared += 1
+    assert compared >= 0.9 * (source.length or 0)
     assert rig.proximity.depth_unit_m == played["unit_m"]
     assert rig.proximity_color is not None
     _assert_lens(rig.proximity.intrinsics, played["Depth_lens"], str(played["Depth_model"]))
@@ -108,7 +116,7 @@ def test_sixty_frames_of_a_pair_go_through_the_recorder_and_come_back(
         assert frame.skew_s == pytest.approx(0.004, abs=2e-6)
     alone = open_bag(proximity)
     assert alone.length == 60
-    _assert_as_played(alone, _played(proximity, tmp_path, driver))
+    _assert_as_played(alone, _played(proximity, tmp_path, driver), complete=False)
 
 
 @pytest.mark.parametrize("name", ["l515_2.54.2.bag", "d405_2.58.4.db3", "d405_2.59.1.db3"])
