@@ -93,11 +93,14 @@ def test_a_process_that_hangs_is_ended_with_its_source(
 def test_ctrl_c_reaches_the_parent_only(start: Start) -> None:
     parent, pid = start("""
 try:
+    print("ready", flush=True)
     time.sleep(60)
 except KeyboardInterrupt:
     print(source.next_frame() is not None, source.health().message, flush=True)
 """)
     assert os.getpgid(pid) != os.getpgid(parent.pid)
+    assert parent.stdout is not None
+    assert parent.stdout.readline() == "ready\n"
     parent.send_signal(signal.SIGINT)
     answer, words = parent.communicate(timeout=30)
     assert (answer, words) == ("True \n", "")

@@ -12,12 +12,16 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 import pytest
 from capture_sources import make_frame, make_rig, open_recorded, open_troubled
 
 from tactune.core.errors import SourceError
 from tactune.core.frames import SensorFrame
 from tactune.core.sources.process import ProcessSource
+
+#: All that a troubled source sends.
+MADE = [make_frame(make_rig(), number) for number in range(50)]
 
 Until = Callable[[Callable[[], bool]], float]
 
@@ -26,6 +30,16 @@ def take(source: ProcessSource, count: int) -> list[SensorFrame]:
     frames = [source.next_frame() for _ in range(count)]
     assert None not in frames
     return [frame for frame in frames if frame is not None]
+
+
+def is_whole(frame: SensorFrame) -> bool:
+    """Whether all images of a frame are those of one and the same number."""
+    return any(
+        np.array_equal(frame.proximity_depth, made.proximity_depth)
+        and np.array_equal(frame.tactile_depth, made.tactile_depth)
+        and np.array_equal(frame.proximity_color, made.proximity_color)
+        for made in MADE
+    )
 
 
 def kill(source: ProcessSource, sent: signal.Signals) -> None:
@@ -77,6 +91,7 @@ def test_it_is_told_and_mended(
         assert took_s < 20  # 3 s in words of a person; on a busy machine 0.3 s, 1.2 s or 1.7 s were measured
         after = take(source, 30)
         assert source.capture_pid not in (None, pid)
+        assert all(map(is_whole, before + after))
         numbers = [frame.sequence for frame in before + after]
         times_s = [frame.proximity_time_s for frame in before + after]
         assert numbers == sorted(set(numbers))

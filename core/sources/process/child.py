@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import select
 import signal
 import time
 from collections import deque
@@ -62,6 +63,8 @@ class _Capture:
         self._memory = memory
         self._parent = os.getppid()
         self._sending = Lock()
+        self._writable = select.poll()
+        self._writable.register(connection.fileno(), select.POLLOUT)
         self._stop = Event()
         self._calls: SimpleQueue[Call] = SimpleQueue()
         self._slots = Condition()
@@ -189,10 +192,20 @@ class _Capture:
                     self._obey(self._connection.recv())
                 if time.monotonic() >= due_s:
                     due_s = time.monotonic() + HEARTBEAT_S
-                    self._send(Heartbeat(self._health, time.monotonic() - self._round_s))
+                    self._beat()
         self._stop.set()
         time.sleep(_GRACE_S)
         os._exit(0)
+
+    def _beat(self) -> None:
+        """Give a sign of life, unless something else is being sent or the parent does not listen at present."""
+        if not self._sending.acquire(blocking=False):
+            return
+        try:
+            if self._writable.poll(0):
+                self._connection.send(Heartbeat(self._health, time.monotonic() - self._round_s))
+        finally:
+            self._sending.release()
 
     def _obey(self, message: GiveBack | Call) -> None:
         if isinstance(message, GiveBack):

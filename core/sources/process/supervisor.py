@@ -86,7 +86,7 @@ class Supervisor:
             if opened is not None:
                 return opened
             if error is not None:
-                raise error
+                raise type(error)(str(error))
             if progress is not None:
                 progress(opening.fraction, opening.text)
 
