@@ -64,6 +64,8 @@ class Bag:
         files = {RIG_NAME: json_text(rig_to_json(rig)).encode(), **(attachments or {})}
         if preset is not None:
             files[PRESET_NAME] = preset_json(preset).encode()
+        if self.path.exists():
+            raise ExportError(f"{self.path} is already there; choose another name or remove it")
         with self._refusals():
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("xb", buffering=0)
@@ -131,7 +133,5 @@ class Bag:
     def _refusals(self) -> Iterator[None]:
         try:
             yield
-        except FileExistsError as error:
-            raise ExportError(f"{self.path} is already there; choose another name or remove it") from error
         except OSError as error:
             raise ExportError(f"cannot write {self.path}: {error.strerror or error}; choose another place") from error

@@ -12,6 +12,7 @@ from ..errors import FrameError, SourceError
 from ..frames import GroundTruth, SensorFrame
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
+_DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
 _NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
 
 
@@ -43,6 +44,6 @@ def parse_reference(data: bytes, origin: str) -> SensorFrame:
             tactile_time_s=float(arrays["tactile_time_s"]),
             truth=truth,
         )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, FrameError, zipfile.BadZipFile, zlib.error) as error:
+    except (*_DAMAGE, FrameError) as error:
         detail = " ".join(str(error).split())
         raise SourceError(f"{origin}: its reference frame is damaged ({detail}); copy or record it again") from error

@@ -121,6 +121,8 @@ class McapSource(SeekableSource):
             lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")
         if not self._has_rig:
             lacks.append("this recording has no rig: depth counts as millimetres, as ROS has it")
+        if self._rig.tactile.model == "none":
+            lacks.append("this recording has one depth camera: for viewing only")
         if not len(self._places[Topic.PROXIMITY_COLOR]):
             lacks.append("this recording has no proximity colour: its image stays black")
         return Health(ok=not lacks, message="; ".join(lacks))
