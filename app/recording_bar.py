@@ -10,6 +10,9 @@ from ..core.recording.writer import RecordingStatus
 from ..widgets.elided_label import ElidedLabel
 from ..widgets.theme import theme_colors
 
+#: Bytes per second; below that the head of the file is most of it.
+_WORTH_RATING = 1e5
+
 
 class RecordingBar(QWidget):
     """A line above the views; hidden while nothing is being recorded.
@@ -70,7 +73,7 @@ class RecordingBar(QWidget):
             self._losses = status.dropped > 0
             self._recolor()
         rate = status.bytes / elapsed_s if elapsed_s > 1.0 else 0.0
-        lasts = f", {duration(free_bytes / rate)}" if rate > 0 else ""
+        lasts = f", {duration(free_bytes / rate)}" if rate > _WORTH_RATING else ""
         self._room.setText(f"{size(free_bytes)} free{lasts}")
 
     def show_finishing(self, name: str) -> None:

@@ -47,7 +47,7 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
     if not parts and sentences:
         parts = [f"Waits for the {_OTHER[roles[0]]} camera."]
     if not parts:
-        parts = [state.problem or state.health.message or "No new frame has come."]
+        parts = [state.problem or "No new frame has come."]
     if state.stale and shown:
         parts.append(f"Shown is the last frame, {age(now_s - state.last_frame_s)} old.")
     return " ".join(parts)
@@ -55,11 +55,11 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
 
 def short_badge(state: SourceState, now_s: float) -> str:
     """Return the same for a small image: that it is old, and how old."""
-    return f"Old: {age(now_s - state.last_frame_s)}" if state.stale else ""
+    return f"{age(now_s - state.last_frame_s)} old" if state.stale else ""
 
 
 def source_sentence(state: SourceState) -> str:
     """Return what concerns the source as a whole and no camera's view says already."""
     said = " ".join(camera_sentence(camera) for camera in state.health.cameras)
-    sentence = state.problem or state.health.message
+    sentence = state.health.message
     return "" if sentence and sentence.rstrip(".") in said else sentence

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QWidget
@@ -105,13 +106,10 @@ class CameraControl(QObject):
     def _preset_changed(self, preset: Preset) -> None:
         """Bring to the cameras what has changed."""
         before, self._cameras = self._cameras, preset.cameras
-        self.panel.set_cameras(preset.cameras)
-        if before == preset.cameras or not self._options:
+        if before == preset.cameras:
             return
-        for option in self._options:
-            value = _kept(preset.cameras, option)
-            if value != _kept(before, option):
-                self._worker.set_option(option.camera, option.name, option.default if value is None else value)
+        self._options = tuple(self._brought(option, before) for option in self._options)
+        self.panel.set_options(self._options, preset.cameras)
         if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERAS):
             self._messages.show_message(
                 "cameras",
@@ -119,6 +117,15 @@ class CameraControl(QObject):
                 "The preset names other cameras, or another delay; that takes effect when they are opened again.",
                 offers=[("Open again", self._open_cameras)],
             )
+
+    def _brought(self, option: CameraOption, before: CamerasSection) -> CameraOption:
+        """Set an option where the preset holds another value than before; without one, the default."""
+        kept = _kept(self._cameras, option)
+        if kept == _kept(before, option):
+            return option
+        value = option.default if kept is None else kept
+        self._worker.set_option(option.camera, option.name, value)
+        return replace(option, value=value)
 
     def _opened(self, info: SourceInfo) -> None:
         self._source = info.name
