@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import os
-
-import numba
+from ..core.threads import available_threads, set_threads
 
 
 def leave_room_for_the_window() -> None:
@@ -13,4 +11,4 @@ def leave_room_for_the_window() -> None:
     The window draws on that one. Kernels that wait for a thread which the window keeps from running
     take several times longer than on one core alone.
     """
-    numba.set_num_threads(max(1, min(numba.get_num_threads(), (os.cpu_count() or 1) - 1)))
+    set_threads(available_threads() - 1)

@@ -1,26 +1,28 @@
 """Bringing tactile measurements to proximity pixels, by one of two models.
 
-`HomographyModel` is the paper's: both images are laid over each other by one plane's homography.
-`RigidModel` projects each proximity point into the tactile image and compares the depth expected
+The homography is the paper's: both images are laid over each other by one plane's homography.
+The rigid model projects each proximity point into the tactile image and compares the depth expected
 there with the depth measured there, which is exact wherever the membrane touches.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from . import kernels
-from .clouds import ray_table
+from .clouds import flat, planes_of, ray_table
 from .errors import RigMismatchError
 from .frames import Float64Array, Rig
+from .lenses import lens_parameters
 from .preset import AlignmentSection
+from .threads import by_rows
 
 CountsImage = npt.NDArray[np.uint16]
 DepthImage = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float32]
 Region = npt.NDArray[np.int64]
 
 
@@ -46,12 +48,33 @@ class AlignedDepth:
         return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
 
 
-class AlignmentModel(Protocol):
-    """What the pipeline asks of either model."""
+@dataclass(frozen=True, eq=False)
+class AlignmentModel:
+    """Either model, as the kernels take it.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height of the proximity image, then of the tactile image.
+    tables : tuple
+        See ``model`` in `tactune.core.kernels`.
+    """
+
+    size: tuple[int, int, int, int]
+    tables: tuple[bool, Floats, Floats, npt.NDArray[np.int32], int, Floats]
 
     def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
         """Return both depths for every proximity pixel of a region (left, top, right, bottom)."""
-        ...
+        aligned = AlignedDepth.empty(proximity.shape)
+        images = flat(proximity), flat(tactile)
+        expected, measured = aligned.expected_m.reshape(-1), aligned.measured_m.reshape(-1)
+        by_rows(
+            lambda first, last: kernels.align_rows(
+                *images, self.size, self.tables, region, first, last, expected, measured
+            ),
+            len(proximity),
+        )
+        return aligned
 
 
 def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
@@ -62,7 +85,21 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     RigMismatchError
         The preset leaves the pose to the rig and the rig has none.
     """
-    return RigidModel(section, rig) if section.model == "rigid" else HomographyModel(section, rig)
+    (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
+    rigid = section.model == "rigid"
+    factor, offset = rig.tactile.depth_unit_m * section.depth_scale, section.depth_offset_m
+    planes, table = np.empty(0, np.float32), np.empty(0, np.int32)
+    translation: Float64Array = np.zeros(3)
+    if rigid:
+        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        translation = T_t_p[:3, 3]
+        planes = planes_of(rotated_rays(T_t_p, rig))
+    else:
+        shapes = (height, width), (tactile_height, tactile_width)
+        table = flat(homography_table(tactile_homography(section, rig), *shapes))
+    units = np.array([rig.proximity.depth_unit_m, factor, offset, *translation], np.float32)
+    lens, camera = lens_parameters(rig.tactile.intrinsics)
+    return AlignmentModel((width, height, tactile_width, tactile_height), (rigid, units, planes, table, lens, camera))
 
 
 def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
@@ -105,60 +142,6 @@ def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
     K_p, K_t = rig.proximity.intrinsics.camera_matrix(), rig.tactile.intrinsics.camera_matrix()
     H_p_t = np.linalg.inv(K_t @ (T_t_p[:3, :3] + plane) @ np.linalg.inv(K_p))
     return np.asarray(H_p_t / H_p_t[2, 2])
-
-
-@dataclass(frozen=True)
-class DepthScale:
-    """Raw tactile counts to corrected metres, ``counts * factor + offset``, in float32."""
-
-    factor: np.float32
-    offset: np.float32
-
-    @classmethod
-    def of(cls, section: AlignmentSection, rig: Rig) -> DepthScale:
-        """Join the depth unit and the preset's scale and offset."""
-        return cls(np.float32(rig.tactile.depth_unit_m * section.depth_scale), np.float32(section.depth_offset_m))
-
-
-class RigidModel:
-    """Depth-aware alignment through the tactile camera's pose."""
-
-    def __init__(self, section: AlignmentSection, rig: Rig) -> None:
-        T_t_p = np.linalg.inv(tactile_pose(section, rig))
-        self.unit = np.float32(rig.proximity.depth_unit_m)
-        self.directions = rotated_rays(T_t_p, rig)
-        self.translation = T_t_p[:3, 3].astype(np.float32)
-        self.lens, self.camera = kernels.lens_parameters(rig.tactile.intrinsics)
-        self.scale = DepthScale.of(section, rig)
-
-    def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
-        """Project, look up by nearest pixel, and return expected and measured tactile depth."""
-        aligned = AlignedDepth.empty(proximity.shape)
-        kernels.align_rigid(
-            proximity, self.unit, self.directions, self.translation, tactile, self.scale.factor, self.scale.offset,
-            self.lens, self.camera, region, aligned.expected_m, aligned.measured_m,
-        )  # fmt: skip
-        return aligned
-
-
-class HomographyModel:
-    """Alignment by a plane homography: a fixed table, made once."""
-
-    def __init__(self, section: AlignmentSection, rig: Rig) -> None:
-        self.unit = np.float32(rig.proximity.depth_unit_m)
-        self.table = homography_table(
-            tactile_homography(section, rig), rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
-        )
-        self.scale = DepthScale.of(section, rig)
-
-    def align(self, proximity: CountsImage, tactile: CountsImage, region: Region) -> AlignedDepth:
-        """Look up by nearest pixel and return proximity depth and measured tactile depth."""
-        aligned = AlignedDepth.empty(proximity.shape)
-        kernels.align_table(
-            proximity, self.unit, self.table, tactile, self.scale.factor, self.scale.offset,
-            region, aligned.expected_m, aligned.measured_m,
-        )  # fmt: skip
-        return aligned
 
 
 def rotated_rays(T_t_p: npt.ArrayLike, rig: Rig) -> DepthImage:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -12,6 +13,7 @@ from .errors import SourceError
 from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
 from .intrinsics import Intrinsics
 from .preset import Preset
+from .simd import LANES
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -55,6 +57,23 @@ def ray_table(intrinsics: Intrinsics) -> Float32Array:
         )
     table.flags.writeable = False
     return table
+
+
+@lru_cache(maxsize=8)
+def ray_planes(intrinsics: Intrinsics) -> Float32Array:
+    """Return `ray_table` as the kernels take it: all x / z, then all y / z, flat."""
+    return planes_of(ray_table(intrinsics))
+
+
+def planes_of(table: Float32Array) -> Float32Array:
+    """Return a table (H, W, n) as n planes of its pixels, one after another, each with room for a vector."""
+    return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
+
+
+def flat(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return an image's pixels in a row, filled up with zeros where kernels could not load a vector."""
+    pixels = np.ascontiguousarray(image).reshape(-1)
+    return pixels if len(pixels) >= LANES else np.pad(pixels, (0, LANES - len(pixels)))
 
 
 def valid_depth(counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:

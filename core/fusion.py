@@ -1,13 +1,11 @@
-"""The tolerance test, pixel by pixel."""
+"""Which pixels and depths the tolerance test looks at."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from . import kernels
-from .alignment import AlignedDepth, CountsImage, Region
-from .frames import DepthCamera
+from .alignment import Region
 from .preset import RangeSection, RegionSection, ToleranceSection
 
 
@@ -20,36 +18,7 @@ def region_bounds(section: RegionSection, shape: tuple[int, int]) -> Region:
     return np.array([left, top, min(left + region_width, width), min(top + region_height, height)])
 
 
-def range_limits(section: RangeSection) -> tuple[np.float32, np.float32]:
-    """Return the nearest and farthest depth considered, in metres."""
-    near, far = section.limits_m if section.enabled else (0.0, np.inf)
-    return np.float32(near), np.float32(far)
-
-
-def tolerance_test(
-    counts: CountsImage,
-    camera: DepthCamera,
-    aligned: AlignedDepth,
-    region: Region,
-    limits: RangeSection,
-    tolerance: ToleranceSection,
-) -> npt.NDArray[np.uint8]:
-    """Test ``|dp - dt| <= t |dp|`` and return each pixel's provenance; candidates carry CONTACT.
-
-    Parameters
-    ----------
-    counts : uint16, shape (H, W)
-        Raw proximity depth.
-
-    Returns
-    -------
-    uint8, shape (H, W)
-        Values of `Provenance`.
-    """
-    provenance = np.empty(counts.shape, np.uint8)
-    near, far = range_limits(limits)
-    kernels.classify(
-        counts, np.float32(camera.depth_unit_m), aligned.expected_m, aligned.measured_m,
-        np.float32(tolerance.t), near, far, region, provenance,
-    )  # fmt: skip
-    return provenance
+def depth_limits(limits: RangeSection, tolerance: ToleranceSection) -> npt.NDArray[np.float32]:
+    """Return nearest and farthest depth considered, metres, and the tolerance, as the kernels take them."""
+    near, far = limits.limits_m if limits.enabled else (0.0, np.inf)
+    return np.array([near, far, tolerance.t], np.float32)

@@ -1,194 +1,274 @@
-"""Compiled per-pixel kernels, all in float32 with one fixed order of operations.
+"""The per-pixel chain, compiled: sixteen pixels at once, in float32 with one fixed order of operations.
 
-`tactune.core.reference` repeats that order in NumPy, so both give the same bits on every input:
-nothing here uses fast-math, and threads only ever split rows or points.
+`tactune.core.reference` repeats that order in NumPy, so both give the same bits on every input: nothing
+here uses fast-math, and threads only ever split rows.
+
+All kernels take the same first arguments:
+
+counts, tactile : uint16, flat
+    Proximity and tactile counts; these and all other flat arrays have at least `LANES` elements (a plane).
+size : tuple of int
+    Width and height of the proximity image, then of the tactile image.
+model : tuple
+    Of an alignment model: ``(rigid, units, planes, table, lens, camera)``. ``units`` (float32) holds metres
+    a proximity count, factor and offset from tactile counts to metres, and the translation (3).
+    ``planes`` (float32, flat) holds x, y and z of each proximity ray rotated into the tactile frame;
+    ``table`` (int32, flat) the tactile pixel of each proximity pixel, -1 for none. A model has one of both.
+region : int64, (4,)
+    Left, top, right, bottom; right and bottom exclusive.
 """
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
-from numba import njit, prange
 
-from .intrinsics import Distortion, Intrinsics
+from .colors import in_range
+from .compiling import inline, kernel
+from .lenses import project_lanes
 from .provenance import Provenance
+from .simd import (
+    LANES,
+    absolute,
+    bits,
+    count_trailing_zeros,
+    floats,
+    floor,
+    gather,
+    ints,
+    lane_numbers,
+    load,
+    store,
+    to_floats,
+    to_ints,
+    where,
+)
 
-PINHOLE, BROWN, INVERSE = 0, 1, 2
-
-_ONE = np.float32(1.0)
-_TWO = np.float32(2.0)
 _HALF = np.float32(0.5)
+_ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
+_NONE = np.int32(0)
+_SATURATED = np.int32(65535)
 
-_NO_PROXIMITY_DEPTH = np.uint8(Provenance.NO_PROXIMITY_DEPTH)
-_OUTSIDE_REGION = np.uint8(Provenance.OUTSIDE_REGION)
-_OUTSIDE_RANGE = np.uint8(Provenance.OUTSIDE_RANGE)
-_NO_TACTILE_DEPTH = np.uint8(Provenance.NO_TACTILE_DEPTH)
-_OUTSIDE_TOLERANCE = np.uint8(Provenance.OUTSIDE_TOLERANCE)
-_CANDIDATE = np.uint8(Provenance.CONTACT)
+_NO_PROXIMITY_DEPTH = np.int32(Provenance.NO_PROXIMITY_DEPTH)
+_OUTSIDE_REGION = np.int32(Provenance.OUTSIDE_REGION)
+_OUTSIDE_RANGE = np.int32(Provenance.OUTSIDE_RANGE)
+_NO_TACTILE_DEPTH = np.int32(Provenance.NO_TACTILE_DEPTH)
+_OUTSIDE_TOLERANCE = np.int32(Provenance.OUTSIDE_TOLERANCE)
+_CONTACT = np.int32(Provenance.CONTACT)
 
 
-def lens_parameters(intrinsics: Intrinsics) -> tuple[int, npt.NDArray[np.float32]]:
-    """Return the lens model's number and ``fx fy cx cy k1 k2 p1 p2 k3`` as the kernels take them."""
-    if not intrinsics.has_distortion:
-        lens = PINHOLE
-    elif intrinsics.distortion is Distortion.BROWN_CONRADY:
-        lens = BROWN
+@inline
+def _place(v: Any, u: Any, width: Any, size: Any) -> Any:
+    """Return where to load the pixels from (v, u) on, and how many lanes lie before u.
+
+    At the very end of an image the vector begins a few pixels earlier, so as not to reach beyond.
+    """
+    start = v * width + u
+    place = min(start, size - LANES)
+    return place, start - place
+
+
+@inline
+def _columns(u: Any, before: Any) -> Any:
+    """Return each lane's column; of lanes before ``u`` it is below ``u``."""
+    return lane_numbers() + ints(np.int32(u - before))
+
+
+@inline
+def _within(u: Any, low: Any, high: Any) -> Any:
+    return (u >= ints(np.int32(low))) & (u < ints(np.int32(high)))
+
+
+@inline
+def _has_depth(counts: Any) -> Any:
+    return (counts != ints(_NONE)) & (counts != ints(_SATURATED))
+
+
+@inline
+def _nearest(u: Any, v: Any, width: Any, height: Any) -> Any:
+    """Return whether pixel coordinates lie in an image, and the flat pixel; 0 where they do not."""
+    half = floats(_HALF)
+    inside = (u >= floats(-_HALF)) & (u < floats(np.float32(width) - _HALF))
+    inside = inside & (v >= floats(-_HALF)) & (v < floats(np.float32(height) - _HALF))
+    column = to_ints(floor(where(inside, u, floats(_ZERO)) + half))
+    row = to_ints(floor(where(inside, v, floats(_ZERO)) + half))
+    return inside, row * ints(np.int32(width)) + column
+
+
+@inline
+def _both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, size: Any, model: Any) -> Any:
+    """Return dp and dt of the tolerance test, and in which lanes there is each; ``pixels`` is the image's size."""
+    rigid, units, planes, table, lens, camera = model
+    if rigid:
+        z = load(planes, 2 * pixels + place) * depth + floats(units[5])
+        has_expected = valid & (z > floats(_ZERO))
+        x = load(planes, place) * depth + floats(units[3])
+        y = load(planes, pixels + place) * depth + floats(units[4])
+        u, v = project_lanes(x, y, z, lens, camera)
+        inside, partner = _nearest(u, v, size[2], size[3])
+        inside = inside & has_expected
+        expected = z
     else:
-        lens = INVERSE
-    values = (intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy, *intrinsics.coefficients)
-    return lens, np.array(values, dtype=np.float32)
+        partner = load(table, place)
+        inside = valid & (partner >= ints(_NONE))
+        has_expected = valid
+        expected = depth
+    seen = gather(tactile, where(inside, partner, ints(_NONE)))
+    measured = to_floats(seen) * floats(units[1]) + floats(units[2])
+    return expected, has_expected, measured, inside & _has_depth(seen)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _project(x: Any, y: Any, z: Any, lens: Any, c: Any) -> Any:
-    """Project a point to pixel coordinates (float32), as `Intrinsics.project` does in float64."""
-    x = x / z
-    y = y / z
-    if lens != PINHOLE:
-        r2 = x * x + y * y
-        radial = _ONE + ((c[8] * r2 + c[5]) * r2 + c[4]) * r2
-        if lens == INVERSE:
-            x = x * radial
-            y = y * radial
-        dx = _TWO * c[6] * x * y + c[7] * (r2 + _TWO * x * x)
-        dy = _TWO * c[7] * x * y + c[6] * (r2 + _TWO * y * y)
-        if lens == BROWN:
-            x = x * radial
-            y = y * radial
-        x = x + dx
-        y = y + dy
-    return x * c[0] + c[2], y * c[1] + c[3]
+@kernel
+def align_rows(
+    counts: Any, tactile: Any, size: Any, model: Any, region: Any, first: Any, last: Any, expected: Any, measured: Any
+) -> None:
+    """Write both sides of the tolerance test for rows ``first`` to ``last - 1``; nan where there is none.
+
+    ``expected`` and ``measured`` are float32, flat.
+    """
+    width, height = size[0], size[1]
+    pixels = max(width * height, LANES)
+    buffer = np.empty(2 * LANES, np.float32)
+    for v in range(first, last):
+        for u in range(0, width, LANES):
+            place, before = _place(v, u, width, pixels)
+            count = load(counts, place)
+            depth = to_floats(count) * floats(model[1][0])
+            column = _columns(u, before)
+            valid = _has_depth(count) & _within(column, max(u, region[0]), region[2])
+            if v < region[1] or v >= region[3]:
+                valid = valid & (column < ints(_NONE))
+            dp, has_dp, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            store(buffer, 0, where(has_dp, dp, floats(_NAN)))
+            store(buffer, LANES, where(has_dt, dt, floats(_NAN)))
+            for i in range(min(LANES, width - u)):
+                expected[v * width + u + i] = buffer[before + i]
+                measured[v * width + u + i] = buffer[LANES + before + i]
 
 
-@njit(cache=True, nogil=True, parallel=True)
-def align_rigid(
-    counts: Any, unit: Any, directions: Any, translation: Any, tactile: Any, factor: Any, offset: Any, lens: Any,
-    camera: Any, region: Any, expected: Any, measured: Any
-) -> None:  # fmt: skip
-    """Project every proximity point of a region into the tactile image and look its depth up.
+@kernel
+def classify_rows(
+    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, first: Any, last: Any, provenance: Any
+) -> None:
+    """Write the verdict of depth, region, range and tolerance for some rows; candidates get CONTACT.
+
+    ``limits`` (float32) holds nearest and farthest depth and the tolerance; ``provenance`` is uint8, flat.
+    """
+    width, height = size[0], size[1]
+    pixels = max(width * height, LANES)
+    buffer = np.empty(LANES, np.uint8)
+    for v in range(first, last):
+        row_in_region = v >= region[1] and v < region[3]
+        for u in range(0, width, LANES):
+            place, before = _place(v, u, width, pixels)
+            count = load(counts, place)
+            depth = to_floats(count) * floats(model[1][0])
+            column = _columns(u, before)
+            has_depth = _has_depth(count)
+            in_region = _within(column, region[0], region[2])
+            if not row_in_region:
+                in_region = column < ints(_NONE)
+            valid = has_depth & in_region & (column >= ints(np.int32(u)))
+            dp, has_dp, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            agrees = absolute(dp - dt) <= floats(limits[2]) * absolute(dp)
+            verdict = where(agrees, ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
+            verdict = where(has_dp & has_dt, verdict, ints(_NO_TACTILE_DEPTH))
+            out_of_range = (depth < floats(limits[0])) | (depth > floats(limits[1]))
+            verdict = where(out_of_range, ints(_OUTSIDE_RANGE), verdict)
+            verdict = where(in_region, verdict, ints(_OUTSIDE_REGION))
+            verdict = where(has_depth, verdict, ints(_NO_PROXIMITY_DEPTH))
+            store(buffer, 0, verdict)
+            for i in range(min(LANES, width - u)):
+                provenance[v * width + u + i] = buffer[before + i]
+
+
+@kernel
+def find_candidates(
+    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, rays: Any, image: Any, color: Any,
+    hsv: Any, tiles: Any, first: Any, last: Any, pixels_out: Any, points_out: Any
+) -> Any:  # fmt: skip
+    """Find the pixels of rows ``first`` to ``last - 1`` that pass the tolerance test and the colour mask.
 
     Parameters
     ----------
-    counts, tactile : uint16, (H, W) and (Ht, Wt)
-    unit : float32
-        Metres a proximity count.
-    directions : float32, (H, W, 3)
-        Each proximity ray rotated into the tactile frame.
-    translation : float32, (3,)
-        Origin of the proximity frame in the tactile frame, metres.
-    factor, offset : float32
-        Corrected tactile depth in metres = counts * factor + offset.
-    lens, camera
-        From `lens_parameters` of the tactile camera.
-    region : int64, (4,)
-        Left, top, right, bottom; right and bottom exclusive.
-    expected, measured : float32, (H, W), written
-        Depth in the tactile frame where the point should be seen and where it is; nan for none.
+    rays : float32, flat
+        x / z, then y / z of each proximity ray.
+    image : uint8, (H, W, 3)
+        Proximity colours.
+    color : tuple
+        ``(own, transform, lens, camera)``; ``own`` tells whether the colour camera stands apart, and
+        ``transform`` (float32, (12,)) holds rotation and translation from depth to colour.
+    hsv : int64, (6,) or (0,)
+        Range of colours to leave out, from `colors.hsv_limits`; empty for no mask.
+    tiles : bool, (rows of tiles, tiles in a row)
+        False where `coarse` has shown that a tile of `LANES` x ``coarse.TILE_ROWS`` pixels has no candidate.
+    pixels_out, points_out : int64 and float32 (n, 3), written from ``first * width`` on
+        Those pixels and their points, in order.
+
+    Returns
+    -------
+    int
+        How many.
     """
-    height, width = counts.shape
-    tactile_height, tactile_width = tactile.shape
-    u_end = np.float32(tactile_width) - _HALF
-    v_end = np.float32(tactile_height) - _HALF
-    for v in prange(height):
-        for u in range(width):
-            expected[v, u] = _NAN
-            measured[v, u] = _NAN
-            if v < region[1] or v >= region[3] or u < region[0] or u >= region[2]:
+    width, height = size[0], size[1]
+    pixels = max(width * height, LANES)
+    tile_rows = (height + tiles.shape[0] - 1) // tiles.shape[0]
+    point = np.empty((3, LANES), np.float32)
+    flat_point = point.ravel()
+    partner = np.empty(LANES, np.int32)
+    own, transform, color_lens, color_camera = color
+    has_mask = hsv.shape[0] > 0
+    flat_image = image.ravel()
+    kept = first * width
+    for v in range(max(first, region[1]), min(last, region[3])):
+        for u in range(region[0] // LANES * LANES, region[2], LANES):
+            if not tiles[v // tile_rows, u // LANES]:
                 continue
-            count = counts[v, u]
-            if count == 0 or count == 65535:
+            place, before = _place(v, u, width, pixels)
+            count = load(counts, place)
+            depth = to_floats(count) * floats(model[1][0])
+            column = _columns(u, before)
+            valid = _has_depth(count) & _within(column, max(u, region[0]), region[2])
+            valid = valid & (depth >= floats(limits[0])) & (depth <= floats(limits[1]))
+            if bits(valid) == 0:
                 continue
-            depth = np.float32(count) * unit
-            z = directions[v, u, 2] * depth + translation[2]
-            if not z > 0:
+            dp, _, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            passes = has_dt & (absolute(dp - dt) <= floats(limits[2]) * absolute(dp))
+            remaining = bits(passes)
+            if remaining == 0:
                 continue
-            expected[v, u] = z
-            x = directions[v, u, 0] * depth + translation[0]
-            y = directions[v, u, 1] * depth + translation[1]
-            tu, tv = _project(x, y, z, lens, camera)
-            if not (tu >= -_HALF and tu < u_end and tv >= -_HALF and tv < v_end):
-                continue
-            seen = tactile[math.floor(tv + _HALF), math.floor(tu + _HALF)]
-            if seen != 0 and seen != 65535:
-                measured[v, u] = np.float32(seen) * factor + offset
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def align_table(
-    counts: Any, unit: Any, table: Any, tactile: Any, factor: Any, offset: Any, region: Any,
-    expected: Any, measured: Any
-) -> None:  # fmt: skip
-    """Look the tactile depth up through a fixed table of flat tactile pixel numbers (-1: none)."""
-    height, width = counts.shape
-    flat = tactile.ravel()
-    for v in prange(height):
-        for u in range(width):
-            expected[v, u] = _NAN
-            measured[v, u] = _NAN
-            if v < region[1] or v >= region[3] or u < region[0] or u >= region[2]:
-                continue
-            count = counts[v, u]
-            if count == 0 or count == 65535:
-                continue
-            expected[v, u] = np.float32(count) * unit
-            if table[v, u] < 0:
-                continue
-            seen = flat[table[v, u]]
-            if seen != 0 and seen != 65535:
-                measured[v, u] = np.float32(seen) * factor + offset
-
-
-@njit(cache=True, nogil=True, parallel=True)
-def classify(
-    counts: Any, unit: Any, expected: Any, measured: Any, tolerance: Any, near: Any, far: Any, region: Any,
-    provenance: Any
-) -> None:  # fmt: skip
-    """Write the verdict of depth, region, range and tolerance on every pixel; candidates get CONTACT."""
-    height, width = counts.shape
-    for v in prange(height):
-        for u in range(width):
-            count = counts[v, u]
-            depth = np.float32(count) * unit
-            dp = expected[v, u]
-            dt = measured[v, u]
-            if count == 0 or count == 65535:
-                provenance[v, u] = _NO_PROXIMITY_DEPTH
-            elif v < region[1] or v >= region[3] or u < region[0] or u >= region[2]:
-                provenance[v, u] = _OUTSIDE_REGION
-            elif depth < near or depth > far:
-                provenance[v, u] = _OUTSIDE_RANGE
-            elif not (dt == dt and dp == dp):
-                provenance[v, u] = _NO_TACTILE_DEPTH
-            elif abs(dp - dt) <= tolerance * abs(dp):
-                provenance[v, u] = _CANDIDATE
-            else:
-                provenance[v, u] = _OUTSIDE_TOLERANCE
-
-
-@njit(cache=True, nogil=True)
-def color_lookup(
-    points: Any, rotation: Any, translation: Any, lens: Any, camera: Any, image: Any, colors: Any, seen: Any
-) -> None:
-    """Write the colour at which a colour camera sees each point; ``seen`` is False outside its image."""
-    height, width = image.shape[:2]
-    u_end = np.float32(width) - _HALF
-    v_end = np.float32(height) - _HALF
-    for i in range(points.shape[0]):
-        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
-        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
-        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
-        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
-        seen[i] = False
-        if not z > 0:
-            continue
-        u, v = _project(x, y, z, lens, camera)
-        if u >= -_HALF and u < u_end and v >= -_HALF and v < v_end:
-            row, column = math.floor(v + _HALF), math.floor(u + _HALF)
-            colors[i, 0] = image[row, column, 0]
-            colors[i, 1] = image[row, column, 1]
-            colors[i, 2] = image[row, column, 2]
-            seen[i] = True
+            x = load(rays, place) * depth
+            y = load(rays, pixels + place) * depth
+            store(flat_point, 0, x)
+            store(flat_point, LANES, y)
+            store(flat_point, 2 * LANES, depth)
+            colored = remaining if has_mask else 0
+            if has_mask and own:
+                cx = floats(transform[0]) * x + floats(transform[1]) * y
+                cx = cx + floats(transform[2]) * depth + floats(transform[9])
+                cy = floats(transform[3]) * x + floats(transform[4]) * y
+                cy = cy + floats(transform[5]) * depth + floats(transform[10])
+                cz = floats(transform[6]) * x + floats(transform[7]) * y
+                cz = cz + floats(transform[8]) * depth + floats(transform[11])
+                cu, cv = project_lanes(cx, cy, cz, color_lens, color_camera)
+                inside, there = _nearest(cu, cv, image.shape[1], image.shape[0])
+                colored = bits(passes & inside & (cz > floats(_ZERO)))
+                store(partner, 0, there)
+            while remaining != 0:
+                lane = count_trailing_zeros(remaining)
+                is_masked = False
+                if (colored >> lane) & 1:
+                    there_flat = 3 * (np.int64(partner[lane]) if own else place + lane)
+                    is_masked = in_range(
+                        flat_image[there_flat], flat_image[there_flat + 1], flat_image[there_flat + 2], hsv
+                    )
+                if not is_masked:
+                    pixels_out[kept] = place + lane
+                    points_out[kept, 0] = point[0, lane]
+                    points_out[kept, 1] = point[1, lane]
+                    points_out[kept, 2] = point[2, lane]
+                    kept += 1
+                remaining &= remaining - 1
+    return kept - first * width

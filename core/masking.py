@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
-from . import kernels
+from .colors import color_lookup, colors_in_range, hsv_limits
 from .frames import Rig
+from .lenses import lens_parameters
 from .preset import MaskSection
 
 Rgb = npt.NDArray[np.uint8]
@@ -26,15 +26,9 @@ def in_hsv_range(colors: Rgb, section: MaskSection) -> Bools:
     -------
     bool, shape (...)
     """
-    if colors.size == 0:
-        return np.zeros(colors.shape[:-1], bool)
-    hsv = cv2.cvtColor(np.ascontiguousarray(colors).reshape(1, -1, 3), cv2.COLOR_RGB2HSV)[0]
-    hue, saturation, value = hsv[:, 0], hsv[:, 1], hsv[:, 2]
-    low, high = section.hue
-    inside = (hue >= low) & (hue <= high) if low <= high else (hue >= low) | (hue <= high)
-    inside &= (saturation >= section.saturation[0]) & (saturation <= section.saturation[1])
-    inside &= (value >= section.value[0]) & (value <= section.value[1])
-    return np.asarray(inside.reshape(colors.shape[:-1]))
+    inside = np.empty(colors.shape[:-1], bool)
+    colors_in_range(np.ascontiguousarray(colors).reshape(-1, 3), hsv_limits(section), inside.reshape(-1))
+    return inside
 
 
 def colors_at(points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], image: Rgb, rig: Rig) -> tuple[Rgb, Bools]:
@@ -54,10 +48,10 @@ def colors_at(points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], ima
     if rig.proximity_color is None:
         return image.reshape(-1, 3)[pixels], np.ones(len(pixels), bool)
     T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)
-    lens, camera = kernels.lens_parameters(rig.proximity_color.intrinsics)
+    lens, camera = lens_parameters(rig.proximity_color.intrinsics)
     colors = np.zeros((len(points), 3), np.uint8)
     seen = np.empty(len(points), bool)
-    kernels.color_lookup(
+    color_lookup(
         points,
         np.ascontiguousarray(T_c_d[:3, :3]),
         np.ascontiguousarray(T_c_d[:3, 3]),
@@ -70,11 +64,10 @@ def colors_at(points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], ima
     return colors, seen
 
 
-def is_masked(
-    points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], image: Rgb, rig: Rig, section: MaskSection
-) -> Bools:
-    """Tell which points have the bare membrane's colour. A point that no colour is known of is kept."""
-    if not section.enabled:
-        return np.zeros(len(points), bool)
-    colors, seen = colors_at(points, pixels, image, rig)
-    return in_hsv_range(colors, section) & seen
+def color_model(rig: Rig) -> tuple[bool, npt.NDArray[np.float32], int, npt.NDArray[np.float32]]:
+    """Return the colour camera as `kernels.find_candidates` takes it."""
+    if rig.proximity_color is None:
+        return False, np.zeros(12, np.float32), 0, np.zeros(9, np.float32)
+    T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)
+    transform = np.concatenate([T_c_d[:3, :3].ravel(), T_c_d[:3, 3]])
+    return True, transform, *lens_parameters(rig.proximity_color.intrinsics)

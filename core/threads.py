@@ -17,6 +17,9 @@ _local = threading.local()
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 
+#: Rows that one thread takes at a time.
+_ROWS = 96
+
 
 def available_threads() -> int:
     """Return how many processor cores this process may use."""
@@ -34,7 +37,7 @@ def set_threads(count: int) -> None:
     _local.threads = max(1, count)
 
 
-def in_parallel(task: Callable[[int], None], count: int) -> None:
+def in_parallel(task: Callable[[int], object], count: int) -> None:
     """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and its helpers.
 
     A helper that has not begun when all work is taken is not waited for. The first error of a task is raised.
@@ -60,6 +63,11 @@ def in_parallel(task: Callable[[int], None], count: int) -> None:
             future.exception()
     for future in begun:
         future.result()
+
+
+def by_rows(task: Callable[[int, int], object], height: int) -> None:
+    """Call ``task(first, last)`` for parts of an image's rows, in parallel; ``last`` is exclusive."""
+    in_parallel(lambda part: task(part * _ROWS, min((part + 1) * _ROWS, height)), -(-height // _ROWS))
 
 
 def _helpers() -> ThreadPoolExecutor:

@@ -65,6 +65,48 @@ def _next_above(squares: Any, vectors: Any, threshold: Any, minima: Any) -> Any:
     return minima.min()
 
 
+@inline
+def _mean_of_nearest(squares: Any, vectors: Any, limit: Any, within_limit: Any, k: Any, minima: Any) -> Any:
+    """Return the mean root of the k smallest of ``squares``, of which ``within_limit`` >= k lie within the limit."""
+    within_high = within_limit
+    low = np.float32(-1.0)
+    high = limit
+    within_low = 0
+    threshold = high
+    within = within_high
+    for _ in range(_STEPS):
+        if within == k or within == k - 1:
+            break
+        if within < k:
+            low = threshold
+            within_low = within
+        else:
+            high = threshold
+            within_high = within
+        start = max(low, _ZERO)
+        share = (np.float32(k) - np.float32(within_low)) / np.float32(within_high - within_low)
+        threshold = start + (high - start) * share
+        within = _count_within(squares, vectors, threshold)
+    if within > k:
+        threshold = low
+        within = within_low
+    beyond = threshold
+    while within < k:
+        beyond = _next_above(squares, vectors, threshold, minima)
+        reached = _count_within(squares, vectors, beyond)
+        if reached > k:
+            break
+        threshold = beyond
+        within = reached
+
+    summed = doubles(0.0)
+    for j in range(vectors):
+        square = load(squares, j * LANES)
+        summed = summed + to_doubles(where(square <= floats(threshold), sqrt(square), floats(_ZERO)))
+    missing = k - within
+    return (total(summed) + missing * np.sqrt(np.float64(beyond))) / k
+
+
 @kernel
 def search_single(
     chosen: Any, points: Any, pixels: Any, width: Any, stride: Any, xs: Any, ys: Any, zs: Any, columns: Any,
@@ -129,39 +171,25 @@ def search_single(
         if within_high < k:
             continue
 
-        low = np.float32(-1.0)
-        high = limit
-        within_low = 0
-        threshold = high
-        within = within_high
-        for _ in range(_STEPS):
-            if within == k or within == k - 1:
-                break
-            if within < k:
-                low = threshold
-                within_low = within
-            else:
-                high = threshold
-                within_high = within
-            start = max(low, _ZERO)
-            share = (np.float32(k) - np.float32(within_low)) / np.float32(within_high - within_low)
-            threshold = start + (high - start) * share
-            within = _count_within(squares, vectors, threshold)
-        if within > k:
-            threshold = low
-            within = within_low
-        beyond = threshold
-        while within < k:
-            beyond = _next_above(squares, vectors, threshold, minima)
-            reached = _count_within(squares, vectors, beyond)
-            if reached > k:
-                break
-            threshold = beyond
-            within = reached
+        means[i] = _mean_of_nearest(squares, vectors, limit, within_high, k, minima)
 
-        summed = doubles(0.0)
-        for j in range(vectors):
-            square = load(squares, j * LANES)
-            summed = summed + to_doubles(where(square <= floats(threshold), sqrt(square), floats(_ZERO)))
-        missing = k - within
-        means[i] = (total(summed) + missing * np.sqrt(np.float64(beyond))) / k
+
+@kernel
+def search_all(chosen: Any, points: Any, k: Any, means: Any) -> None:
+    """Write the chosen points' mean distance to their k nearest, looking at every point of the cloud.
+
+    Parameters as in `search_single`.
+    """
+    count = len(points)
+    vectors = (count + LANES - 1) // LANES
+    squares = np.full(vectors * LANES, _HUGE)
+    minima = np.empty(LANES, np.float32)
+    for i in chosen:
+        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        farthest = _ZERO
+        for j in range(count):
+            dx, dy, dz = x - points[j, 0], y - points[j, 1], z - points[j, 2]
+            square = dx * dx + dy * dy + dz * dz
+            squares[j] = square
+            farthest = max(farthest, square)
+        means[i] = _mean_of_nearest(squares, vectors, farthest, count, k, minima)

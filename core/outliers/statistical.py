@@ -11,7 +11,7 @@ from ..intrinsics import Intrinsics
 from ..threads import in_parallel
 from .grid import Grid, GridPool
 from .rings import mean_neighbour_distances, tree_means
-from .single import search_single
+from .single import search_all, search_single
 from .threshold import below_threshold, surely_below_threshold
 from .tiles import search_tiles
 
@@ -24,13 +24,33 @@ Distances = npt.NDArray[np.float64]
 _TREE_POINTS = 64
 #: Tiles with fewer points each are not searched together.
 _POINTS_A_TILE = 2.5
+#: So many points are rather compared with all others than looked up in a k-d tree.
+_FEW_LEFT = 64
 #: Tiles, and single points, that one thread takes at a time.
 _TILES, _SINGLES = 192, 256
 
 _grids = GridPool()
 
 
-def statistical_inliers(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, ratio: float) -> Bools:
+class NeighbourMemory:
+    """The mean distances found last, for the same points and k once more with another ratio."""
+
+    def __init__(self) -> None:
+        self._of: tuple[Points, int] | None = None
+        self._means = np.empty(0)
+
+    def recall(self, points: Points, k: int) -> Distances | None:
+        """Return the means of this very array of points, if remembered."""
+        return self._means if self._of is not None and self._of[0] is points and self._of[1] == k else None
+
+    def remember(self, points: Points, k: int, means: Distances) -> None:
+        """Keep the means."""
+        self._of, self._means = (points, k), means
+
+
+def statistical_inliers(
+    points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, ratio: float, memory: NeighbourMemory | None = None
+) -> Bools:
     """Return which points are inliers, by Open3D's definition.
 
     A point's mean distance to its k nearest points, itself included, must be positive and below the
@@ -52,6 +72,8 @@ def statistical_inliers(points: Points, pixels: Pixels, intrinsics: Intrinsics, 
         Neighbours averaged, the point itself counting as one (PCL's k is one less).
     ratio : float
         Standard deviations allowed.
+    memory : NeighbourMemory, optional
+        Saves the search where only the ratio has changed.
 
     Returns
     -------
@@ -61,7 +83,12 @@ def statistical_inliers(points: Points, pixels: Pixels, intrinsics: Intrinsics, 
         return np.zeros(0, bool)
     k = min(k, len(points))
     if len(points) > _TREE_POINTS and k > 1:
-        inliers = surely_below_threshold(near_means(points, pixels, intrinsics, k), ratio)
+        means = memory.recall(points, k) if memory is not None else None
+        if means is None:
+            means = near_means(points, pixels, intrinsics, k)
+            if memory is not None:
+                memory.remember(points, k, means)
+        inliers = surely_below_threshold(means, ratio)
         if inliers is not None:
             return inliers
     return np.asarray(below_threshold(mean_neighbour_distances(points, pixels, intrinsics, k), ratio))
@@ -86,7 +113,9 @@ def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -
         grid.clear(pixels)
         _grids.give_back(intrinsics, grid)
     left = left[np.isnan(means[left])]
-    if len(left):
+    if len(left) <= _FEW_LEFT:
+        search_all(left, points, k, means)
+    else:
         means[left] = tree_means(points, points[left], k)
     return means
 

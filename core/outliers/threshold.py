@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..compiling import kernel
+from ..simd import LANES, doubles, load, total
 
 #: The share by which an inexact mean may differ from the exact one. Its distances differ by at most
 #: 3 float32 units in the last place (differences exact to half a unit, squares and sums, root).
@@ -44,20 +45,38 @@ def surely_below_threshold(means: npt.NDArray[np.float64], ratio: float) -> npt.
     count = len(means)
     if count < 2:
         return None
-    mean = float(means.sum()) / count
-    squares = float(np.dot(means, means))
-    centred = means - mean
-    threshold = mean + ratio * float(np.sqrt(np.dot(centred, centred) / (count - 1)))
-    doubt = UNCERTAINTY * (mean + ratio * float(np.sqrt(squares / (count - 1)))) * (1 + 1e-6)
     inliers = np.empty(count, np.bool_)
-    certain = _compare(means, threshold, doubt, inliers)
-    return inliers if certain else None
+    return inliers if _compare(means, ratio, UNCERTAINTY, inliers) else None
 
 
 @kernel
-def _compare(means: Any, threshold: Any, doubt: Any, inliers: Any) -> Any:
+def _compare(means: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
+    count = len(means)
+    whole = count - count % LANES
+    sums = doubles(0.0)
+    squares = doubles(0.0)
+    for i in range(0, whole, LANES):
+        mean = load(means, i)
+        sums = sums + mean
+        squares = squares + mean * mean
+    sum_of_means, sum_of_squares = total(sums), total(squares)
+    for i in range(whole, count):
+        sum_of_means += means[i]
+        sum_of_squares += means[i] * means[i]
+
+    centre = sum_of_means / count
+    centred = doubles(0.0)
+    for i in range(0, whole, LANES):
+        away = load(means, i) - doubles(centre)
+        centred = centred + away * away
+    sum_of_centred = total(centred)
+    for i in range(whole, count):
+        sum_of_centred += (means[i] - centre) * (means[i] - centre)
+
+    threshold = centre + ratio * np.sqrt(sum_of_centred / (count - 1))
+    doubt = uncertainty * (centre + ratio * np.sqrt(sum_of_squares / (count - 1))) * (1 + 1e-6)
     certain = True
-    for i in range(len(means)):
+    for i in range(count):
         inliers[i] = means[i] < threshold
-        certain &= means[i] > _LEAST_M and abs(means[i] - threshold) > doubt + UNCERTAINTY * means[i]
+        certain &= means[i] > _LEAST_M and abs(means[i] - threshold) > doubt + uncertainty * means[i]
     return certain

@@ -8,11 +8,13 @@ from hypothesis import strategies as st
 
 from tactune.core import pipeline as pipeline_module
 from tactune.core.alignment import homography_table, tactile_homography
+from tactune.core.candidates import CandidateFinder
 from tactune.core.clouds import proximity_cloud, tactile_cloud
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.intrinsics import Distortion
 from tactune.core.masking import in_hsv_range
+from tactune.core.outliers import statistical
 from tactune.core.pipeline import STAGES, ContactPipeline
 from tactune.core.preset import MaskSection, Preset
 from tactune.core.provenance import Provenance
@@ -49,10 +51,13 @@ def same_patch(one, other) -> bool:
 @settings(max_examples=150, deadline=None)
 @given(
     values=settings_of_all_kinds, seed=st.integers(0, 1000), color=st.booleans(),
+    width=st.sampled_from([80, 80, 64, 73, 17, 9]),
     distortion=st.sampled_from(["none", "brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"]),
 )  # fmt: skip
-def test_every_input_gives_the_references_bits(make_rig, make_frame, values, seed, color, distortion):
-    rig = make_rig(color=color, distortion=distortion, bend=0.02)
+def test_every_input_gives_the_references_bits(make_rig, make_frame, values, seed, color, width, distortion):
+    rig = make_rig(width=width, color=color, distortion=distortion, bend=0.02)
+    if values["region.rectangle"][0] >= width:
+        values = values | {"region.enabled": False}
     preset = Preset().with_values(values)
     frame = make_frame(rig, seed)
     patch = ContactPipeline(preset, rig).process(frame)
@@ -80,9 +85,10 @@ def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_fr
     [
         ("outliers.min_cluster_area_mm2", 5.0, {"clusters"}),
         ("outliers.k", 9, {"outliers", "clusters"}),
-        ("mask.hue", (10, 20), {"mask", "outliers", "clusters"}),
-        ("tolerance.t", 0.02, {"tolerance", "mask", "outliers", "clusters"}),
-        ("range.enabled", True, {"tolerance", "mask", "outliers", "clusters"}),
+        ("outliers.ratio", 1.0, {"outliers", "clusters"}),
+        ("mask.hue", (10, 20), set(STAGES)),
+        ("tolerance.t", 0.02, set(STAGES)),
+        ("range.enabled", True, set(STAGES)),
         ("region.enabled", True, set(STAGES)),
         ("alignment.depth_offset_m", 0.001, set(STAGES)),
         ("name", "other", set()),
@@ -105,18 +111,34 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     frame = make_frame(rig)
     contact = ContactPipeline(Preset(), rig)
     first = contact.process(frame)
-    for function in ("find_candidates", "drop_masked", "drop_outliers", "drop_small_clusters"):
+    provenance = first.provenance
+    monkeypatch.setattr(CandidateFinder, "find", None)
+    for function in ("drop_outliers", "drop_small_clusters"):
         monkeypatch.setattr(pipeline_module, function, None)
     again = contact.process(frame)
     assert again.points is first.points
-    assert again.provenance is first.provenance
+    assert again.provenance is provenance
     assert not any(again.stage_ms.values())
+    assert again.skipped == ("nothing changed",)
 
 
-def test_an_empty_scene_skips_everything_after_the_tolerance(make_rig, make_frame, monkeypatch):
+def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
     rig = make_rig()
     frame = make_frame(rig)
-    for function in ("drop_masked", "drop_outliers", "drop_small_clusters"):
+    contact = ContactPipeline(Preset(), rig)
+    contact.process(frame)
+    monkeypatch.setattr(statistical, "near_means", None)
+    strict = Preset().with_value("outliers.ratio", 0.5)
+    contact.update(strict)
+    patch = contact.process(frame)
+    monkeypatch.undo()
+    assert same_patch(patch, ContactPipeline(strict, rig).process(frame))
+
+
+def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame, monkeypatch):
+    rig = make_rig()
+    frame = make_frame(rig)
+    for function in ("drop_outliers", "drop_small_clusters"):
         monkeypatch.setattr(pipeline_module, function, None)
     preset = Preset().with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
     patch = ContactPipeline(preset, rig).process(frame)
@@ -124,7 +146,9 @@ def test_an_empty_scene_skips_everything_after_the_tolerance(make_rig, make_fram
     assert patch.area_mm2 == 0
     assert patch.centroid_m is None
     assert not patch.mask.any()
-    assert [name for name, ms in patch.stage_ms.items() if ms] == ["align", "tolerance"]
+    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
+    assert "no candidates" in patch.skipped
+    assert same_patch(patch, reference_patch(preset, rig, frame))
 
 
 def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):
@@ -183,6 +207,21 @@ def test_pixels_beyond_the_horizon_have_no_partner():
     w = 0.02 * u - 1.0
     centre_side = np.sign(np.linalg.inv(H)[2] @ (39.5, 29.5, 1.0))
     assert (table[np.sign(w) != centre_side] == -1).all()
+
+
+def test_every_colour_has_opencvs_hue_saturation_and_value():
+    steps = np.unique(np.r_[np.arange(0, 256, 5), 1, 2, 127, 128, 254, 255]).astype(np.uint8)
+    colors = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    hue, saturation, value = cv2.cvtColor(colors[None], cv2.COLOR_RGB2HSV)[0].T
+    for section in (
+        MaskSection(hue=(30, 90)), MaskSection(hue=(150, 20)),
+        MaskSection(saturation=(60, 200)), MaskSection(value=(3, 99)),
+    ):  # fmt: skip
+        low, high = section.hue
+        expected = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
+        for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
+            expected &= (floor <= channel) & (channel <= ceiling)
+        assert np.array_equal(in_hsv_range(colors, section), expected)
 
 
 def test_hue_ranges_wrap_around_red():

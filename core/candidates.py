@@ -1,0 +1,165 @@
+"""Pixels that may be contact, and how they are found and thinned out: the stages of the pipeline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from . import kernels
+from .alignment import AlignedDepth, AlignmentModel, Region
+from .clouds import flat, ray_planes
+from .colors import hsv_limits
+from .compiling import kernel
+from .frames import Rig, SensorFrame
+from .fusion import depth_limits, region_bounds
+from .masking import color_model
+from .outliers.clusters import in_large_cluster
+from .outliers.statistical import NeighbourMemory, statistical_inliers
+from .preset import OutlierSection, Preset
+from .provenance import Provenance
+from .threads import by_rows
+
+_NO_LIMITS = np.empty(0, np.int64)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Pixels that are still in the running, with their points.
+
+    Attributes
+    ----------
+    pixels : int, shape (N,)
+        Flat proximity pixel numbers, ascending.
+    points : float32, shape (N, 3)
+        Metres, proximity depth frame.
+    """
+
+    pixels: npt.NDArray[np.intp]
+    points: npt.NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def keep(self, which: npt.NDArray[np.bool_]) -> Candidates:
+        """Return those that ``which`` (bool, shape (N,)) marks."""
+        count = int(np.count_nonzero(which))
+        if count == len(self):
+            return self
+        pixels, points = np.empty(count, np.intp), np.empty((count, 3), np.float32)
+        _compact(which, self.pixels, self.points, pixels, points)
+        return Candidates(pixels, points)
+
+
+@kernel
+def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: Any) -> None:
+    count = 0
+    for i in range(len(which)):
+        if which[i]:
+            pixels_out[count] = pixels[i]
+            points_out[count, 0] = points[i, 0]
+            points_out[count, 1] = points[i, 1]
+            points_out[count, 2] = points[i, 2]
+            count += 1
+
+
+class CandidateFinder:
+    """The per-pixel chain for one preset and rig, with its tables and buffers. For one thread at a time."""
+
+    def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
+        self.alignment = alignment
+        self.region: Region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+        self.limits = depth_limits(preset.range, preset.tolerance)
+        self._rays = ray_planes(rig.proximity.intrinsics)
+        self._color = color_model(rig)
+        self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
+
+    def find(self, frame: SensorFrame, buffers: CandidateBuffers) -> Candidates:
+        """Return the pixels that pass the tolerance test and the colour mask."""
+        height, width = frame.proximity_depth.shape
+        tiles = np.ones((-(-height // 8), -(-width // 16)), np.bool_)
+        counts: dict[int, int] = {}
+        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
+
+        def find_rows(first: int, last: int) -> None:
+            counts[first * width] = kernels.find_candidates(
+                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, self._rays,
+                frame.proximity_color, self._color, self._hsv, tiles, first, last, buffers.pixels, buffers.points,
+            )  # fmt: skip
+
+        by_rows(find_rows, height)
+        return buffers.collect(counts)
+
+    def aligned(self, frame: SensorFrame) -> AlignedDepth:
+        """Return both sides of the tolerance test."""
+        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
+
+    def classify(self, frame: SensorFrame) -> npt.NDArray[np.uint8]:
+        """Return each pixel's verdict of depth, region, range and tolerance; candidates have CONTACT."""
+        provenance = np.empty(frame.proximity_depth.shape, np.uint8)
+        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
+        by_rows(
+            lambda first, last: kernels.classify_rows(
+                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, first, last,
+                provenance.reshape(-1),
+            ),
+            len(provenance),
+        )  # fmt: skip
+        return provenance
+
+
+class CandidateBuffers:
+    """Room for every pixel of an image, used again for each frame."""
+
+    def __init__(self, rig: Rig) -> None:
+        height, width = rig.proximity.intrinsics.shape
+        self.pixels = np.empty(height * width, np.intp)
+        self.points = np.empty((height * width, 3), np.float32)
+
+    def collect(self, counts: dict[int, int]) -> Candidates:
+        """Copy out what parts of the work have written: ``counts`` from each beginning."""
+        parts = [slice(start, start + counts[start]) for start in sorted(counts) if counts[start]]
+        if not parts:
+            return Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
+        return Candidates(
+            np.concatenate([self.pixels[part] for part in parts]), np.concatenate([self.points[part] for part in parts])
+        )
+
+
+def drop_outliers(candidates: Candidates, rig: Rig, section: OutlierSection, memory: NeighbourMemory) -> Candidates:
+    """Drop statistical outliers."""
+    if not section.enabled or len(candidates) == 0:
+        return candidates
+    inliers = statistical_inliers(
+        candidates.points, candidates.pixels, rig.proximity.intrinsics, section.k, section.ratio, memory
+    )
+    return candidates.keep(inliers)
+
+
+def drop_small_clusters(candidates: Candidates, rig: Rig, section: OutlierSection) -> Candidates:
+    """Drop connected groups that are smaller than the preset's smallest cluster."""
+    large = in_large_cluster(
+        candidates.points, candidates.pixels, rig.proximity.intrinsics, section.min_cluster_area_mm2
+    )
+    return candidates.keep(large)
+
+
+def contact_mask(shape: tuple[int, int], contact: Candidates) -> npt.NDArray[np.bool_]:
+    """Return the image of the pixels in contact."""
+    mask = np.zeros(shape, np.bool_)
+    mask.reshape(-1)[contact.pixels] = True
+    return mask
+
+
+def full_provenance(
+    verdicts: npt.NDArray[np.uint8], unmasked: Candidates, inliers: Candidates, contact: Candidates
+) -> npt.NDArray[np.uint8]:
+    """Write the verdicts of the later stages over those of `CandidateFinder.classify`."""
+    pixels = verdicts.reshape(-1)
+    pixels[pixels == Provenance.CONTACT] = Provenance.MASKED
+    pixels[unmasked.pixels] = Provenance.OUTLIER
+    pixels[inliers.pixels] = Provenance.SMALL_CLUSTER
+    pixels[contact.pixels] = Provenance.CONTACT
+    return verdicts

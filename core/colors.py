@@ -1,0 +1,83 @@
+"""Compiled colour look-up and colour test."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from .compiling import inline, kernel
+from .lenses import project
+from .preset import MaskSection
+
+_HALF = np.float32(0.5)
+
+# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits.
+_SHIFT = 12
+_ROUND = 1 << (_SHIFT - 1)
+_DIVISORS = np.maximum(np.arange(256), 1)
+_BY_VALUE = np.rint((255 << _SHIFT) / _DIVISORS).astype(np.int32) * (np.arange(256) > 0)
+_BY_CHROMA = np.rint((180 << _SHIFT) / (6.0 * _DIVISORS)).astype(np.int32) * (np.arange(256) > 0)
+_HUES = 180
+
+
+def hsv_limits(section: MaskSection) -> npt.NDArray[np.int64]:
+    """Return the range as the kernels take it: low and high hue, saturation and value."""
+    return np.array([*section.hue, *section.saturation, *section.value], np.int64)
+
+
+@inline
+def in_range(red: Any, green: Any, blue: Any, limits: Any) -> Any:
+    """Tell whether a colour lies in a range of OpenCV's 8-bit HSV; a low hue above the high wraps."""
+    r, g, b = np.int64(red), np.int64(green), np.int64(blue)
+    value = max(r, g, b)
+    chroma = value - min(r, g, b)
+    saturation = (chroma * _BY_VALUE[value] + _ROUND) >> _SHIFT
+    if value == r:
+        hue = g - b
+    elif value == g:
+        hue = b - r + 2 * chroma
+    else:
+        hue = r - g + 4 * chroma
+    hue = (hue * _BY_CHROMA[chroma] + _ROUND) >> _SHIFT
+    if hue < 0:
+        hue += _HUES
+    low, high = limits[0], limits[1]
+    hue_fits = (low <= hue <= high) if low <= high else (low <= hue or hue <= high)
+    return (
+        hue_fits and limits[2] <= saturation and saturation <= limits[3] and limits[4] <= value and value <= limits[5]
+    )
+
+
+@kernel
+def colors_in_range(colors: Any, limits: Any, inside: Any) -> None:
+    """Test colours (N, 3)."""
+    for i in range(colors.shape[0]):
+        inside[i] = in_range(colors[i, 0], colors[i, 1], colors[i, 2], limits)
+
+
+@kernel
+def color_lookup(
+    points: Any, rotation: Any, translation: Any, lens: Any, camera: Any, image: Any, colors: Any, seen: Any
+) -> None:
+    """Write the colour at which a colour camera sees each point; ``seen`` is False outside its image."""
+    height, width = image.shape[:2]
+    u_end = np.float32(width) - _HALF
+    v_end = np.float32(height) - _HALF
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        seen[i] = False
+        if not z > 0:
+            continue
+        u, v = project(x, y, z, lens, camera)
+        if u >= -_HALF and u < u_end and v >= -_HALF and v < v_end:
+            row, column = math.floor(v + _HALF), math.floor(u + _HALF)
+            colors[i, 0] = image[row, column, 0]
+            colors[i, 1] = image[row, column, 1]
+            colors[i, 2] = image[row, column, 2]
+            seen[i] = True
