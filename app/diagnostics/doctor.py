@@ -1,0 +1,123 @@
+"""``tactune doctor``: small checks of this computer, side by side, none of which can take the program down.
+
+Whatever could crash, hang or load a broken library runs in a child process with a time limit.
+"""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
+from enum import StrEnum
+from typing import Any
+
+#: No child process may take longer.
+PATIENCE_S = 8.0
+
+
+class State(StrEnum):
+    """How a check ended; ``WARN`` is what only some uses need."""
+
+    OK = "ok"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True)
+class Check:
+    """One line of the report.
+
+    Attributes
+    ----------
+    name : str
+        What was looked at.
+    state : State
+    found : str
+        What was found there.
+    remedy : str
+        What to do; empty where nothing needs doing.
+    """
+
+    name: str
+    state: State
+    found: str
+    remedy: str = ""
+
+    def lines(self) -> list[str]:
+        """Return the check for a terminal."""
+        first = f"{self.state:<5}{self.name:<16}{self.found}"
+        return [first, f"{'':<21}{self.remedy}"] if self.remedy else [first]
+
+    def to_json(self) -> dict[str, str]:
+        """Return the check as JSON can hold it."""
+        return {key: str(value) for key, value in asdict(self).items()}
+
+
+@dataclass(frozen=True)
+class Child:
+    """How a child process ended: what it printed, or ``problem`` in a few words."""
+
+    out: str = ""
+    problem: str = ""
+
+    def answer(self) -> dict[str, Any]:
+        """Return the JSON object on the last line that was printed; empty where there is none."""
+        lines = self.out.strip().splitlines()
+        try:
+            answer = json.loads(lines[-1]) if lines else {}
+        except ValueError:
+            return {}
+        return answer if isinstance(answer, dict) else {}
+
+
+RunChild = Callable[[Sequence[str]], Child]
+
+
+def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
+    """Run a command and return what it printed; never raises, never waits longer than the limit."""
+    try:
+        done = subprocess.run(
+            list(command), check=False, capture_output=True, timeout=patience_s, stdin=subprocess.DEVNULL
+        )
+    except subprocess.TimeoutExpired:
+        return Child(problem=f"no answer within {patience_s:g} s")
+    except OSError as error:
+        return Child(problem=f"{command[0]} cannot be started: {error.strerror or error}")
+    out = done.stdout.decode(errors="replace")
+    if done.returncode < 0:
+        return Child(out, f"crashed ({_signal_name(-done.returncode)})")
+    if done.returncode > 0:
+        said = done.stderr.decode(errors="replace").strip().splitlines()
+        return Child(out, said[-1] if said else f"exit status {done.returncode}")
+    return Child(out)
+
+
+def python_child(code: str, *arguments: str) -> list[str]:
+    """Return the command that runs a piece of Python in a process of its own."""
+    return [sys.executable, "-c", code, *arguments]
+
+
+def run_checks(checks: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
+    """Run all checks side by side and return their lines in order; one that fails itself is a line, too."""
+    with ThreadPoolExecutor(max_workers=4) as pool:
+        return [line for lines in pool.map(_guarded, checks) for line in lines]
+
+
+def _guarded(check: Callable[[], Sequence[Check]]) -> Sequence[Check]:
+    try:
+        return check()
+    except Exception as error:
+        name = check.__name__.removeprefix("check_").replace("_", " ")
+        problem = f"could not be checked ({type(error).__name__}: {error})"
+        return [Check(name, State.WARN, problem, "Please report this with the line above.")]
+
+
+def _signal_name(number: int) -> str:
+    try:
+        return signal.Signals(number).name
+    except ValueError:
+        return f"signal {number}"
