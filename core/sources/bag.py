@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -59,6 +60,9 @@ class BagSource(SeekableSource):
 
     def _set_up(self, name: str, recordings: list[Recording]) -> None:
         self._recordings = recordings
+        self._is_open = True
+        # PNG and LZ4 take most of a frame's time, and both leave the interpreter alone meanwhile.
+        self._helper = ThreadPoolExecutor(1, thread_name_prefix="tactile images")
         self._proximity, self._tactile = _roles(name, recordings)
         self._cameras = [self._proximity] if self._tactile is None else [self._proximity, self._tactile]
         self._unmatched, self._unmatched_words = 0, ""
@@ -92,21 +96,20 @@ class BagSource(SeekableSource):
 
     def close(self) -> None:
         """Close the files."""
+        self._is_open = False
+        self._helper.shutdown(cancel_futures=True)
         for recording in self._recordings:
             recording.close()
 
     def read(self, index: int) -> SensorFrame:
         """Read frame ``index`` from the files."""
+        if not self._is_open:
+            raise SourceError(f"{self.name} is closed; open it again")
         proximity_index, tactile_index = int(self._proximity_index[index]), int(self._tactile_index[index])
+        tactile = self._helper.submit(self._read_tactile, tactile_index) if self._tactile else None
         depth = self._proximity.recording.depth_image(self._proximity.depth, proximity_index)
-        if self._tactile is None:
-            tactile_depth, tactile_color = np.zeros_like(depth), None
-        else:
-            tactile_depth = self._tactile.recording.depth_image(self._tactile.depth, tactile_index)
-            tactile_color = self._color(self._tactile, tactile_index)
-            if tactile_color is not None:
-                tactile_color = _color_on_depth(tactile_color, tactile_depth, self._tactile)
         proximity_color = self._color(self._proximity, proximity_index)
+        tactile_depth, tactile_color = tactile.result() if tactile else (np.zeros_like(depth), None)
         return SensorFrame(
             sequence=index,
             proximity_depth=depth,
@@ -116,6 +119,13 @@ class BagSource(SeekableSource):
             proximity_time_s=float(self._proximity_times_s[proximity_index]),
             tactile_time_s=float(self._tactile_times_s[tactile_index]),
         )
+
+    def _read_tactile(self, index: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8] | None]:
+        """Return a tactile depth image and its colours in depth pixels."""
+        assert self._tactile is not None
+        depth = self._tactile.recording.depth_image(self._tactile.depth, index)
+        color = self._color(self._tactile, index)
+        return depth, None if color is None else _color_on_depth(color, depth, self._tactile)
 
     def _color(self, camera: Camera, depth_index: int) -> npt.NDArray[np.uint8] | None:
         """Return the colour image nearest to a depth image of the same camera."""

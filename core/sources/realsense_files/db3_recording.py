@@ -13,6 +13,7 @@ import sys
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from itertools import chain
+from threading import Lock
 from typing import Any
 
 import numpy as np
@@ -68,6 +69,7 @@ class Db3Recording(Recording):
             for number, name in self._rows("SELECT id, name FROM topics")
             if isinstance(number, int) and isinstance(name, str)
         }
+        self._lock = Lock()
         self._images: dict[str, str] = {}
         self._index: dict[str, npt.NDArray[np.int64]] = {}
 
@@ -185,7 +187,8 @@ class Db3Recording(Recording):
         return Cursor(self._message(row, _LONGEST_TEXT), aligned=True).text()
 
     def _message(self, row: int, largest: int) -> bytes:
-        found = list(self._rows("SELECT data FROM messages WHERE rowid = ?", row))
+        with self._lock:
+            found = list(self._rows("SELECT data FROM messages WHERE rowid = ?", row))
         data = found[0][0] if found else None
         if not isinstance(data, bytes):
             raise DamagedFileError(f"message {row} is missing")
