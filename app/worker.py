@@ -49,8 +49,9 @@ class Worker(QThread):
     openFailed(name: str, sentence: str)
         The sentence is empty where opening was cancelled. The former source goes on.
     failed(sentence: str)
-        Reading or processing a frame failed. A recording is paused; a live source goes on, and an
-        empty sentence follows when it is well again.
+        Reading or processing a frame failed. A recording is paused; a live source goes on.
+    recovered()
+        A frame of a live source was processed again.
     playbackChanged(PlaybackState)
         Playing, looping, frozen or the speed changed; the frame number comes with each result.
     stateChanged(SourceState)
@@ -59,8 +60,7 @@ class Worker(QThread):
         The settings of the source's cameras; empty for recordings.
     optionRefused(sentence: str)
     recordingStarted(path: Path)
-    recordingFailed(sentence: str)
-        It could not be started.
+    recordingFailed(sentence: str), when it cannot be started
     recordingEnded(RecordingEnd)
     """
 
@@ -69,6 +69,7 @@ class Worker(QThread):
     opened = pyqtSignal(object)
     openFailed = pyqtSignal(str, str)
     failed = pyqtSignal(str)
+    recovered = pyqtSignal()
     playbackChanged = pyqtSignal(object)
     stateChanged = pyqtSignal(object)
     optionsChanged = pyqtSignal(object)
@@ -386,7 +387,7 @@ class Worker(QThread):
             return
         if self._failing:
             self._failing = False
-            self.failed.emit("")
+            self.recovered.emit()
         if self._mailbox.put(result):
             self.resultReady.emit()
 

@@ -110,6 +110,24 @@ def test_what_concerns_the_whole_source_is_said_above_the_views(window, cameras,
     qtbot.waitUntil(lambda: window.messages.sentences() == [])
 
 
+def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_shown(window, cameras, qtbot, monkeypatch):
+    processor = window.worker._processor
+    process = processor.process
+    monkeypatch.setattr(processor, "process", lambda *_, **__: 1 / 0)
+    said = []
+    window.worker.failed.connect(said.append)
+    cameras.release()
+    qtbot.waitUntil(lambda: window.messages.message("worker") is not None)
+    for _ in range(3):
+        cameras.release()
+        QTest.qWait(30)
+    assert len(said) == 1
+    monkeypatch.setattr(processor, "process", process)
+    cameras.release()
+    qtbot.waitUntil(lambda: window.result.frame.sequence == len(cameras.given) - 1)
+    qtbot.waitUntil(lambda: window.messages.message("worker") is None)
+
+
 def test_losses_are_told_in_the_status_bar(window, cameras, qtbot):
     cameras.dropped, cameras.unmatched = 3, 5
     qtbot.waitUntil(lambda: cameras.release() or "3 dropped, 5 unmatched" in texts(window.status))
@@ -162,9 +180,6 @@ def test_the_window_stays_awake_in_a_storm_of_faults(window, cameras, qtbot):
     QTest.qWait(200)
     last[0] = time.perf_counter()
     heart.start(10)
-    QTest.qWait(500)
-    calm = max(gaps)
-    gaps.clear()
     for _ in range(3):
         for fault in ("missing", "stalled"):
             cameras.faults["tactile"] = fault
@@ -178,7 +193,8 @@ def test_the_window_stays_awake_in_a_storm_of_faults(window, cameras, qtbot):
             cameras.faults.clear()
             QTest.qWait(60)
     heart.stop()
-    assert max(gaps) < max(0.2, 3 * calm)  # a machine that does other things, too, is slow in calm as well
+    # A window that waited for anything would do so in each of the six rounds; a busy machine does now and then.
+    assert sorted(gaps)[-4] < 0.2
     newest = len(cameras.given)
     qtbot.waitUntil(lambda: window.result.frame.sequence >= newest)
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
