@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from ..errors import SourceError
-from ..frames import ColorCamera, DepthCamera, Rig, rigid_transform
+from ..frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ..intrinsics import Distortion, Intrinsics
 from .messages import CAMERA_INFO, TRANSFORMS, Topic, matrix_of, parse
 from .reader import McapFile
@@ -16,7 +17,7 @@ from .reader import McapFile
 _ROS_UNIT_M = 0.001
 
 
-def rig_from_lenses(file: McapFile, origin: str) -> Rig:
+def rig_from_lenses(file: McapFile) -> Rig:
     """Make a rig of camera infos and static transforms; depth counts as millimetres.
 
     The colour camera is left out where there is no pose for it: colour then counts as aligned to depth.
@@ -26,29 +27,28 @@ def rig_from_lenses(file: McapFile, origin: str) -> Rig:
     SourceError
         A camera info is missing or has a lens that is not known.
     """
-    proximity, tactile = (_camera_info(file, topic, origin) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))
-    poses = _poses(file)
+    proximity, tactile = (_camera_info(file, topic) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))
     color = None
     if Topic.PROXIMITY_COLOR.camera_info in file.topics:
-        info = _camera_info(file, Topic.PROXIMITY_COLOR, origin)
-        pose = poses.get((info.header.frame_id, proximity.header.frame_id))
-        color = pose and ColorCamera(intrinsics=_lens(info, origin), T_color_depth=pose)
+        info = _camera_info(file, Topic.PROXIMITY_COLOR)
+        pose = _pose(file, info.header.frame_id, proximity.header.frame_id)
+        color = None if pose is None else ColorCamera(intrinsics=_lens(info, file.path), T_color_depth=pose)
     return Rig(
-        proximity=DepthCamera(intrinsics=_lens(proximity, origin), depth_unit_m=_ROS_UNIT_M),
-        tactile=DepthCamera(intrinsics=_lens(tactile, origin), depth_unit_m=_ROS_UNIT_M),
+        proximity=DepthCamera(intrinsics=_lens(proximity, file.path), depth_unit_m=_ROS_UNIT_M),
+        tactile=DepthCamera(intrinsics=_lens(tactile, file.path), depth_unit_m=_ROS_UNIT_M),
         proximity_color=color,
-        T_proximity_tactile=poses.get((proximity.header.frame_id, tactile.header.frame_id)),
+        T_proximity_tactile=_pose(file, proximity.header.frame_id, tactile.header.frame_id),
     )
 
 
-def _camera_info(file: McapFile, topic: Topic, origin: str) -> Any:
+def _camera_info(file: McapFile, topic: Topic) -> Any:
     places = file.places(topic.camera_info)
     if not len(places):
-        raise SourceError(f"{origin} has no {topic.camera_info} and no rig; record the lenses, too")
-    return parse(file.message(places[0]), CAMERA_INFO)
+        raise SourceError(f"{file.path} has no {topic.camera_info} and no rig; record the lenses, too")
+    return parse(file.message(places[0]), CAMERA_INFO, file.path)
 
 
-def _lens(info: Any, origin: str) -> Intrinsics:
+def _lens(info: Any, origin: Path) -> Intrinsics:
     if info.distortion_model not in ("", "plumb_bob") or len(info.d) > 5:
         raise SourceError(f"{origin} has the lens model {info.distortion_model!r}; only plumb_bob is known")
     coefficients = [*map(float, info.d), *[0.0] * (5 - len(info.d))]
@@ -67,12 +67,16 @@ def _lens(info: Any, origin: str) -> Intrinsics:
         raise SourceError(f"{origin} has a camera info with values out of range; record it again") from error
 
 
-def _poses(file: McapFile) -> dict[tuple[str, str], Any]:
-    """Return for two frames, a and b, the transform that takes coordinates in b to coordinates in a."""
-    poses: dict[tuple[str, str], Any] = {}
+def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
+    """Return the transform that takes coordinates in the second frame to the first, if a message tells it."""
     for place in file.places(Topic.STATIC_TRANSFORMS):
-        for transform in parse(file.message(place), TRANSFORMS).transforms:
-            pose = matrix_of(transform.transform)
-            poses[transform.header.frame_id, transform.child_frame_id] = rigid_transform(pose)
-            poses[transform.child_frame_id, transform.header.frame_id] = rigid_transform(np.linalg.inv(pose))
-    return poses
+        for transform in parse(file.message(place), TRANSFORMS, file.path).transforms:
+            frames = transform.header.frame_id, transform.child_frame_id
+            if set(frames) != {first, second}:
+                continue
+            try:
+                pose = matrix_of(transform.transform)
+                return pose if frames == (first, second) else rigid_transform(np.linalg.inv(np.array(pose)))
+            except ValueError as error:
+                raise SourceError(f"{file.path}: the pose of {second} in {first}: {error}; record it again") from error
+    return None

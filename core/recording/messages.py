@@ -32,6 +32,7 @@ from __future__ import annotations
 import json
 import struct
 from enum import StrEnum
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -39,7 +40,8 @@ import numpy.typing as npt
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from ..frames import Matrix4, Rig, SensorFrame
+from ..errors import SourceError
+from ..frames import Matrix4, Rig, SensorFrame, rigid_transform
 from ..intrinsics import Intrinsics
 
 TYPES: Final = get_typestore(Stores.ROS2_HUMBLE)
@@ -214,19 +216,21 @@ def point_cloud(points: npt.NDArray[np.float32], stamp_ns: int) -> bytes:
     return _serialise(message, POINT_CLOUD)
 
 
-def parse(data: memoryview, message_type: str) -> Any:
-    """Return a message from its bytes."""
-    return TYPES.deserialize_cdr(data, message_type)
+def parse(data: memoryview, message_type: str, origin: Path) -> Any:
+    """Return a message from its bytes; `SourceError` names the file, ``origin``, where they are none."""
+    try:
+        return TYPES.deserialize_cdr(data, message_type)
+    except Exception as error:  # the library checks with whatever Python raises
+        raise SourceError(f"{origin} has a message that is no {message_type}; record it again") from error
 
 
 def matrix_of(transform: Any) -> Matrix4:
-    """Return the 4 x 4 matrix of a ROS transform."""
+    """Return the 4 x 4 matrix of a ROS transform; `ValueError` where it is none."""
     q, t = transform.rotation, transform.translation
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
     matrix[:3, 3] = t.x, t.y, t.z
-    rows: Any = matrix.tolist()
-    return rows  # type: ignore[no-any-return]
+    return rigid_transform(matrix)
 
 
 def _transform(pose: npt.NDArray[np.float64]) -> Any:

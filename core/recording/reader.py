@@ -33,7 +33,7 @@ _LARGEST_CHUNK: Final = 2**30
 _CACHED_CHUNKS: Final = 8
 
 #: All that reading damaged bytes can raise.
-_DAMAGE: Final = (ValueError, IndexError, KeyError, OverflowError, struct.error, zstd.ZstdError, RuntimeError)
+_DAMAGE: Final = (ValueError, IndexError, KeyError, OverflowError, EOFError, RuntimeError, struct.error, zstd.ZstdError)
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class McapFile:
 
     Attributes
     ----------
+    path : Path
     complete : bool
         Whether the writer finished the file. Else it ends with the last complete chunk.
 
@@ -80,7 +81,7 @@ class McapFile:
     """
 
     def __init__(self, path: Path, progress: Callable[[float, str], None] | None = None) -> None:
-        self._path = path
+        self.path = path
         self._progress = progress
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
@@ -95,7 +96,8 @@ class McapFile:
                 self._size = self._file.seek(0, 2)
                 if self._read(0, min(len(mcap.MAGIC), self._size)) != mcap.MAGIC:
                     raise SourceError(f"{path} is no MCAP file; choose a recording")
-                self.complete = self._read_summary() or self._scan()
+                self.complete = self._from_summary() or self._from_scan()
+                self._places = {number: table for number, table in self._places.items() if number in self._channels}
         except BaseException:
             self.close()
             raise
@@ -144,8 +146,25 @@ class McapFile:
         self._file.close()
         self._cache.clear()
 
+    def _from_summary(self) -> bool:
+        """Index a finished file by its summary; False where there is none that can be used."""
+        with suppress(*_DAMAGE):
+            if self._read_summary():
+                return True
+        for table in (self._schemas, self._channels, self._chunks, self._places, self._attachments, self._metadata):
+            table.clear()
+        return False
+
+    def _from_scan(self) -> bool:
+        """Index a file up to where it is whole; return whether that is its end."""
+        with suppress(*_DAMAGE):
+            if self._scan():
+                return True
+        with suppress(*_DAMAGE):  # a power failure can leave a hole where the last chunk was
+            self._take_indexes([])
+        return False
+
     def _read_summary(self) -> bool:
-        """Read the index at the end of a finished file; False where there is none that can be used."""
         if self._size < _FOOTER_BYTES + len(mcap.MAGIC):
             return False
         footer = self._read(self._size - _FOOTER_BYTES, _FOOTER_BYTES)
@@ -172,7 +191,6 @@ class McapFile:
             else:
                 self._declare(opcode, body)
         if not chunk_indexes or len(chunk_indexes) != expected:
-            self._forget()
             return False
         for number, body in enumerate(chunk_indexes):
             self._tell(number / len(chunk_indexes))
@@ -194,7 +212,7 @@ class McapFile:
                     self._add_places(body[offset : offset + size])
 
     def _scan(self) -> bool:
-        """Visit the head of every record; return whether the file ends as it should."""
+        """Visit the head of every record; return whether there is a footer."""
         offset = len(mcap.MAGIC)
         indexed: list[bytes] = []  # of the last chunk, so far
         while offset + 9 <= self._size:
@@ -222,8 +240,6 @@ class McapFile:
             elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
                 self._declare(opcode, _Cursor(self._read(start, length)))
             offset = start + length
-        with suppress(*_DAMAGE):  # a power failure can leave a hole where the last chunk was
-            self._take_indexes([])
         return False
 
     def _take_indexes(self, records: list[bytes]) -> None:
@@ -281,12 +297,6 @@ class McapFile:
             number, schema = body.take("<HH")
             self._channels[number] = Channel(body.text(), self._schemas.get(schema, ""), body.text())
 
-    def _forget(self) -> None:
-        self._schemas.clear()
-        self._channels.clear()
-        self._attachments.clear()
-        self._metadata.clear()
-
     def _chunk_data(self, number: int) -> memoryview:
         """Return a chunk's records, decompressed and checked; the last few are kept."""
         if number in self._cache:
@@ -314,17 +324,19 @@ class McapFile:
 
     def _tell(self, share: float) -> None:
         if self._progress is not None and len(self._chunks) % 256 == 0:
-            self._progress(share, f"indexing {self._path.name}")
+            self._progress(share, f"indexing {self.path.name}")
 
     @contextmanager
     def _damage_told(self) -> Iterator[None]:
         try:
             if self._file.closed:
-                raise SourceError(f"{self._path} is closed; open it again")
+                raise SourceError(f"{self.path} is closed; open it again")
             yield
         except _DAMAGE as error:
             detail = " ".join(str(error).split()) or type(error).__name__
-            raise SourceError(f"{self._path} is damaged ({detail}); copy or record it again") from error
+            raise SourceError(f"{self.path} is damaged ({detail}); copy or record it again") from error
+        except OSError as error:
+            raise SourceError(f"cannot read {self.path}: {error.strerror or error}; check the disk") from error
 
 
 class _Cursor:

@@ -180,7 +180,7 @@ class McapSource(SeekableSource):
             data = self._parse(places[0], TEXT).data.encode()
         self._has_rig = data is not None
         if data is None:
-            return rig_from_lenses(self._file, str(self._path))
+            return rig_from_lenses(self._file)
         return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, place: Places) -> tuple[int, float, float]:
@@ -235,12 +235,7 @@ class McapSource(SeekableSource):
         return image if conversion is None else cv2.cvtColor(image, conversion), stamp.sec + stamp.nanosec * 1e-9
 
     def _parse(self, place: Places, message_type: str) -> Any:
-        """Return the message at a place; rosbags checks with whatever Python raises."""
-        data = self._file.message(place)
-        try:
-            return parse(data, message_type)
-        except Exception as error:
-            raise SourceError(f"{self._path} has a message that is no {message_type}; record it again") from error
+        return parse(self._file.message(place), message_type, self._path)
 
     def _json_object(self, data: str | bytes, what: str) -> dict[str, Any]:
         try:

@@ -142,6 +142,15 @@ def test_a_bag_without_lenses_and_rig_is_refused(tmp_path: Path, ours: Path) -> 
         McapSource(bare)
 
 
+def test_a_pose_that_is_none_is_refused(tmp_path: Path, ours: Path) -> None:
+    plain = {"compression": CompressionType.NONE, "enable_crcs": False}
+    copy = rewrite(ours, tmp_path / "copy.mcap", without=("/tactune",), **plain)
+    far = copy.read_bytes().replace(np.float64(0.04).tobytes(), np.float64(40.0).tobytes())
+    copy.write_bytes(far)
+    with pytest.raises(SourceError, match=r"the pose of tactile_depth_optical_frame in proximity_depth_optical_frame"):
+        McapSource(copy)
+
+
 def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:
     copy = rewrite(ours, tmp_path / "copy.mcap", compression=CompressionType.NONE)
     copy.write_bytes(copy.read_bytes().replace(b"sensor_msgs/msg/Image", b"sensor_msgs/msg/Imago"))
