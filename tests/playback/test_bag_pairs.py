@@ -92,6 +92,16 @@ def test_no_image_is_used_twice_when_one_camera_is_slower(open_bag: Opener, tmp_
     assert [frame.skew_s for frame in source] == pytest.approx([0, 0, 0], abs=1e-6)
 
 
+def test_an_image_between_two_others_is_used_once(open_bag: Opener, tmp_path: Path) -> None:
+    proximity = on_global_time(1, [EPOCH_S + offset for offset in (0, 0.0333, 0.0633, 0.1)])
+    tactile = on_global_time(2, [EPOCH_S + offset for offset in (0, 0.0480, 0.1)])
+    source = open_bag(two_files(tmp_path, proximity, tactile))
+    assert source.length == 3
+    np.testing.assert_array_equal(source.read(1).proximity_depth, proximity.images[1])
+    np.testing.assert_array_equal(source.read(1).tactile_depth, tactile.images[1])
+    np.testing.assert_array_equal(source.read(2).proximity_depth, proximity.images[3])
+
+
 @pytest.mark.parametrize(("late_s", "expected"), [(0.016, 4), (-0.016, 4), (0.0175, 3), (-0.0175, 3)])
 def test_half_a_period_is_the_limit(open_bag: Opener, tmp_path: Path, late_s: float, expected: int) -> None:
     stamps = times(4, EPOCH_S)
@@ -169,6 +179,16 @@ def test_paths_may_contain_commas(open_bag: Opener, tmp_path: Path) -> None:
     assert open_bag(first).rig.tactile.model == "none"
     with open_source(f"{second},{first}") as source:
         assert source.rig.proximity.model == L515.name
+
+
+def test_indexing_two_files_tells_one_share(open_bag: Opener, tmp_path: Path) -> None:
+    stamps = times(4, EPOCH_S)
+    shares: list[float] = []
+    name = two_files(tmp_path, on_global_time(1, stamps), on_global_time(2, stamps))
+    open_bag(name, lambda share, _: shares.append(share))
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    assert 0.5 in shares
 
 
 @pytest.mark.parametrize("name", ["{}/a.bag,{}/gone.bag", "{}/gone.bag,{}/a.bag"])

@@ -27,12 +27,20 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
         raise SourceError(f"bag:{text}: there is no file {_missing(text)}; check the path")
     opened: list[Recording] = []
     try:
-        opened.extend(_open(path, progress) for path in paths)
+        for number, path in enumerate(paths):
+            opened.append(_open(path, _part(progress, number, len(paths))))
     except BaseException:
         for recording in opened:
             recording.close()
         raise
     return opened
+
+
+def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
+    """Return what tells the progress of one of several files as a share of all of them."""
+    if progress is None:
+        return None
+    return lambda share, words: progress((number + share) / count, words)
 
 
 def _open(path: Path, progress: Progress | None) -> Recording:
