@@ -88,5 +88,5 @@ def format_value(value: Any) -> str:
         return " - ".join(format_value(item) for item in value)
     if value is None:
         return "from the rig"
-    text = str(value)
+    text = ", ".join(f"{name} {item:g}" for name, item in value.items()) if isinstance(value, dict) else str(value)
     return text if len(text) <= 24 else text[:23] + "…"

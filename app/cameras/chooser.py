@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.preset import CamerasSection
-from .search import CameraSearch, FoundCamera
+from .search import CameraSearch, FoundCamera, sentence_of
 
 _SEARCHING = "Looking for cameras…"
 _NONE = (
@@ -28,6 +28,7 @@ _NONE = (
 _ONE = "Only one camera was found, but contact takes two. Plug the other one in and press Refresh."
 _SAME = "Both are the same camera: choose another one for one of them."
 _ANY = "by its model"
+_PROBLEM_COLUMN = 4
 
 
 class CameraChooser(QDialog):
@@ -48,11 +49,12 @@ class CameraChooser(QDialog):
         search.setParent(self)
         self._remembered = (cameras.proximity.serial, cameras.tactile.serial)
         self._found: list[FoundCamera] = []
+        self._hint = ""
         self.note = QLabel()
         self.note.setWordWrap(True)
         self.note.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.list = QTreeWidget()
-        self.list.setHeaderLabels(["Model", "Serial number", "Firmware", "USB"])
+        self.list.setHeaderLabels(["Model", "Serial number", "Firmware", "USB", "Note"])
         self.list.setRootIsDecorated(False)
         self.list.setAccessibleName("Connected cameras")
         self.list.setToolTip("The cameras that are connected now")
@@ -95,13 +97,16 @@ class CameraChooser(QDialog):
         self._allow(False)
         self._search.start()
 
-    def _show_found(self, cameras: list[FoundCamera]) -> None:
-        self._found = cameras
+    def _show_found(self, cameras: list[FoundCamera], hint: str = "") -> None:
+        self._found = [camera for camera in cameras if camera.serial]
+        self._hint = hint if not any(camera.sees_proximity for camera in cameras) else ""
         self.refresh.setEnabled(True)
         self.list.clear()
         for camera in cameras:
             usb = f"USB {camera.usb}" if camera.usb and not camera.usb.upper().startswith("USB") else camera.usb
-            self.list.addTopLevelItem(QTreeWidgetItem([camera.model, camera.serial, camera.firmware, usb]))
+            item = QTreeWidgetItem([camera.model, camera.serial, camera.firmware, usb, camera.problem])
+            item.setToolTip(_PROBLEM_COLUMN, camera.problem)
+            self.list.addTopLevelItem(item)
         for combo, remembered, through in (
             (self.proximity, self._remembered[0], True),
             (self.tactile, self._remembered[1], False),
@@ -135,7 +140,8 @@ class CameraChooser(QDialog):
             problem = _ONE
         elif first and first == second:
             problem = _SAME
-        self.note.setText(problem or f"{len(self._found)} cameras were found.")
+        said = problem or f"{len(self._found)} cameras were found."
+        self.note.setText(f"{said} {sentence_of(self._hint)}" if self._hint else said)
         self._allow(not problem)
 
     def _allow(self, allowed: bool) -> None:
@@ -144,8 +150,8 @@ class CameraChooser(QDialog):
             button.setEnabled(allowed)
 
     def _accepted(self) -> None:
-        self.chosen.emit(self.proximity.currentData() or "", self.tactile.currentData() or "")
         self.accept()
+        self.chosen.emit(self.proximity.currentData() or "", self.tactile.currentData() or "")
 
 
 def _combo(tip: str) -> QComboBox:

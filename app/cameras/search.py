@@ -10,6 +10,8 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
+from .list_devices import FIELDS
+
 #: Loading the driver takes a second or two; a hanging one is given up after this time.
 PATIENCE_MS = 15_000
 _PROGRAM = ("-P", "-m", "tactune.app.cameras.list_devices")
@@ -24,6 +26,7 @@ class FoundCamera:
     serial: str
     firmware: str = ""
     usb: str = ""
+    problem: str = ""
 
     @property
     def sees_proximity(self) -> bool:
@@ -41,11 +44,12 @@ class CameraSearch(QObject):
 
     Signals
     -------
-    found(cameras: list[FoundCamera])
+    found(cameras: list[FoundCamera], hint: str)
+        The hint says why some cameras cannot be found.
     failed(sentence: str)
     """
 
-    found = pyqtSignal(object)
+    found = pyqtSignal(object, str)
     failed = pyqtSignal(str)
 
     def __init__(self, parent: QObject | None = None, arguments: Sequence[str] = _PROGRAM) -> None:
@@ -99,15 +103,16 @@ class CameraSearch(QObject):
         try:
             answer = json.loads(output.strip().splitlines()[-1])
             problem = answer.get("problem", "")
+            hint = str(answer.get("hint", ""))
             cameras = [_camera(device) for device in answer.get("devices", [])]
         except (ValueError, IndexError, AttributeError, TypeError):
             self._fail(f"The search for cameras gave no answer: {_DOCTOR}.")
             return
         if problem:
-            self._fail(f"{problem[0].upper()}{problem[1:].rstrip('.')}.")
+            self._fail(sentence_of(problem))
         elif not self._answered:
             self._answered = True
-            self.found.emit(cameras)
+            self.found.emit(cameras, hint)
 
     def _fail(self, sentence: str) -> None:
         if not self._answered:
@@ -116,6 +121,11 @@ class CameraSearch(QObject):
             self.failed.emit(sentence)
 
 
+def sentence_of(words: str) -> str:
+    """Return words as a sentence, with a capital and a full stop."""
+    return f"{words[0].upper()}{words[1:].rstrip('.')}."
+
+
 def _camera(device: dict[str, Any]) -> FoundCamera:
-    texts = {name: str(device.get(name, "") or "") for name in ("model", "serial", "firmware", "usb")}
+    texts = {name: str(device.get(name, "") or "") for name in FIELDS}
     return FoundCamera(**texts)

@@ -1,0 +1,76 @@
+"""The mark of a picture that is old, on both back ends of the cloud view and on images."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QImage
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QWidget
+from pytestqt.qtbot import QtBot
+
+from tactune.widgets import gl_backend
+from tactune.widgets.cloud_view import CloudView
+from tactune.widgets.image_pane import ImagePane
+from tactune.widgets.stale_badge import BADGE_COLORS
+from tactune.widgets.theme import ThemeName, apply_theme, contrast_ratio, theme_colors
+
+TEXT = "Tactile camera D405 (serial 1) is not connected: plug it in. Shown is the last frame, 3 s old."
+
+
+def shown(qtbot: QtBot, widget: QWidget) -> QWidget:
+    widget.resize(420, 360)
+    qtbot.addWidget(widget)
+    with qtbot.waitExposed(widget):
+        widget.show()
+    return widget
+
+
+def colors_of(image: QImage) -> set[str]:
+    return {image.pixelColor(x, y).name() for y in range(image.height()) for x in range(0, image.width(), 2)}
+
+
+@pytest.fixture(params=["light", "dark"])
+def theme(request: pytest.FixtureRequest, qapp: QApplication) -> ThemeName:
+    name: ThemeName = request.param
+    apply_theme(qapp, name)
+    return name
+
+
+@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
+def test_a_cloud_view_shows_and_drops_the_mark(qtbot: QtBot, theme: ThemeName, backend: str) -> None:
+    if backend == "opengl" and not gl_backend.probe_opengl().usable:
+        pytest.skip("no OpenGL context")
+    view = CloudView("Tactile", backend)  # type: ignore[arg-type]
+    shown(qtbot, view)
+    assert view.backend_name == backend
+    plate, _, ink = BADGE_COLORS[theme]
+    view.set_badge(TEXT)
+    assert view.badge() == view.accessibleDescription() == TEXT
+    assert {plate, ink} <= colors_of(view.grab().toImage())
+    view.set_badge("")
+    assert plate not in colors_of(view.grab().toImage())
+
+
+def test_an_image_keeps_its_mouse_under_the_mark(qtbot: QtBot, theme: ThemeName) -> None:
+    pane = ImagePane("Tactile depth")
+    shown(qtbot, pane)
+    clicks: list[tuple[int, int]] = []
+    pane.clicked.connect(lambda u, v, _: clicks.append((u, v)))
+    pane.set_badge("3 s old")
+    plate, _, _ = BADGE_COLORS[theme]
+    assert plate in colors_of(pane.grab().toImage())
+    middle = QPoint(pane.view.width() // 2, pane.view.height() // 2)
+    over = pane.childAt(pane.view.mapTo(pane, middle))
+    assert over is pane.view.viewport()
+    QTest.mouseClick(pane.view.viewport(), Qt.MouseButton.LeftButton, pos=middle)
+    assert len(clicks) == 1
+    pane.set_badge("")
+    assert plate not in colors_of(pane.grab().toImage())
+
+
+def test_the_mark_can_be_read_in_both_themes() -> None:
+    for name, (plate, border, ink) in BADGE_COLORS.items():
+        assert contrast_ratio(plate, ink) > 7
+        base = theme_colors(name).base  # type: ignore[arg-type]
+        assert contrast_ratio(border, base) > 3
