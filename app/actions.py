@@ -32,6 +32,7 @@ class Actions:
     export_patch: QAction
     calibrate: QAction
     recheck: QAction
+    check_cameras: QAction
     open_folder: QAction
     open_recording: QAction
     cameras: QAction
@@ -102,6 +103,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_recording=action(
             "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
         ),
+        check_cameras=action("C&heck cameras…", "Depth quality, skew and interference of both cameras", "F6"),
         cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
         camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
         record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
@@ -201,7 +203,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     playback.addSeparator()
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
-    _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck])
+    _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 

@@ -30,6 +30,10 @@ class Dialogs:
         self._parent = parent
         self._native = native
 
+    def over(self, parent: QWidget) -> Dialogs:
+        """Return the same for another window."""
+        return Dialogs(parent, self._native)
+
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask before losing changes; nothing happens on Cancel."""
         box = QMessageBox(self._parent)

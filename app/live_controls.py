@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from PyQt6.QtCore import QObject
 
 from .cameras.control import CAMERAS, CameraControl
+from .diagnostics.launcher import CameraChecks
 from .recording_control import RecordingControl
 
 if TYPE_CHECKING:
@@ -30,6 +31,7 @@ class LiveControls(QObject):
         self.cameras = CameraControl(
             window.worker, window.document, window.messages, lambda: window.open_source(CAMERAS), window
         )
+        self.checks = CameraChecks(window)
         actions.cameras.triggered.connect(self.cameras.choose)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
         actions.recordings_folder.triggered.connect(
@@ -38,4 +40,5 @@ class LiveControls(QObject):
 
     def close(self) -> None:
         """Close the cameras' windows."""
+        self.checks.close()
         self.cameras.close()

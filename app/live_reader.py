@@ -92,6 +92,7 @@ class LiveReader:
                 self._read()
                 self._look_after()
         finally:
+            self._set_options()  # what was asked for last, such as a laser that is to be on again
             self.source.close()
 
     def _read(self) -> None:

@@ -39,7 +39,7 @@ class _Thread(QThread):
         except TactuneError as error:
             self.sentence = str(error)
         except Exception as error:
-            self.sentence = f"Something went wrong ({type(error).__name__}: {error}); the points are kept."
+            self.sentence = f"Something went wrong ({type(error).__name__}: {error}); nothing was changed."
 
     def _report(self, share: float, words: str) -> None:
         if self.cancelled.is_set():

@@ -16,8 +16,10 @@ from .depth_quality import NOISE_FRAMES, CameraQuality, DepthQuality
 _GOOD_FILL, _FAIR_FILL = 0.99, 0.95
 _GOOD_NOISE, _FAIR_NOISE = 0.01, 0.02
 _GOOD_SUBPIXEL_PX, _FAIR_SUBPIXEL_PX = 0.1, 0.3
-_NOT_FLAT = 0.03
-_TILTED_DEG = 15.0
+#: Points that lie this far apart are hardly those of one plane, and certainly not.
+_NOT_FLAT, _NO_PLANE = 0.03, 0.1
+_TILTED_DEG, _EDGE_ON_DEG = 15.0, 70.0
+_FLAT_STEP = "No flat surface fills the region: choose a flat target, or drag the region onto one."
 _GOOD_ACCURACY = 0.02
 #: A bias below this share of the tolerance does no harm.
 _HARMLESS_SHARE = 1 / 3
@@ -61,15 +63,19 @@ class Reading:
     def line(self) -> str:
         """All of it in one line."""
         value = f"{self.title}: {self.value}" if self.value else self.title
-        good = "" if self.verdict is Verdict.GOOD else "good: "
-        limit = f" ({good}{self.limit})" if self.limit else ""
+        limit = f" ({self.limit_words})" if self.limit else ""
         return f"{value} – {self.verdict}{limit}." + (f" {self.step}" if self.step else "")
+
+    @property
+    def limit_words(self) -> str:
+        """The limit, with what it is a limit of where the value does not keep it."""
+        return self.limit if self.verdict is Verdict.GOOD or not self.limit else f"good: {self.limit}"
 
 
 def judge_camera(quality: CameraQuality) -> tuple[Reading, ...]:
     """Return the readings of one camera, in the order in which they are looked at."""
     readings = [_fill(quality), _plane(quality)]
-    if math.isfinite(quality.subpixel_rms_px):
+    if math.isfinite(quality.subpixel_rms_px) and readings[-1].verdict is not Verdict.UNKNOWN:
         readings.append(_subpixel(quality))
     readings.append(_noise(quality))
     if math.isfinite(quality.z_accuracy):
@@ -117,6 +123,8 @@ def _plane(quality: CameraQuality) -> Reading:
     share = quality.plane_rms_share
     if not math.isfinite(share):
         return Reading("Plane fit", "", Verdict.UNKNOWN, step="There are too few depths in the region for a plane.")
+    if share > _NO_PLANE or quality.angle_deg > _EDGE_ON_DEG:
+        return Reading("Plane fit", "no flat surface", Verdict.UNKNOWN, step=_FLAT_STEP)
     value = (
         f"{1e3 * quality.plane_rms_m:.2f} mm, {100 * share:.2f} % of {1e3 * quality.distance_m:.0f} mm, "
         f"tilted {quality.angle_deg:.0f}°"
@@ -125,7 +133,7 @@ def _plane(quality: CameraQuality) -> Reading:
     verdict = _high_end(share, _GOOD_NOISE, _FAIR_NOISE)
     step = ""
     if share > _NOT_FLAT:
-        step = "No flat surface fills the region: choose a flat target, or drag the region onto one."
+        step = _FLAT_STEP
     elif quality.angle_deg > _TILTED_DEG:
         step = "Turn the target to face the camera."
     elif verdict is not Verdict.GOOD:
@@ -139,8 +147,8 @@ def _subpixel(quality: CameraQuality) -> Reading:
     step = ""
     if verdict is not Verdict.GOOD:
         step = "Give the flat target a fine, irregular texture; if that does not help, recalibrate the camera."
-        if quality.plane_rms_share > _NOT_FLAT:
-            step = "Says something on a flat target only."
+        if quality.plane_rms_share > _FAIR_NOISE:
+            step = "This says something on a flat target only."
     return Reading("Subpixel RMS", f"{error:.3f} px", verdict, f"below {_GOOD_SUBPIXEL_PX} px", step)
 
 

@@ -93,11 +93,16 @@ class Skew:
     stamped_s: float
 
     @property
+    def agrees(self) -> bool:
+        """Whether no delay can be told from none."""
+        return abs(self.delay_s) <= self.uncertainty_s
+
+    @property
     def sentence(self) -> str:
         """All that in words."""
         about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
-        if abs(self.delay_s) <= self.uncertainty_s:
-            return f"Both cameras' time stamps agree: {1e3 * self.delay_s:+.1f} {about} for the same moment."
+        if self.agrees:
+            return f"Both cameras' time stamps agree as far as can be told: {1e3 * self.delay_s:+.1f} {about}."
         later = "later" if self.delay_s > 0 else "earlier"
         return (
             f"The tactile camera's time stamps are {1e3 * abs(self.delay_s):.1f} {about} {later} "

@@ -1,0 +1,269 @@
+"""Measures the delay between both cameras from what they show, and offers to compensate it."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtGui import QFont
+from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+
+from ...core.diagnostics.motion import MotionSeries, Sample
+from ...core.diagnostics.skew import LEAST_TIME_S, Skew, measure_skew
+from ...core.frames import Float64Array, SensorFrame
+from ...widgets.theme import theme_colors
+from ..calibration.jobs import Job
+from ..document import Document
+from ..results import Result, SourceInfo
+from ..worker import Worker
+
+DELAY_PATH = "cameras.tactile_delay_s"
+_START_TIME_S, _LONGEST_TIME_S = 6.0, 30.0
+_GATHERING_SHARE = 0.8
+_INTRO = (
+    "Press an object into the membrane and pull it out, several times, a few centimetres deep and irregularly. "
+    "Both cameras see that motion; the delay at which they agree best is the skew between them, whatever their time "
+    "stamps say."
+)
+_NO_FRAME = "There is no frame yet: open a source in the main window first."
+#: The one hue beside the accent that stays readable on both themes.
+_TACTILE_HUE = "#d9730d"
+
+
+class SkewTab(QWidget):
+    """Gathers frames of the main window for some seconds, measures on another thread, shows curve and result."""
+
+    def __init__(self, worker: Worker, document: Document) -> None:
+        super().__init__()
+        self._worker, self._document = worker, document
+        self._result: Result | None = None
+        self._info: SourceInfo | None = None
+        self._samples: list[Sample] | None = None
+        self._last: SensorFrame | None = None
+        self._started_s = 0.0
+        self.skew: Skew | None = None
+        self._job = Job(self)
+        self.seconds = QDoubleSpinBox()
+        self.start = QPushButton("Measure skew")
+        self.cancel = QPushButton("Cancel")
+        self.progress = QProgressBar()
+        self.sentence = QLabel()
+        self.compensate = QPushButton("Compensate")
+        self.curve = pg.PlotWidget()
+        self.motion = pg.PlotWidget()
+        self._lay_out()
+        self.start.clicked.connect(self.begin)
+        self.cancel.clicked.connect(self.stop)
+        self.compensate.clicked.connect(self._compensate)
+        self._job.progress.connect(
+            lambda share, words: self._show_progress(_GATHERING_SHARE + (1 - _GATHERING_SHARE) * share, words)
+        )
+        self._job.done.connect(self._done)
+        self._job.failed.connect(self._fail)
+        self._show_busy(False)
+        self._recolor()
+
+    @property
+    def busy(self) -> bool:
+        """Whether a measurement is going on."""
+        return self._samples is not None or self._job.busy
+
+    def show_result(self, result: Result) -> None:
+        """Take a frame of the main window."""
+        self._result = result
+        if self._samples is None or result.frame is self._last:
+            return
+        if result.source is not self._info:
+            self.stop()
+            self._fail("Another source was opened meanwhile: measure again.")
+            return
+        self._last = result.frame
+        self._samples.append(Sample.of(result.frame))
+        share = (time.monotonic() - self._started_s) / self.seconds.value()
+        self._show_progress(_GATHERING_SHARE * min(share, 1.0), "Press in and pull out now")
+        if share >= 1.0:
+            self._measure()
+
+    def begin(self) -> None:
+        """Gather frames from now on."""
+        if self.busy:
+            return
+        if self._result is None:
+            self._fail(_NO_FRAME)
+            return
+        if self._result.source.length == 1:
+            self._fail("This source has a single frame: a delay shows in motion only.")
+            return
+        self._info, self._last, self._samples = self._result.source, None, []
+        self._started_s = time.monotonic()
+        self._forget()
+        self._show_busy(True)
+        self._show_progress(0.0, "Press in and pull out now")
+        if not self._result.playback.running:
+            self._worker.play()
+
+    def stop(self) -> None:
+        """Give the measurement up."""
+        self._samples = None
+        self._job.cancel()
+        if not self._job.busy:
+            self._show_busy(False)
+
+    def close_down(self) -> None:
+        """Give up for good and wait for the thread."""
+        self._samples = None
+        self._job.stop()
+        self._show_busy(False)
+
+    def _lay_out(self) -> None:
+        intro = QLabel(_INTRO)
+        intro.setWordWrap(True)
+        self.seconds.setRange(LEAST_TIME_S, _LONGEST_TIME_S)
+        self.seconds.setValue(_START_TIME_S)
+        self.seconds.setDecimals(0)
+        self.seconds.setSuffix(" s")
+        self.seconds.setAccessibleName("Duration")
+        self.seconds.setToolTip("How long the motion is watched, in seconds; longer is more certain")
+        self.start.setToolTip("Watch the motion and measure the delay (Ctrl+M)")
+        self.start.setShortcut("Ctrl+M")
+        self.cancel.setToolTip("Give this measurement up")
+        self.compensate.setToolTip("Put the delay into the preset, where it can be undone (Ctrl+Z in the main window)")
+        self.progress.setRange(0, 100)
+        keep_place = self.progress.sizePolicy()
+        keep_place.setRetainSizeWhenHidden(True)
+        self.progress.setSizePolicy(keep_place)
+        font = QFont(self.sentence.font())
+        font.setPointSizeF(1.15 * font.pointSizeF())
+        font.setBold(True)
+        self.sentence.setFont(font)
+        self.sentence.setWordWrap(True)
+        self.sentence.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        row = QHBoxLayout()
+        for widget in (QLabel("Watch for"), self.seconds, self.start, self.cancel):
+            row.addWidget(widget)
+        row.addWidget(self.progress, 1)
+        result = QHBoxLayout()
+        result.addWidget(self.sentence, 1)
+        result.addWidget(self.compensate)
+        layout = QVBoxLayout(self)
+        layout.addWidget(intro)
+        layout.addLayout(row)
+        layout.addLayout(result)
+        layout.addWidget(self.curve, 1)
+        layout.addWidget(self.motion, 1)
+        for button in (self.start, self.cancel, self.compensate):
+            button.setAutoDefault(False)
+        for plot, bottom, left in (
+            (self.curve, "Delay of the tactile camera, ms", "Correlation"),
+            (self.motion, "Time, s (tactile moved by the delay)", "Pressed in, mm"),
+        ):
+            plot.setMenuEnabled(False)
+            plot.hideButtons()
+            plot.setLabel("bottom", bottom)
+            plot.setLabel("left", left)
+            plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
+            plot.setAccessibleName(bottom)
+        self.motion.addLegend(offset=(-10, 10))
+
+    def _measure(self) -> None:
+        samples, info = tuple(self._samples or ()), self._info
+        self._samples = None
+        assert info is not None
+        work = partial(measure_skew, samples, info.rig, self._document.preset.alignment)
+        self._job.start(work)
+
+    def _done(self, skew: Skew) -> None:
+        self.skew = skew
+        self._show_busy(False)
+        self.sentence.setText(skew.sentence)
+        self._draw()
+        delay = self._new_delay_s()
+        self.compensate.setText(f"Set the tactile delay to {1e3 * delay:.1f} ms")
+        self.compensate.setVisible(not skew.agrees and delay != self._document.preset.cameras.tactile_delay_s)
+
+    def _fail(self, sentence: str) -> None:
+        self._show_busy(False)
+        if sentence:
+            self.sentence.setText(f"{sentence[0].upper()}{sentence[1:]}")
+
+    def _new_delay_s(self) -> float:
+        """Return what the preset should say: live cameras' time stamps have the present delay taken off already."""
+        assert self.skew is not None
+        present = self._document.preset.cameras.tactile_delay_s
+        live = self._info is not None and self._info.length is None
+        return round(self.skew.delay_s + (present if live else 0.0), 4)
+
+    def _compensate(self) -> None:
+        delay = self._new_delay_s()
+        if self._document.edit(DELAY_PATH, delay):
+            self.compensate.hide()
+            self.sentence.setText(
+                f"The preset's tactile delay is {1e3 * delay:.1f} ms now. It takes effect when the cameras are opened "
+                "again; Ctrl+Z in the main window takes it back."
+            )
+
+    def _forget(self) -> None:
+        self.skew = None
+        self.sentence.clear()
+        self.compensate.hide()
+        self._draw()
+
+    def _draw(self) -> None:
+        """Show the curve and both series."""
+        self.curve.clear()
+        self.motion.clear()
+        skew = self.skew
+        if skew is None:
+            return
+        accent = theme_colors().accent_text
+        known = np.isfinite(skew.correlations)
+        self.curve.plot(1e3 * skew.delays_s[known], skew.correlations[known], pen=pg.mkPen(accent, width=2))
+        text = theme_colors().text
+        line = pg.InfiniteLine(1e3 * skew.delay_s, pen=pg.mkPen(text, style=Qt.PenStyle.DashLine))
+        self.curve.addItem(line)
+        start = float(skew.proximity.time_s[0])
+        for name, series, hue, shift in (
+            ("proximity camera", skew.proximity, accent, 0.0),
+            ("tactile camera", skew.tactile, _TACTILE_HUE, skew.delay_s),
+        ):
+            x, y = _lines(series, start + shift)
+            self.motion.plot(x, y, pen=pg.mkPen(hue, width=2), name=name, connect="finite")
+
+    def _show_busy(self, busy: bool) -> None:
+        self.start.setEnabled(not busy)
+        self.seconds.setEnabled(not busy)
+        self.cancel.setEnabled(busy)
+        self.progress.setVisible(busy)
+        if self.skew is None:
+            self.compensate.hide()
+
+    def _show_progress(self, share: float, words: str) -> None:
+        self.progress.setValue(round(100 * share))
+        self.progress.setFormat(f"{words} – %p %")
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "motion"):
+            self._recolor()
+            self._draw()
+
+    def _recolor(self) -> None:
+        colors = theme_colors()
+        for plot in (self.curve, self.motion):
+            plot.setBackground(colors.base)
+            for side in ("bottom", "left"):
+                axis = plot.getAxis(side)
+                axis.setPen(colors.muted)
+                axis.setTextPen(colors.text)
+        self.motion.getPlotItem().legend.setLabelTextColor(colors.text)
+
+
+def _lines(series: MotionSeries, origin_s: float) -> tuple[Float64Array, Float64Array]:
+    """Return seconds and millimetres, broken where time runs back."""
+    time_s, depth_mm = series.time_s - origin_s, 1e3 * series.depth_m
+    breaks = np.flatnonzero(np.diff(time_s) <= 0) + 1
+    return np.insert(time_s, breaks, np.nan), np.insert(depth_mm, breaks, np.nan)
