@@ -92,7 +92,7 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     translation: Float64Array = np.zeros(3)
     if rigid:
         T_t_p = np.linalg.inv(tactile_pose(section, rig))
-        translation = T_t_p[:3, 3]
+        translation = np.asarray(T_t_p[:3, 3], np.float64)
         planes = planes_of(rotated_rays(T_t_p, rig))
     else:
         shapes = (height, width), (tactile_height, tactile_width)

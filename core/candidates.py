@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -11,6 +11,7 @@ import numpy.typing as npt
 from . import kernels
 from .alignment import AlignedDepth, AlignmentModel, Region
 from .clouds import flat, ray_planes
+from .coarse import CoarseTest
 from .colors import hsv_limits
 from .compiling import kernel
 from .frames import Rig, SensorFrame
@@ -53,6 +54,12 @@ class Candidates:
         return Candidates(pixels, points)
 
 
+NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
+
+#: So few tiles are not worth waking other threads for.
+_TILES_ALONE = 150
+
+
 @kernel
 def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: Any) -> None:
     count = 0
@@ -70,6 +77,7 @@ class CandidateFinder:
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
         self.alignment = alignment
+        self._coarse = CoarseTest(alignment)
         self.region: Region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
         self.limits = depth_limits(preset.range, preset.tolerance)
         self._rays = ray_planes(rig.proximity.intrinsics)
@@ -79,9 +87,11 @@ class CandidateFinder:
     def find(self, frame: SensorFrame, buffers: CandidateBuffers) -> Candidates:
         """Return the pixels that pass the tolerance test and the colour mask."""
         height, width = frame.proximity_depth.shape
-        tiles = np.ones((-(-height // 8), -(-width // 16)), np.bool_)
-        counts: dict[int, int] = {}
         images = flat(frame.proximity_depth), flat(frame.tactile_depth)
+        tiles, possible = self._coarse.tiles(*images, self.limits)
+        if possible == 0:
+            return NO_CANDIDATES
+        counts: dict[int, int] = {}
 
         def find_rows(first: int, last: int) -> None:
             counts[first * width] = kernels.find_candidates(
@@ -89,7 +99,10 @@ class CandidateFinder:
                 frame.proximity_color, self._color, self._hsv, tiles, first, last, buffers.pixels, buffers.points,
             )  # fmt: skip
 
-        by_rows(find_rows, height)
+        if possible <= _TILES_ALONE:
+            find_rows(0, height)
+        else:
+            by_rows(find_rows, height)
         return buffers.collect(counts)
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:
@@ -122,7 +135,7 @@ class CandidateBuffers:
         """Copy out what parts of the work have written: ``counts`` from each beginning."""
         parts = [slice(start, start + counts[start]) for start in sorted(counts) if counts[start]]
         if not parts:
-            return Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
+            return NO_CANDIDATES
         return Candidates(
             np.concatenate([self.pixels[part] for part in parts]), np.concatenate([self.points[part] for part in parts])
         )

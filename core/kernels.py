@@ -20,7 +20,7 @@ region : int64, (4,)
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -44,6 +44,9 @@ from .simd import (
     to_ints,
     where,
 )
+
+#: Rows of a tile; it is `LANES` columns wide.
+TILE_ROWS: Final = 8
 
 _HALF = np.float32(0.5)
 _ZERO = np.float32(0.0)
@@ -203,7 +206,7 @@ def find_candidates(
     hsv : int64, (6,) or (0,)
         Range of colours to leave out, from `colors.hsv_limits`; empty for no mask.
     tiles : bool, (rows of tiles, tiles in a row)
-        False where `coarse` has shown that a tile of `LANES` x ``coarse.TILE_ROWS`` pixels has no candidate.
+        False where `coarse` has shown that a tile of `TILE_ROWS` x `LANES` pixels has no candidate.
     pixels_out, points_out : int64 and float32 (n, 3), written from ``first * width`` on
         Those pixels and their points, in order.
 
@@ -214,7 +217,6 @@ def find_candidates(
     """
     width, height = size[0], size[1]
     pixels = max(width * height, LANES)
-    tile_rows = (height + tiles.shape[0] - 1) // tiles.shape[0]
     point = np.empty((3, LANES), np.float32)
     flat_point = point.ravel()
     partner = np.empty(LANES, np.int32)
@@ -224,7 +226,7 @@ def find_candidates(
     kept = first * width
     for v in range(max(first, region[1]), min(last, region[3])):
         for u in range(region[0] // LANES * LANES, region[2], LANES):
-            if not tiles[v // tile_rows, u // LANES]:
+            if not tiles[v // TILE_ROWS, u // LANES]:
                 continue
             place, before = _place(v, u, width, pixels)
             count = load(counts, place)

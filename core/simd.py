@@ -49,6 +49,8 @@ FLOATS = Vector("float32", ir.FloatType(), types.float32)
 DOUBLES = Vector("float64", ir.DoubleType(), types.float64)
 INTS = Vector("int32", ir.IntType(32), types.int32)
 FLAGS = Vector("bool", ir.IntType(1), types.boolean)
+#: Unsigned, for raw counts; they wrap around.
+COUNTS = Vector("uint16", ir.IntType(16), types.uint16)
 
 #: Return a function of the module, declaring it at first.
 declare: Any = cgutils.get_or_insert_function
@@ -90,6 +92,18 @@ def load(typing: Any, array: Any, index: Any) -> Any:
 
 
 @intrinsic
+def load_counts(typing: Any, array: Any, index: Any) -> Any:
+    """Return elements ``index`` to ``index + LANES - 1`` of a uint16 array as they are."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = builder.load(_place(context, builder, array, arguments[0], arguments[1], COUNTS.llvm))
+        value.align = _bytes_of(array)
+        return value
+
+    return COUNTS(array, types.intp), emit
+
+
+@intrinsic
 def store(typing: Any, array: Any, index: Any, value: Any) -> Any:
     """Write a vector to elements ``index`` onwards; int32 narrows to the array's integer type."""
 
@@ -126,6 +140,7 @@ def _make_splat(vector: Vector, doc: str) -> Any:
 floats = _make_splat(FLOATS, "Return a float32 vector of one value.")
 doubles = _make_splat(DOUBLES, "Return a float64 vector of one value.")
 ints = _make_splat(INTS, "Return an int32 vector of one value.")
+counts = _make_splat(COUNTS, "Return a uint16 vector of one value.")
 
 
 @intrinsic
@@ -159,8 +174,8 @@ def _define_operator(symbol: Any, vectors: dict[Vector, str]) -> None:
         return None
 
 
-_define_operator(operator.add, {FLOATS: "fadd", DOUBLES: "fadd", INTS: "add"})
-_define_operator(operator.sub, {FLOATS: "fsub", DOUBLES: "fsub", INTS: "sub"})
+_define_operator(operator.add, {FLOATS: "fadd", DOUBLES: "fadd", INTS: "add", COUNTS: "add"})
+_define_operator(operator.sub, {FLOATS: "fsub", DOUBLES: "fsub", INTS: "sub", COUNTS: "sub"})
 _define_operator(operator.mul, {FLOATS: "fmul", DOUBLES: "fmul", INTS: "mul"})
 _define_operator(operator.truediv, {FLOATS: "fdiv", DOUBLES: "fdiv"})
 _define_operator(operator.and_, {FLAGS: "and_", INTS: "and_"})
@@ -284,6 +299,38 @@ def _lesser(a: Any, b: Any) -> Any:
 @overload(greater, strict=False)
 def _greater(a: Any, b: Any) -> Any:
     return lambda a, b: where(a > b, a, b)
+
+
+def _between_counts(llvm_name: str, doc: str) -> Any:
+    def function(typing: Any, a: Any, b: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            of_type = ir.FunctionType(COUNTS.llvm, [COUNTS.llvm, COUNTS.llvm])
+            return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), arguments)
+
+        return COUNTS(COUNTS, COUNTS), emit
+
+    function.__doc__ = doc
+    return intrinsic(function)
+
+
+lesser_counts = _between_counts("llvm.umin", "Return the smaller of each pair of counts.")
+greater_counts = _between_counts("llvm.umax", "Return the larger of each pair of counts.")
+
+
+def _of_all_counts(llvm_name: str, doc: str) -> Any:
+    def function(typing: Any, a: Any) -> Any:
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            of_type = ir.FunctionType(COUNTS.element, [COUNTS.llvm])
+            return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), arguments)
+
+        return types.uint16(COUNTS), emit
+
+    function.__doc__ = doc
+    return intrinsic(function)
+
+
+least_count = _of_all_counts("llvm.vector.reduce.umin", "Return the smallest count of all lanes.")
+largest_count = _of_all_counts("llvm.vector.reduce.umax", "Return the largest count of all lanes.")
 
 
 @intrinsic
