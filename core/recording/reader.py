@@ -45,17 +45,6 @@ class Channel:
     encoding: str
 
 
-@dataclass(frozen=True)
-class _Chunk:
-    """Where a chunk's compressed bytes lie."""
-
-    offset: int
-    packed_size: int
-    size: int
-    checksum: int
-    compression: str
-
-
 class McapFile:
     """An MCAP file, open for reading.
 
@@ -85,7 +74,7 @@ class McapFile:
         self._progress = progress
         self._schemas: dict[int, str] = {}
         self._channels: dict[int, Channel] = {}
-        self._chunks: list[_Chunk] = []
+        self._chunks: list[tuple[int, int]] = []  # offset and length of each record's body
         self._places: dict[int, array[int]] = {}
         self._attachments: dict[str, tuple[int, int]] = {}
         self._metadata: dict[str, dict[str, str]] = {}
@@ -97,7 +86,8 @@ class McapFile:
                 if self._read(0, min(len(mcap.MAGIC), self._size)) != mcap.MAGIC:
                     raise SourceError(f"{path} is no MCAP file; choose a recording")
                 self.complete = self._from_summary() or self._from_scan()
-                self._places = {number: table for number, table in self._places.items() if number in self._channels}
+                known = self._channels.keys()
+                self._places = {number: places for number, places in self._places.items() if places and number in known}
         except BaseException:
             self.close()
             raise
@@ -135,7 +125,7 @@ class McapFile:
             cursor = _Cursor(self._read(*self._attachments[name]))
             cursor.take("<QQ")
             cursor.text(), cursor.text()
-            return cursor.bytes_(*cursor.take("<Q"))
+            return bytes(cursor.bytes_(*cursor.take("<Q")))
 
     def metadata(self, name: str) -> dict[str, str]:
         """Return a table of texts, empty where there is none of that name."""
@@ -199,17 +189,17 @@ class McapFile:
 
     def _index_chunk(self, index: _Cursor) -> None:
         """Take up the chunk that an index record of the summary describes."""
-        _, _, position, _ = index.take("<QQQQ")
+        _, _, position, chunk_length = index.take("<QQQQ")
         index.bytes_(*index.take("<I"))
         (length,) = index.take("<Q")
-        end = self._add_chunk(position)
+        self._chunks.append((position + 9, chunk_length - 9))
         if length == 0:
             self._look_inside(len(self._chunks) - 1)
-        else:
-            body = memoryview(self._read(end, length))
-            for opcode, offset, size in _records(body):
-                if opcode == mcap.MESSAGE_INDEX:
-                    self._add_places(body[offset : offset + size])
+            return
+        body = memoryview(self._read(position + chunk_length, length))
+        for opcode, offset, size in _records(body):
+            if opcode == mcap.MESSAGE_INDEX:
+                self._add_places(body[offset : offset + size])
 
     def _scan(self) -> bool:
         """Visit the head of every record; return whether there is a footer."""
@@ -227,7 +217,7 @@ class McapFile:
                 return True
             if opcode == mcap.CHUNK:
                 self._tell(offset / self._size)
-                self._add_chunk(offset)
+                self._chunks.append((start, length))
             elif opcode == mcap.MESSAGE_INDEX:
                 indexed.append(self._read(start, length))
             elif opcode == mcap.MESSAGE:
@@ -263,25 +253,12 @@ class McapFile:
             else:
                 self._declare(opcode, _Cursor(data[offset : offset + length]))
 
-    def _add_chunk(self, position: int) -> int:
-        """Note where a chunk lies, and return where it ends."""
-        head = self._read(position, min(64, self._size - position))
-        opcode, length, _, _, size, checksum = struct.unpack_from("<BQQQQI", head)
-        cursor = _Cursor(head, 37)
-        compression, (packed_size,) = cursor.text(), cursor.take("<Q")
-        end: int = position + 9 + length
-        if opcode != mcap.CHUNK or position + cursor.position + packed_size != end or end > self._size:
-            raise ValueError("its index points nowhere")
-        self._chunks.append(_Chunk(position + cursor.position, packed_size, size, checksum, compression))
-        return end
-
     def _add_places(self, record: bytes | memoryview) -> None:
         """Take up a message index of the last chunk."""
         channel, length = struct.unpack_from("<HI", record)
-        entries = np.frombuffer(record, "<u8", length // 8, offset=6).reshape(-1, 2)
-        table = np.insert(entries, 1, len(self._chunks) - 1, axis=1)
-        if len(table):
-            self._places.setdefault(channel, array("Q")).frombytes(table.astype(np.uint64).tobytes())
+        places = self._places.setdefault(channel, array("Q"))
+        for log_time_ns, offset in struct.iter_unpack("<QQ", record[6 : 6 + length]):
+            places.extend((log_time_ns, len(self._chunks) - 1, offset))
 
     def _add_metadata(self, position: int, length: int) -> None:
         cursor = _Cursor(self._read(position, length))
@@ -302,11 +279,13 @@ class McapFile:
         if number in self._cache:
             self._cache.move_to_end(number)
             return self._cache[number]
-        chunk = self._chunks[number]
-        if chunk.size > _LARGEST_CHUNK:
-            raise ValueError(f"a chunk claims to hold {chunk.size / 2**30:.1f} GiB")
-        data = _decompress(self._read(chunk.offset, chunk.packed_size), chunk)
-        if len(data) != chunk.size or (chunk.checksum and zlib.crc32(data) != chunk.checksum):
+        cursor = _Cursor(self._read(*self._chunks[number]))
+        _, _, size, checksum = cursor.take("<QQQI")
+        compression, (packed_size,) = cursor.text(), cursor.take("<Q")
+        if size > _LARGEST_CHUNK:
+            raise ValueError(f"a chunk claims to hold {size / 2**30:.1f} GiB")
+        data = _decompress(cursor.bytes_(packed_size), compression, size)
+        if len(data) != size or (checksum and zlib.crc32(data) != checksum):
             raise ValueError("the checksum of a chunk is wrong")
         self._cache[number] = memoryview(data)
         if len(self._cache) > _CACHED_CHUNKS:
@@ -351,14 +330,14 @@ class _Cursor:
         self.position += struct.calcsize(layout)
         return values
 
-    def bytes_(self, length: int) -> bytes:
+    def bytes_(self, length: int) -> memoryview:
         if length > len(self._data) - self.position:
             raise ValueError("a record reaches beyond its end")
         self.position += length
-        return bytes(self._data[self.position - length : self.position])
+        return self._data[self.position - length : self.position]
 
     def text(self) -> str:
-        return self.bytes_(*self.take("<I")).decode()
+        return bytes(self.bytes_(*self.take("<I"))).decode()
 
     def text_map(self) -> dict[str, str]:
         (length,) = self.take("<I")
@@ -381,13 +360,13 @@ def _records(data: memoryview) -> Iterator[tuple[int, int, int]]:
         offset += 9 + length
 
 
-def _decompress(packed: bytes, chunk: _Chunk) -> bytes:
-    """Decompress to no more than a chunk says of itself, so that no file can fill the memory."""
-    if chunk.compression == "zstd":
-        return zstd.ZstdDecompressor().decompress(packed, max_length=chunk.size)
-    if chunk.compression == "lz4":
-        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=chunk.size)
+def _decompress(packed: memoryview, compression: str, size: int) -> bytes | memoryview:
+    """Decompress to no more than the chunk says of itself, so that no file can fill the memory."""
+    if compression == "zstd":
+        return zstd.ZstdDecompressor().decompress(packed, max_length=size)
+    if compression == "lz4":
+        data: bytes = lz4.frame.LZ4FrameDecompressor().decompress(packed, max_length=size)
         return data
-    if chunk.compression:
-        raise ValueError(f"it is compressed with {chunk.compression!r}; known are zstd and lz4")
+    if compression:
+        raise ValueError(f"it is compressed with {compression!r}; known are zstd and lz4")
     return packed
