@@ -140,7 +140,9 @@ class Troubled(FrameSource):
         if self._odd:
             self._odd -= 1
             rig = make_rig(tactile=(10, 7))
-        return replace(make_frame(rig, self._count % 50), sequence=self._count)
+        time_s = self._count / 100
+        made = make_frame(rig, self._count % 50)
+        return replace(made, sequence=self._count, proximity_time_s=time_s, tactile_time_s=time_s + 0.0021)
 
     def health(self) -> Health:
         return Health(cameras=(CameraHealth("tactile", "streaming", "D405", "t1"),), unmatched=self._count // 10)
