@@ -1,0 +1,1 @@
+"""The ways to find a contact patch that fusion is compared with, behind one interface."""

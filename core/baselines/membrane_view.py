@@ -1,0 +1,97 @@
+"""The membrane as the proximity camera would see it, from the tactile camera's depth image."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from ..alignment import tactile_pose
+from ..clouds import ray_table
+from ..frames import Rig
+from ..preset import AlignmentSection
+
+_STEPS = 12
+_SETTLED_M = 2e-4
+#: Where a search starts: a usual distance of the membrane.
+_START_M = 0.3
+
+
+class MembraneView:
+    """Looks tactile measurements up at proximity pixels through the membrane's own depth.
+
+    For each proximity ray the point is sought whose expected tactile depth is the measured one,
+    ``z <- z + (measured - expected)``, which converges where the membrane's slope along the tactile
+    image row is below the cameras' angle to it, so everywhere but at steep folds.
+
+    Parameters
+    ----------
+    section : AlignmentSection
+        The pose, or the rig's where it has none, and the depth scale and offset.
+    rig : Rig
+
+    Raises
+    ------
+    RigMismatchError
+        Neither the preset nor the rig has a pose.
+    """
+
+    def __init__(self, section: AlignmentSection, rig: Rig) -> None:
+        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        self._rig = rig
+        rays = ray_table(rig.proximity.intrinsics).reshape(-1, 2).astype(np.float64)
+        self._directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ T_t_p[:3, :3].T
+        self._origin = T_t_p[:3, 3]
+        self._factor = rig.tactile.depth_unit_m * section.depth_scale
+        self._offset = section.depth_offset_m
+
+    def depth_m(self, tactile_depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.float64]:
+        """Return the membrane's depth in the proximity frame, metres.
+
+        Parameters
+        ----------
+        tactile_depth : uint16, shape (Ht, Wt)
+            Raw counts.
+
+        Returns
+        -------
+        float64, shape (H, W)
+            nan where the tactile camera does not see it.
+        """
+        z = np.full(len(self._directions), _START_M)
+        miss = np.zeros_like(z)
+        for _ in range(_STEPS):
+            counts, expected = self._look_up(tactile_depth, z)
+            miss = np.where(counts > 0, counts * self._factor + self._offset - expected, np.nan)
+            z = np.where(np.isnan(miss), z, z + miss)
+        z[np.isnan(miss) | (np.abs(miss) > _SETTLED_M)] = np.nan
+        return z.reshape(self._rig.proximity.intrinsics.shape)
+
+    def pick(self, mask: npt.NDArray[np.bool_], tactile_depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
+        """Return a tactile mask (Ht, Wt) as proximity pixels (H, W) see it through the membrane's depth."""
+        z = self.depth_m(tactile_depth).reshape(-1)
+        picked = np.zeros(z.shape, bool)
+        known = np.flatnonzero(np.isfinite(z))
+        row, column, inside = self._pixels(z[known], known)
+        picked[known] = inside & mask[row, column]
+        return picked.reshape(self._rig.proximity.intrinsics.shape)
+
+    def _look_up(
+        self, tactile_depth: npt.NDArray[np.uint16], z: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Return the counts (0: none) seen where points at depth z should be, and their expected depth."""
+        row, column, inside = self._pixels(z, slice(None))
+        counts = tactile_depth[row, column]
+        expected = self._directions[:, 2] * z + self._origin[2]
+        return np.where(inside & (counts != 65535), counts, 0).astype(np.float64), expected
+
+    def _pixels(
+        self, z: npt.NDArray[np.float64], which: npt.NDArray[np.intp] | slice
+    ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
+        """Return row, column and whether the tactile camera sees the points at depth z on some rays."""
+        camera = self._rig.tactile.intrinsics
+        seen = self._directions[which] * z[:, None] + self._origin
+        with np.errstate(all="ignore"):
+            uv = np.floor(camera.project(seen) + 0.5)
+        inside = (seen[:, 2] > 0) & np.all((uv >= 0) & (uv < (camera.width, camera.height)), axis=1)
+        column, row = np.where(inside[:, None], uv, 0).astype(np.intp).T
+        return row, column, inside

@@ -1,0 +1,65 @@
+"""One interface for every way to find a contact patch."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frames import SensorFrame
+
+Points = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class MethodPatch:
+    """What a method found in one frame.
+
+    Attributes
+    ----------
+    points : float32, shape (N, 3)
+        Metres, proximity depth frame.
+    failure : str
+        Why the method gave up on this frame, as a sentence; empty where it did not.
+    """
+
+    points: Points
+    make_mask: Callable[[], Bools]
+    failure: str = ""
+
+    @cached_property
+    def mask(self) -> Bools:
+        """Proximity pixels in contact, bool, shape (H, W); made when first asked for."""
+        return self.make_mask()
+
+
+class ContactMethod(ABC):
+    """Finds the contact patch of one frame after another, in a way of its own.
+
+    Attributes
+    ----------
+    name : str
+        As the command line and tables write it.
+    """
+
+    name: str
+
+    @abstractmethod
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the contact patch of a frame.
+
+        Raises
+        ------
+        FrameError
+            An image does not have the rig's size.
+        """
+
+
+def failed(shape: tuple[int, int], reason: str) -> MethodPatch:
+    """Return an empty patch with the reason why there is none."""
+    return MethodPatch(np.empty((0, 3), np.float32), lambda: np.zeros(shape, bool), reason)
