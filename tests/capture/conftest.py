@@ -1,9 +1,9 @@
 from __future__ import annotations
 
-import os
 import sys
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -18,19 +18,18 @@ def nothing_left() -> Iterator[None]:
     before = _open_things()
     yield
     deadline_s = time.monotonic() + 5
-    while (left := _open_things()) != before and time.monotonic() < deadline_s:
+    while (left := _open_things() - before) and time.monotonic() < deadline_s:
         time.sleep(0.02)
-    assert left == before
+    assert not left
 
 
-def _open_things() -> dict[str, object]:
-    children = Path(f"/proc/self/task/{os.getpid()}/children")
-    return {
-        "children": children.read_text(),
-        "threads": threading.active_count(),
-        "descriptors": len(list(Path("/proc/self/fd").iterdir())),
-        "segments": sorted(path.name for path in Path("/dev/shm").iterdir()),
-    }
+def _open_things() -> Counter[str]:
+    tasks = list(Path("/proc/self/task").iterdir())
+    children = [number for task in tasks if task.exists() for number in (task / "children").read_text().split()]
+    counted = Counter(thread=threading.active_count(), descriptor=len(list(Path("/proc/self/fd").iterdir())))
+    counted.update(f"process {number}" for number in children)
+    counted.update(f"segment {path.name}" for path in Path("/dev/shm").iterdir())
+    return counted
 
 
 @pytest.fixture
