@@ -16,6 +16,9 @@ import pytest
 from PyQt6.QtWidgets import QApplication
 
 from tactune.app.main_window import MainWindow
+from tactune.app.playback import PlaybackState
+from tactune.app.processing import FrameProcessor
+from tactune.app.results import SourceInfo, Wanted
 from tactune.app.settings import Settings
 from tactune.app.worker import SourceRequest
 from tactune.core.errors import SourceError
@@ -97,6 +100,14 @@ class LiveSource(FrameSource):
         self.more.clear()
         self.count += 1
         return tiny_frame(self.count - 1, self._rig)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def compiled() -> None:
+    """Compile the kernels before anything waits for a first frame."""
+    rig = tiny_rig()
+    info = SourceInfo("tiny", rig, 1, 30.0)
+    FrameProcessor().process(info, tiny_frame(0, rig), Preset(), Wanted(), PlaybackState())
 
 
 @pytest.fixture
