@@ -148,6 +148,8 @@ def _tell(source: FrameSource, status: RecordingStatus) -> None:
         raise ExportError(status.error + kept)
     if status.dropped:
         warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
+    if lost := source.health().dropped:
+        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
     size = f"{status.bytes / 1e6:.1f} MB"
     typer.echo(
         f"recorded {counted(status.frames, 'frame')} of {source.name}, {status.seconds:.1f} s, {size}, "

@@ -63,6 +63,7 @@ class LiveSource(FrameSource):
         self._asked = 0
         self.given = 0
         self.message = ""
+        self.lost = 0
 
     @property
     def rig(self) -> Any:
@@ -83,7 +84,7 @@ class LiveSource(FrameSource):
         return frame
 
     def health(self) -> Health:
-        return Health(ok=not self.message, message=self.message)
+        return Health(ok=not self.message, message=self.message, dropped=self.lost)
 
 
 @pytest.fixture
@@ -152,6 +153,9 @@ def test_what_a_live_source_has_to_say_is_said_once(tmp_path: Path, live: LiveSo
     live.message = "the tactile camera is missing"
     done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--frames", 3)
     assert done.err == "tactune: the tactile camera is missing\n"
+    live.message, live.lost = "", 5
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--frames", 3)
+    assert done.err.startswith("tactune: 5 frames lost before they got here;")
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
