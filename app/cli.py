@@ -24,6 +24,7 @@ from .cli_calibrate import calibrate
 from .cli_doctor import doctor
 from .cli_preset import preset_commands
 from .cli_record import convert, record
+from .cli_warmup import warmup
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
 USAGE_STATUS = 2
@@ -44,6 +45,7 @@ commands.command()(calibrate)
 commands.command()(doctor)
 commands.command()(record)
 commands.command()(convert)
+commands.command()(warmup)
 
 Source = Annotated[
     str,

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from ..compiling import kernel
 from ..intrinsics import Intrinsics
@@ -60,6 +59,8 @@ def mean_neighbour_distances(
 
 def tree_means(points: npt.NDArray[np.float32], queries: npt.NDArray[np.float32], k: int) -> npt.NDArray[np.float64]:
     """Return the mean distance of each query to its k nearest of the points, by a k-d tree."""
+    from scipy.spatial import cKDTree  # most clouds need none, and it is slow to import
+
     distances, _ = cKDTree(points).query(queries, k)
     return np.asarray(np.reshape(distances, (-1, k)).mean(axis=1))
 
