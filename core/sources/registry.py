@@ -21,6 +21,9 @@ if TYPE_CHECKING:
     from ..preset import CamerasSection
 
 SCENES = ("cube", "cup", "octopus")
+#: Further scenes of the simulator, and the options that any of them takes.
+MORE_SCENES = ("two", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
+SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "seed", "noise")
 _DEFAULT_SCENE = "cup"
 
 
@@ -117,27 +120,27 @@ def _open_simulator(rest: str, progress: Progress | None) -> FrameSource:
     name = f"sim:{rest}"
     scene, _, query = rest.partition("?")
     scene = scene or _DEFAULT_SCENE
-    if scene not in SCENES:
-        raise SourceError(f"{name}: there is no scene {scene!r}; known are {', '.join(SCENES)}")
-    seed, noise = 0, 1.0
-    seen = set()
+    if scene not in (*SCENES, *MORE_SCENES):
+        raise SourceError(f"{name}: there is no scene {scene!r}; known are {', '.join((*SCENES, *MORE_SCENES))}")
     try:
-        options = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
+        pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=bool(query))
     except ValueError as error:
         raise SourceError(f"{name}: {query!r} are no options; write them as seed=3&noise=0.5") from error
-    for key, value in options:
-        if key in seen:
+    options = dict(pairs)
+    for key, _ in pairs:
+        if key not in SCENE_OPTIONS:
+            raise SourceError(f"{name}: the simulator has no option {key!r}; known are {', '.join(SCENE_OPTIONS)}")
+        if [given for given, _ in pairs].count(key) > 1:
             raise SourceError(f"{name}: {key} is given twice; keep one")
-        seen.add(key)
-        if key == "seed":
-            seed = _seed(name, value)
-        elif key == "noise":
-            noise = _noise(name, value)
-        else:
-            raise SourceError(f"{name}: the simulator has no option {key!r}; known are seed and noise")
+    seed, noise = _seed(name, options.pop("seed", "0")), _number(name, "noise", options.pop("noise", "1"))
     from .simulator.source import SimulatorSource
 
-    return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress)
+    if not options:
+        return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress)
+    from .simulator.scenes import read_options
+
+    variant, light = read_options(name, options)
+    return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress, variant=variant, light=light)
 
 
 def _seed(name: str, text: str) -> int:
@@ -146,14 +149,14 @@ def _seed(name: str, text: str) -> int:
     return int(text)
 
 
-def _noise(name: str, text: str) -> float:
+def _number(name: str, key: str, text: str) -> float:
     try:
-        noise = float(text)
+        number = float(text)
     except ValueError:
-        noise = math.nan
-    if not 0.0 <= noise <= 100.0:
-        raise SourceError(f"{name}: noise is {text!r}, but it must be a number from 0 (none) to 100, such as noise=0.5")
-    return noise
+        number = math.nan
+    if not 0.0 <= number <= 100.0:
+        raise SourceError(f"{name}: {key} is {text!r}, but it must be a number from 0 (none) to 100, such as {key}=0.5")
+    return number
 
 
 def _open_folder(rest: str, _: Progress | None) -> FrameSource:
@@ -232,8 +235,13 @@ _KINDS: dict[str, tuple[SourceKind, _Opener]] = {
         SourceKind(
             scheme="sim",
             title="Simulator",
-            form="sim:SCENE[?seed=N&noise=X]",
-            description=f"A simulated sensor pressed by an object, with ground truth: {', '.join(SCENES)}.",
+            form="sim:SCENE[?press=medium&seed=N&noise=X]",
+            description=(
+                f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}, two; mug and hand, "
+                "held out for judging methods. hover (gap=1...20 mm away), stiff (regions 8 times as stiff), wrinkled "
+                "(folds of a twist) and slide take object=cup. press=low, medium or high holds a press, high at "
+                "side=right or left; grid=dots prints dots 10 mm apart; light=bright or dim; noise=0, 1 or 2."
+            ),
             needs="nothing",
             examples=tuple(f"sim:{scene}" for scene in SCENES),
         ),

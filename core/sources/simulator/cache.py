@@ -15,7 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -24,6 +24,10 @@ from platformdirs import user_cache_dir
 
 from ...atomic import atomic_path
 from .scene import CleanState, PressFacts
+
+#: Versions of a scene that are kept, and the size of everything that is kept, bytes.
+_VERSIONS: Final = 3
+_ALL_BYTES: Final = 2_000_000_000
 
 _NAMES = tuple(field.name for field in fields(CleanState))
 
@@ -52,6 +56,8 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
             packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
     except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
         return None
+    with suppress(OSError):
+        path.touch()
     with ThreadPoolExecutor(2) as pool:
         unpacked = list(pool.map(_unpack, packed))
     states = [state for state in unpacked if state is not None]
@@ -59,7 +65,7 @@ def load_scene(path: Path, count: int) -> SolvedScene | None:
 
 
 def save_scene(path: Path, scene: SolvedScene) -> None:
-    """Write a scene to a file, whole or not at all, and remove the scene's older files.
+    """Write a scene to a file, whole or not at all, and remove files that were not used for long.
 
     Raises
     ------
@@ -73,11 +79,29 @@ def save_scene(path: Path, scene: SolvedScene) -> None:
         for n, images in enumerate(packed):
             for name, data in images.items():
                 archive.writestr(f"{n}/{name}.png", data)
-    kind = path.name.rpartition("-")[0]
-    for older in path.parent.glob(f"{kind}-*.zip"):
-        if older != path:
-            with suppress(OSError):  # somebody else's, or gone already
-                older.unlink()
+    _clean_up(path)
+
+
+def _clean_up(path: Path) -> None:
+    """Keep the versions of this scene that were used last, and of all scenes what fits."""
+    last_used = sorted(path.parent.glob("*.zip"), key=_last_used, reverse=True)
+    versions = [file for file in last_used if file.name.rpartition("-")[0] == path.name.rpartition("-")[0]]
+    total, spare = 0, set(versions[_VERSIONS:])
+    for file in last_used:
+        with suppress(OSError):
+            total += 0 if file in spare else file.stat().st_size
+        if total > _ALL_BYTES:
+            spare.add(file)
+    for file in spare - {path}:
+        with suppress(OSError):  # somebody else's, or gone already
+            file.unlink()
+
+
+def _last_used(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:
+        return 0.0
 
 
 def _pack(state: CleanState) -> dict[str, bytes]:

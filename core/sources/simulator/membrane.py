@@ -1,7 +1,8 @@
 """The inflated membrane: mesh, rubber, air, and the contact problem that gives its shape.
 
 The sheet is a mesh of constant-strain triangles with three displacements a node, made of
-incompressible neo-Hookean rubber without bending stiffness and clamped at its rim. Air in the
+incompressible rubber (neo-Hookean, stiffening with strain as Yeoh's model does) without bending
+stiffness and clamped at its rim. Air in the
 chamber obeys p (V + V_dead) = const, so that pressing at one place bulges the rest. A rigid object
 must not be penetrated: signed distance >= 0 at every node, reaction >= 0, one of the two zero.
 
@@ -29,6 +30,10 @@ Int32Array = npt.NDArray[np.int32]
 ATMOSPHERE_PA: Final = 101_325.0
 #: Nodes closer than this to the object count as touching, metres.
 TOUCH_GAP_M: Final = 1e-7
+#: A residual so many times the least one means that the descent overshot.
+_OVERSHOT: Final = 1e3
+#: Steps shorter than this share of what the start's stiffness allows are not tried, either.
+_SHORTEST_SHARE: Final = 0.05
 
 
 @dataclass(frozen=True)
@@ -38,11 +43,11 @@ class MembraneState:
     Attributes
     ----------
     nodes : float64, shape (N, 3)
-        Positions in the membrane's frame, metres.
+        Positions of the mean surface in the membrane's frame, metres; `Membrane.surface` adds the folds.
     reaction_n : float64, shape (N,)
         Force with which the object pushes each node along its normal, newtons; 0 where free.
     gap_m : float64, shape (N,)
-        Signed distance of each node to the object.
+        Signed distance of each node of the surface to the object.
     pressure_pa : float
         Absolute air pressure.
     volume_m3 : float
@@ -66,8 +71,8 @@ def _forces(
     nodes: Float64Array,
     triangles: Int32Array,
     inverse: Float64Array,
-    area: Float64Array,
-    stiffness: float,
+    stiffness: Float64Array,
+    stiffening: float,
     elastic: Float64Array,
     swept: Float64Array,
 ) -> float:
@@ -85,10 +90,11 @@ def _forces(
         qx, qy, qz = ux * i01 + vx * i11, uy * i01 + vy * i11, uz * i01 + vz * i11
         c00, c01, c11 = px * px + py * py + pz * pz, px * qx + py * qy + pz * qz, qx * qx + qy * qy + qz * qz
         det = c00 * c11 - c01 * c01
-        # First Piola-Kirchhoff stress mu (F - F C^-1 / det C) of W = mu/2 (tr C + 1/det C - 3).
+        # First Piola-Kirchhoff stress (1 + 2 c I) mu (F - F C^-1 / det C) of
+        # W = mu/2 (I + c I^2), I = tr C + 1/det C - 3.
         scale = 1.0 / (det * det)
         s00, s01, s11 = 1.0 - c11 * scale, c01 * scale, 1.0 - c00 * scale
-        weight = stiffness * area[t]
+        weight = stiffness[t] * (1.0 + 2.0 * stiffening * (c00 + c11 + 1.0 / det - 3.0))
         ax, ay, az = px * s00 + qx * s01, py * s00 + qy * s01, pz * s00 + qz * s01
         bx, by, bz = px * s01 + qx * s11, py * s01 + qy * s11, pz * s01 + qz * s11
         fbx, fby, fbz = weight * (ax * i00 + bx * i01), weight * (ay * i00 + by * i01), weight * (az * i00 + bz * i01)
@@ -116,15 +122,15 @@ def _gradient(
     nodes: Float64Array,
     triangles: Int32Array,
     inverse: Float64Array,
-    area: Float64Array,
+    stiffness: Float64Array,
     free: npt.NDArray[np.bool_],
-    stiffness: float,
+    stiffening: float,
     air: Float64Array,
     swept: Float64Array,
     out: Float64Array,
 ) -> float:
     """Fill in the gradient of the total energy (minus the nodal forces); return the gauge pressure."""
-    volume = _forces(nodes, triangles, inverse, area, stiffness, out, swept)
+    volume = _forces(nodes, triangles, inverse, stiffness, stiffening, out, swept)
     gas_joule, dead_volume, ambient = air[0], air[1], air[2]
     gauge = gas_joule / (volume + dead_volume) - ambient
     for n in range(nodes.shape[0]):
@@ -139,6 +145,7 @@ def _project(
     pose: Float64Array,
     nodes: Float64Array,
     base: Float64Array,
+    relief: Float64Array,
     free: npt.NDArray[np.bool_],
     place: Float64Array,
     clear: Float64Array,
@@ -156,17 +163,17 @@ def _project(
         x, y, z = nodes[n, 0] - place[n, 0], nodes[n, 1] - place[n, 1], nodes[n, 2] - place[n, 2]
         if x * x + y * y + z * z < clear[n] * clear[n]:
             continue
-        depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+        depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
         if depth >= 0.0:
             place[n], clear[n] = nodes[n], depth
             continue
         clear[n] = 0.0
-        nx, ny, nz = normal(kind, pose, base[n, 0], base[n, 1], base[n, 2])
+        nx, ny, nz = normal(kind, pose, base[n, 0], base[n, 1], base[n, 2] + relief[n])
         for _ in range(8):
             nodes[n, 0] -= depth * nx
             nodes[n, 1] -= depth * ny
             nodes[n, 2] -= depth * nz
-            depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+            depth = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
             if depth > -1e-12:
                 break
 
@@ -176,6 +183,7 @@ def _balance(
     kind: int,
     pose: Float64Array,
     nodes: Float64Array,
+    relief: Float64Array,
     gradient: Float64Array,
     reaction: Float64Array,
     gap: Float64Array,
@@ -185,9 +193,9 @@ def _balance(
     for n in range(nodes.shape[0]):
         gx, gy, gz = gradient[n, 0], gradient[n, 1], gradient[n, 2]
         reaction[n] = 0.0
-        gap[n] = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+        gap[n] = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
         if gap[n] <= TOUCH_GAP_M:
-            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2])
+            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
             push = gx * nx + gy * ny + gz * nz
             if push > 0.0:
                 reaction[n] = push
@@ -201,12 +209,14 @@ def _relax(
     nodes: Float64Array,
     triangles: Int32Array,
     inverse: Float64Array,
-    area: Float64Array,
+    stiffness: Float64Array,
     free: npt.NDArray[np.bool_],
-    stiffness: float,
+    stiffening: float,
     air: Float64Array,
+    relief: Float64Array,
     kind: int,
     pose: Float64Array,
+    nodal_area: float,
     step: float,
     tolerance: float,
     limit: int,
@@ -216,23 +226,29 @@ def _relax(
     """Descend to equilibrium in place; return the iterations and the relative residual."""
     gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
     ahead, place, clear = nodes.copy(), nodes.copy(), np.zeros(nodes.shape[0])
-    _project(kind, pose, ahead, nodes, free, place, clear)
+    _project(kind, pose, ahead, nodes, relief, free, place, clear)
     nodes[:] = ahead
     momentum = 1.0
-    nodal_area = np.sum(area) / nodes.shape[0]
     relative = np.inf
+    least, kept = np.inf, nodes.copy()
     done = 0
     for iteration in range(limit):
-        gauge = _gradient(ahead, triangles, inverse, area, free, stiffness, air, swept, gradient)
+        gauge = _gradient(ahead, triangles, inverse, stiffness, free, stiffening, air, swept, gradient)
         if iteration % 20 == 19:
-            worst = _balance(kind, pose, ahead, gradient, reaction, gap)
-            relative = worst / (gauge * nodal_area)
+            worst = _balance(kind, pose, ahead, relief, gradient, reaction, gap)
+            relative = worst / (abs(gauge) * nodal_area)
             done = iteration + 1
             if relative < tolerance:
                 nodes[:] = ahead
                 return done, relative
+            if not relative < _OVERSHOT * least:
+                nodes[:] = kept
+                return done, np.inf
+            if relative < least:
+                least = relative
+                kept[:] = nodes
         fresh = ahead - step * gradient
-        _project(kind, pose, fresh, ahead, free, place, clear)
+        _project(kind, pose, fresh, ahead, relief, free, place, clear)
         uphill = 0.0
         for n in range(nodes.shape[0]):
             for k in range(3):
@@ -246,7 +262,7 @@ def _relax(
             for k in range(3):
                 ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
                 nodes[n, k] = fresh[n, k]
-        _project(kind, pose, ahead, nodes, free, place, clear)
+        _project(kind, pose, ahead, nodes, relief, free, place, clear)
     return done, relative
 
 
@@ -280,14 +296,23 @@ class Membrane:
         return self._solve(kind, pose, self.rest.nodes if start is None else start, self.tolerance, limit)
 
     def _solve(self, kind: int, pose: Float64Array, start: Float64Array, tolerance: float, limit: int) -> MembraneState:
-        nodes = start.copy()
-        mesh, stiffness = self.mesh, self.design.stiffness_n_m
-        body = (mesh.triangles, mesh.inverse, mesh.area, mesh.free, stiffness, self._air)
-        step = 0.8 / self._curvature(nodes)
-        reaction, gap = np.zeros(len(nodes)), np.zeros(len(nodes))
-        iterations, residual = _relax(nodes, *body, kind, pose, step, tolerance, limit, reaction, gap)
+        mesh, stiffening = self.mesh, self.design.stiffening
+        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, stiffening, self._air)
+        nodal_area = mesh.area.sum() / len(start)
+        reaction, gap = np.zeros(len(start)), np.zeros(len(start))
+        nodes, iterations, share = start.copy(), 0, 0.8
+        while True:
+            step = share / self._curvature(nodes)
+            done, residual = _relax(
+                nodes, *body, mesh.relief_m, kind, pose, nodal_area, step, tolerance, limit, reaction, gap
+            )
+            iterations += done
+            # Squeezed triangles are stiffer than the start's: too long a step overshoots, and never comes back.
+            if residual < tolerance or share < _SHORTEST_SHARE:
+                break
+            share /= 2
         scratch = np.empty_like(nodes)
-        volume = _forces(nodes, *body[:3], stiffness, scratch, np.empty_like(nodes)) + self.design.dead_volume_m3
+        volume = _forces(nodes, *body[:3], stiffening, scratch, np.empty_like(nodes)) + self.design.dead_volume_m3
         return MembraneState(
             nodes, reaction, gap, float(self._air[0] / volume), float(volume), float(residual), int(iterations)
         )
@@ -295,7 +320,7 @@ class Membrane:
     def _curvature(self, nodes: Float64Array) -> float:
         """Estimate the largest eigenvalue of the energy's Hessian by power iteration, warm from call to call."""
         mesh, step = self.mesh, 1e-6
-        body = (mesh.triangles, mesh.inverse, mesh.area, mesh.free, self.design.stiffness_n_m, self._air)
+        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, self.design.stiffening, self._air)
         here, there, swept = np.empty_like(nodes), np.empty_like(nodes), np.empty_like(nodes)
         _gradient(nodes, *body, swept, here)
         eigenvalue = 0.0
@@ -326,6 +351,24 @@ class Membrane:
                 slope = (errors[-1] - errors[-2]) / (amounts[-1] - amounts[-2])
                 amounts.append(amounts[-1] - errors[-1] / slope)
         return state
+
+    def surface(self, nodes: Float64Array) -> Float64Array:
+        """Return the places of the surface that is seen and touched, folds included: float64, shape (N, 3)."""
+        surface = nodes.copy()
+        surface[:, 2] += self.mesh.relief_m
+        return surface
+
+    def at(self, flat: Float64Array, nodes: Float64Array) -> Float64Array:
+        """Return where places of the flat sheet, (M, 2), are now, by interpolation between nodes: (M, 3)."""
+        (nx, ny), design = self.design.cells, self.design
+        grid = nodes.reshape(ny + 1, nx + 1, 3)
+        s = np.clip((flat[:, 0] / design.width_m + 0.5) * nx, 0, nx)
+        t = np.clip((flat[:, 1] / design.height_m + 0.5) * ny, 0, ny)
+        i, j = np.minimum(s.astype(np.intp), nx - 1), np.minimum(t.astype(np.intp), ny - 1)
+        fs, ft = (s - i)[:, None], (t - j)[:, None]
+        upper = (1 - fs) * grid[j, i] + fs * grid[j, i + 1]
+        lower = (1 - fs) * grid[j + 1, i] + fs * grid[j + 1, i + 1]
+        return np.asarray((1 - ft) * upper + ft * lower)
 
     def stretches(self, nodes: Float64Array) -> Float64Array:
         """Return the principal stretches of every triangle: float64, shape (T, 2), larger first."""

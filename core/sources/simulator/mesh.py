@@ -7,12 +7,20 @@ long side, z outward, away from the cameras.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 Float64Array = npt.NDArray[np.float64]
 Int32Array = npt.NDArray[np.int32]
+
+#: Round regions of a membrane of varied stiffness: middle x and y, and radius, metres.
+STIFF_REGIONS: Final = ((0.035, 0.020, 0.028), (-0.060, -0.025, 0.034), (0.105, -0.035, 0.025), (-0.020, 0.065, 0.022))
+STIFF_FACTOR: Final = 8.0
+#: Number of folds round the turned part of a twisted membrane, and its radius, metres.
+_FOLDS: Final = 18
+_FOLD_INNER_M: Final = 0.018
 
 
 @dataclass(frozen=True)
@@ -29,6 +37,12 @@ class MembraneDesign:
         Air in the housing below the rim's plane.
     stiffness_n_m : float
         Shear modulus times thickness.
+    stiffening : float
+        How much stiffer the rubber gets with strain: c in W = mu/2 (I + c I^2), I = tr C - 3.
+    stiff_regions : bool
+        Whether some regions are 8 times as stiff as the rest, see `STIFF_REGIONS`.
+    fold_m : float
+        Height of the folds of a twisted membrane, crest over mean; 0 for a smooth one, see `folds`.
     prestretch : float
         How far the sheet was stretched, in both directions, when it was clamped.
     cells : tuple of int
@@ -40,6 +54,9 @@ class MembraneDesign:
     apex_m: float = 0.060
     dead_volume_m3: float = 0.0090
     stiffness_n_m: float = 220.0
+    stiffening: float = 0.05
+    stiff_regions: bool = False
+    fold_m: float = 0.0
     prestretch: float = 1.04
     cells: tuple[int, int] = (118, 68)
 
@@ -58,6 +75,10 @@ class Mesh:
         Inverse of the unstretched edge matrix.
     area : float64, shape (T,)
         Unstretched areas, square metres.
+    stiffness : float64, shape (T,)
+        Shear modulus times thickness times unstretched area, N m.
+    relief_m : float64, shape (N,)
+        Height of the outer surface over the mean surface, along z: the folds.
     free : bool, shape (N,)
         False on the rim.
     """
@@ -66,6 +87,8 @@ class Mesh:
     triangles: Int32Array
     inverse: Float64Array
     area: Float64Array
+    stiffness: Float64Array
+    relief_m: Float64Array
     free: npt.NDArray[np.bool_]
 
 
@@ -90,4 +113,37 @@ def build_mesh(design: MembraneDesign) -> Mesh:
     edges = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
     free = (np.abs(flat[:, 0]) < design.width_m / 2 - 1e-9) & (np.abs(flat[:, 1]) < design.height_m / 2 - 1e-9)
     inverse = np.asarray(np.linalg.inv(edges), dtype=np.float64)
-    return Mesh(flat, triangles, inverse, np.linalg.det(edges) / 2, free)
+    area = np.asarray(np.linalg.det(edges) / 2, dtype=np.float64)
+    stiffness = design.stiffness_n_m * area
+    if design.stiff_regions:
+        middle = flat[triangles, :2].mean(axis=1)
+        for x, y, radius in STIFF_REGIONS:
+            stiffness[np.hypot(middle[:, 0] - x, middle[:, 1] - y) < radius] *= STIFF_FACTOR
+    return Mesh(flat, triangles, inverse, area, stiffness, folds(flat, design.fold_m) * free, free)
+
+
+def folds(flat: Float64Array, height_m: float) -> Float64Array:
+    """Return the height of the folds that a torque about the middle draws into a sheet.
+
+    Shear leaves tension along the diagonals only, so the folds run out from the turned part as
+    spirals that cross every circle at 45 degrees. They are widest apart, and highest, a little
+    outside of it.
+
+    Parameters
+    ----------
+    flat : float64, shape (N, 3)
+        Places on the flat sheet, metres.
+    height_m : float
+        Crest over mean at the highest.
+
+    Returns
+    -------
+    float64, shape (N,)
+        Metres.
+    """
+    radius, angle = np.hypot(flat[:, 0], flat[:, 1]), np.arctan2(flat[:, 1], flat[:, 0])
+    near = np.maximum(radius, _FOLD_INNER_M) / _FOLD_INNER_M
+    envelope = np.clip((radius - _FOLD_INNER_M / 2) / _FOLD_INNER_M, 0.0, 1.0) * np.exp(
+        -(((radius - 2 * _FOLD_INNER_M) / (2 * _FOLD_INNER_M)) ** 2)
+    )
+    return np.asarray(height_m * envelope * np.cos(_FOLDS * (angle + np.log(near))), dtype=np.float64)

@@ -17,8 +17,6 @@ import numpy as np
 import numpy.typing as npt
 from numba import njit
 
-from ...errors import SourceError
-
 Float64Array = npt.NDArray[np.float64]
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
@@ -26,6 +24,13 @@ NO_OBJECT: Final = -1
 CUBE: Final = 0
 CUP: Final = 1
 OCTOPUS: Final = 2
+PAIR: Final = 3
+MUG: Final = 4
+HAND: Final = 5
+BALL: Final = 6
+
+#: Radius of ``BALL``, which serves the analytic checks, metres.
+BALL_RADIUS_M: Final = 0.040
 
 #: Radius of a sphere about the origin that holds any of the objects, metres.
 _BOUND: Final = 0.080
@@ -53,19 +58,22 @@ class PressedObject:
     Attributes
     ----------
     kind : int
-        ``CUBE``, ``CUP`` or ``OCTOPUS``.
+        ``CUBE``, ``CUP``, ``OCTOPUS``, ``PAIR``, ``MUG``, ``HAND`` or ``BALL``.
     rotation_deg : tuple of float
         Turns about x, y and z of the membrane's frame, applied in that order, degrees.
     offset_m : tuple of float
         Where the object's origin stands beside the membrane's middle, x and y, metres.
     colour : tuple of float
         Linear RGB of its surface, 0 to 1.
+    held_out : bool
+        Whether methods must not be developed on it, only judged.
     """
 
     kind: int
     rotation_deg: tuple[float, float, float]
     offset_m: tuple[float, float]
     colour: tuple[float, float, float]
+    held_out: bool = False
 
     def rotation(self) -> Float64Array:
         """Return the 3 x 3 rotation from the object's frame to the membrane's."""
@@ -81,20 +89,10 @@ OBJECTS: Final[dict[str, PressedObject]] = {
     "cube": PressedObject(CUBE, (5.0, -4.0, 24.0), (0.004, -0.003), (0.95, 0.62, 0.06)),
     "cup": PressedObject(CUP, (0.0, 0.0, 8.0), (-0.030, 0.0), (0.05, 0.62, 0.66)),
     "octopus": PressedObject(OCTOPUS, (3.0, 4.0, 10.0), (0.003, 0.004), (0.92, 0.80, 0.30)),
+    "two": PressedObject(PAIR, (0.0, 2.0, 12.0), (0.0, 0.002), (0.55, 0.85, 0.15)),
+    "mug": PressedObject(MUG, (10.0, -8.0, 35.0), (0.006, 0.004), (0.20, 0.45, 0.90), held_out=True),
+    "hand": PressedObject(HAND, (-4.0, 5.0, 60.0), (0.010, -0.006), (0.88, 0.52, 0.36), held_out=True),
 }
-
-
-def find_object(scene: str) -> PressedObject:
-    """Return the object of a scene by name.
-
-    Raises
-    ------
-    SourceError
-        No scene has this name.
-    """
-    if scene not in OBJECTS:
-        raise SourceError(f"the simulator has no scene {scene!r}; choose one of {', '.join(OBJECTS)}")
-    return OBJECTS[scene]
 
 
 @compiled
@@ -157,6 +155,52 @@ def _octopus(x: float, y: float, z: float) -> float:
 
 
 @compiled
+def _pair(x: float, y: float, z: float) -> float:
+    """Return the distance to a ball and a small cube side by side."""
+    ball = math.sqrt((x + 0.046) ** 2 + y * y + z * z) - 0.026
+    half, rounding = 0.020, 0.005
+    qx, qy, qz = abs(x - 0.046) - half + rounding, abs(y) - half + rounding, abs(z + 0.004) - half + rounding
+    outside = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2)
+    return min(ball, outside + min(max(qx, qy, qz), 0.0) - rounding)
+
+
+@compiled
+def _capsule(
+    x: float, y: float, z: float, ax: float, ay: float, az: float, bx: float, by: float, bz: float, radius: float
+) -> float:
+    dx, dy, dz = bx - ax, by - ay, bz - az
+    share = ((x - ax) * dx + (y - ay) * dy + (z - az) * dz) / (dx * dx + dy * dy + dz * dz)
+    share = min(max(share, 0.0), 1.0)
+    return math.sqrt((x - ax - share * dx) ** 2 + (y - ay - share * dy) ** 2 + (z - az - share * dz) ** 2) - radius
+
+
+@compiled
+def _mug(x: float, y: float, z: float) -> float:
+    """Return the distance to a mug that comes down with its base; its handle, towards +x, is a closed one."""
+    radius, half_height, rounding = 0.034, 0.036, 0.008
+    qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z) - half_height + rounding
+    body = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding
+    handle = _capsule(x, y, z, 0.046, 0.0, -0.010, 0.046, 0.0, 0.014, 0.0095)
+    return _smooth_min(body, handle, 0.018)
+
+
+@compiled
+def _hand(x: float, y: float, z: float) -> float:
+    """Return the distance to a hand, palm towards the membrane: a rounded plate, four fingers bent to it, a thumb."""
+    rounding = 0.010
+    qx, qy, qz = abs(x) - 0.031 + rounding, abs(y + 0.028) - 0.030 + rounding, abs(z - 0.004) - 0.012 + rounding
+    palm = math.sqrt(max(qx, 0.0) ** 2 + max(qy, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qx, qy, qz), 0.0) - rounding
+    hand = palm
+    for finger in range(4):
+        root, reach = 0.0205 - 0.0137 * finger, 0.052 + 0.012 * (1.0 - 0.5 * (finger - 1.3) ** 2)
+        tip = 1.45 * root
+        limb = _capsule(x, y, z, root, 0.0, 0.004, tip, reach, -0.006, 0.0085)
+        hand = _smooth_min(hand, limb, 0.014)
+    thumb = _capsule(x, y, z, 0.024, -0.032, 0.002, 0.056, -0.006, -0.006, 0.0095)
+    return _smooth_min(hand, thumb, 0.014)
+
+
+@compiled
 def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> float:
     """Return the signed distance of a point to an object, metres; 1 m where there is none.
 
@@ -176,13 +220,22 @@ def distance(kind: int, pose: Float64Array, x: float, y: float, z: float) -> flo
     beyond = math.sqrt(px * px + py * py + pz * pz) - _BOUND
     if beyond > _NEAR:
         return 1.0 if kind == NO_OBJECT else beyond
+    gap = 1.0
     if kind == CUBE:
-        return _cube(px, py, pz)
-    if kind == CUP:
-        return _cup(px, py, pz)
-    if kind == OCTOPUS:
-        return _octopus(px, py, pz)
-    return 1.0
+        gap = _cube(px, py, pz)
+    elif kind == CUP:
+        gap = _cup(px, py, pz)
+    elif kind == OCTOPUS:
+        gap = _octopus(px, py, pz)
+    elif kind == PAIR:
+        gap = _pair(px, py, pz)
+    elif kind == MUG:
+        gap = _mug(px, py, pz)
+    elif kind == HAND:
+        gap = _hand(px, py, pz)
+    elif kind == BALL:
+        gap = math.sqrt(px * px + py * py + pz * pz) - BALL_RADIUS_M
+    return gap
 
 
 @compiled

@@ -26,16 +26,19 @@ CONTACT_FLAG: Final = 1
 EDGE_FLAG: Final = 2
 REFLECTIVE_FLAG: Final = 4
 
-#: Distance over which the object's tint fades to 1/e as the membrane leaves it, metres.
-_TINT_FADE_M: Final = 0.0025
-#: Share of the colour that the object gives where it touches.
-_TINT_SHARE: Final = 0.78
+#: Share of the light that the clear film lets through to the object and back.
+_FILM_SHARE: Final = 0.70
+#: Distance behind the film over which its haze takes the object's contrast down to 1/e, metres.
+_HAZE_M: Final = 0.030
+#: Tangent of the half-angle into which the film scatters: an outline blurs by this share of the gap.
+_BLUR_TANGENT: Final = 0.20
 #: A step of depth between neighbours that flying pixels bridge, metres.
 _EDGE_STEP_M: Final = 0.006
 #: A ray this near the object has met it, metres.
 _HIT_M: Final = 1e-5
-#: Linear RGB of the bare membrane and of the dye printed on it.
-_BARE_COLOUR: Final = (0.72, 0.055, 0.40)
+#: Linear RGB of the bare film, of the saturated print that reflects infrared, and of the droplets' dark dye.
+_FILM_COLOUR: Final = (0.36, 0.21, 0.29)
+_PRINT_COLOUR: Final = (0.72, 0.055, 0.40)
 _DYE_COLOUR: Final = (0.015, 0.02, 0.055)
 _HOUSING_LEVEL: Final = 0.012
 
@@ -217,6 +220,28 @@ def _sample(texture: npt.NDArray[np.uint8], channel: int, x: float, y: float, te
 
 
 @compiled
+def _seen_through_film(
+    kind: int, pose: Float64Array, x: float, y: float, z: float, dx: float, dy: float, dz: float
+) -> float:
+    """Return the share, 0 to 1, that an object behind the film has in what is seen at a point along a unit direction.
+
+    Falls with the gap along the ray (haze); rays that miss by less than the blur at that gap see a part.
+    """
+    reach, gap, share = 0.0, 0.0, 0.0
+    for _ in range(60):
+        gap = distance(kind, pose, x + reach * dx, y + reach * dy, z + reach * dz)
+        if gap < _HIT_M:
+            return max(share, math.exp(-reach / _HAZE_M))
+        missed = 1.0 - gap / (_BLUR_TANGENT * reach) if reach > 0.0 else 0.0
+        if missed > 0.0:
+            share = max(share, missed * missed * math.exp(-reach / _HAZE_M))
+        reach += max(gap, 2e-4)
+        if reach > 5.0 * _HAZE_M:
+            break
+    return share
+
+
+@compiled
 def shade(
     camera_pose: Float64Array,
     pinhole: Float64Array,
@@ -230,9 +255,10 @@ def shade(
     gamma: npt.NDArray[np.uint8],
     image: npt.NDArray[np.uint8],
 ) -> None:
-    """Colour the membrane: bare or dyed rubber, tinted by an object close behind, lit from near the cameras.
+    """Colour the membrane: its prints, and between them a clear film that shows what is behind, in its haze.
 
-    ``tint`` is the object's linear RGB, ``gamma`` the table from 4096 linear levels to 8 bits.
+    Lamps stand near the cameras. ``tint`` is the object's linear RGB, ``gamma`` the table from 4096
+    linear levels to 8 bits.
     """
     height, width = membrane.shape
     r = camera_pose
@@ -243,15 +269,18 @@ def shade(
                 level = gamma[int(4095 * _HOUSING_LEVEL)]
                 image[v, u, 0], image[v, u, 1], image[v, u, 2] = level, level, level
                 continue
-            cx = (u - pinhole[2]) / pinhole[0] * z - r[0, 3]
-            cy = (v - pinhole[3]) / pinhole[1] * z - r[1, 3]
-            cz = z - r[2, 3]
+            rx, ry = (u - pinhole[2]) / pinhole[0], (v - pinhole[3]) / pinhole[1]
+            length = math.sqrt(rx * rx + ry * ry + 1.0)
+            dx = (r[0, 0] * rx + r[1, 0] * ry + r[2, 0]) / length
+            dy = (r[0, 1] * rx + r[1, 1] * ry + r[2, 1]) / length
+            dz = (r[0, 2] * rx + r[1, 2] * ry + r[2, 2]) / length
+            cx, cy, cz = rx * z - r[0, 3], ry * z - r[1, 3], z - r[2, 3]
             x = r[0, 0] * cx + r[1, 0] * cy + r[2, 0] * cz
             y = r[0, 1] * cx + r[1, 1] * cy + r[2, 1] * cz
             w = r[0, 2] * cx + r[1, 2] * cy + r[2, 2] * cz
-            gap = max(distance(kind, pose, x, y, w), 0.0)
-            share = _TINT_SHARE * math.exp(-gap / _TINT_FADE_M)
+            share = _FILM_SHARE * _seen_through_film(kind, pose, x, y, w, dx, dy, dz)
             dye = 0.94 * _sample(texture, 0, attributes[v, u, 0], attributes[v, u, 1], texel)
+            print_ = _sample(texture, 1, attributes[v, u, 0], attributes[v, u, 1], texel)
             # A ring of lamps around the cameras, 0.25 m below the rim's plane.
             lz = w + 0.25
             far2 = x * x + y * y + lz * lz
@@ -259,8 +288,9 @@ def shade(
             facing = (x * attributes[v, u, 3] + y * attributes[v, u, 4] + lz * attributes[v, u, 5]) / far
             light = 0.30 + 0.62 * max(facing, 0.0) * 0.0986 / far2
             for k in range(3):
-                rubber = (1.0 - share) * _BARE_COLOUR[k] + share * tint[k]
-                level_k = light * ((1.0 - dye) * rubber + dye * _DYE_COLOUR[k])
+                seen = (1.0 - share) * _FILM_COLOUR[k] + share * tint[k]
+                seen = (1.0 - dye) * seen + dye * _DYE_COLOUR[k]
+                level_k = light * ((1.0 - print_) * seen + print_ * _PRINT_COLOUR[k])
                 image[v, u, k] = gamma[int(4095.0 * min(max(level_k, 0.0), 1.0))]
 
 
@@ -296,42 +326,3 @@ def flag(
 def gamma_table() -> npt.NDArray[np.uint8]:
     """Return the table from 4096 linear levels to 8-bit display values."""
     return np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)
-
-
-def paint_sheet(width_m: float, height_m: float, texel_m: float, seed: int) -> npt.NDArray[np.uint8]:
-    """Paint what is printed on the sheet: uint8, shape (rows, columns, 2), 0 to 255.
-
-    Channel 0 is the dye of the droplets, channel 1 the rubber that reflects infrared. The prints of
-    one seed are always the same.
-    """
-    rng = np.random.default_rng([seed, 1])
-    columns, rows = round(width_m / texel_m) + 1, round(height_m / texel_m) + 1
-    y, x = np.mgrid[:rows, :columns] * texel_m
-    x, y = x - x.mean(), y - y.mean()
-    sheet = np.zeros((rows, columns, 2), dtype=np.uint8)
-
-    spacing = 0.0105
-    for j in range(-10, 11):
-        for i in range(-17, 18):
-            px, py = (np.array([i + 0.5 * (j % 2), j]) + rng.uniform(-0.27, 0.27, 2)) * spacing
-            radius = rng.uniform(0.0013, 0.0025)
-            wobble, phase = rng.uniform(0.0, 0.15), rng.uniform(0.0, 2 * np.pi)
-            near = (slice(*_span(py, radius, rows, texel_m)), slice(*_span(px, radius, columns, texel_m)))
-            rim = radius * (1 + wobble * np.cos(2 * np.arctan2(y[near] - py, x[near] - px) + phase))
-            cover = np.clip((rim - np.hypot(x[near] - px, y[near] - py)) / texel_m + 0.5, 0, 1)
-            sheet[(*near, 0)] = np.maximum(sheet[(*near, 0)], np.round(255 * cover))
-
-    for place in ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084)):
-        px, py = place + rng.uniform(-0.005, 0.005, 2)
-        a, b, turn = rng.uniform(0.008, 0.014), rng.uniform(0.006, 0.009), rng.uniform(0, np.pi)
-        s, t = np.cos(turn) * (x - px) + np.sin(turn) * (y - py), np.cos(turn) * (y - py) - np.sin(turn) * (x - px)
-        around = np.arctan2(t, s)
-        rim = 1 + 0.12 * np.cos(2 * around + turn) + 0.10 * np.cos(3 * around) + 0.05 * np.cos(7 * around - turn)
-        sheet[np.hypot(s / a, t / b) < rim, 1] = 255
-    return sheet
-
-
-def _span(centre: float, radius: float, texels: int, texel_m: float) -> tuple[int, int]:
-    middle = centre / texel_m + 0.5 * (texels - 1)
-    reach = 1.3 * radius / texel_m + 2
-    return max(int(middle - reach), 0), max(min(int(middle + reach) + 1, texels), 0)

@@ -1,9 +1,9 @@
-"""A press: the rig, the schedule of object positions and the clean images of every state."""
+"""A press: the rig, the object's positions solved one after the other, and the clean images of every state."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,24 +21,17 @@ from .render import (
     flag,
     gamma_table,
     node_normals,
-    paint_sheet,
     rasterise,
     see_through,
     shade,
 )
+from .scenes import Scene
+from .sheet import DOT_SPACING_M, TEXEL_M, dot_counts, dot_grid, paint_sheet
 
 Float64Array = npt.NDArray[np.float64]
 
 #: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
-#: Gaps before touch and depths after it, metres; one frame each, so the approach is 150 mm/s and the
-#: press 45 mm/s at 30 frames/s.
-HOVER_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
-PRESS_STEP_M: Final = 0.0015
-PRESS_STEPS: Final = 34
-HOLD_FRAMES: Final = 10
-
-_TEXEL_M: Final = 0.0004
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
 _BACKDROP: Final = (0.09, -0.05, 0.9946, 0.62)
 
@@ -91,17 +84,6 @@ def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
     )
 
 
-def schedule() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-    """Return the depth of each state, metres past first touch, and the state of each frame.
-
-    Negative depths are gaps. Pressing in and pulling out pass through the same states.
-    """
-    depths = np.array([-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)])
-    inward = list(range(len(depths)))
-    frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
-    return depths, np.array(frames)
-
-
 @dataclass(frozen=True)
 class CleanState:
     """What the cameras would see of one state without noise.
@@ -143,6 +125,9 @@ class PressFacts:
         How far the object has moved past first touch; a gap is negative.
     max_strain : float
         Largest principal stretch of any triangle, minus 1; the unstretched sheet has 0.
+    strain_length, strain_width : float
+        Largest strain along the membrane's length and width between neighbours of the printed grid's
+        dots, measured straight from dot to dot; the flat, clamped sheet has 0.
     force_n : float
         Sum of the contact reactions' magnitudes.
     gauge_pressure_pa : float
@@ -155,6 +140,8 @@ class PressFacts:
 
     depth_m: float
     max_strain: float
+    strain_length: float
+    strain_width: float
     force_n: float
     gauge_pressure_pa: float
     residual: float
@@ -162,53 +149,75 @@ class PressFacts:
 
 
 class Press:
-    """One object, moved along z against one membrane, and three cameras that watch."""
+    """The object of a scene, moved step by step against its membrane, and three cameras that watch."""
 
-    def __init__(self, pressed: PressedObject, membrane: Membrane, rig: Rig) -> None:
-        self.pressed = pressed
+    def __init__(self, scene: Scene, membrane: Membrane, rig: Rig) -> None:
+        self.pressed, self.scene = scene.pressed, scene
         self.membrane = membrane
         self._cameras = cameras(rig, membrane.design)
         design = membrane.design
-        self._sheet = paint_sheet(design.width_m, design.height_m, _TEXEL_M, 0)
+        self._sheet = paint_sheet(design.width_m, design.height_m, 0, scene.print)
         self._gamma = gamma_table()
-        self._rotation = pressed.rotation()
+        self._rotation = self.pressed.rotation()
         self._touch_z = self._first_touch()
 
-    def pose(self, depth_m: float) -> Float64Array:
-        """Return the object's pose, shape (3, 4), when it has moved ``depth_m`` past first touch."""
-        return object_pose(self._rotation, (*self.pressed.offset_m, self._touch_z - depth_m))
+    def pose(self, step: tuple[float, float, float]) -> Float64Array:
+        """Return the object's pose, shape (3, 4), at one step of the scene's way."""
+        x, y = self.pressed.offset_m
+        return object_pose(self._rotation, (x + step[0], y + step[1], self._touch_z - step[2]))
 
     def _first_touch(self) -> float:
         """Lower the object by its distance from the membrane until that is nothing."""
-        z = self.membrane.design.apex_m + 0.2
+        surface, z = self.membrane.surface(self.membrane.rest.nodes), self.membrane.design.apex_m + 0.2
         for _ in range(200):
             pose = object_pose(self._rotation, (*self.pressed.offset_m, z))
-            gap = min(distance(self.pressed.kind, pose, *node) for node in self.membrane.rest.nodes)
+            gap = min(distance(self.pressed.kind, pose, *node) for node in surface)
             z -= gap
             if gap < 1e-7:
                 break
         return z
 
-    def states(self, depths_m: npt.ArrayLike) -> Iterator[tuple[Float64Array, MembraneState]]:
-        """Solve for each depth in turn, starting from the ones before; yield poses and equilibria."""
-        before: list[Float64Array] = []
-        for depth in np.asarray(depths_m, dtype=np.float64):
-            pose = self.pose(float(depth))
+    def states(self) -> Iterator[tuple[float, Float64Array, MembraneState]]:
+        """Solve the steps of the way in turn; yield depth, pose and equilibrium of those that are drawn.
+
+        What comes before the first of these only leads there, and is solved on a coarse mesh.
+        """
+        way, drawn = self.scene.way, self.scene.drawn
+        before = self._led_to(drawn[0])
+        for number in range(drawn[0], len(way)):
+            pose, depth = self.pose(way[number]), way[number][2]
             if depth <= 0.0:
-                yield pose, self.membrane.rest
-                continue
-            start = 2 * before[-1] - before[-2] if len(before) > 1 else None
-            state = self.membrane.press(self.pressed.kind, pose, start)
-            before = [*before[-1:], state.nodes]
-            yield pose, state
+                state = self.membrane.rest
+            else:
+                state = _follow(self.membrane, self.pressed.kind, pose, before)
+                before = [*before[-1:], state.nodes]
+            if number in drawn:
+                yield depth, pose, state
+
+    def _led_to(self, first: int) -> list[Float64Array]:
+        """Return the fine nodes, interpolated, of the coarse membrane just before and at a step."""
+        design = self.membrane.design
+        cells = (max(design.cells[0] // 4 * 2, 2), max(design.cells[1] // 4 * 2, 2))
+        if first == 0:
+            return []
+        coarse = Membrane(replace(design, cells=cells))
+        before: list[Float64Array] = []
+        for step in self.scene.way[: first + 1]:
+            before = [*before[-1:], _follow(coarse, self.pressed.kind, self.pose(step), before).nodes]
+        fine = coarse.at(self.membrane.mesh.flat[:, :2], before[-1])
+        fine[~self.membrane.mesh.free] = self.membrane.mesh.flat[~self.membrane.mesh.free]
+        return [fine]
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         """Sum up one state."""
+        along, across = grid_strain(self.membrane, state.nodes)
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
         return PressFacts(
             depth_m=depth_m,
             max_strain=float(self.membrane.stretches(state.nodes).max()) - 1.0,
+            strain_length=along,
+            strain_width=across,
             force_n=float(state.reaction_n.sum()),
             gauge_pressure_pa=state.pressure_pa - ATMOSPHERE_PA,
             residual=state.residual,
@@ -218,16 +227,17 @@ class Press:
     def picture(self, pose: Float64Array, state: MembraneState) -> CleanState:
         """Draw one state in all cameras."""
         mesh, kind = self.membrane.mesh, self.pressed.kind
+        surface = self.membrane.surface(state.nodes)
         touching = (state.reaction_n > 0.0).astype(np.float64)
-        normals = node_normals(state.nodes, mesh.triangles)
+        normals = node_normals(surface, mesh.triangles)
         values = np.column_stack([mesh.flat[:, :2], touching, normals])
         near, tactile, colour = self._cameras
-        sheets = [rasterise(camera, state.nodes, mesh.triangles, values) for camera in self._cameras]
+        sheets = [rasterise(camera, surface, mesh.triangles, values) for camera in self._cameras]
 
         behind, cosine = np.empty_like(sheets[0].depth), np.empty(sheets[0].depth.shape, dtype=np.uint8)
         see_through(near.pose, near.pinhole, sheets[0].depth, kind, pose, np.array(_BACKDROP), behind, cosine)
         flags = np.empty_like(cosine)
-        flag(behind, sheets[0].attributes, self._sheet, _TEXEL_M, flags)
+        flag(behind, sheets[0].attributes, self._sheet, TEXEL_M, flags)
         return CleanState(
             behind=_counts(behind),
             membrane=_counts(sheets[0].depth),
@@ -249,7 +259,7 @@ class Press:
             pose,
             np.array(self.pressed.colour),
             self._sheet,
-            _TEXEL_M,
+            TEXEL_M,
             self._gamma,
             image,
         )
@@ -258,3 +268,23 @@ class Press:
 
 def _counts(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)
+
+
+def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array]) -> MembraneState:
+    """Solve the next step, guessed from the ones before, or from the last alone where the guess leads astray."""
+    guesses: list[Float64Array | None] = [2 * before[-1] - before[-2]] if len(before) > 1 else []
+    guesses.append(before[-1] if before else None)
+    for guess in guesses:
+        state = membrane.press(kind, pose, guess)
+        if state.residual < membrane.tolerance:
+            break
+    return state
+
+
+def grid_strain(membrane: Membrane, nodes: Float64Array) -> tuple[float, float]:
+    """Return the largest strain between neighbours of the printed grid's dots along the length and the width."""
+    design = membrane.design
+    columns, rows = dot_counts(design.width_m, design.height_m)
+    dots = membrane.at(dot_grid(design.width_m, design.height_m), nodes).reshape(rows, columns, 3)
+    along, across = (np.linalg.norm(np.diff(dots, axis=axis), axis=2).max() for axis in (1, 0))
+    return float(along / DOT_SPACING_M - 1.0), float(across / DOT_SPACING_M - 1.0)

@@ -1,0 +1,252 @@
+"""The simulator's scenes by name: which object, which membrane, which way, and what is printed on it.
+
+A scene is a way that an object takes, step by step, and the steps at which pictures are taken.
+Everything that a picture depends on is in `Scene`; light and noise come live on top.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from ...errors import SourceError
+from .mesh import MembraneDesign
+from .objects import OBJECTS, PressedObject
+from .sheet import Print
+
+Press = Literal["", "low", "medium", "high"]
+Side = Literal["right", "left"]
+Light = Literal["normal", "bright", "dim"]
+
+#: Scenes that are named after their object, and those that take any.
+OBJECT_SCENES: Final = tuple(OBJECTS)
+SPECIAL_SCENES: Final = {
+    "hover": "the object stays gap=1...20 mm away from the membrane",
+    "stiff": "regions of the membrane are 8 times as stiff as the rest",
+    "wrinkled": "a torque has drawn the membrane into folds of a millimetre",
+    "slide": "the object slides over the membrane, 24 mm deep",
+}
+SCENES: Final = (*OBJECT_SCENES, *SPECIAL_SCENES)
+HELD_OUT: Final = tuple(name for name, pressed in OBJECTS.items() if pressed.held_out)
+
+#: Gaps before touch and depths after it, metres; one frame each, so the approach is 150 mm/s and the
+#: press 45 mm/s at 30 frames/s.
+HOVER_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
+PRESS_STEP_M: Final = 0.0015
+PRESS_STEPS: Final = 34
+HOLD_FRAMES: Final = 10
+
+#: Frames of a scene in which nothing moves, and the step towards its pose, metres.
+_STILL_FRAMES: Final = 30
+_WAY_STEP_M: Final = 0.003
+_PRESS_DEPTH_M: Final = {"low": 0.004, "medium": 0.024}
+#: Deep presses off the middle, so that the free part bulges: where (x, y) and how deep, metres.
+_HIGH: Final = {
+    "cube": ((0.060, 0.020), 0.105),
+    "cup": ((0.060, 0.020), 0.105),
+    "octopus": ((0.060, 0.020), 0.105),
+    "two": ((0.050, 0.010), 0.070),
+    "mug": ((0.060, 0.010), 0.095),
+    "hand": ((0.065, -0.005), 0.080),
+}
+_SLIDE_M: Final = 0.045
+_SLIDE_STEP_M: Final = 0.003
+#: Cells of a mesh that resolves the folds, and their height.
+_FOLD_CELLS: Final = (236, 136)
+_FOLD_M: Final = 0.0012
+
+
+@dataclass(frozen=True)
+class Variant:
+    """What can be asked of a scene beyond its name.
+
+    Attributes
+    ----------
+    press : {"", "low", "medium", "high"}
+        A still press instead of the scene's own motion.
+    side : {"right", "left"}
+        On which side of the middle, seen by the cameras, the high press is: nearer to the tactile or
+        to the proximity camera. The left one is the right one turned by 180 degrees about the middle.
+    object : str
+        Which object a special scene takes.
+    gap_mm : float
+        How far the object of ``hover`` stays away.
+    grid : {"droplets", "dots"}
+        What is printed on the membrane.
+    """
+
+    press: Press = ""
+    side: Side = "right"
+    object: str = "cup"
+    gap_mm: float = 5.0
+    grid: Print = "droplets"
+
+
+@dataclass(frozen=True)
+class Scene:
+    """One scene, worked out.
+
+    Attributes
+    ----------
+    name : str
+        Scene and variant, fit for a file's name.
+    pressed : PressedObject
+    design : MembraneDesign
+    print : {"droplets", "dots"}
+    way : tuple of (float, float, float)
+        Where the object goes, one solved step after the other: shift in x and y from its offset, and
+        how deep past first touch; metres, gaps negative.
+    drawn : tuple of int
+        The steps of which there is a picture.
+    frames : tuple of int
+        Which of the pictures each frame shows.
+    """
+
+    name: str
+    pressed: PressedObject
+    design: MembraneDesign
+    print: Print
+    way: tuple[tuple[float, float, float], ...]
+    drawn: tuple[int, ...]
+    frames: tuple[int, ...]
+
+    @property
+    def key(self) -> str:
+        """Text that tells everything the pictures depend on, apart from the rig."""
+        return f"{self.pressed} {self.design} {self.print} {self.way} {self.drawn}"
+
+
+def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]:
+    """Turn the options of a source's name into a variant and a light; `resolve_scene` checks them further.
+
+    Raises
+    ------
+    SourceError
+        The gap is no number.
+    """
+    try:
+        gap_mm = float(options.get("gap", Variant.gap_mm))
+    except ValueError as error:
+        raise SourceError(f"{name}: gap is {options['gap']!r}, but it must be millimetres, such as gap=5") from error
+    press: Any = options.get("press", "")
+    grid: Any = options.get("grid", Variant.grid)
+    light: Any = options.get("light", "normal")
+    side: Any = options.get("side", Variant.side)
+    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid), light
+
+
+def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
+    """Work out a scene.
+
+    Raises
+    ------
+    SourceError
+        No such scene or object, or an option that the scene does not have.
+    """
+    variant = variant or Variant()
+    _check(name, variant)
+    special = name in SPECIAL_SCENES
+    shape = variant.object if special else name
+    design = MembraneDesign(stiff_regions=name == "stiff", fold_m=_FOLD_M if name == "wrinkled" else 0.0)
+    if name == "wrinkled":
+        design = replace(design, cells=_FOLD_CELLS)
+    if cells:
+        design = replace(design, cells=cells)
+    press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
+    pressed = OBJECTS[shape]
+    if press:
+        pressed, depth = still_press(shape, press, variant.side)
+        way, drawn, frames = _still(depth)
+    elif name == "hover":
+        way, drawn, frames = _still(-variant.gap_mm / 1e3)
+    elif name == "slide":
+        way, drawn, frames = _slide()
+    else:
+        way, drawn, frames = _approach()
+    words = [
+        name,
+        shape if special else "",
+        press,
+        variant.side * (press == "high"),
+        f"{variant.gap_mm:g}mm" if name == "hover" else "",
+    ]
+    words += ["dots" if variant.grid == "dots" else "", "{}x{}".format(*design.cells)]
+    return Scene("-".join(word for word in words if word), pressed, design, variant.grid, way, drawn, frames)
+
+
+def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
+    """Return an object at the place of a still press, and its depth past first touch in metres."""
+    pressed = OBJECTS[shape]
+    if press != "high":
+        return pressed, _PRESS_DEPTH_M[press]
+    (x, y), depth = _HIGH[shape]
+    if side == "right":
+        return replace(pressed, offset_m=(x, y)), depth
+    about_x, about_y, about_z = pressed.rotation_deg
+    return replace(pressed, offset_m=(-x, -y), rotation_deg=(about_x, about_y, about_z + 180.0)), depth
+
+
+def _check(name: str, variant: Variant) -> None:
+    if name not in SCENES:
+        raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(SCENES)}")
+    if variant.object not in OBJECTS:
+        raise SourceError(f"sim:{name}: there is no object {variant.object!r}; choose one of {', '.join(OBJECTS)}")
+    if variant.object != Variant.object and name not in SPECIAL_SCENES:
+        raise SourceError(f"sim:{name}: only {', '.join(SPECIAL_SCENES)} take another object; leave object out")
+    if variant.press not in get_args(Press):
+        raise SourceError(f"sim:{name}: press is {variant.press!r}; choose low, medium or high, or leave it out")
+    if variant.press and name in ("hover", "slide"):
+        raise SourceError(f"sim:{name}: press is for scenes with a still press; leave it out")
+    if variant.side not in get_args(Side) or (variant.side != "right" and variant.press != "high"):
+        raise SourceError(f"sim:{name}: side is {variant.side!r}; choose left or right, with press=high only")
+    if variant.gap_mm != Variant.gap_mm and name != "hover":
+        raise SourceError(f"sim:{name}: gap is for the scene hover; leave it out")
+    if not 0.0 < variant.gap_mm <= 100.0:
+        raise SourceError(f"sim:{name}: gap is {variant.gap_mm:g}, but it must be more than 0 and at most 100 mm")
+    if variant.grid not in get_args(Print):
+        raise SourceError(f"sim:{name}: grid is {variant.grid!r}; choose dots, or leave it out for droplets")
+
+
+Way = tuple[tuple[tuple[float, float, float], ...], tuple[int, ...], tuple[int, ...]]
+
+
+def _approach() -> Way:
+    """Come, press, hold, leave; pressing in and pulling out pass through the same states."""
+    depths = [-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)]
+    inward = list(range(len(depths)))
+    frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
+    return tuple((0.0, 0.0, depth) for depth in depths), tuple(inward), tuple(frames)
+
+
+def _still(depth_m: float) -> Way:
+    """Press to a depth, or stay at a gap, and hold."""
+    steps = max(int(np.ceil(depth_m / _WAY_STEP_M)), 1)
+    way = tuple((0.0, 0.0, depth_m * (n + 1) / steps) for n in range(steps))
+    return way, (len(way) - 1,), (0,) * _STILL_FRAMES
+
+
+def _slide() -> Way:
+    """Press at one side, slide along the length and back."""
+    depth = _PRESS_DEPTH_M["medium"]
+    inward, _, _ = _still(depth)
+    shifts = np.linspace(-_SLIDE_M, _SLIDE_M, round(2 * _SLIDE_M / _SLIDE_STEP_M) + 1)
+    way = [(-_SLIDE_M, 0.0, step[2]) for step in inward] + [(float(shift), 0.0, depth) for shift in shifts[1:]]
+    drawn = list(range(len(inward) - 1, len(way)))
+    there = list(range(len(drawn)))
+    return tuple(way), tuple(drawn), tuple(there + there[::-1])
+
+
+def light_table(light: Light) -> npt.NDArray[np.uint8] | None:
+    """Return what a change of light makes of 8-bit colours, shape (256, 3), or None for none.
+
+    Bright daylight adds exposure and blue and saturates; dim lamps are redder.
+    """
+    gains: dict[Any, tuple[float, float, float]] = {"bright": (1.75, 1.85, 2.05), "dim": (0.34, 0.30, 0.26)}
+    if light not in gains:
+        return None
+    linear = np.linspace(0.0, 1.0, 256)[:, None] ** 2.2 * gains[light]
+    return np.round(255.0 * np.minimum(linear, 1.0) ** (1 / 2.2)).astype(np.uint8)
