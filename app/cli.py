@@ -21,6 +21,7 @@ from ..core.errors import MissingExtraError, TactuneError
 from . import defaults
 from .cli_bench import bench_commands
 from .cli_calibrate import calibrate
+from .cli_devices import devices
 from .cli_doctor import doctor
 from .cli_preset import preset_commands
 from .cli_record import convert, record
@@ -42,6 +43,7 @@ commands = typer.Typer(
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.command()(calibrate)
+commands.command()(devices)
 commands.command()(doctor)
 commands.command()(record)
 commands.command()(convert)

@@ -53,6 +53,7 @@ class LiveReader:
         self._listener = listener
         self._frames: Mailbox[SensorFrame] = Mailbox()
         self._wishes: dict[tuple[CameraRole, str], float] = {}
+        self._at_close: dict[tuple[CameraRole, str], float] = {}
         self._wishes_lock = Lock()
         self._closing = Event()
         self._problem = ""
@@ -73,10 +74,17 @@ class LiveReader:
         """Take the newest frame, or None."""
         return self._frames.take()
 
-    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change a setting of a camera between two frames; while one is dragged, the newest value counts."""
+    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
+        """Change a setting of a camera between two frames; while one is dragged, the newest value counts.
+
+        A setting that is changed for a while only is given ``at_close``, the value that it gets when the
+        source is closed before it is set again.
+        """
         with self._wishes_lock:
             self._wishes[camera, name] = value
+            self._at_close.pop((camera, name), None)
+            if at_close is not None:
+                self._at_close[camera, name] = at_close
 
     def close(self) -> None:
         """Stop reading and release the source."""
@@ -92,7 +100,9 @@ class LiveReader:
                 self._read()
                 self._look_after()
         finally:
-            self._set_options()  # what was asked for last, such as a laser that is to be on again
+            with self._wishes_lock:
+                self._wishes |= self._at_close
+            self._set_options()
             self.source.close()
 
     def _read(self) -> None:

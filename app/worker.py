@@ -157,9 +157,9 @@ class Worker(QThread):
         """Make a recording wait while the person drags its slider."""
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
-    def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change a setting of a camera."""
-        self._orders.put(lambda: self._set_option(camera, name, value))
+    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
+        """Change a setting of a camera; ``at_close`` as `LiveReader.set_option` takes it."""
+        self._orders.put(lambda: self._set_option(camera, name, value, at_close))
 
     def start_recording(self, path: Path) -> None:
         """Record into a file every frame that the source delivers: of a recording, those that are played."""
@@ -304,9 +304,9 @@ class Worker(QThread):
             self._state = state
             self.stateChanged.emit(state)
 
-    def _set_option(self, camera: CameraRole, name: str, value: float) -> None:
+    def _set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None) -> None:
         if self._live is not None:
-            self._live.set_option(camera, name, value)
+            self._live.set_option(camera, name, value, at_close)
         else:
             self.optionRefused.emit("No camera is open that could be set: open one in the Source menu.")
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.sources.base import CameraOption
@@ -38,7 +37,8 @@ class CheckWindow(QDialog):
         leave = QPushButton("Close")
         leave.setToolTip("Close this window (Esc)")
         leave.setAutoDefault(False)
-        leave.clicked.connect(self.close)
+        leave.clicked.connect(self.reject)
+        self.finished.connect(self._end)
         row = QHBoxLayout()
         row.addStretch(1)
         row.addWidget(leave)
@@ -58,13 +58,8 @@ class CheckWindow(QDialog):
         """Take the settings of the source's cameras."""
         self.interference.set_options(options)
 
-    def reject(self) -> None:
-        """Close on Esc as on the button."""
-        self.close()
-
-    def closeEvent(self, event: QCloseEvent | None) -> None:
+    def _end(self) -> None:
         """End what is going on; the laser is put back."""
         self.quality.stop()
         self.skew.close_down()
         self.interference.close_down()
-        super().closeEvent(event)

@@ -85,7 +85,9 @@ class InterferenceFlow(QObject):
         if self._switch is None:
             return
         if result.source is not self._info:
-            self._end("another source was opened meanwhile: test again")
+            self._switch = None  # its source has been closed, which put it back
+            self._watch.stop()
+            self.failed.emit("another source was opened meanwhile: test again")
             return
         now = time.monotonic()
         if self._obeyed_s is None:
@@ -123,7 +125,7 @@ class InterferenceFlow(QObject):
         assert self._switch is not None
         self._obeyed_s, self._heard_s = None, time.monotonic()
         self._tell()
-        self._worker.set_option("proximity", self._switch.name, self._wanted())
+        self._worker.set_option("proximity", self._switch.name, self._wanted(), at_close=self._switch.value)
 
     def _next(self) -> None:
         if len(self._halves) == 1:
