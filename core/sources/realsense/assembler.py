@@ -79,7 +79,7 @@ class Assembler:
         with self._changed:
             clock = self._clocks[role, image.kind]
             had_settled = not clock.settling
-            time_s = clock.place(image.stamp_s, arrival_s, on_host_clock=image.on_host_clock)
+            time_s = clock.place(image.number, image.stamp_s, arrival_s, on_host_clock=image.on_host_clock)
             timed = Timed(time_s, arrival_s, image.pixels)
             (self._sets[role].add_first if image.kind == "depth" else self._sets[role].add_second)(timed)
             self._advance(arrival_s)

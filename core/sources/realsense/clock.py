@@ -17,10 +17,10 @@ _RISE_S: Final = 2e-4
 class StreamClock:
     """Takes the stamps of one stream to the computer's clock.
 
-    A stamp on the computer's clock is taken as it is. Whether the camera's clock has jumped shows in the
-    delay from stamp to arrival: transport can make an image late, but not earlier than usual, and it never
-    makes stamps run backwards. From a jump on, stamps are shifted so that the smallest delay is the usual
-    one again.
+    A stamp on the computer's clock is taken as it is. The camera's clock has jumped where its stamps step
+    otherwise than the images' numbers, and the arrivals do not bear them out: a camera may pause, but then
+    the arrivals pause as well. From a jump on, stamps are shifted so that the smallest delay from stamp to
+    arrival is the usual one again.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class StreamClock:
         self._delays_s: deque[float] = deque(maxlen=SETTLING)
         self._shift_s = 0.0
         self._settling = 0
-        self._last_stamp_s: float | None = None
+        self._last: tuple[int, float, float] | None = None
         self._usual_s = 0.0
         self.is_shared = True
         self.jumped_by_s = 0.0
@@ -48,31 +48,33 @@ class StreamClock:
         """The smallest delay from stamp to arrival while all was well; 0 where only arrivals are known."""
         return self._usual_s
 
-    def place(self, stamp_s: float, arrival_s: float, *, on_host_clock: bool) -> float:
+    def place(self, number: int, stamp_s: float, arrival_s: float, *, on_host_clock: bool) -> float:
         """Return when an image was taken, in seconds on the computer's clock.
 
         Parameters
         ----------
+        number : int
+            The camera's number of the image, which counts images that were lost.
         stamp_s, arrival_s : float
             The camera's stamp, and when the image reached us, both in seconds.
         on_host_clock : bool
             Whether the driver says that the stamp counts on the computer's clock.
         """
         delay_s = arrival_s - stamp_s
-        if self._last_stamp_s is None:
+        if self._last is None:
             self._start(delay_s, on_host_clock)
-        elif self._has_jumped(stamp_s - self._last_stamp_s, delay_s):
+        elif self._has_jumped(number - self._last[0], stamp_s - self._last[1], arrival_s - self._last[2]):
             self.jumped_by_s = self._usual_s - (delay_s - self._shift_s)
             self._delays_s.clear()
             self._settling = SETTLING
-        self._last_stamp_s = stamp_s
+        self._last = number, stamp_s, arrival_s
         self._delays_s.append(delay_s)
         self._follow()
         return stamp_s + self._shift_s
 
     def restart(self) -> None:
         """Forget the stamps so far: the camera has been opened anew and its clock may have started over."""
-        self._last_stamp_s = None
+        self._last = None
 
     def _start(self, delay_s: float, on_host_clock: bool) -> None:
         self.is_shared = on_host_clock and -_LATEST_S < delay_s < _EARLIEST_S
@@ -81,10 +83,10 @@ class StreamClock:
         self._shift_s = 0.0
         self._usual_s = delay_s if self.is_shared else 0.0
 
-    def _has_jumped(self, step_s: float, delay_s: float) -> bool:
-        runs_back = step_s < 0.5 * self._period_s
-        arrives_early = delay_s - self._shift_s < self._usual_s - 0.5 * self._period_s
-        return runs_back or (step_s > 1.5 * self._period_s and arrives_early)
+    def _has_jumped(self, images: int, step_s: float, arrival_step_s: float) -> bool:
+        half_s = 0.5 * self._period_s
+        too_far_s = step_s - max(images, 1) * self._period_s
+        return too_far_s < -half_s or (too_far_s > half_s and step_s - arrival_step_s > half_s)
 
     def _follow(self) -> None:
         least_s = min(self._delays_s)
