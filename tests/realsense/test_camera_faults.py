@@ -1,0 +1,145 @@
+"""What the live source says and does when a camera misbehaves."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
+
+from software_rig import Command, image_number
+
+from tactune.core.sources.base import Health
+from tactune.core.sources.realsense.clock import SETTLING
+
+
+def state(health: Health, role: str) -> str:
+    return next(camera.state for camera in health.cameras if camera.role == role)
+
+
+def is_well(health: Health) -> bool:
+    return not health.stale and all(camera.state == "streaming" for camera in health.cameras)
+
+
+def numbers(frames) -> list[tuple[int, int]]:
+    return [
+        (image_number("proximity", frame.proximity_depth), image_number("tactile", frame.tactile_depth))
+        for frame in frames
+    ]
+
+
+def assert_right_pairs(session, count: int = 10) -> None:
+    """Whatever happened, frames hold images of one moment, with numbers and times that rise."""
+    session.read(count)
+    assert all(proximity == tactile for proximity, tactile in numbers(session.frames))
+    assert [frame.sequence for frame in session.frames] == list(range(len(session.frames)))
+    times = [frame.proximity_time_s for frame in session.frames]
+    assert times == sorted(times)
+
+
+@pytest.mark.parametrize("role", ["proximity", "tactile"])
+def test_a_camera_that_stops_is_told_and_goes_on(session, role):
+    session.order(Command("stop", role))
+    health = session.until(lambda health: state(health, role) == "stalled")
+    assert "sends nothing" in health.message
+    assert health.stale or session.until(lambda health: health.stale)
+    session.order(Command("go", role))
+    health = session.until(is_well)
+    assert health.message == ""
+    assert health.dropped > 0
+    assert_right_pairs(session)
+
+
+def test_a_camera_that_stays_silent_is_started_again(session):
+    session.order(Command("stop", "tactile"))
+    session.until(lambda health: state(health, "tactile") == "stalled")
+    session.until(lambda health: "was started again" in health.message)
+    session.order(Command("go", "tactile"))
+    session.until(is_well)
+    assert_right_pairs(session)
+
+
+def test_images_that_come_late_all_at_once_are_paired_all_the_same(session):
+    session.order(Command("stutter", "tactile", 0.7))
+    session.until(lambda health: state(health, "tactile") == "stalled")
+    session.until(is_well)
+    assert_right_pairs(session)
+    found = [proximity for proximity, _ in numbers(session.frames)]
+    assert found == list(range(found[0], found[0] + len(found))), "no frame is lost"
+    assert session.source.health().unmatched == 0
+
+
+@pytest.mark.parametrize(
+    ("role", "streams", "words"),
+    [
+        ("proximity", "depth", "sends depth images but no colour"),
+        ("proximity", "color", "sends colour images but no depth"),
+        ("tactile", "color", "sends colour images but no depth"),
+    ],
+)
+def test_a_camera_with_one_stream_only_is_told_and_goes_on(session, role, streams, words):
+    session.order(Command("streams", role, text=streams))
+    health = session.until(lambda health: state(health, role) == "stalled")
+    assert words in health.message
+    session.order(Command("streams", role, text="depth color"))
+    session.until(is_well)
+    assert_right_pairs(session)
+
+
+def test_the_tactile_camera_may_do_without_colour(session):
+    session.order(Command("streams", "tactile", text="depth"))
+    session.until(lambda health: "no colour" in health.message)
+    session.until(lambda _: session.frames[-1].tactile_color is None)
+    assert_right_pairs(session)
+    assert state(session.source.health(), "tactile") == "streaming"
+
+
+@pytest.mark.parametrize(("role", "jump_s"), [("tactile", 1.0), ("proximity", -1.0)])
+def test_a_clock_that_jumps_is_told_and_made_up_for(session, role, jump_s):
+    sign, opposite = ("+", "-") if jump_s > 0 else ("-", "+")
+    session.read(20)
+    session.order(Command("jump", role, jump_s))
+    session.until(lambda health: f"clock jumped by {sign}" in health.message)
+    session.read(SETTLING + 5)
+    session.frames.clear()
+    for frame, (proximity, tactile) in zip(session.read(20), numbers(session.frames), strict=True):
+        assert proximity == tactile
+        assert abs(frame.skew_s) < 1 / 60
+    session.order(Command("jump", role, -jump_s))
+    session.until(lambda health: f"clock jumped by {opposite}" in health.message)
+    session.read(SETTLING + 5)
+    assert all(abs(frame.skew_s) < 1e-6 for frame in session.read(5)), "the clock is right again"
+
+
+def test_an_image_of_another_size_is_left_out_and_told(session):
+    session.order(Command("size", "tactile", 3))
+    health = session.until(lambda health: "320 x 240" in health.message)
+    assert "instead of 640 x 480; it was left out" in health.message
+    assert_right_pairs(session)
+    assert session.until(lambda health: health.unmatched >= 3).unmatched == 3
+
+
+@pytest.mark.parametrize("role", ["proximity", "tactile"])
+def test_a_camera_that_is_unplugged_is_missing_until_it_is_back(session, role):
+    session.source.set_option(role, "visual_preset", 2.0)
+    session.order(Command("remove", role))
+    health = session.until(lambda health: state(health, role) == "missing")
+    assert "is unplugged: plug it in again" in health.message
+    assert {option.camera for option in session.source.options()} == {"proximity", "tactile"} - {role}
+    session.order(Command("add", role))
+    session.until(is_well)
+    session.until(lambda health: "is back" in health.message)
+    kept = {(option.camera, option.name): option.value for option in session.source.options()}
+    assert kept[role, "visual_preset"] == 2.0, "what was set stays set"
+    assert_right_pairs(session)
+
+
+def test_another_camera_in_its_place_is_not_taken_for_it(session):
+    session.order(Command("remove", "tactile"))
+    session.until(lambda health: state(health, "tactile") == "missing")
+    session.order(Command("add", "tactile", text="999"))
+    health = session.until(lambda health: "another D405 with the serial 999 is connected" in health.message)
+    assert state(health, "tactile") == "missing"
+    session.order(Command("remove", "tactile"))
+    session.order(Command("add", "tactile"))
+    session.until(is_well)
+    assert_right_pairs(session)

@@ -1,0 +1,97 @@
+"""Which of the connected devices is which camera, and what is said where that is not clear."""
+
+from __future__ import annotations
+
+import importlib
+import re
+
+import pytest
+
+from tactune.core.errors import MissingExtraError, SourceError
+from tactune.core.preset import CameraSection, CamerasSection
+from tactune.core.sources.realsense import devices, driver
+from tactune.core.sources.realsense.devices import DeviceInfo, choose
+
+L515, L515_TOO = DeviceInfo("L515", "f1"), DeviceInfo("L515", "f2")
+D405, D405_TOO, D435 = DeviceInfo("D405", "d1"), DeviceInfo("D405", "d2"), DeviceInfo("D435I", "d3")
+
+
+def named(proximity: str = "", tactile: str = "") -> CamerasSection:
+    return CamerasSection(proximity=CameraSection(serial=proximity), tactile=CameraSection(serial=tactile))
+
+
+@pytest.mark.parametrize(
+    ("connected", "cameras", "expected"),
+    [
+        ([D405, L515], named(), (L515, D405)),
+        ([D435, L515], named(), (L515, D435)),
+        ([D435, L515, D405], named(), (L515, D405)),
+        ([D435, L515, D405], named(tactile="d3"), (L515, D435)),
+        ([L515, L515_TOO, D405, D405_TOO], named("f2", "d1"), (L515_TOO, D405)),
+        ([D405, D405_TOO], named("d1", "d2"), (D405, D405_TOO)),
+        ([D405, D435, L515], named("d1"), (D405, D435)),
+        ([L515, L515_TOO, D405], named(tactile="f1"), (L515_TOO, L515)),
+    ],
+)
+def test_cameras_are_found_by_serial_or_by_model(connected, cameras, expected):
+    chosen = choose(connected, cameras, "realsense:")
+    assert (chosen["proximity"], chosen["tactile"]) == expected
+
+
+@pytest.mark.parametrize(
+    ("connected", "cameras", "words"),
+    [
+        ([], named(), "no RealSense camera is connected: plug both"),
+        ([L515], named(), r"no tactile camera, only L515 \(serial f1\) is connected; plug a D405"),
+        ([D405], named(), r"no proximity camera, only D405 \(serial d1\) is connected; plug an L515"),
+        ([L515, D405, D405_TOO], named(), r"D405 \(serial d1\) and D405 \(serial d2\) may each be the tactile camera"),
+        ([L515, D405], named("f9"), r"proximity camera with the serial f9 is not connected, but L515 .*d1\) are"),
+        ([L515, D405], named("f1", "f1"), "both cameras have the serial f1"),
+    ],
+)
+def test_what_is_missing_or_open_is_said_with_the_remedy(connected, cameras, words, monkeypatch):
+    monkeypatch.setattr(devices, "driver_version", lambda: "2.54.2.5684")
+    with pytest.raises(SourceError, match=f"^realsense: .*{words}") as caught:
+        choose(connected, cameras, "realsense:")
+    assert "longer supports" not in str(caught.value)
+
+
+@pytest.mark.parametrize("connected", [[], [D405]])
+def test_a_driver_without_the_l515_is_blamed_and_the_right_one_named(connected, monkeypatch):
+    monkeypatch.setattr(devices, "driver_version", lambda: "2.59.1.11053")
+    with pytest.raises(SourceError, match=r"2\.59\.1\.11053 no longer supports the L515.*pyrealsense2==2\.54\.2"):
+        choose(connected, named(), "realsense:")
+    assert choose([D405, D435], named("d3", "d1"), "realsense:")["proximity"] == D435
+
+
+def test_which_drivers_know_the_l515():
+    assert [driver.knows_l515(version) for version in ("2.50.0", "2.54.2.5684", "2.55.1", "2.59.1.11053")] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+
+
+@pytest.mark.parametrize(
+    ("error", "kind", "words"),
+    [
+        (
+            ModuleNotFoundError("No module named 'pyrealsense2'"),
+            MissingExtraError,
+            r"pip install 'tactune\[realsense\]'",
+        ),
+        (ImportError("libusb-1.0.so.0: cannot open shared object file"), SourceError, "apt-get install libusb-1.0-0"),
+        (ImportError("libudev.so.1: cannot open shared object file"), SourceError, "apt-get install libudev1"),
+        (ImportError("undefined symbol: x"), SourceError, "undefined symbol.*force-reinstall"),
+    ],
+)
+def test_a_driver_that_cannot_be_loaded_is_one_sentence(error, kind, words, monkeypatch):
+    def refuse(name: str) -> None:
+        assert name == "pyrealsense2"
+        raise error
+
+    monkeypatch.setattr(importlib, "import_module", refuse)
+    with pytest.raises(kind, match=words) as caught:
+        driver.load_driver()
+    assert re.search(r"[\n]", str(caught.value)) is None
