@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -16,12 +17,18 @@ from .colors import hsv_limits
 from .compiling import kernel
 from .frames import Rig, SensorFrame
 from .fusion import depth_limits, region_bounds
+from .intrinsics import Intrinsics
 from .masking import color_model
 from .outliers.clusters import in_large_cluster
-from .outliers.statistical import NeighbourMemory, statistical_inliers
+from .outliers.statistical import NeighbourMemory
 from .preset import OutlierSection, Preset
 from .provenance import Provenance
 from .threads import by_rows
+
+#: Tells which points are no outliers, as `outliers.statistical.statistical_inliers` does.
+Inliers = Callable[
+    [npt.NDArray[np.float32], npt.NDArray[np.intp], Intrinsics, int, float, NeighbourMemory], npt.NDArray[np.bool_]
+]
 
 _NO_LIMITS = np.empty(0, np.int64)
 
@@ -141,14 +148,14 @@ class CandidateBuffers:
         )
 
 
-def drop_outliers(candidates: Candidates, rig: Rig, section: OutlierSection, memory: NeighbourMemory) -> Candidates:
+def drop_outliers(
+    candidates: Candidates, rig: Rig, section: OutlierSection, inliers: Inliers, memory: NeighbourMemory
+) -> Candidates:
     """Drop statistical outliers."""
     if not section.enabled or len(candidates) == 0:
         return candidates
-    inliers = statistical_inliers(
-        candidates.points, candidates.pixels, rig.proximity.intrinsics, section.k, section.ratio, memory
-    )
-    return candidates.keep(inliers)
+    kept = inliers(candidates.points, candidates.pixels, rig.proximity.intrinsics, section.k, section.ratio, memory)
+    return candidates.keep(kept)
 
 
 def drop_small_clusters(candidates: Candidates, rig: Rig, section: OutlierSection) -> Candidates:

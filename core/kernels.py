@@ -32,6 +32,7 @@ from .simd import (
     LANES,
     absolute,
     bits,
+    count_ones,
     count_trailing_zeros,
     floats,
     floor,
@@ -185,6 +186,22 @@ def classify_rows(
             store(buffer, 0, verdict)
             for i in range(min(LANES, width - u)):
                 provenance[v * width + u + i] = buffer[before + i]
+
+
+@kernel
+def count_changed(before: Any, after: Any, noise: Any) -> Any:
+    """Return how many of two depth images' pixels differ by more than ``noise`` counts, or in having a depth."""
+    changed = 0
+    low, high = ints(np.int32(-noise)), ints(np.int32(noise))
+    last = before.shape[0] - LANES
+    for start in range(0, before.shape[0], LANES):
+        place = min(start, last)
+        old, new = load(before, place), load(after, place)
+        had, has = _has_depth(old), _has_depth(new)
+        moved = ((new - old) > high) | ((new - old) < low)
+        is_new = lane_numbers() >= ints(np.int32(start - place))
+        changed += count_ones(bits(is_new & ((had ^ has) | (had & has & moved))))
+    return changed
 
 
 @kernel

@@ -7,33 +7,53 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
+from . import kernels
 from .alignment import make_alignment
 from .candidates import (
     CandidateBuffers,
     CandidateFinder,
     Candidates,
+    Inliers,
     contact_mask,
     drop_outliers,
     drop_small_clusters,
     full_provenance,
 )
+from .clouds import flat
 from .frames import Rig, SensorFrame
-from .outliers.statistical import NeighbourMemory
+from .outliers.statistical import NeighbourMemory, statistical_inliers
 from .patch import ContactPatch, Once
 from .preset import Preset
 from .rig_check import check_rig
 
-__all__ = ["STAGES", "ContactPatch", "ContactPipeline"]
+__all__ = ["STAGES", "ContactPatch", "ContactPipeline", "Still"]
 
 #: The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
 STAGES = ("fusion", "outliers", "clusters")
 
 #: Reasons in `ContactPatch.skipped`.
 UNCHANGED = "nothing changed"
+STILL = "no depth changed beyond noise"
 NO_CANDIDATES = "no candidates"
 
 P = ParamSpec("P")
 R = TypeVar("R")
+
+
+@dataclass(frozen=True)
+class Still:
+    """When a frame counts as showing what an earlier one has shown, so that its patch is given once more.
+
+    Attributes
+    ----------
+    noise_m : float
+        A depth that differs by no more has not changed, metres; about five standard deviations of the noise.
+    share : float
+        The largest share of an image's pixels that may have changed all the same, such as flickering edges.
+    """
+
+    noise_m: float
+    share: float = 0.001
 
 
 class ContactPipeline:
@@ -48,6 +68,11 @@ class ContactPipeline:
     preset : Preset
     rig : Rig
         The rig that takes the frames.
+    still : Still, optional
+        Give the last patch again while nothing moves; without it every frame is computed. The depths of
+        a frame are compared with those that the patch was computed from, so small changes do not add up.
+    inliers : callable, optional
+        Takes the place of `statistical_inliers`, such as one of `outliers.variants`.
 
     Raises
     ------
@@ -55,8 +80,12 @@ class ContactPipeline:
         The preset was made for images of another size, or lacks a pose that the rig lacks too.
     """
 
-    def __init__(self, preset: Preset, rig: Rig) -> None:
+    def __init__(
+        self, preset: Preset, rig: Rig, *, still: Still | None = None, inliers: Inliers = statistical_inliers
+    ) -> None:
         self.rig = rig
+        self._still = still
+        self._inliers = inliers
         self.warnings = check_rig(preset, rig)
         self._preset = preset
         self._finder = CandidateFinder(preset, rig, make_alignment(preset.alignment, rig))
@@ -95,20 +124,41 @@ class ContactPipeline:
         """
         if frame is not self._memory.frame:
             frame.check_against(self.rig)
+            started = time.perf_counter_ns()
+            if self._shows_the_same(frame):
+                ms = dict.fromkeys(STAGES, 0.0) | {"fusion": (time.perf_counter_ns() - started) / 1e6}
+                assert self._memory.patch is not None
+                return self._memory.patch.again(frame.sequence, ms, (STILL,))
             self._memory = _Memory(frame)
         memory, finder, outliers = self._memory, self._finder, self._preset.outliers
         stage = _StageRunner(memory)
+        memory.preset = self._preset
 
         unmasked = stage("fusion", _fusion_key(self._preset), finder.find, frame, self._buffers)
         if len(unmasked) == 0:
             return memory.patch_of(frame, self.rig, finder, (unmasked, unmasked, unmasked), stage, (NO_CANDIDATES,))
         inliers = stage(
             "outliers", (outliers.enabled, outliers.k, outliers.ratio),
-            drop_outliers, unmasked, self.rig, outliers, memory.neighbours,
+            drop_outliers, unmasked, self.rig, outliers, self._inliers, memory.neighbours,
         )  # fmt: skip
         contact = stage("clusters", outliers.min_cluster_area_mm2, drop_small_clusters, inliers, self.rig, outliers)
 
         return memory.patch_of(frame, self.rig, finder, (unmasked, inliers, contact), stage, ())
+
+    def _shows_the_same(self, frame: SensorFrame) -> bool:
+        """Tell whether the patch in memory, made with the present preset, may stand for a new frame."""
+        before = self._memory.frame
+        if self._still is None or before is None or self._memory.preset is not self._preset:
+            return False
+        pairs = (
+            (before.proximity_depth, frame.proximity_depth, self.rig.proximity.depth_unit_m),
+            (before.tactile_depth, frame.tactile_depth, self.rig.tactile.depth_unit_m),
+        )
+        for old, new, unit_m in pairs:
+            noise = min(int(self._still.noise_m / unit_m), 65535)
+            if kernels.count_changed(flat(old), flat(new), noise) > self._still.share * old.size:
+                return False
+        return True
 
 
 def _fusion_key(preset: Preset) -> tuple[Any, ...]:
@@ -123,6 +173,7 @@ class _Memory:
     results: dict[str, tuple[Any, Any]] = field(default_factory=dict)
     neighbours: NeighbourMemory = field(default_factory=NeighbourMemory)
     patch: ContactPatch | None = None
+    preset: Preset | None = None
 
     def patch_of(
         self,

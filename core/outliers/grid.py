@@ -16,10 +16,10 @@ from ..simd import LANES
 
 #: Largest windows of the two searches, pixels from the centre to the side.
 MOST_TILE_RADIUS: Final = 10
-MOST_SINGLE_RADIUS: Final = 23
+MOST_SINGLE_RADIUS: Final = 63
 
 #: Pixels around the image that never hold a point.
-MARGIN: Final = 32
+MARGIN: Final = 80
 
 #: Where there is no point, a plane holds one this far away, metres.
 FAR: Final = np.float32(1e9)

@@ -32,9 +32,8 @@ _ZERO = np.float32(0.0)
 _HUGE = np.float32(1e30)
 _NONE = np.int32(0)
 
-#: Windows that fill one, two and three vectors a row.
+#: Windows fill one vector a row, then twice as many and so on.
 _FIRST_RADIUS = 7
-_GROWTH = 8
 #: Interpolation steps, after which the bracket is walked through value by value.
 _STEPS = 10
 
@@ -167,7 +166,7 @@ def search_single(
             within_high = _count_within(squares, vectors, limit)
             if within_high >= k:
                 break
-            radius += _GROWTH
+            radius += radius + 1
         if within_high < k:
             continue
 

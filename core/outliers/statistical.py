@@ -25,9 +25,9 @@ _TREE_POINTS = 64
 #: Tiles with fewer points each are not searched together.
 _POINTS_A_TILE = 2.5
 #: So many points are rather compared with all others than looked up in a k-d tree.
-_FEW_LEFT = 64
-#: Tiles, and single points, that one thread takes at a time.
-_TILES, _SINGLES = 192, 256
+_FEW_LEFT = 120
+#: Tiles, single points and points compared with all others that one thread takes at a time.
+_TILES, _SINGLES, _COMPARED = 192, 256, 16
 
 _grids = GridPool()
 
@@ -94,10 +94,10 @@ def statistical_inliers(
     return np.asarray(below_threshold(mean_neighbour_distances(points, pixels, intrinsics, k), ratio))
 
 
-def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -> Distances:
+def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, window: int = 0) -> Distances:
     """Return each point's mean distance to its k nearest, to within `threshold.UNCERTAINTY` of itself.
 
-    Parameters as in `statistical_inliers`, with 1 < k <= N.
+    Parameters as in `statistical_inliers`, with 1 < k <= N; ``window`` as in `tiles.search_tiles`.
     """
     grid = _grids.borrow(intrinsics)
     try:
@@ -106,7 +106,7 @@ def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -
         means = np.empty(len(points))
         dense = len(points) >= _POINTS_A_TILE * len(grid.tiles)
         if dense:
-            in_parallel(partial(_search_tiles, grid, k, means), -(-len(grid.tiles) // _TILES))
+            in_parallel(partial(_search_tiles, grid, k, window, means), -(-len(grid.tiles) // _TILES))
         left = np.flatnonzero(np.isnan(means)) if dense else np.arange(len(points))
         in_parallel(partial(_search_single, grid, left, points, pixels, k, means), -(-len(left) // _SINGLES))
     finally:
@@ -114,15 +114,15 @@ def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -
         _grids.give_back(intrinsics, grid)
     left = left[np.isnan(means[left])]
     if len(left) <= _FEW_LEFT:
-        search_all(left, points, k, means)
+        in_parallel(partial(_search_all, left, points, k, means), -(-len(left) // _COMPARED))
     else:
         means[left] = tree_means(points, points[left], k)
     return means
 
 
-def _search_tiles(grid: Grid, k: int, means: Distances, part: int) -> None:
+def _search_tiles(grid: Grid, k: int, window: int, means: Distances, part: int) -> None:
     tiles = grid.tiles[part * _TILES : (part + 1) * _TILES]
-    search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, means)
+    search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, window, means)
 
 
 def _search_single(
@@ -132,3 +132,7 @@ def _search_single(
     search_single(
         chosen, points, pixels, grid.width, grid.stride, grid.xs, grid.ys, grid.zs, grid.columns, grid.rows, k, means
     )
+
+
+def _search_all(left: Pixels, points: Points, k: int, means: Distances, part: int) -> None:
+    search_all(left[part * _COMPARED : (part + 1) * _COMPARED], points, k, means)

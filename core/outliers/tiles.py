@@ -73,9 +73,19 @@ def bound_beyond(x: Any, y: Any, z: Any, u: Any, v: Any, radius: Any, columns: A
     return bound * bound * floats(SQUARE_SLACK)
 
 
+@inline
+def _largest_known(squares: Any, count: Any) -> Any:
+    """Return the largest of each lane's squared distances to points that there are."""
+    largest = floats(_ZERO)
+    for i in range(count):
+        square = load(squares, i * LANES)
+        largest = greater(largest, where(square < floats(FARTHEST * FARTHEST), square, floats(_ZERO)))
+    return largest
+
+
 @kernel
 def search_tiles(
-    tiles: Any, xs: Any, ys: Any, zs: Any, offsets: Any, columns: Any, rows: Any, k: Any, means: Any
+    tiles: Any, xs: Any, ys: Any, zs: Any, offsets: Any, columns: Any, rows: Any, k: Any, window: Any, means: Any
 ) -> None:
     """Write each point's mean distance to its k nearest, itself included; nan where that is left open.
 
@@ -92,12 +102,14 @@ def search_tiles(
         Of a `Grid`; any part of its tiles.
     k : int
         At most the number of points.
+    window : int
+        0: windows grow as needed. Else: windows of this radius are trusted to hold the k nearest.
     means : float64, shape (N,), written
         Metres, by the points' numbers.
     """
     squares = np.empty((2 * MOST_TILE_RADIUS + 1) ** 2 * LANES, np.float32)
     sums = np.empty(LANES, np.float64)
-    radius = _FIRST_RADIUS
+    radius = window if window > 0 else _FIRST_RADIUS
     seed = _ZERO
     one = ints(_SINGLE)
     minus_one = ints(np.int32(-1))
@@ -125,6 +137,8 @@ def search_tiles(
                 dz = z - load(zs, other)
                 store(squares, count * LANES, multiply_add(dz, dz, multiply_add(dy, dy, dx * dx)))
                 count += 1
+            if window > 0:
+                limit = _largest_known(squares, count)
             threshold = lesser(floats(seed), limit)
             within_limit = ints(_NONE)
             within = ints(_NONE)
@@ -133,7 +147,7 @@ def search_tiles(
                 within_limit = within_limit - as_ints(square <= limit)
                 within = within - as_ints(square <= threshold)
             unsettled = count_ones(bits(members & (within_limit < wanted)))
-            if unsettled <= _FEW_UNSETTLED or radius >= MOST_TILE_RADIUS:
+            if unsettled <= _FEW_UNSETTLED or radius >= MOST_TILE_RADIUS or window > 0:
                 break
             radius += 1
         settled = members & (within_limit >= wanted)
@@ -184,7 +198,7 @@ def search_tiles(
 
         if is_good != 0:
             seed = total(where(good, threshold, floats(_ZERO))) / np.float32(count_ones(is_good))
-            if unsettled == 0 and radius > 1:
+            if unsettled == 0 and radius > 1 and window == 0:
                 smaller = bound_beyond(x, y, z, u, v, radius - 1, columns, rows)
                 if bits(good & (smaller < threshold)) == 0:
                     radius -= 1

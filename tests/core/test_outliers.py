@@ -105,12 +105,15 @@ def test_equal_distances_everywhere_have_no_inliers():
 
 
 def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
-    points, pixels, lens = scene(3, 160, 120, 0.01, 0.001)
+    points, pixels, lens = scene(3, 640, 480, 0.0008, 0.001)
     calls = []
     tree = statistical.tree_means
     monkeypatch.setattr(statistical, "tree_means", lambda *a: calls.append(len(a[1])) or tree(*a))
     assert np.array_equal(statistical_inliers(points, pixels, lens, 60, 2.0), open3d_inliers(points, 60, 2.0))
-    assert calls
+    assert len(calls) == 1
+    few = points[:100], pixels[:100]
+    assert np.array_equal(statistical_inliers(*few, lens, 60, 2.0), open3d_inliers(few[0], 60, 2.0))
+    assert len(calls) == 1  # compared with all others instead
     calls.clear()
     far = points * np.float32(1e9)
     assert np.array_equal(statistical_inliers(far, pixels, lens, 20, 2.0), open3d_inliers(far, 20, 2.0))

@@ -15,7 +15,8 @@ from tactune.core.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.intrinsics import Distortion
 from tactune.core.masking import in_hsv_range
 from tactune.core.outliers import statistical
-from tactune.core.pipeline import STAGES, ContactPipeline
+from tactune.core.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
+from tactune.core.pipeline import STAGES, ContactPipeline, Still
 from tactune.core.preset import MaskSection, Preset
 from tactune.core.provenance import Provenance
 from tactune.core.reference import reference_patch
@@ -120,6 +121,46 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     assert again.provenance is provenance
     assert not any(again.stage_ms.values())
     assert again.skipped == ("nothing changed",)
+
+
+def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_frame):
+    rig = make_rig()
+    frame = make_frame(rig, noise_m=0.0005)
+    contact = ContactPipeline(Preset(), rig, still=Still(0.002, share=0.01))
+    first = contact.process(frame)
+
+    def moved(by_counts, pixels):
+        counts = frame.proximity_depth.copy()
+        chosen = np.flatnonzero((counts > 0) & (counts < 65535))[:pixels]
+        counts.reshape(-1)[chosen] += by_counts
+        return SensorFrame(7, counts, frame.tactile_depth, frame.proximity_color)
+
+    same = contact.process(moved(8, None))  # 2 mm
+    assert same.points is first.points
+    assert same.sequence == 7
+    assert same.skipped == ("no depth changed beyond noise",)
+    assert contact.process(moved(200, 40)).points is first.points
+    for other in (moved(9, None), moved(200, 60)):
+        assert same_patch(contact.process(other), ContactPipeline(Preset(), rig).process(other))
+        contact.process(frame)
+    contact.update(Preset().with_value("tolerance.t", 0.01))
+    assert "no depth changed beyond noise" not in contact.process(moved(1, None)).skipped
+    contact = ContactPipeline(Preset(), rig)
+    contact.process(frame)
+    assert contact.process(moved(1, None)).skipped == ()
+
+
+@pytest.mark.parametrize("variant", [windowed_inliers, strided_inliers, voxel_inliers])
+def test_a_faster_outlier_removal_can_be_chosen(make_rig, make_frame, variant):
+    rig = make_rig(width=160)
+    frame = make_frame(rig, noise_m=0.001)
+    preset = Preset().with_value("tolerance.t", 0.05)
+    exact = ContactPipeline(preset, rig).process(frame).mask
+    fast = ContactPipeline(preset, rig, inliers=variant).process(frame).mask
+    assert (exact != fast).sum() < (0.001 if variant is windowed_inliers else 0.05) * exact.sum()
+    empty = ContactPipeline(preset.with_value("alignment.depth_offset_m", 0.08), rig, inliers=variant).process(frame)
+    assert not empty.mask.any()
+    assert not variant(np.zeros((0, 3), np.float32), np.zeros(0, np.intp), rig.proximity.intrinsics, 20, 2.0).any()
 
 
 def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
