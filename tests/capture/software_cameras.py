@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import json
 import queue
+import signal
 import sys
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 sys.path.append(str(Path(__file__).parents[1] / "realsense"))
@@ -40,3 +41,31 @@ class FolderCommands:
 
 def open_software_cameras(folder: Path, progress: Progress) -> FrameSource:
     return open_software_rig(FolderCommands(folder), CamerasSection())
+
+
+@dataclass(frozen=True)
+class Fault:
+    """What goes wrong, by what words a person learns of it, and what mends it, where it does not mend itself."""
+
+    harm: Command | signal.Signals
+    words: str
+    mend: Command | None = None
+
+
+FAULTS = {
+    "tactile stops": Fault(Command("stop", "tactile"), "sends nothing", Command("go", "tactile")),
+    "proximity stops": Fault(Command("stop", "proximity"), "sends nothing", Command("go", "proximity")),
+    "stutters": Fault(Command("stutter", "tactile", 1.5), "sends nothing"),
+    "depth only": Fault(
+        Command("streams", "proximity", text="depth"),
+        "sends depth images but no colour",
+        Command("streams", "proximity", text="depth color"),
+    ),
+    "clock jumps": Fault(Command("jump", "tactile", 1.0), "clock jumped by +1"),
+    "other size": Fault(Command("size", "tactile", 40.0), "320 x 240 pixels instead of 640 x 480"),
+    "tactile removed": Fault(Command("remove", "tactile"), "is unplugged", Command("add", "tactile")),
+    "proximity removed": Fault(Command("remove", "proximity"), "is unplugged", Command("add", "proximity")),
+    "killed": Fault(signal.SIGKILL, "was ended by signal 9 (SIGKILL)"),
+    "stopped": Fault(signal.SIGSTOP, "has given no sign of life"),
+    "driver hangs": Fault(Command("hang", "tactile", 30.0), "has given no sign of life"),
+}

@@ -25,6 +25,7 @@ from tactune.app.recorder import RecordingEnd
 from tactune.app.results import SourceState
 from tactune.app.settings import Settings
 from tactune.core.preset import Preset
+from tactune.core.sources.base import FrameSource, Progress
 from tactune.core.sources.process import ProcessSource
 from tactune.core.sources.registry import open_source
 
@@ -51,20 +52,21 @@ class Heart(QObject):
 
 
 class Watched:
-    """A window on a troubled source that is being recorded."""
+    """A window on a source in a process of its own."""
 
-    def __init__(self, window: MainWindow, folder: Path) -> None:
+    def __init__(self, window: MainWindow, folder: Path, opener: Callable[[Path, Progress], FrameSource]) -> None:
         self.window = window
         self.folder = folder
+        self._opener = opener
         self.source: ProcessSource | None = None
         self.states: list[SourceState] = []
         self.ends: list[RecordingEnd] = []
         window.worker.stateChanged.connect(self.states.append)
         window.worker.recordingEnded.connect(self.ends.append)
-        window.open_request(SourceRequest("troubled", self._open))
+        window.open_request(SourceRequest("watched", self._open))
 
     def _open(self, progress: Callable[[float, str], None]) -> ProcessSource:
-        self.source = ProcessSource(partial(open_troubled, self.folder), progress)
+        self.source = ProcessSource(partial(self._opener, self.folder), progress)
         return self.source
 
     def kill(self, sent: signal.Signals) -> None:
@@ -81,14 +83,22 @@ class Watched:
         return " ".join(message.sentence for message in self.window.findChildren(Message))
 
 
+Watch = Callable[[Callable[[Path, Progress], FrameSource]], Watched]
+
+
 @pytest.fixture
-def watched(qtbot, tmp_path: Path) -> Iterator[Watched]:
+def watch(qtbot, tmp_path: Path) -> Iterator[Watch]:
+    """Open a window on a source, wait for its first frame, and close it in the end."""
     preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
     window = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, native_dialogs=False, backend="software")
-    window.show()
-    made = Watched(window, tmp_path)
-    qtbot.waitUntil(lambda: window.result is not None, timeout=30_000)
-    yield made
+
+    def make(opener: Callable[[Path, Progress], FrameSource]) -> Watched:
+        window.show()
+        made = Watched(window, tmp_path, opener)
+        qtbot.waitUntil(lambda: window.result is not None, timeout=60_000)
+        return made
+
+    yield make
     if window.worker.isRunning():
         window.close_without_asking()
         qtbot.waitUntil(lambda: not window.worker.isRunning(), timeout=30_000)
@@ -108,8 +118,9 @@ def watched(qtbot, tmp_path: Path) -> Iterator[Watched]:
     ids=["killed", "stopped", "segfault", "hang", "raise"],
 )
 def test_the_window_stays_responsive_says_it_and_goes_on(
-    qtbot, watched: Watched, harm: Callable[[Watched], None], what: str
+    qtbot, watch: Watch, harm: Callable[[Watched], None], what: str
 ) -> None:
+    watched = watch(open_troubled)
     window = watched.window
     path = watched.folder / "session.mcap"
     window.worker.start_recording(path)
@@ -133,3 +144,47 @@ def test_the_window_stays_responsive_says_it_and_goes_on(
         frames = list(recording)
     assert len(frames) == end.status.frames > 10
     assert np.all(np.diff([frame.proximity_time_s for frame in frames]) > 0)
+
+
+def test_the_window_goes_through_all_faults_of_the_cameras(
+    qtbot, watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
+    from software_cameras import FAULTS, Command, FolderCommands, open_software_cameras
+
+    watched = watch(open_software_cameras)
+    commands = FolderCommands(tmp_path)
+
+    def do(what: Command | signal.Signals) -> None:
+        commands.put(what) if isinstance(what, Command) else watched.kill(what)
+
+    def is_told(words: str) -> bool:
+        return any(words in state.health.message for state in watched.states)
+
+    watched.window.worker.start_recording(tmp_path / "session.mcap")
+    qtbot.wait(500)
+    gaps = {}
+    for name, fault in FAULTS.items():
+        watched.states.clear()
+        heart = Heart()
+        do(fault.harm)
+        qtbot.waitUntil(lambda words=fault.words: is_told(words), timeout=30_000)
+        if fault.mend is not None:
+            do(fault.mend)
+        qtbot.waitUntil(lambda: is_well(watched.states[-1]), timeout=30_000)
+        shown = watched.window.result.frame.sequence
+        qtbot.waitUntil(lambda shown=shown: watched.window.result.frame.sequence > shown + 5, timeout=30_000)
+        gaps[name] = heart.longest_s
+    with capsys.disabled():
+        print("".join(f"\n{name}: longest gap {1e3 * gap:.0f} ms" for name, gap in gaps.items()), end=" ")  # noqa: T201
+    assert max(gaps.values()) < RESPONSIVE_S
+    watched.window.worker.stop_recording()
+    qtbot.waitUntil(lambda: bool(watched.ends), timeout=30_000)
+    (end,) = watched.ends
+    assert (end.reason, end.status.error) == ("", "")
+    with open_source(str(end.status.path)) as recording:
+        assert recording.length == end.status.frames > 100
+
+
+def is_well(state: SourceState) -> bool:
+    return not state.stale and all(camera.state == "streaming" for camera in state.health.cameras)
