@@ -28,6 +28,7 @@ from PyQt6.QtCore import QCoreApplication, QEvent, QObject, Qt, QTimer
 from tactune.app.gui import make_application, start_with
 from tactune.app.main_window import MainWindow
 from tactune.app.recorder import RecordingEnd
+from tactune.app.results import SourceState
 from tactune.app.settings import Settings
 from tactune.core.errors import TactuneError
 from tactune.core.sources.registry import open_source
@@ -48,6 +49,7 @@ class Tally:
     recordings: int = 0
     longest_gap_s: float = 0.0
     processor_s: float = 0.0
+    told: Counter[str] = field(default_factory=Counter)
     problems: list[str] = field(default_factory=list)
 
 
@@ -66,6 +68,7 @@ class Soak(QObject):
         window.worker.recordingEnded.connect(self._recorded)
         window.worker.recordingFailed.connect(self._fail)
         window.worker.openFailed.connect(lambda name, sentence: self._fail(sentence))
+        window.worker.stateChanged.connect(self._hear)
         window.frameShown.connect(self._start)
         self._every(HEARTBEAT_MS, self._beat)
         self._every(1000, self._sample)
@@ -118,6 +121,11 @@ class Soak(QObject):
         if self._children:
             minutes = (time.monotonic() - self._began_s) / 60
             self.tally.memory.append((minutes, memory_mb(os.getpid()), sum(map(memory_mb, self._children))))
+
+    def _hear(self, state: SourceState) -> None:
+        """Remember what the source says of itself; nothing, while all is well."""
+        if self._children and state.health.message:
+            self.tally.told[state.health.message] += 1
 
     def _beat(self) -> None:
         now_s = time.monotonic()
@@ -216,6 +224,8 @@ def judge(tally: Tally, seconds: float, before: dict[str, Counter[str]]) -> list
     print(f"recorded          {tally.frames} frames in {tally.recordings} recordings, {tally.dropped} dropped")
     print(f"processor time    {100 * tally.processor_s / seconds:.0f} % of one core in this process")
     print(f"longest gap of the event loop {1e3 * tally.longest_gap_s:.0f} ms")
+    for sentence in tally.told:
+        print(f"the source said    {sentence}")
     for column, process in ((1, "window"), (2, "capture process")):
         rise, error = slope(table[:, 0], table[:, column])
         last = table[-1, column] if len(table) else float("nan")

@@ -18,7 +18,10 @@ from capture_sources import make_frame, make_rig, open_recorded, open_troubled
 
 from tactune.core.errors import SourceError
 from tactune.core.frames import SensorFrame
+from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.process.messages import Opened
+from tactune.core.sources.process.watch import Patience
 
 #: All that a troubled source sends.
 MADE = [make_frame(make_rig(), number) for number in range(50)]
@@ -189,7 +192,10 @@ sys.path.append({str(Path(__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled
+from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.process.messages import Opened
+from tactune.core.sources.process.watch import Patience
 with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
     source.next_frame()
     pid = source.capture_pid
@@ -209,3 +215,14 @@ with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
         parent.send_signal(signal.SIGCONT)
         answer, _ = parent.communicate("go\n", timeout=60)
     assert answer == "True \n"
+
+
+def test_a_machine_that_is_too_busy_is_no_silence_of_the_process() -> None:
+    patience = Patience()
+    patience.heard(Opened("x", make_rig(), 30.0, Health(), 64))
+    for _ in range(100):
+        patience.silent(waited_s=0.4)
+    assert patience.problem == ""
+    for _ in range(10):
+        patience.silent(waited_s=0.1)
+    assert patience.problem == "has given no sign of life for 1 s"

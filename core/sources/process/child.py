@@ -190,7 +190,10 @@ class _Capture:
                 signal.alarm(_ALARM_S)
                 if self._connection.poll(max(0.0, due_s - time.monotonic())):
                     self._obey(self._connection.recv())
-                if time.monotonic() >= due_s:
+                late_s = time.monotonic() - due_s
+                if late_s >= 0:
+                    if late_s > HEARTBEAT_S:  # the machine was too busy: this is not the source's time
+                        self._round_s += late_s
                     due_s = time.monotonic() + HEARTBEAT_S
                     self._beat()
         self._stop.set()

@@ -239,12 +239,13 @@ class Supervisor:
         patience = Patience()
         ring: Ring | None = None
         while not self._stop.is_set():
+            began_s = time.monotonic()
             try:
                 message = process.receive(POLL_S)
             except (EOFError, OSError):
                 break
             if message is None:
-                patience.silent()
+                patience.silent(time.monotonic() - began_s)
                 if not process.running:
                     break
             else:

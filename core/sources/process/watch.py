@@ -22,6 +22,8 @@ _SILENT_S: Final = 1.0
 _BUSY_OPENING_S: Final = 120.0
 _BUSY_FIRST_FRAME_S: Final = 20.0
 _BUSY_S: Final = 1.5
+#: A wait of `POLL_S` that takes so long tells that the machine is too busy to judge, seconds.
+_LATE_S: Final = 0.25
 #: The pauses before the first, second and further attempts to start a process again, seconds.
 _PAUSES_S: Final = (0.0, 0.2, 0.5, 1.0, 2.0)
 #: What is to be said of each camera meanwhile.
@@ -34,7 +36,8 @@ class Patience:
     """Tells when a process hangs.
 
     Silence is counted in waits that brought nothing, not by the clock: a parent that was stopped
-    itself finds the signs of life that have queued up meanwhile.
+    itself finds the signs of life that have queued up meanwhile. Waits that took far too long count
+    for nothing either: a machine that is so busy stops both processes.
     """
 
     def __init__(self) -> None:
@@ -56,9 +59,10 @@ class Patience:
                 well = all(camera.state == "streaming" for camera in message.health.cameras)
                 self._silent_limit_s = _SILENT_S if well else _SILENT_TROUBLE_S
 
-    def silent(self) -> None:
-        """Note a wait of `POLL_S` that brought nothing."""
-        self._silent += 1
+    def silent(self, waited_s: float) -> None:
+        """Note a wait of `POLL_S` that brought nothing, and how long it really took."""
+        if waited_s < _LATE_S:
+            self._silent += 1
 
     @property
     def problem(self) -> str:
