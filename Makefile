@@ -8,7 +8,7 @@ OUT ?= out
 unexport PYTHONPATH
 export PYTHONNOUSERSITE = 1
 
-.PHONY: run test lint format setup lock clean help
+.PHONY: run test test-newest-realsense lint format setup lock clean help
 .DEFAULT_GOAL := help
 
 run: setup  ## start the application on the simulator; without a display do the same job headless, into out/
@@ -16,6 +16,9 @@ run: setup  ## start the application on the simulator; without a display do the 
 
 test: setup  ## run the OpenGL tests under Xvfb, then all others offscreen
 	@scripts/test.sh
+
+test-newest-realsense: setup  ## run the tests of the live cameras with the newest camera driver
+	@scripts/test_newest_realsense.sh
 
 lint: setup  ## ruff, its formatter, mypy and the import rules
 	@scripts/lint.sh
@@ -31,8 +34,8 @@ lock: setup  ## write requirements.lock from the ranges in pyproject.toml
 	  --python-platform x86_64-manylinux_2_31 --no-emit-index-url --no-header --output-file requirements.lock
 
 clean:  ## remove .venv and everything that was made
-	rm -rf .venv .typing out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv .realsense-newest .typing out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:
-	@sed -n 's/^\([a-z]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 14
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/make \1\t\2/p' Makefile | expand -t 30

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
+import threading
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -157,3 +161,21 @@ def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
     np.testing.assert_array_equal(aligned[:, 101:632], color[:, 109:640])
     assert not aligned[:, 100].any()
     assert not aligned[:, 632:].any()
+
+
+def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(session, monkeypatch):
+    released = threading.Event()
+    monkeypatch.setattr("tactune.core.sources.realsense.source._HUNG_S", 0.5)
+    monkeypatch.setattr("tactune.core.sources.realsense.session.Session.read", lambda *_: released.wait() and None)
+    try:
+        with pytest.raises(SourceError, match=r"driver does not come back from the L515"):
+            session.read(1_000)
+    finally:
+        released.set()
+
+
+def test_a_program_that_forgets_to_close_the_cameras_ends_well():
+    program = "import software_rig; source = software_rig.open_software_rig(); [source.next_frame() for _ in range(5)]"
+    folder = Path(software_rig.__file__).parent
+    ended = subprocess.run([sys.executable, "-c", program], cwd=folder, capture_output=True, text=True, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (0, "", "")

@@ -114,7 +114,8 @@ class Camera:
         if self._session is None:
             state = "missing" if self._problem else "stalled"
         else:
-            silent = [kind for kind, seen_s in self._seen_s.items() if now_s - seen_s > SILENT_S]
+            has_stalled = any(now_s - seen_s > SILENT_S for seen_s in self._seen_s.values())
+            silent = [kind for kind, seen_s in self._seen_s.items() if has_stalled and now_s - seen_s > 0.5 * SILENT_S]
             if "depth" in silent or (silent and self.role == "proximity"):
                 state = "stalled"
             if silent:

@@ -15,8 +15,9 @@ from .driver import load_driver
 
 Kind = Literal["depth", "color"]
 
-#: Images in the driver's queue; it holds at most 16 of a stream, and holding all of them stalls it.
-_QUEUE: Final = 16
+#: Images that wait in the driver's queue, a second of both streams; then the oldest is dropped. The queue is one
+#: that keeps its frames: others count against the driver's pool of 16, and a full pool silently stops the stream.
+_QUEUE: Final = 60
 _BUSY = ("busy", "in use", "is streaming", "already opened", "errno=16", "power state")
 _FORBIDDEN = ("permission", "errno=13", "access")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import time
 from typing import Final
 
@@ -76,6 +77,7 @@ class RealSenseSource(FrameSource):
         proximity, tactile = self._cameras["proximity"].calibration, self._cameras["tactile"].calibration
         self._rig = Rig(proximity=proximity.depth, tactile=tactile.depth, proximity_color=proximity.color_camera)
         self._last_frame_s = time.monotonic()
+        atexit.register(self.close)  # Python must not end while a thread is inside the driver: that aborts
         for camera in self._cameras.values():
             camera.start()
 
@@ -148,6 +150,7 @@ class RealSenseSource(FrameSource):
 
     def close(self) -> None:
         """Stop both cameras."""
+        atexit.unregister(self.close)
         self._assembler.close()
         for camera in self._cameras.values():
             camera.close()
