@@ -32,17 +32,23 @@ class Outcome:
 
     Attributes
     ----------
-    mask : bool, shape (H, W), or None
-        Proximity pixels that are contact (pipeline, per pixel) or inliers (outliers).
+    make_mask : callable, or None
+        Gives the proximity pixels that are contact (pipeline, per pixel) or inliers (outliers). It is
+        called after the clock has stopped: most consumers take the points alone.
     points : float, shape (N, 3), or None
         Metres, proximity depth frame.
     values : float, shape (H, W) or (N,), or None
         What else is compared, such as aligned depths in metres.
     """
 
-    mask: npt.NDArray[np.bool_] | None = None
+    make_mask: Callable[[], npt.NDArray[np.bool_]] | None = None
     points: npt.NDArray[Any] | None = None
     values: npt.NDArray[Any] | None = None
+
+    @property
+    def mask(self) -> npt.NDArray[np.bool_] | None:
+        """The mask, bool, shape (H, W), or None where the job has none."""
+        return None if self.make_mask is None else self.make_mask()
 
 
 #: Does the job once, on the scene that it was made for; all that can be made ready beforehand is.
@@ -74,7 +80,7 @@ class Engine:
 _ENGINES: dict[str, Engine] = {}
 
 #: Each module registers its engines when it is imported.
-_MODULES = ("reference", "open3d_only", "librealsense", "kd_trees", "tactune")
+_MODULES = ("reference", "open3d_only", "librealsense", "kd_trees", "tactune", "approximations")
 
 
 def engine(

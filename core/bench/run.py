@@ -118,12 +118,13 @@ def _row(
     scene: BenchScene, found: Engine, timing: Timing, baseline: Timing | None, outcome: Outcome, peak: int | None
 ) -> Row:
     differing, iou, rmse_mm, points = None, math.nan, math.nan, 0
-    if outcome.mask is not None:
-        differing = int(np.count_nonzero(outcome.mask != expected_mask(scene, found.job)))
-        points = int(np.count_nonzero(outcome.mask))
+    mask = outcome.mask
+    if mask is not None:
+        differing = int(np.count_nonzero(mask != expected_mask(scene, found.job)))
+        points = int(np.count_nonzero(mask))
         if scene.truth is not None and found.job in {Job.PIPELINE, Job.PER_PIXEL}:
-            iou = pixel_scores(outcome.mask, scene.truth.contact).iou
-            cloud = outcome.points if outcome.points is not None else _points(outcome.mask, scene)
+            iou = pixel_scores(mask, scene.truth.contact).iou
+            cloud = outcome.points if outcome.points is not None else _points(mask, scene)
             rmse_mm = 1e3 * symmetric_rmse_m(cloud, truth_cloud(scene.truth, scene.rig).points)
     ratio = baseline.median_ms / timing.median_ms if baseline is not None else math.nan
     return Row(

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
-from .reference import candidate_points
+from .reference import candidate_points, mask_of
 
 
 @engine("scipy-outliers", Job.OUTLIERS, "SciPy cKDTree, all cores")
@@ -43,7 +43,7 @@ def open3d_tensor_outliers(scene: BenchScene) -> Runner:
 
     def run() -> Outcome:
         _, kept = cloud.remove_statistical_outliers(section.k, section.ratio)
-        return Outcome(mask=_mask(scene, pixels[kept.numpy()]))
+        return Outcome(lambda: mask_of(scene, pixels[kept.numpy()]))
 
     return run
 
@@ -55,12 +55,7 @@ def _runner(scene: BenchScene, pixels: npt.NDArray[np.intp], query: Any) -> Runn
         means = np.reshape(query(), (count, -1)).mean(axis=1)
         positive = means > 0
         deviation = np.sqrt(np.sum((means[positive] - means.mean()) ** 2) / max(count - 1, 1))
-        return Outcome(mask=_mask(scene, pixels[positive & (means < means.mean() + ratio * deviation)]))
+        kept = pixels[positive & (means < means.mean() + ratio * deviation)]
+        return Outcome(lambda: mask_of(scene, kept))
 
     return run
-
-
-def _mask(scene: BenchScene, pixels: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-    mask = np.zeros(scene.frame.proximity_depth.shape, bool)
-    mask.reshape(-1)[pixels] = True
-    return mask

@@ -44,7 +44,7 @@ def whole_pipeline(scene: BenchScene) -> Runner:
             points = points[keeps_color(points)]
         if preset.outliers.enabled and len(points):
             points = points[open3d_inliers(points, preset.outliers.k, preset.outliers.ratio)]
-        return Outcome(mask=_pixels_of(points, scene), points=points)
+        return Outcome(lambda: _pixels_of(points, scene), points)
 
     return run
 

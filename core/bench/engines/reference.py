@@ -35,9 +35,9 @@ def whole_pipeline(scene: BenchScene) -> Runner:
             kept = open3d_inliers(points, outliers.k, outliers.ratio)
             points, pixels = points[kept], pixels[kept]
         if outliers.min_cluster_area_mm2 > 0 and len(points):
-            large = _in_large_cluster(points[:, 2], _mask(scene, pixels), scene)
+            large = _in_large_cluster(points[:, 2], mask_of(scene, pixels), scene)
             points, pixels = points[large], pixels[large]
-        return Outcome(mask=_mask(scene, pixels), points=points)
+        return Outcome(lambda: mask_of(scene, pixels), points)
 
     return run
 
@@ -49,7 +49,7 @@ def per_pixel(scene: BenchScene) -> Runner:
 
     def run() -> Outcome:
         points, pixels = candidates()
-        return Outcome(mask=_mask(scene, pixels), points=points)
+        return Outcome(lambda: mask_of(scene, pixels), points)
 
     return run
 
@@ -62,7 +62,7 @@ def outliers_only(scene: BenchScene) -> Runner:
 
     def run() -> Outcome:
         kept = open3d_inliers(points, section.k, section.ratio)
-        return Outcome(mask=_mask(scene, pixels[kept]))
+        return Outcome(lambda: mask_of(scene, pixels[kept]))
 
     return run
 
@@ -101,7 +101,8 @@ def _in_large_cluster(depth: Array, mask: npt.NDArray[np.bool_], scene: BenchSce
     return np.asarray(areas_mm2[cluster] >= scene.preset.outliers.min_cluster_area_mm2)
 
 
-def _mask(scene: BenchScene, pixels: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def mask_of(scene: BenchScene, pixels: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+    """Return the image of some flat pixels."""
     mask = np.zeros(scene.frame.proximity_depth.shape, bool)
     mask.reshape(-1)[pixels] = True
     return mask

@@ -8,35 +8,29 @@ from typing import Any
 
 import numpy as np
 
-from ...frames import SensorFrame
+from ...candidates import Inliers
 from ...outliers import statistical_inliers
-from ...pipeline import ContactPatch, ContactPipeline
+from ...pipeline import ContactPipeline
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
-from .reference import candidate_points
+from .reference import candidate_points, mask_of
 
 
-def pipeline_runner(scene: BenchScene, values: dict[str, Any] | None = None) -> Runner:
-    """Return a runner of the pipeline with some preset values changed.
+def pipeline_runner(
+    scene: BenchScene, values: dict[str, Any] | None = None, inliers: Inliers = statistical_inliers
+) -> Runner:
+    """Return a runner of the pipeline with some preset values changed or another rule for outliers.
 
     It is given another frame object each time, since the pipeline does no frame twice.
     """
-    pipeline = ContactPipeline(scene.preset.with_values(values or {}), scene.rig)
+    pipeline = ContactPipeline(scene.preset.with_values(values or {}), scene.rig, inliers=inliers)
     frames = cycle((scene.frame, replace(scene.frame)))
 
     def run() -> Outcome:
-        return _outcome(pipeline.process(_next(frames)))
+        patch = pipeline.process(next(frames))
+        return Outcome(lambda: patch.mask, patch.points)
 
     return run
-
-
-def _next(frames: Any) -> SensorFrame:
-    frame: SensorFrame = next(frames)
-    return frame
-
-
-def _outcome(patch: ContactPatch) -> Outcome:
-    return Outcome(mask=patch.mask, points=patch.points)
 
 
 @engine("tactune", Job.PIPELINE, "Tactune, exact")
@@ -60,9 +54,7 @@ def outliers(scene: BenchScene) -> Runner:
 
     def run() -> Outcome:
         kept = statistical_inliers(points, pixels, intrinsics, section.k, section.ratio)
-        mask = np.zeros(intrinsics.shape, bool)
-        mask.reshape(-1)[pixels[kept]] = True
-        return Outcome(mask=mask)
+        return Outcome(lambda: mask_of(scene, pixels[kept]))
 
     return run
 
@@ -77,6 +69,6 @@ def copy_depths(scene: BenchScene) -> Runner:
     def run() -> Outcome:
         for target, image in zip(targets, images, strict=True):
             np.copyto(target, image)
-        return Outcome(mask=nothing)
+        return Outcome(lambda: nothing)
 
     return run
