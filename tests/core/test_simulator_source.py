@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import os
 
 import cv2
 import numpy as np
@@ -195,12 +196,17 @@ def test_frames_without_touch_leave_no_patch(any_scene):
         assert pipeline.process(frame).mask.mean() < 0.0005
 
 
-def test_patch_agrees_with_truth(any_scene):
+def test_patch_agrees_with_truth_better_the_deeper_the_press(any_scene):
     pipeline = ContactPipeline(load_preset("simulator"), any_scene.rig)
-    for n, least in ((12, 0.5), (25, 0.65), (DEEP, 0.7)):
+    shares = []
+    for n in (12, 25, DEEP):
         frame = any_scene.read(n)
         patch, truth = pipeline.process(frame).mask, frame.truth.contact
-        assert (patch & truth).sum() / (patch | truth).sum() > least
+        shares.append((patch & truth).sum() / (patch | truth).sum())
+        assert (patch & truth).sum() > 0.85 * truth.sum()
+    assert shares[0] > 0.25
+    assert shares == sorted(shares)
+    assert shares[2] > 0.57
 
 
 def test_cup_and_handle_touch_apart(cup):
@@ -252,9 +258,6 @@ def fake_scene(count):
 
 def test_cache_keeps_every_bit(tmp_path):
     path = tmp_path / "new" / "cup-1.zip"
-    older = tmp_path / "new" / "cup-0.zip"
-    older.parent.mkdir()
-    older.touch()
     scene = fake_scene(2)
     save_scene(path, scene)
     back = load_scene(path, 2)
@@ -264,7 +267,17 @@ def test_cache_keeps_every_bit(tmp_path):
             assert image.dtype == kept.arrays()[name].dtype
     assert [dataclasses.astuple(facts)[:7] for facts in back.facts] == [(0.0, 0.1, 0.08, 0.09, 0.0, 1500.0, 1e-4)] * 2
     assert np.array_equal(back.facts[0].T_proximity_object, np.eye(4))
-    assert [file.name for file in path.parent.iterdir()] == ["cup-1.zip"]
+
+
+def test_cache_keeps_the_versions_used_last(tmp_path, monkeypatch):
+    for age, name in enumerate(("cup-4", "cup-3", "cup-2", "cube-1", "cup-1")):
+        (tmp_path / f"{name}.zip").write_bytes(b"x" * 1000)
+        os.utime(tmp_path / f"{name}.zip", (1e9 - age, 1e9 - age))
+    save_scene(tmp_path / "cup-5.zip", fake_scene(1))
+    assert {file.stem for file in tmp_path.iterdir()} == {"cup-5", "cup-4", "cup-3", "cube-1"}
+    monkeypatch.setattr(cache, "_ALL_BYTES", 1500)
+    save_scene(tmp_path / "cup-6.zip", fake_scene(1))
+    assert {file.stem for file in tmp_path.iterdir()} == {"cup-6"}
 
 
 def test_damaged_cache_counts_as_missing(tmp_path):

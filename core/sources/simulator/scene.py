@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
@@ -32,6 +33,8 @@ Float64Array = npt.NDArray[np.float64]
 
 #: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
+#: Deep presses tear a mesh with fewer columns.
+_FEWEST_COLUMNS: Final = 56
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
 _BACKDROP: Final = (0.09, -0.05, 0.9946, 0.62)
 
@@ -197,10 +200,9 @@ class Press:
     def _led_to(self, first: int) -> list[Float64Array]:
         """Return the fine nodes, interpolated, of the coarse membrane just before and at a step."""
         design = self.membrane.design
-        cells = (max(design.cells[0] // 4 * 2, 2), max(design.cells[1] // 4 * 2, 2))
         if first == 0:
             return []
-        coarse = Membrane(replace(design, cells=cells))
+        coarse = Membrane(replace(design, cells=_way_cells(design)))
         before: list[Float64Array] = []
         for step in self.scene.way[: first + 1]:
             before = [*before[-1:], _follow(coarse, self.pressed.kind, self.pose(step), before).nodes]
@@ -228,7 +230,7 @@ class Press:
         """Draw one state in all cameras."""
         mesh, kind = self.membrane.mesh, self.pressed.kind
         surface = self.membrane.surface(state.nodes)
-        touching = (state.reaction_n > 0.0).astype(np.float64)
+        touching = contact_share(self.membrane, state)
         normals = node_normals(surface, mesh.triangles)
         values = np.column_stack([mesh.flat[:, :2], touching, normals])
         near, tactile, colour = self._cameras
@@ -270,6 +272,12 @@ def _counts(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
     return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)
 
 
+def _way_cells(design: MembraneDesign) -> tuple[int, int]:
+    """Return the cells of the mesh that leads to a scene's first picture: half as many, but fit for deep presses."""
+    columns, rows = design.cells
+    return (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
+
+
 def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array]) -> MembraneState:
     """Solve the next step, guessed from the ones before, or from the last alone where the guess leads astray."""
     guesses: list[Float64Array | None] = [2 * before[-1] - before[-2]] if len(before) > 1 else []
@@ -288,3 +296,21 @@ def grid_strain(membrane: Membrane, nodes: Float64Array) -> tuple[float, float]:
     dots = membrane.at(dot_grid(design.width_m, design.height_m), nodes).reshape(rows, columns, 3)
     along, across = (np.linalg.norm(np.diff(dots, axis=axis), axis=2).max() for axis in (1, 0))
     return float(along / DOT_SPACING_M - 1.0), float(across / DOT_SPACING_M - 1.0)
+
+
+def contact_share(membrane: Membrane, state: MembraneState) -> Float64Array:
+    """Return how much of each node's share of the sheet is in contact, 0 to 1, shape (N,).
+
+    A node at the edge of contact carries the reaction of that part of its share that touches. Held
+    against that of its neighbours well inside, it puts the edge, where this falls through one half,
+    between the nodes; where nodes simply count as touching or not, the patch is a third of a cell too wide.
+    """
+    columns, rows = membrane.design.cells[0] + 1, membrane.design.cells[1] + 1
+    reaction = state.reaction_n.reshape(rows, columns)
+    touching = (reaction > 0.0).astype(np.uint8)
+    inside = cv2.erode(touching, np.ones((3, 3), np.uint8))
+    count = cv2.boxFilter(inside.astype(np.float64), -1, (3, 3), normalize=False)
+    whole = cv2.boxFilter(reaction * inside, -1, (3, 3), normalize=False) / np.maximum(count, 1.0)
+    edge = (inside == 0) & (count > 0.5)
+    share = np.where(edge, np.minimum(reaction / np.where(whole > 0.0, whole, 1.0), 1.0), touching)
+    return np.asarray(share, dtype=np.float64).ravel()

@@ -1,0 +1,159 @@
+"""The simulator's scenes: their names and options, and what is different in each."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.sources.registry import MORE_SCENES, SCENE_OPTIONS
+from tactune.core.sources.registry import SCENES as COMMON_SCENES
+from tactune.core.sources.simulator.mesh import STIFF_FACTOR, MembraneDesign, build_mesh
+from tactune.core.sources.simulator.scenes import HELD_OUT, SCENES, Variant, light_table, read_options, resolve_scene
+from tactune.core.sources.simulator.source import SimulatorSource
+
+COARSE = (60, 36)
+
+
+def open_coarse(scene, noise=0.0, light="normal", **variant):
+    return SimulatorSource(scene, noise=noise, cells=COARSE, variant=Variant(**variant), light=light)
+
+
+def test_the_registry_knows_every_scene():
+    assert set(COMMON_SCENES) | set(MORE_SCENES) == set(SCENES)
+    assert set(SCENE_OPTIONS) >= {"press", "side", "object", "gap", "grid", "light"}
+    assert HELD_OUT == ("mug", "hand")
+
+
+def test_options_are_read():
+    variant, light = read_options("sim:x", {"press": "high", "side": "left", "object": "cube", "gap": "7.5"})
+    assert variant == Variant("high", "left", "cube", 7.5) and light == "normal"
+    assert read_options("sim:x", {"light": "dim", "grid": "dots"}) == (Variant(grid="dots"), "dim")
+    with pytest.raises(SourceError, match="gap is 'near'"):
+        read_options("sim:hover", {"gap": "near"})
+
+
+@pytest.mark.parametrize(
+    ("scene", "variant", "words"),
+    [
+        ("teapot", Variant(), "no scene 'teapot'; choose one of cube, cup"),
+        ("stiff", Variant(object="teapot"), "no object 'teapot'"),
+        ("cube", Variant(object="octopus"), "leave object out"),
+        ("cube", Variant(press="hard"), "press is 'hard'; choose low, medium or high"),
+        ("slide", Variant(press="low"), "leave it out"),
+        ("cube", Variant(gap_mm=3.0), "gap is for the scene hover"),
+        ("hover", Variant(gap_mm=0.0), "gap is 0"),
+        ("hover", Variant(gap_mm=float("nan")), "gap is nan"),
+        ("cube", Variant(press="low", side="left"), "press=high only"),
+        ("cube", Variant(grid="lines"), "grid is 'lines'"),
+    ],
+)
+def test_impossible_scenes_are_refused(scene, variant, words):
+    with pytest.raises(SourceError, match=words):
+        resolve_scene(scene, variant)
+
+
+def test_unknown_light_is_refused():
+    with pytest.raises(SourceError, match="light is 'pink'"):
+        SimulatorSource("cup", light="pink")
+
+
+def test_still_presses_grow_and_only_their_noise_changes():
+    areas, strains = [], []
+    for press in ("low", "medium"):
+        with open_coarse("cube", noise=1.0, press=press) as source:
+            first, last = source.read(0), source.read(source.length - 1)
+            assert np.array_equal(first.truth.contact, last.truth.contact)
+            assert not np.array_equal(first.proximity_depth, last.proximity_depth)
+            areas.append(first.truth.contact.sum())
+            strains.append(source.facts(0).strain_length)
+    assert 0 < areas[0] < areas[1]
+    assert strains[0] < strains[1]
+
+
+def test_high_presses_stretch_to_twice_the_length_and_sides_are_turned_images():
+    right, left = (open_coarse("cup", press="high", side=side).facts(0) for side in ("right", "left"))
+    assert 0.6 < right.strain_length < 1.5
+    assert left.strain_length == pytest.approx(right.strain_length, abs=0.02)
+    assert left.force_n == pytest.approx(right.force_n, rel=0.01)
+    middle = 0.020
+    a, b = (np.array(facts.T_proximity_object)[:2, 3] for facts in (right, left))
+    assert a + b == pytest.approx([2 * middle, 0.0], abs=1e-9)
+    assert a[0] - b[0] > 0.1
+
+
+@pytest.mark.parametrize("gap_mm", [1.0, 20.0])
+def test_hovering_object_keeps_its_gap(gap_mm):
+    with open_coarse("hover", object="cube", gap_mm=gap_mm) as source:
+        frame = source.read(0)
+        assert source.facts(0).depth_m == pytest.approx(-gap_mm / 1e3)
+        assert not frame.truth.contact.any()
+        behind = frame.proximity_depth * 0.00025 - frame.truth.depth_m
+        assert np.nanquantile(behind[frame.truth.depth_m > 0], 0.0005) == pytest.approx(gap_mm / 1e3, abs=1.5e-3)
+
+
+def test_stiff_regions_stretch_less():
+    design = MembraneDesign(cells=COARSE, stiff_regions=True)
+    mesh, plain = build_mesh(design), build_mesh(MembraneDesign(cells=COARSE))
+    assert set(np.round(mesh.stiffness / plain.stiffness, 6)) == {1.0, STIFF_FACTOR}
+    stiff = open_coarse("stiff", object="cube").read(0).truth
+    even = open_coarse("cube", press="medium").read(0).truth
+    assert np.nanmax(np.abs(stiff.depth_m - even.depth_m)) > 1e-3
+
+
+def test_folds_are_seen_and_part_the_contact():
+    folded = SimulatorSource("wrinkled", noise=0.0, cells=(118, 68)).read(0)
+    smooth = SimulatorSource("cup", noise=0.0, cells=(118, 68), variant=Variant(press="medium")).read(0)
+    both = np.isfinite(folded.truth.depth_m) & np.isfinite(smooth.truth.depth_m)
+    difference = (folded.truth.depth_m - smooth.truth.depth_m)[both]
+    assert 0.0008 < np.quantile(np.abs(difference), 0.99) < 0.004
+    counts = (folded.tactile_depth.astype(float) - smooth.tactile_depth)[100:400, 100:540]
+    assert 0.0008 < np.quantile(np.abs(counts), 0.99) * 0.0001 < 0.006
+    assert folded.truth.contact.sum() < 0.95 * smooth.truth.contact.sum()
+
+
+def test_sliding_contact_crosses_the_membrane():
+    with open_coarse("slide") as source:
+        columns = [np.nonzero(source.read(n).truth.contact)[1].mean() for n in (0, source.length // 2 - 1)]
+        assert columns[1] - columns[0] > 90
+        assert source.facts(0).depth_m == source.facts(20).depth_m == pytest.approx(0.024)
+
+
+def test_two_objects_touch_apart():
+    import cv2
+
+    contact = open_coarse("two", press="medium").read(0).truth.contact.astype(np.uint8)
+    sizes = cv2.connectedComponentsWithStats(contact)[2][1:, cv2.CC_STAT_AREA]
+    assert (sizes > 300).sum() == 2
+
+
+@pytest.mark.parametrize("shape", HELD_OUT)
+def test_held_out_shapes_say_so_and_press(shape):
+    with open_coarse(shape, press="medium") as source:
+        assert source.held_out
+        assert source.read(0).truth.contact.sum() > 500
+        assert source.facts(0).residual < 1e-3
+    assert not resolve_scene("cube").pressed.held_out
+
+
+def test_light_changes_colours_only():
+    normal, dim, bright = (
+        open_coarse("cup", press="medium", light=light).read(0) for light in ("normal", "dim", "bright")
+    )
+    assert dim.proximity_color.mean() < 0.75 * normal.proximity_color.mean()
+    assert bright.proximity_color.mean() > 1.15 * normal.proximity_color.mean()
+    assert np.array_equal(dim.proximity_depth, normal.proximity_depth)
+    assert light_table("normal") is None
+
+
+def test_dots_measure_the_strain_that_the_facts_tell():
+    """Dots found by their darkness in the colour image of the untouched membrane: as many as the grid has."""
+    import cv2
+
+    with open_coarse("hover", gap_mm=20.0, grid="dots") as source:
+        image = source.read(0).tactile_color
+        facts = source.facts(0)
+    dark = (cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)[100:400, 40:540] < 85).astype(np.uint8)
+    sizes = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
+    assert ((sizes > 4) & (sizes < 60)).sum() > 400
+    assert 0.1 < facts.strain_length < 0.3 and 0.1 < facts.strain_width < 0.35
