@@ -77,6 +77,7 @@ class Recorder:
         self._lock = Lock()
         self._writer: Writer | None = None
         self._refused = 0
+        self._watcher: Callable[[SensorFrame], object] | None = None
         self._finishing: list[Thread] = []
 
     @property
@@ -108,6 +109,10 @@ class Recorder:
                     f"{request.path} cannot be recorded: {error.strerror or error}; choose another folder"
                 ) from error
 
+    def watch(self, watcher: Callable[[SensorFrame], object] | None) -> None:
+        """Show every frame to somebody else, too, on the thread that reads it; None: to nobody any more."""
+        self._watcher = watcher
+
     def put(self, frame: SensorFrame, *, wait: bool = False) -> None:
         """Record a frame, if there is a recording; one that does not fit its rig counts as dropped.
 
@@ -117,6 +122,9 @@ class Recorder:
         wait : bool
             Wait while the disk is behind. Live frames do not wait: what finds no room is counted.
         """
+        watcher = self._watcher
+        if watcher is not None:
+            watcher(frame)
         if self._writer is None:
             return
         problem = ""

@@ -49,8 +49,6 @@ class CheckWindow(QDialog):
 
     def show_result(self, result: Result) -> None:
         """Take a frame of the main window."""
-        if not self.isVisible():
-            return
         for tab in (self.quality, self.skew, self.interference):
             tab.show_result(result)
 

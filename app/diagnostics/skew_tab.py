@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from functools import partial
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtCore import QEvent, Qt, QTimer
 from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.diagnostics.motion import MotionSeries, Sample
-from ...core.diagnostics.skew import LEAST_TIME_S, Skew, measure_skew
-from ...core.frames import Float64Array, SensorFrame
+from ...core.diagnostics.skew import LARGEST_GAP_S, LEAST_TIME_S, Skew, measure_skew
+from ...core.frames import Float64Array
 from ...widgets.theme import theme_colors
 from ..calibration.jobs import Job
 from ..document import Document
@@ -23,12 +24,16 @@ from ..worker import Worker
 DELAY_PATH = "cameras.tactile_delay_s"
 _START_TIME_S, _LONGEST_TIME_S = 6.0, 30.0
 _GATHERING_SHARE = 0.8
+#: A source that sends no frame for so long has stopped.
+PATIENCE_S = 5.0
+_TICK_MS = 100
 _INTRO = (
     "Press an object into the membrane and pull it out, several times, a few centimetres deep and irregularly. "
     "Both cameras see that motion; the delay at which they agree best is the skew between them, whatever their time "
     "stamps say."
 )
 _NO_FRAME = "There is no frame yet: open a source in the main window first."
+_NO_MORE_FRAMES = "No frames come any more: let the source play, in a loop if it is a recording, and measure again."
 #: The one hue beside the accent that stays readable on both themes.
 _TACTILE_HUE = "#d9730d"
 
@@ -41,11 +46,14 @@ class SkewTab(QWidget):
         self._worker, self._document = worker, document
         self._result: Result | None = None
         self._info: SourceInfo | None = None
-        self._samples: list[Sample] | None = None
-        self._last: SensorFrame | None = None
-        self._started_s = 0.0
+        self._gathering = False
+        self._samples: list[Sample] = []
+        self._heard, self._heard_s = 0, 0.0
         self.skew: Skew | None = None
         self._job = Job(self)
+        self._timer = QTimer(self)
+        self._timer.setInterval(_TICK_MS)
+        self._timer.timeout.connect(self._look)
         self.seconds = QDoubleSpinBox()
         self.start = QPushButton("Measure skew")
         self.cancel = QPushButton("Cancel")
@@ -65,27 +73,19 @@ class SkewTab(QWidget):
         self._job.failed.connect(self._fail)
         self._show_busy(False)
         self._recolor()
+        self._draw()
 
     @property
     def busy(self) -> bool:
         """Whether a measurement is going on."""
-        return self._samples is not None or self._job.busy
+        return self._gathering or self._job.busy
 
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window."""
+        """Take a frame of the main window, which tells the source; the worker hands over all of its frames."""
         self._result = result
-        if self._samples is None or result.frame is self._last:
-            return
-        if result.source is not self._info:
+        if self._gathering and result.source is not self._info:
             self.stop()
             self._fail("Another source was opened meanwhile: measure again.")
-            return
-        self._last = result.frame
-        self._samples.append(Sample.of(result.frame))
-        share = (time.monotonic() - self._started_s) / self.seconds.value()
-        self._show_progress(_GATHERING_SHARE * min(share, 1.0), "Press in and pull out now")
-        if share >= 1.0:
-            self._measure()
 
     def begin(self) -> None:
         """Gather frames from now on."""
@@ -97,26 +97,50 @@ class SkewTab(QWidget):
         if self._result.source.length == 1:
             self._fail("This source has a single frame: a delay shows in motion only.")
             return
-        self._info, self._last, self._samples = self._result.source, None, []
-        self._started_s = time.monotonic()
+        self._info = self._result.source
+        samples: list[Sample] = []
+        self._samples, self._heard = samples, 0
+        self._heard_s = time.monotonic()
         self._forget()
         self._show_busy(True)
-        self._show_progress(0.0, "Press in and pull out now")
+        # Frames that the window is too slow to show count as well.
+        self._worker.recorder.watch(lambda frame: samples.append(Sample.of(frame)))
+        self._gathering = True
+        self._timer.start()
         if not self._result.playback.running:
             self._worker.play()
 
     def stop(self) -> None:
         """Give the measurement up."""
-        self._samples = None
+        self._stop_gathering()
         self._job.cancel()
         if not self._job.busy:
             self._show_busy(False)
 
     def close_down(self) -> None:
         """Give up for good and wait for the thread."""
-        self._samples = None
+        self._stop_gathering()
         self._job.stop()
         self._show_busy(False)
+
+    def _stop_gathering(self) -> None:
+        if self._gathering:
+            self._gathering = False
+            self._timer.stop()
+            self._worker.recorder.watch(None)
+
+    def _look(self) -> None:
+        """See how far it is."""
+        now = time.monotonic()
+        if len(self._samples) > self._heard:
+            self._heard, self._heard_s = len(self._samples), now
+        share = min(watched_s(self._samples) / self.seconds.value(), 1.0)
+        self._show_progress(_GATHERING_SHARE * share, f"Press in and pull out now: {self._heard} frames")
+        if now - self._heard_s > PATIENCE_S:
+            self.stop()
+            self._fail(_NO_MORE_FRAMES)
+        elif share == 1.0:
+            self._measure()
 
     def _lay_out(self) -> None:
         intro = QLabel(_INTRO)
@@ -152,8 +176,9 @@ class SkewTab(QWidget):
         layout.addWidget(intro)
         layout.addLayout(row)
         layout.addLayout(result)
-        layout.addWidget(self.curve, 1)
-        layout.addWidget(self.motion, 1)
+        layout.addWidget(self.curve, 100)
+        layout.addWidget(self.motion, 100)
+        layout.addStretch(1)
         for button in (self.start, self.cancel, self.compensate):
             button.setAutoDefault(False)
         for plot, bottom, left in (
@@ -169,11 +194,9 @@ class SkewTab(QWidget):
         self.motion.addLegend(offset=(-10, 10))
 
     def _measure(self) -> None:
-        samples, info = tuple(self._samples or ()), self._info
-        self._samples = None
-        assert info is not None
-        work = partial(measure_skew, samples, info.rig, self._document.preset.alignment)
-        self._job.start(work)
+        self._stop_gathering()
+        assert self._info is not None
+        self._job.start(partial(measure_skew, tuple(self._samples), self._info.rig, self._document.preset.alignment))
 
     def _done(self, skew: Skew) -> None:
         self.skew = skew
@@ -216,6 +239,8 @@ class SkewTab(QWidget):
         self.curve.clear()
         self.motion.clear()
         skew = self.skew
+        for plot in (self.curve, self.motion):
+            plot.setVisible(skew is not None)
         if skew is None:
             return
         accent = theme_colors().accent_text
@@ -260,6 +285,12 @@ class SkewTab(QWidget):
                 axis.setPen(colors.muted)
                 axis.setTextPen(colors.text)
         self.motion.getPlotItem().legend.setLabelTextColor(colors.text)
+
+
+def watched_s(samples: Sequence[Sample]) -> float:
+    """Return how much time the frames cover by their own stamps, however fast they came."""
+    steps = np.diff([sample.proximity_time_s for sample in samples])
+    return float(steps[(steps > 0) & (steps <= LARGEST_GAP_S)].sum())
 
 
 def _lines(series: MotionSeries, origin_s: float) -> tuple[Float64Array, Float64Array]:

@@ -34,6 +34,8 @@ LARGEST_DELAY_S = 0.75
 #: What a measurement needs at least.
 LEAST_TIME_S = 2.0
 LEAST_WAY_M = 0.004
+#: Time is not bridged over a longer gap between two frames, seconds.
+LARGEST_GAP_S = 0.25
 _LEAST_NOISE_RATIO = 5.0
 _LEAST_CORRELATION = 0.8
 #: Another delay that leaves less than this many times the unexplained variance makes the answer ambiguous.
@@ -42,7 +44,6 @@ _LARGEST_UNCERTAINTY_S = 0.015
 
 _DELAY_STEP_S = 0.002
 _GRID_STEP_S = 0.01
-_LARGEST_GAP_S = 0.25
 #: Depths are compared by how much they change over this time, so that slow drifts matter little.
 _CHANGE_OVER_S = 0.1
 _KNOTS = 14
@@ -217,7 +218,7 @@ def _resample(
 def _stretches(proximity: MotionSeries, tactile: MotionSeries) -> list[slice]:
     """Cut where time runs back (a recording that begins again) or a gap is too long."""
     steps = np.stack([np.diff(proximity.time_s), np.diff(tactile.time_s)])
-    breaks = np.flatnonzero(((steps <= 0) | (steps > _LARGEST_GAP_S)).any(axis=0)) + 1
+    breaks = np.flatnonzero(((steps <= 0) | (steps > LARGEST_GAP_S)).any(axis=0)) + 1
     ends = [0, *breaks.tolist(), len(proximity.time_s)]
     return [slice(first, last) for first, last in pairwise(ends)]
 

@@ -14,7 +14,7 @@ from PyQt6.QtCore import QEvent
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QApplication
 
-from tactune.app.diagnostics import interference_flow
+from tactune.app.diagnostics import interference_flow, skew_tab
 from tactune.app.main_window import MainWindow
 from tactune.app.settings import Settings
 from tactune.app.worker import SourceRequest
@@ -228,6 +228,16 @@ def test_a_still_scene_and_a_cancelled_measurement_leave_everything(open_checks,
     assert tab.skew is None
     assert "too little motion" in tab.sentence.text()
     assert not tab.compensate.isVisibleTo(tab)
+
+
+def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monkeypatch):
+    monkeypatch.setattr(skew_tab, "PATIENCE_S", 0.5)
+    cameras = Cameras(rig)
+    tab = open_checks(cameras).live.checks.window.skew
+    tab.start.click()
+    cameras.silent.set()
+    wait(qtbot, lambda: not tab.busy)
+    assert "No frames come any more" in tab.sentence.text()
 
 
 def test_interference_is_found_and_the_laser_is_put_back(open_checks, rig, qtbot, monkeypatch):

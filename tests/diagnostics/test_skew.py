@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from tactune.core.diagnostics.motion import STEP, Sample
+from tactune.core.diagnostics.motion import STEP, Sample, pressed_depths
 from tactune.core.diagnostics.skew import SkewError, measure_skew
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.preset import AlignmentSection
@@ -109,6 +109,14 @@ def test_a_recording_that_begins_again_is_not_read_across_the_seam(rig, record):
     once = record(0.05, seconds=2.5)
     skew = measure_skew([*once, *once], rig, AlignmentSection())
     assert skew.delay_s == pytest.approx(0.05, abs=TARGET_S)
+
+
+def test_nothing_is_pressed_in_before_the_object_touches(rig, record):
+    near, far = pressed_depths(record(0.0, noise_m=0.0), rig, AlignmentSection())
+    true_m = np.maximum(REST_M - press(near.time_s), 0.0)
+    assert near.depth_m == pytest.approx(true_m, abs=0.0002)
+    assert far.depth_m.min() == pytest.approx(0.0, abs=0.0002)
+    assert far.way_m > 0.015
 
 
 def test_a_still_scene_is_refused_with_the_reason(rig, record):
