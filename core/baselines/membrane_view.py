@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..alignment import tactile_pose
-from ..clouds import ray_table
+from ..clouds import deproject, ray_table, valid_depth
 from ..frames import Rig
 from ..preset import AlignmentSection
 
@@ -36,7 +36,8 @@ class MembraneView:
     """
 
     def __init__(self, section: AlignmentSection, rig: Rig) -> None:
-        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        self._T_p_t = tactile_pose(section, rig)
+        T_t_p = np.linalg.inv(self._T_p_t)
         self._rig = rig
         rays = ray_table(rig.proximity.intrinsics).reshape(-1, 2).astype(np.float64)
         self._directions = np.concatenate([rays, np.ones((len(rays), 1))], axis=1) @ T_t_p[:3, :3].T
@@ -74,6 +75,14 @@ class MembraneView:
         row, column, inside = self._pixels(z[known], known)
         picked[known] = inside & mask[row, column]
         return picked.reshape(self._rig.proximity.intrinsics.shape)
+
+    def points(self, mask: npt.NDArray[np.bool_], tactile_depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.float32]:
+        """Return the measured points of a tactile mask (Ht, Wt) in the proximity frame, metres, shape (N, 3)."""
+        pixels = np.flatnonzero(mask & valid_depth(tactile_depth))
+        camera = self._rig.tactile.model_copy(update={"depth_unit_m": self._factor})
+        points = deproject(tactile_depth, camera, pixels).astype(np.float64)
+        points *= 1.0 + self._offset / np.maximum(points[:, 2:], 1e-9)
+        return np.asarray(points @ self._T_p_t[:3, :3].T + self._T_p_t[:3, 3], np.float32)
 
     def _look_up(
         self, tactile_depth: npt.NDArray[np.uint16], z: npt.NDArray[np.float64]

@@ -7,8 +7,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from ..alignment import tactile_pose
-from ..clouds import deproject, valid_depth
+from ..clouds import valid_depth
 from ..errors import TactuneError
 from ..frames import Rig, SensorFrame
 from ..preset import Preset
@@ -64,8 +63,6 @@ class TactileOnly(ContactMethod):
         self._rig, self._rule, self._share = rig, rule, share
         self._threshold_m, self._noise_m = threshold_m, noise_m
         self._factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
-        self._offset_m = preset.alignment.depth_offset_m
-        self._T_p_t = tactile_pose(preset.alignment, rig)
         self._view = MembraneView(preset.alignment, rig)
         counts = reference.tactile_depth
         self._untouched_m = np.where(valid_depth(counts), counts * self._factor, np.nan)
@@ -75,11 +72,7 @@ class TactileOnly(ContactMethod):
         frame.check_against(self._rig)
         counts = frame.tactile_depth
         contact = self.contact(counts)
-        camera = self._rig.tactile.model_copy(update={"depth_unit_m": self._factor})
-        points = deproject(counts, camera, np.flatnonzero(contact)).astype(np.float64)
-        points *= 1.0 + self._offset_m / np.maximum(points[:, 2:], 1e-9)
-        moved = points @ self._T_p_t[:3, :3].T + self._T_p_t[:3, 3]
-        return MethodPatch(moved.astype(np.float32), lambda: self._view.pick(contact, counts))
+        return MethodPatch(self._view.points(contact, counts), lambda: self._view.pick(contact, counts))
 
     def contact(self, counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
         """Return which tactile pixels are contact, bool, shape (Ht, Wt)."""
