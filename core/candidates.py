@@ -84,7 +84,7 @@ class CandidateFinder:
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
         self.alignment = alignment
-        self._coarse = CoarseTest(alignment)
+        self.coarse = CoarseTest(alignment)
         self.region: Region = region_bounds(preset.region, rig.proximity.intrinsics.shape)
         self.limits = depth_limits(preset.range, preset.tolerance)
         self._rays = ray_planes(rig.proximity.intrinsics)
@@ -95,7 +95,7 @@ class CandidateFinder:
         """Return the pixels that pass the tolerance test and the colour mask."""
         height, width = frame.proximity_depth.shape
         images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-        tiles, possible = self._coarse.tiles(*images, self.limits)
+        tiles, possible = self.coarse.tiles(*images, self.limits)
         if possible == 0:
             return NO_CANDIDATES
         counts: dict[int, int] = {}

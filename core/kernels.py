@@ -145,8 +145,13 @@ def align_rows(
             if v < region[1] or v >= region[3]:
                 valid = valid & (column < ints(_NONE))
             dp, has_dp, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
-            store(buffer, 0, where(has_dp, dp, floats(_NAN)))
-            store(buffer, LANES, where(has_dt, dt, floats(_NAN)))
+            dp, dt = where(has_dp, dp, floats(_NAN)), where(has_dt, dt, floats(_NAN))
+            if u + LANES <= width:
+                store(expected, place, dp)
+                store(measured, place, dt)
+                continue
+            store(buffer, 0, dp)
+            store(buffer, LANES, dt)
             for i in range(min(LANES, width - u)):
                 expected[v * width + u + i] = buffer[before + i]
                 measured[v * width + u + i] = buffer[LANES + before + i]
@@ -183,6 +188,9 @@ def classify_rows(
             verdict = where(out_of_range, ints(_OUTSIDE_RANGE), verdict)
             verdict = where(in_region, verdict, ints(_OUTSIDE_REGION))
             verdict = where(has_depth, verdict, ints(_NO_PROXIMITY_DEPTH))
+            if u + LANES <= width:
+                store(provenance, place, verdict)
+                continue
             store(buffer, 0, verdict)
             for i in range(min(LANES, width - u)):
                 provenance[v * width + u + i] = buffer[before + i]

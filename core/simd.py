@@ -60,7 +60,6 @@ _OF_DTYPE = {
     types.float64: DOUBLES,
     types.int32: INTS,
     types.uint16: INTS,
-    types.uint8: INTS,
 }
 
 
@@ -79,7 +78,7 @@ def _bytes_of(array_type: Any) -> int:
 
 @intrinsic
 def load(typing: Any, array: Any, index: Any) -> Any:
-    """Return elements ``index`` to ``index + LANES - 1``; uint8 and uint16 widen to int32."""
+    """Return elements ``index`` to ``index + LANES - 1``; uint16 widens to int32."""
     vector = _OF_DTYPE[array.dtype]
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -178,10 +177,9 @@ _define_operator(operator.add, {FLOATS: "fadd", DOUBLES: "fadd", INTS: "add", CO
 _define_operator(operator.sub, {FLOATS: "fsub", DOUBLES: "fsub", INTS: "sub", COUNTS: "sub"})
 _define_operator(operator.mul, {FLOATS: "fmul", DOUBLES: "fmul", INTS: "mul"})
 _define_operator(operator.truediv, {FLOATS: "fdiv", DOUBLES: "fdiv"})
-_define_operator(operator.and_, {FLAGS: "and_", INTS: "and_"})
-_define_operator(operator.or_, {FLAGS: "or_", INTS: "or_"})
-_define_operator(operator.xor, {FLAGS: "xor", INTS: "xor"})
-_define_operator(operator.rshift, {INTS: "ashr"})
+_define_operator(operator.and_, {FLAGS: "and_"})
+_define_operator(operator.or_, {FLAGS: "or_"})
+_define_operator(operator.xor, {FLAGS: "xor"})
 
 
 def _define_comparison(symbol: Any, sign: str) -> None:
@@ -301,36 +299,27 @@ def _greater(a: Any, b: Any) -> Any:
     return lambda a, b: where(a > b, a, b)
 
 
-def _between_counts(llvm_name: str, doc: str) -> Any:
-    def function(typing: Any, a: Any, b: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            of_type = ir.FunctionType(COUNTS.llvm, [COUNTS.llvm, COUNTS.llvm])
-            return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), arguments)
+def _of_counts(llvm_name: str, arguments: int, result: Any, doc: str) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        llvm = COUNTS.llvm if result is COUNTS else COUNTS.element
+        of_type = ir.FunctionType(llvm, [COUNTS.llvm] * arguments)
+        return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), values)
 
-        return COUNTS(COUNTS, COUNTS), emit
+    def one(typing: Any, a: Any) -> Any:
+        return result(COUNTS), emit
 
+    def two(typing: Any, a: Any, b: Any) -> Any:
+        return result(COUNTS, COUNTS), emit
+
+    function = one if arguments == 1 else two
     function.__doc__ = doc
     return intrinsic(function)
 
 
-lesser_counts = _between_counts("llvm.umin", "Return the smaller of each pair of counts.")
-greater_counts = _between_counts("llvm.umax", "Return the larger of each pair of counts.")
-
-
-def _of_all_counts(llvm_name: str, doc: str) -> Any:
-    def function(typing: Any, a: Any) -> Any:
-        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-            of_type = ir.FunctionType(COUNTS.element, [COUNTS.llvm])
-            return builder.call(declare(builder.module, of_type, f"{llvm_name}.v{LANES}i16"), arguments)
-
-        return types.uint16(COUNTS), emit
-
-    function.__doc__ = doc
-    return intrinsic(function)
-
-
-least_count = _of_all_counts("llvm.vector.reduce.umin", "Return the smallest count of all lanes.")
-largest_count = _of_all_counts("llvm.vector.reduce.umax", "Return the largest count of all lanes.")
+lesser_counts = _of_counts("llvm.umin", 2, COUNTS, "Return the smaller of each pair of counts.")
+greater_counts = _of_counts("llvm.umax", 2, COUNTS, "Return the larger of each pair of counts.")
+least_count = _of_counts("llvm.vector.reduce.umin", 1, types.uint16, "Return the smallest count of all lanes.")
+largest_count = _of_counts("llvm.vector.reduce.umax", 1, types.uint16, "Return the largest count of all lanes.")
 
 
 @intrinsic

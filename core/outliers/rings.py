@@ -23,7 +23,11 @@ _PART = 1024
 
 
 def mean_neighbour_distances(
-    points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, k: int
+    points: npt.NDArray[np.float32],
+    pixels: npt.NDArray[np.intp],
+    intrinsics: Intrinsics,
+    k: int,
+    chosen: npt.NDArray[np.intp] | None = None,
 ) -> npt.NDArray[np.float64]:
     """Return each point's mean distance to its k nearest points, itself included, in metres.
 
@@ -39,21 +43,24 @@ def mean_neighbour_distances(
         Of the camera that sees the points in these pixels.
     k : int
         At most N.
+    chosen : int, shape (M,), optional
+        Numbers of the points wanted; the means are theirs.
     """
+    chosen = np.arange(len(points)) if chosen is None else chosen
     numbers = np.full(intrinsics.height * intrinsics.width, -1, np.int32)
     numbers[pixels] = np.arange(len(points), dtype=np.int32)
     numbers = numbers.reshape(intrinsics.shape)
-    means = np.empty(len(points))
+    means = np.empty(len(chosen))
     planes = side_planes(intrinsics)
 
     def search(part: int) -> None:
-        first, last = part * _PART, min((part + 1) * _PART, len(points))
-        _ring_search(points, pixels, numbers, *planes, k, _MOST_RINGS, first, last, means)
+        first, last = part * _PART, min((part + 1) * _PART, len(chosen))
+        _ring_search(chosen, points, pixels, numbers, *planes, k, _MOST_RINGS, first, last, means)
 
-    in_parallel(search, -(-len(points) // _PART))
+    in_parallel(search, -(-len(chosen) // _PART))
     uncertain = np.isnan(means)
     if uncertain.any():
-        means[uncertain] = tree_means(points, points[uncertain], k)
+        means[uncertain] = tree_means(points, points[chosen[uncertain]], k)
     return means
 
 
@@ -100,13 +107,14 @@ def _bound_beyond(x: Any, y: Any, z: Any, u: Any, v: Any, ring: Any, columns: An
 
 @kernel
 def _ring_search(
-    points: Any, pixels: Any, numbers: Any, columns: Any, rows: Any, k: Any, most_rings: Any, first: Any, last: Any,
-    means: Any
+    chosen: Any, points: Any, pixels: Any, numbers: Any, columns: Any, rows: Any, k: Any, most_rings: Any,
+    first: Any, last: Any, means: Any
 ) -> None:  # fmt: skip
-    """Write the mean distances of points ``first`` to ``last - 1``; nan where ``most_rings`` settle nothing."""
+    """Write the mean distances of chosen points ``first`` to ``last - 1``; nan where ``most_rings`` settle nothing."""
     height, width = numbers.shape
     best = np.empty(k, np.float64)
-    for i in range(first, last):
+    for wanted in range(first, last):
+        i = chosen[wanted]
         v, u = pixels[i] // width, pixels[i] % width
         x, y, z = np.float64(points[i, 0]), np.float64(points[i, 1]), np.float64(points[i, 2])
         best[0] = 0.0
@@ -136,6 +144,6 @@ def _ring_search(
             total = 0.0
             for n in range(k):
                 total += np.sqrt(best[n])
-            means[i] = total / k
+            means[wanted] = total / k
         else:
-            means[i] = np.nan
+            means[wanted] = np.nan

@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from ..intrinsics import Intrinsics
 from ..threads import in_parallel
+from . import threshold
 from .grid import Grid, GridPool
 from .rings import mean_neighbour_distances, tree_means
 from .single import search_all, search_single
@@ -58,7 +59,8 @@ def statistical_inliers(
     Open3D, a lone point, coinciding points and k = 1 have no inliers.
 
     The means are found in float32 first. Only where a point lies so near to the threshold that
-    rounding could decide are they found once more in Open3D's own float64 and order.
+    rounding could decide are they summed in float64, and only where that leaves doubt, too, are they
+    found once more in Open3D's own order.
 
     Parameters
     ----------
@@ -88,7 +90,10 @@ def statistical_inliers(
             means = near_means(points, pixels, intrinsics, k)
             if memory is not None:
                 memory.remember(points, k, means)
-        inliers = surely_below_threshold(means, ratio)
+        inliers = surely_below_threshold(means, ratio, threshold.UNCERTAINTY)
+        if inliers is None:
+            means = precise_means(points, pixels, intrinsics, k)
+            inliers = surely_below_threshold(means, ratio, threshold.PRECISE_UNCERTAINTY)
         if inliers is not None:
             return inliers
     return np.asarray(below_threshold(mean_neighbour_distances(points, pixels, intrinsics, k), ratio))
@@ -106,7 +111,7 @@ def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, w
         means = np.empty(len(points))
         dense = len(points) >= _POINTS_A_TILE * len(grid.tiles)
         if dense:
-            in_parallel(partial(_search_tiles, grid, k, window, means), -(-len(grid.tiles) // _TILES))
+            in_parallel(partial(_search_tiles, grid, k, window, False, means), -(-len(grid.tiles) // _TILES))
         left = np.flatnonzero(np.isnan(means)) if dense else np.arange(len(points))
         in_parallel(partial(_search_single, grid, left, points, pixels, k, means), -(-len(left) // _SINGLES))
     finally:
@@ -120,9 +125,25 @@ def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, w
     return means
 
 
-def _search_tiles(grid: Grid, k: int, window: int, means: Distances, part: int) -> None:
+def precise_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -> Distances:
+    """Return the means of `near_means` to within `threshold.PRECISE_UNCERTAINTY` of themselves."""
+    means = np.full(len(points), np.nan)
+    grid = _grids.borrow(intrinsics)
+    try:
+        if grid.lay(points, pixels):
+            in_parallel(partial(_search_tiles, grid, k, 0, True, means), -(-len(grid.tiles) // _TILES))
+    finally:
+        grid.clear(pixels)
+        _grids.give_back(intrinsics, grid)
+    left = np.flatnonzero(np.isnan(means))
+    if len(left):
+        means[left] = mean_neighbour_distances(points, pixels, intrinsics, k, left)
+    return means
+
+
+def _search_tiles(grid: Grid, k: int, window: int, precise: bool, means: Distances, part: int) -> None:
     tiles = grid.tiles[part * _TILES : (part + 1) * _TILES]
-    search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, window, means)
+    search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, window, precise, means)
 
 
 def _search_single(

@@ -13,6 +13,8 @@ from ..simd import LANES, doubles, load, total
 #: The share by which an inexact mean may differ from the exact one. Its distances differ by at most
 #: 3 float32 units in the last place (differences exact to half a unit, squares and sums, root).
 UNCERTAINTY = 4 * 2.0**-24
+#: The same for means of float64 distances, and for the order of Open3D's sums.
+PRECISE_UNCERTAINTY = 1e-9
 #: Means below this may come from squares that float32 cannot hold, metres.
 _LEAST_M = 1e-12
 
@@ -36,17 +38,19 @@ def below_threshold(means: Any, ratio: Any) -> Any:
     return inliers
 
 
-def surely_below_threshold(means: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.bool_] | None:
+def surely_below_threshold(
+    means: npt.NDArray[np.float64], ratio: float, uncertainty: float
+) -> npt.NDArray[np.bool_] | None:
     """Tell which means are below the threshold that the exact ones have; None where that is uncertain.
 
-    With every mean known to a share e, the mean of all moves by at most e of itself, and the standard
+    With every mean known to a share e, ``uncertainty``, the mean of all moves by at most e of itself, and the standard
     deviation, being a norm, by at most the norm of the means' changes.
     """
     count = len(means)
     if count < 2:
         return None
     inliers = np.empty(count, np.bool_)
-    return inliers if _compare(means, ratio, UNCERTAINTY, inliers) else None
+    return inliers if _compare(means, ratio, uncertainty, inliers) else None
 
 
 @kernel

@@ -40,6 +40,9 @@ PLANE_SLACK = np.float32(4e-7)
 #: Squared distances up to a squared bound times this are below it without rounding, too.
 SQUARE_SLACK = np.float32(1.0 - 1e-6)
 
+#: Squared distances that differ by this factor are in the same order without rounding, too.
+_APART = np.float32(1.0 + 2e-6)
+
 #: A window grows until at most so many of its lanes are left to `single`, ...
 _FEW_UNSETTLED = 3
 #: ... and a threshold is sought in so many steps, which leave about one lane in a hundred.
@@ -83,10 +86,48 @@ def _largest_known(squares: Any, count: Any) -> Any:
     return largest
 
 
+@inline
+def _exact_sums(
+    squares: Any, count: Any, threshold: Any, excess: Any, k: Any, x: Any, y: Any, z: Any, place: Any, offsets: Any,
+    xs: Any, ys: Any, zs: Any
+) -> Any:  # fmt: skip
+    """Return the sums of the k smallest distances in float64, and in which lanes they are surely the k smallest.
+
+    That is so where the next larger squared distance lies farther off than rounding can reach.
+    """
+    within = floats(_ZERO)
+    beyond = floats(_HUGE)
+    for i in range(count):
+        square = load(squares, i * LANES)
+        inside = square <= threshold
+        within = greater(within, where(inside, square, floats(_ZERO)))
+        beyond = lesser(beyond, where(inside, floats(_HUGE), square))
+    second = floats(_ZERO)
+    for i in range(count):
+        square = load(squares, i * LANES)
+        second = greater(second, where(square < within, square, floats(_ZERO)))
+    last = where(excess < ints(_NONE), beyond, where(excess > ints(_NONE), second, within))
+    reach = last * floats(_APART)
+    found = ints(_NONE)
+    total_within = doubles(0.0)
+    for i in range(count):
+        inside = load(squares, i * LANES) <= reach
+        if bits(inside) == 0:
+            continue
+        found = found - as_ints(inside)
+        other = place + offsets[i]
+        dx = to_doubles(x) - to_doubles(load(xs, other))
+        dy = to_doubles(y) - to_doubles(load(ys, other))
+        dz = to_doubles(z) - to_doubles(load(zs, other))
+        total_within = total_within + where(inside, sqrt(dx * dx + dy * dy + dz * dz), doubles(0.0))
+    return total_within, found == ints(np.int32(k))
+
+
 @kernel
 def search_tiles(
-    tiles: Any, xs: Any, ys: Any, zs: Any, offsets: Any, columns: Any, rows: Any, k: Any, window: Any, means: Any
-) -> None:
+    tiles: Any, xs: Any, ys: Any, zs: Any, offsets: Any, columns: Any, rows: Any, k: Any, window: Any,
+    precise: Any, means: Any
+) -> None:  # fmt: skip
     """Write each point's mean distance to its k nearest, itself included; nan where that is left open.
 
     A tile's window of pixels grows until nothing outside can be among the k nearest. Then the k-th
@@ -104,6 +145,8 @@ def search_tiles(
         At most the number of points.
     window : int
         0: windows grow as needed. Else: windows of this radius are trusted to hold the k nearest.
+    precise : bool
+        Sum distances in float64, and leave open where float32 might have chosen the wrong ones.
     means : float64, shape (N,), written
         Metres, by the points' numbers.
     """
@@ -177,16 +220,20 @@ def search_tiles(
         good = settled & (excess <= one) & (excess >= minus_one)
 
         summed = doubles(0.0)
-        last_within = floats(_ZERO)
-        first_beyond = floats(_HUGE)
-        for i in range(count):
-            square = load(squares, i * LANES)
-            inside = square <= threshold
-            summed = summed + to_doubles(where(inside, sqrt(square), floats(_ZERO)))
-            last_within = greater(last_within, where(inside, square, floats(_ZERO)))
-            first_beyond = lesser(first_beyond, where(inside, floats(_HUGE), square))
-        edge = sqrt(where(excess < ints(_NONE), first_beyond, last_within))
-        summed = summed - to_doubles(to_floats(excess)) * to_doubles(edge)
+        if precise:
+            summed, certain = _exact_sums(squares, count, threshold, excess, k, x, y, z, place, offsets, xs, ys, zs)
+            good = good & certain
+        else:
+            last_within = floats(_ZERO)
+            first_beyond = floats(_HUGE)
+            for i in range(count):
+                square = load(squares, i * LANES)
+                inside = square <= threshold
+                summed = summed + to_doubles(where(inside, sqrt(square), floats(_ZERO)))
+                last_within = greater(last_within, where(inside, square, floats(_ZERO)))
+                first_beyond = lesser(first_beyond, where(inside, floats(_HUGE), square))
+            edge = sqrt(where(excess < ints(_NONE), first_beyond, last_within))
+            summed = summed - to_doubles(to_floats(excess)) * to_doubles(edge)
         store(sums, 0, summed)
         is_good = bits(good)
         remaining = mask

@@ -84,7 +84,7 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert lines[0]["area_mm2"] == 0
     assert lines[3]["area_mm2"] == pytest.approx(lines[3]["points"] * (300 / 60) ** 2)
     assert lines[3]["centroid_m"] == pytest.approx([-0.06, -0.02, 0.3], abs=0.005)
-    assert list(lines[3]["stage_ms"]) == ["align", "tolerance", "mask", "outliers", "clusters"]
+    assert list(lines[3]["stage_ms"]) == ["fusion", "outliers", "clusters"]
 
 
 def test_truth_is_compared_where_it_is_known(

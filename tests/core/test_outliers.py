@@ -12,7 +12,7 @@ from tactune.core.intrinsics import Intrinsics
 from tactune.core.outliers import statistical, threshold
 from tactune.core.outliers.clusters import in_large_cluster
 from tactune.core.outliers.rings import mean_neighbour_distances
-from tactune.core.outliers.statistical import near_means, statistical_inliers
+from tactune.core.outliers.statistical import near_means, precise_means, statistical_inliers
 from tactune.core.threads import get_threads, set_threads
 
 
@@ -73,6 +73,7 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
     k = min(k, len(points))
     exact = mean_neighbour_distances(points, pixels, lens, k)
     assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= threshold.UNCERTAINTY
+    assert np.abs(precise_means(points, pixels, lens, k) / exact - 1).max() <= threshold.PRECISE_UNCERTAINTY / 100
 
 
 def test_a_point_too_near_to_the_threshold_is_decided_in_float64(monkeypatch):
@@ -84,13 +85,16 @@ def test_a_point_too_near_to_the_threshold_is_decided_in_float64(monkeypatch):
     assert nearest > 10 * threshold.UNCERTAINTY
     calls = []
     monkeypatch.setattr(
-        statistical, "mean_neighbour_distances", lambda *a: calls.append(1) or mean_neighbour_distances(*a)
+        statistical, "mean_neighbour_distances", lambda *a: calls.append(len(a)) or mean_neighbour_distances(*a)
     )
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
     assert not calls
     monkeypatch.setattr(threshold, "UNCERTAINTY", nearest)
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
-    assert calls
+    assert calls in ([], [5])  # none, or only those that the tiles left open
+    monkeypatch.setattr(threshold, "PRECISE_UNCERTAINTY", nearest)
+    assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
+    assert calls[-1] == 4
 
 
 def test_equal_distances_everywhere_have_no_inliers():

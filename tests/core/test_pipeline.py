@@ -13,11 +13,10 @@ from tactune.core.clouds import proximity_cloud, tactile_cloud
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.intrinsics import Distortion
-from tactune.core.masking import in_hsv_range
 from tactune.core.outliers import statistical
 from tactune.core.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
 from tactune.core.pipeline import STAGES, ContactPipeline, Still
-from tactune.core.preset import MaskSection, Preset
+from tactune.core.preset import Preset
 from tactune.core.provenance import Provenance
 from tactune.core.reference import reference_patch
 
@@ -248,28 +247,6 @@ def test_pixels_beyond_the_horizon_have_no_partner():
     w = 0.02 * u - 1.0
     centre_side = np.sign(np.linalg.inv(H)[2] @ (39.5, 29.5, 1.0))
     assert (table[np.sign(w) != centre_side] == -1).all()
-
-
-def test_every_colour_has_opencvs_hue_saturation_and_value():
-    steps = np.unique(np.r_[np.arange(0, 256, 5), 1, 2, 127, 128, 254, 255]).astype(np.uint8)
-    colors = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
-    hue, saturation, value = cv2.cvtColor(colors[None], cv2.COLOR_RGB2HSV)[0].T
-    for section in (
-        MaskSection(hue=(30, 90)), MaskSection(hue=(150, 20)),
-        MaskSection(saturation=(60, 200)), MaskSection(value=(3, 99)),
-    ):  # fmt: skip
-        low, high = section.hue
-        expected = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
-        for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
-            expected &= (floor <= channel) & (channel <= ceiling)
-        assert np.array_equal(in_hsv_range(colors, section), expected)
-
-
-def test_hue_ranges_wrap_around_red():
-    red, green = np.array([255, 0, 8], np.uint8), np.array([0, 255, 0], np.uint8)
-    colors = np.stack([red, green])
-    assert in_hsv_range(colors, MaskSection(hue=(170, 10))).tolist() == [True, False]
-    assert in_hsv_range(colors, MaskSection(hue=(10, 170))).tolist() == [False, True]
 
 
 def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
