@@ -16,8 +16,8 @@ from .session import Image, Kind
 
 Pixels = npt.NDArray[Any]
 
-#: Frames that wait for whoever reads them; more than a second of them would only be late.
-_WAITING: Final = 30
+#: Frames that wait for whoever reads them: two seconds, in case that the reader has to wait for the computer.
+_WAITING: Final = 60
 #: A camera that stutters delivers late; its partner's images wait for it.
 _PATIENCE_S: Final = 1.0
 #: A tactile image without its colour image is worth having, but not worth a long wait.
