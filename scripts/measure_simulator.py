@@ -1,9 +1,11 @@
 """Compare the simulator preset's patches with the truth, per object and press depth.
 
-    .venv/bin/python scripts/measure_simulator.py [--noise 1] [--seed 0]
+    .venv/bin/python scripts/measure_simulator.py [--noise 1] [--seed 0] [--scenes] [--mesh]
 
 Prints the worst share of pixels in the patch over all frames without touch, then the means of IoU,
-precision, recall and symmetric RMSE in bands of press depth, and the pipeline's median time.
+precision, recall and symmetric RMSE in bands of press depth, and the pipeline's median time. With
+``--scenes`` instead: strain, force and scores of every scene with a still press. With ``--mesh``: how much the
+patch's area changes when the membrane's cells are halved, which takes minutes.
 """
 
 from __future__ import annotations
@@ -13,6 +15,9 @@ import statistics
 
 from tactune.core import ContactPipeline, load_preset
 from tactune.core.evaluation.metrics import compare_with_truth
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.mesh import MembraneDesign
+from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 OBJECTS = ("cube", "cup", "octopus")
@@ -49,14 +54,71 @@ def measure(scene: str, seed: int, noise: float) -> None:
         )
 
 
+STILL = [f"sim:{scene}?press={press}" for scene in OBJECTS for press in ("low", "medium", "high", "high&side=left")]
+STILL += [f"sim:{scene}?press={press}" for scene in ("two", "mug", "hand") for press in ("low", "medium", "high")]
+STILL += [f"sim:{scene}?object={shape}" for scene in ("stiff", "wrinkled") for shape in OBJECTS]
+
+
+def measure_scenes(seed: int, noise: float) -> None:
+    """Print a row for every scene with a still press, and the false points of hovering objects."""
+    preset = load_preset("simulator")
+    for name in STILL:
+        with open_source(f"{name}&seed={seed}&noise={noise:g}") as source:
+            assert isinstance(source, SimulatorSource)
+            facts, frame = source.facts(0), source.read(0)
+            assert frame.truth is not None
+            score = compare_with_truth(ContactPipeline(preset, source.rig).process(frame), frame.truth, source.rig)
+            print(
+                f"{name:34} {1e3 * facts.depth_m:5.1f} mm, strain along {100 * facts.strain_length:4.0f} %, across "
+                f"{100 * facts.strain_width:4.0f} %, {facts.force_n:4.0f} N, residual {facts.residual:.0e}: "
+                f"IoU {score['iou']:.3f}, RMSE {score['rmse_mm']:.2f} mm"
+            )
+    for gap in (1, 2, 3, 4, 5, 10, 20):
+        points = []
+        for shape in OBJECTS:
+            with open_source(f"sim:hover?object={shape}&gap={gap}&seed={seed}&noise={noise:g}") as source:
+                points.append(len(ContactPipeline(preset, source.rig).process(source.read(0)).points))
+        print(f"hovering {gap:2d} mm away, {', '.join(OBJECTS)}: {points} false points")
+
+
+def measure_mesh() -> None:
+    """Print the area of the true patch of the medium presses on the default mesh and on one with cells half as long."""
+    cells = MembraneDesign().cells
+    for scene in OBJECTS:
+        areas = []
+        for times in (1, 2):
+            with SimulatorSource(
+                scene, noise=0.0, cells=(times * cells[0], times * cells[1]), variant=Variant(press="medium")
+            ) as source:
+                areas.append(1e4 * true_area_m2(source))
+        print(
+            f"{scene}, medium press: {areas[0]:.2f} cm2, cells halved {areas[1]:.2f} cm2, "
+            f"{100 * (areas[0] / areas[1] - 1):+.1f} %"
+        )
+
+
+def true_area_m2(source: SimulatorSource) -> float:
+    """Return the area of the true patch across the optical axis."""
+    truth, lens = source.read(0).truth, source.rig.proximity.intrinsics
+    assert truth is not None and truth.depth_m is not None
+    return float((truth.depth_m[truth.contact].astype(float) ** 2).sum() / (lens.fx * lens.fy))
+
+
 def main() -> None:
     """Measure every object."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--noise", type=float, default=1.0)
+    parser.add_argument("--scenes", action="store_true")
+    parser.add_argument("--mesh", action="store_true")
     arguments = parser.parse_args()
-    for scene in OBJECTS:
-        measure(scene, arguments.seed, arguments.noise)
+    if arguments.mesh:
+        measure_mesh()
+    elif arguments.scenes:
+        measure_scenes(arguments.seed, arguments.noise)
+    else:
+        for scene in OBJECTS:
+            measure(scene, arguments.seed, arguments.noise)
 
 
 if __name__ == "__main__":

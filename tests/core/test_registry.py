@@ -18,7 +18,7 @@ from tactune.core.intrinsics import Intrinsics
 from tactune.core.sources import SeekableSource, registry
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import open_source, source_kinds
-from tactune.core.sources.simulator.objects import OBJECTS
+from tactune.core.sources.simulator.scenes import SCENES
 
 CAMERA = DepthCamera(intrinsics=Intrinsics(width=4, height=3, fx=1, fy=1, cx=0, cy=0), depth_unit_m=0.001)
 RIG = Rig(proximity=CAMERA, tactile=CAMERA)
@@ -74,7 +74,7 @@ def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict
 
 
 def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:
-    assert set(registry.SCENES) == set(OBJECTS)
+    assert (*registry.SCENES, *registry.MORE_SCENES) == SCENES
     simulator = source_kinds()[0]
     assert simulator.examples == ("sim:cube", "sim:cup", "sim:octopus")
 
@@ -137,7 +137,7 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
         ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
         ("sim:table", r"sim:table: there is no scene 'table'; known are cube, cup, octopus"),
-        ("sim:cup?sed=3", r"no option 'sed'; known are seed and noise"),
+        ("sim:cup?sed=3", r"no option 'sed'; known are press, side, .*, seed, noise"),
         ("sim:cup?seed", r"'seed' are no options; write them as seed=3&noise=0\.5"),
         ("sim:cup?seed=", r"seed is '', but it must be a whole number from 0"),
         ("sim:cup?seed=-1", r"seed is '-1'"),
