@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy import sparse
 
+from ..errors import TactuneError
 from .membrane_mesh import MembraneMesh
 
 Float64Array = npt.NDArray[np.float64]
@@ -36,6 +37,7 @@ ATMOSPHERE_PA = 101_325.0
 _MM = 1e-3
 #: Nodes seen under a smaller cosine tell nothing of their displacement.
 _EDGE_ON = 0.3
+_LARGEST_RADIUS_M = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +80,11 @@ class MembraneProblem:
     fixed_rim : bool
         Whether the rim stays where it is; it else follows the measurement, as is right where the outer
         rim was cropped.
+
+    Raises
+    ------
+    TactuneError
+        The membrane does not bulge.
     """
 
     def __init__(
@@ -187,10 +194,21 @@ def curvature_radius(mesh: MembraneMesh, stiffness: sparse.csr_matrix, areas: Fl
     """Return the radius of the sphere whose mean curvature is the mesh's average off the rim, metres.
 
     ``K X`` is the areas times 2 H along the outward normals, which is 2 / R on a sphere.
+
+    Raises
+    ------
+    TactuneError
+        The mesh is flat or hollow, so that no tension balances a pressure beneath it.
     """
     inner = ~mesh.rim
     bent = np.einsum("ij,ij->i", stiffness @ mesh.positions, mesh.normals)
-    return float(2.0 * areas[inner].sum() / bent[inner].sum())
+    twice_curvature = float(bent[inner].sum() / areas[inner].sum())
+    if twice_curvature < 2.0 / _LARGEST_RADIUS_M:
+        raise TactuneError(
+            "mechanics: the membrane of the reference does not bulge away from the camera; "
+            "inflate it and take a new reference"
+        )
+    return 2.0 / twice_curvature
 
 
 def enclosed_volume(mesh: MembraneMesh) -> float:

@@ -1,0 +1,92 @@
+"""The methods by name, as the command line, tables and the application offer them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Literal
+
+from ..errors import TactuneError
+from ..frames import Rig, SensorFrame
+from ..pipeline import ContactPipeline
+from ..preset import Preset
+from .membrane_mechanics import MembraneMechanics
+from .method import ContactMethod, MethodPatch
+from .proximity_only import ProximityOnly
+from .tactile_only import TactileOnly
+
+
+class Fusion(ContactMethod):
+    """The contact pipeline with one of its alignment models, whichever the preset names.
+
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    model : {"rigid", "homography"}
+
+    Raises
+    ------
+    RigMismatchError
+        As `ContactPipeline` does.
+    """
+
+    def __init__(self, preset: Preset, rig: Rig, model: Literal["rigid", "homography"]) -> None:
+        self.name = f"fusion-{model}"
+        self._pipeline = ContactPipeline(preset.with_values({"alignment.model": model}), rig)
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the pipeline's patch."""
+        patch = self._pipeline.process(frame)
+        return MethodPatch(patch.points, lambda: patch.mask)
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names that `make_method` knows, fusion first."""
+    return (*_FUSION, *_AGAINST_REFERENCE)
+
+
+def needs_reference(name: str) -> bool:
+    """Return whether a method compares with a frame of the untouched membrane."""
+    return name in _AGAINST_REFERENCE
+
+
+def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | None = None) -> ContactMethod:
+    """Build a method by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `method_names`.
+    preset : Preset
+    rig : Rig
+    reference : SensorFrame, optional
+        The inflated, untouched membrane; every method but fusion needs it.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, the reference is missing, or the method cannot work with these.
+    """
+    if name in _FUSION:
+        return _FUSION[name](preset, rig)
+    if name not in _AGAINST_REFERENCE:
+        raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
+    if reference is None:
+        raise TactuneError(
+            f"{name} compares with the untouched membrane, but there is no reference; "
+            "capture one while nothing touches the membrane"
+        )
+    return _AGAINST_REFERENCE[name](preset, rig, reference)
+
+
+_FUSION: dict[str, Callable[[Preset, Rig], ContactMethod]] = {
+    "fusion-rigid": partial(Fusion, model="rigid"),
+    "fusion-homography": partial(Fusion, model="homography"),
+}
+_AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
+    "proximity-only": ProximityOnly,
+    "tactile-only": partial(TactileOnly, rule="share"),
+    "tactile-threshold": partial(TactileOnly, rule="threshold"),
+    "mechanics": MembraneMechanics,
+}
