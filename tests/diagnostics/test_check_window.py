@@ -75,7 +75,7 @@ class Cameras(FrameSource):
         return self._rig
 
     def wait(self, timeout_s):
-        time.sleep(0.004)
+        time.sleep(0.015)
         return not self.silent.is_set()
 
     def next_frame(self) -> SensorFrame:
