@@ -13,6 +13,8 @@ from ..compiling import inline, kernel
 from ..simd import (
     LANES,
     as_ints,
+    bits,
+    count_trailing_zeros,
     doubles,
     floats,
     ints,
@@ -25,7 +27,7 @@ from ..simd import (
     total,
     where,
 )
-from .grid import FARTHEST, MARGIN, MOST_SINGLE_RADIUS
+from .grid import FAR, FARTHEST, MARGIN, MOST_SINGLE_RADIUS
 from .tiles import PLANE_SLACK, SQUARE_SLACK
 
 _ZERO = np.float32(0.0)
@@ -34,6 +36,8 @@ _NONE = np.int32(0)
 
 #: Windows fill one vector a row, then twice as many and so on.
 _FIRST_RADIUS = 7
+#: Groups of all points, by vectors, when a point is compared with all.
+_GROUPS = 16
 #: Interpolation steps, after which the bracket is walked through value by value.
 _STEPS = 10
 
@@ -181,14 +185,38 @@ def search_all(chosen: Any, points: Any, k: Any, means: Any) -> None:
     """
     count = len(points)
     vectors = (count + LANES - 1) // LANES
-    squares = np.full(vectors * LANES, _HUGE)
+    xs, ys = np.zeros(vectors * LANES, np.float32), np.zeros(vectors * LANES, np.float32)
+    zs = np.full(vectors * LANES, FAR)
+    for j in range(count):
+        xs[j], ys[j], zs[j] = points[j, 0], points[j, 1], points[j, 2]
+    squares = np.empty(vectors * LANES, np.float32)
+    kept = np.empty((vectors + 1) * LANES, np.float32)
+    nearest = np.empty(_GROUPS * LANES, np.float32)
     minima = np.empty(LANES, np.float32)
     for i in chosen:
-        x, y, z = points[i, 0], points[i, 1], points[i, 2]
+        x, y, z = floats(points[i, 0]), floats(points[i, 1]), floats(points[i, 2])
+        # The k smallest of the groups' least distances are distances, too, so the k-th bounds the k-th of all.
+        nearest[:] = _HUGE
+        for j in range(vectors):
+            dx = x - load(xs, j * LANES)
+            dy = y - load(ys, j * LANES)
+            dz = z - load(zs, j * LANES)
+            square = multiply_add(dz, dz, multiply_add(dy, dy, dx * dx))
+            group = j % _GROUPS * LANES
+            store(squares, j * LANES, square)
+            store(nearest, group, lesser(load(nearest, group), square))
+        nearest.sort()
+        bound = nearest[k - 1] if k <= len(nearest) else _HUGE
+        found = 0
+        for j in range(vectors):
+            near = bits(load(squares, j * LANES) <= floats(bound))
+            while near != 0:
+                kept[found] = squares[j * LANES + count_trailing_zeros(near)]
+                found += 1
+                near &= near - 1
+        found = min(found, count)
         farthest = _ZERO
-        for j in range(count):
-            dx, dy, dz = x - points[j, 0], y - points[j, 1], z - points[j, 2]
-            square = dx * dx + dy * dy + dz * dz
-            squares[j] = square
-            farthest = max(farthest, square)
-        means[i] = _mean_of_nearest(squares, vectors, farthest, count, k, minima)
+        for j in range(found):
+            farthest = max(farthest, kept[j])
+        kept[found : found + LANES] = _HUGE
+        means[i] = _mean_of_nearest(kept, (found + LANES - 1) // LANES, farthest, found, k, minima)
