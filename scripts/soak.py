@@ -68,6 +68,7 @@ class Soak(QObject):
         window.worker.recordingEnded.connect(self._recorded)
         window.worker.recordingFailed.connect(self._fail)
         window.worker.openFailed.connect(lambda name, sentence: self._fail(sentence))
+        window.error_hook.raised.connect(self._give_up)
         window.worker.stateChanged.connect(self._hear)
         window.frameShown.connect(self._start)
         self._every(HEARTBEAT_MS, self._beat)
@@ -99,13 +100,8 @@ class Soak(QObject):
         tally.dropped += status.dropped
         if end.reason or status.error:
             self._fail(end.reason or status.error)
-        try:
-            with open_source(str(status.path)) as recording:
-                if recording.length != status.frames:
-                    self._fail(f"{status.path.name} has {recording.length} frames instead of {status.frames}")
-        except TactuneError as error:
-            self._fail(str(error))
-        status.path.unlink()
+        if status.frames:  # of none no file is kept
+            self._check(status.path, status.frames)
         if tally.memory:
             tally.cycles.append(tuple(np.median(tally.memory, axis=0)))  # type: ignore[arg-type]
             tally.memory.clear()
@@ -116,6 +112,15 @@ class Soak(QObject):
         if children() != self._children:
             self._fail("the capture process was restarted")
         self._window.close_without_asking()
+
+    def _check(self, path: Path, frames: int) -> None:
+        try:
+            with open_source(str(path)) as recording:
+                if recording.length != frames:
+                    self._fail(f"{path.name} has {recording.length} frames instead of {frames}")
+        except TactuneError as error:
+            self._fail(str(error))
+        path.unlink(missing_ok=True)
 
     def _sample(self) -> None:
         if self._children:
@@ -132,6 +137,11 @@ class Soak(QObject):
         if self._children:
             self.tally.longest_gap_s = max(self.tally.longest_gap_s, now_s - self._beat_s)
         self._beat_s = now_s
+
+    def _give_up(self, sentence: str) -> None:
+        """End the run after an error in the window or in this script."""
+        self.tally.problems.append(sentence)
+        self._window.close_without_asking()
 
     def _fail(self, sentence: str) -> None:
         self.tally.problems.append(sentence)
@@ -204,6 +214,7 @@ def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
     with tempfile.TemporaryDirectory(prefix="tactune-soak-") as name:
         folder = Path(name)
         window = MainWindow(preset, Settings(folder / "window.ini"), folder, native_dialogs=False)
+        window.error_hook.install()
         window.resize(1280, 800)
         soak = Soak(window, folder, seconds, cycle_s)
         window.show()
@@ -219,6 +230,8 @@ def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
 def judge(tally: Tally, seconds: float, before: dict[str, Counter[str]]) -> list[str]:
     """Print what was measured and return what is wrong, in sentences."""
     wrong = list(tally.problems)
+    if not tally.frames:
+        wrong.append("nothing was recorded")
     warm = [cycle for cycle in tally.cycles if cycle[0] >= min(5.0, seconds / 60 / 3)]
     table = np.array(warm or np.zeros((0, 3)))
     print(f"recorded          {tally.frames} frames in {tally.recordings} recordings, {tally.dropped} dropped")
