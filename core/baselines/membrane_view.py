@@ -11,9 +11,11 @@ from ..frames import Rig
 from ..preset import AlignmentSection
 
 _STEPS = 12
-_SETTLED_M = 2e-4
-#: Where a search starts: a usual distance of the membrane.
-_START_M = 0.3
+#: Noise makes the last steps go back and forth between neighbouring pixels by less than this.
+_SETTLED_M = 1e-3
+#: Where searches start, as quantiles of the measured depths: a ray that misses the membrane at the
+#: one may meet it at the next.
+_STARTS = (0.5, 0.01, 0.99)
 
 
 class MembraneView:
@@ -58,13 +60,12 @@ class MembraneView:
         float64, shape (H, W)
             nan where the tactile camera does not see it.
         """
-        z = np.full(len(self._directions), _START_M)
-        miss = np.zeros_like(z)
-        for _ in range(_STEPS):
-            counts, expected = self._look_up(tactile_depth, z)
-            miss = np.where(counts > 0, counts * self._factor + self._offset - expected, np.nan)
-            z = np.where(np.isnan(miss), z, z + miss)
-        z[np.isnan(miss) | (np.abs(miss) > _SETTLED_M)] = np.nan
+        z = np.full(len(self._directions), np.nan)
+        seen = tactile_depth[valid_depth(tactile_depth)]
+        starts = np.quantile(seen, _STARTS) * self._factor + self._offset if len(seen) else ()
+        for start in starts:
+            still = np.flatnonzero(np.isnan(z))
+            z[still] = self._search(tactile_depth, still, float(start))
         return z.reshape(self._rig.proximity.intrinsics.shape)
 
     def pick(self, mask: npt.NDArray[np.bool_], tactile_depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:
@@ -84,17 +85,23 @@ class MembraneView:
         points *= 1.0 + self._offset / np.maximum(points[:, 2:], 1e-9)
         return np.asarray(points @ self._T_p_t[:3, :3].T + self._T_p_t[:3, 3], np.float32)
 
-    def _look_up(
-        self, tactile_depth: npt.NDArray[np.uint16], z: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Return the counts (0: none) seen where points at depth z should be, and their expected depth."""
-        row, column, inside = self._pixels(z, slice(None))
-        counts = tactile_depth[row, column]
-        expected = self._directions[:, 2] * z + self._origin[2]
-        return np.where(inside & (counts != 65535), counts, 0).astype(np.float64), expected
+    def _search(
+        self, tactile_depth: npt.NDArray[np.uint16], which: npt.NDArray[np.intp], start_m: float
+    ) -> npt.NDArray[np.float64]:
+        """Return the depth at which some rays meet the membrane, nan where the search does not settle."""
+        z, miss = np.full(len(which), start_m), np.full(len(which), np.nan)
+        directions = self._directions[which, 2]
+        for _ in range(_STEPS):
+            row, column, inside = self._pixels(z, which)
+            counts = np.where(inside, tactile_depth[row, column], 0)
+            measured = np.where(valid_depth(counts), counts * self._factor + self._offset, np.nan)
+            miss = measured - (directions * z + self._origin[2])
+            z = np.where(np.isnan(miss), z, z + miss)
+        z[~(np.abs(miss) <= _SETTLED_M)] = np.nan
+        return z
 
     def _pixels(
-        self, z: npt.NDArray[np.float64], which: npt.NDArray[np.intp] | slice
+        self, z: npt.NDArray[np.float64], which: npt.NDArray[np.intp]
     ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp], npt.NDArray[np.bool_]]:
         """Return row, column and whether the tactile camera sees the points at depth z on some rays."""
         camera = self._rig.tactile.intrinsics
