@@ -115,10 +115,10 @@ class SoftwareCamera:
         depth_sensor.add_read_only_option(rs.option.depth_units, unit_m)
         if not is_l515:
             depth_sensor.add_read_only_option(rs.option.stereo_baseline, 18.0)
-        for option, (low, high, step, default) in _options(rs, is_l515).items():
-            extent = rs.option_range()
-            extent.min, extent.max, extent.step, extent.default = low, high, step, default
-            depth_sensor.add_option(option, extent, True)
+        for option, limits in _options(rs, is_l515).items():
+            depth_sensor.add_option(option, _extent(rs, *limits), True)
+        for sensor in dict.fromkeys((depth_sensor, color_sensor)):
+            sensor.add_option(rs.option.global_time_enabled, _extent(rs, 0, 1, 1, 0 if is_l515 else 1), True)
         self._profiles = {
             "depth": depth_sensor.add_video_stream(self._stream("depth", WIDTH, HEIGHT), True),
             "color": color_sensor.add_video_stream(self._stream("color", WIDTH, HEIGHT), True),
@@ -146,6 +146,12 @@ class SoftwareCamera:
         while self.held:
             self.held.popleft()()
         self._send(number, time_s)
+
+    @property
+    def global_time(self) -> list[bool]:
+        """Whether depth and colour stamps are asked to count on the computer's clock."""
+        option = self._rs.option.global_time_enabled
+        return [self._sensors[stream].get_option(option) == 1.0 for stream in ("depth", "color")]
 
     def _send(self, number: int, time_s: float) -> None:
         for stream in self.streams:
@@ -189,6 +195,12 @@ class SoftwareCamera:
             lens.fx, lens.fy = (461.0, 462.5) if self.role == "proximity" else (433.75, 433.5)
             lens.model, lens.coeffs = rs.distortion.none, [0.0] * 5
         return lens
+
+
+def _extent(rs: Any, low: float, high: float, step: float, default: float) -> Any:
+    extent = rs.option_range()
+    extent.min, extent.max, extent.step, extent.default = low, high, step, default
+    return extent
 
 
 def _options(rs: Any, is_l515: bool) -> dict[Any, tuple[float, float, float, float]]:

@@ -98,6 +98,13 @@ def test_an_l515_starts_at_short_range_and_options_can_be_changed(session):
     session.read(3)
 
 
+def test_both_cameras_stamp_on_the_computers_clock():
+    rig = SoftwareRig()
+    assert rig.cameras["proximity"].global_time == [False, False]
+    with RealSenseSource(devices=rig.devices):
+        assert all(all(camera.global_time) for camera in rig.cameras.values())
+
+
 def test_options_of_the_preset_are_set_before_the_first_image_and_refusals_are_told():
     cameras = CamerasSection(
         proximity=CameraSection(options={"laser_power": 30.0, "visual_preset": 4.0, "min_distance": 9_999.0}),
@@ -171,7 +178,7 @@ def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(ses
     monkeypatch.setattr("tactune.core.sources.realsense.source._HUNG_S", 0.5)
     monkeypatch.setattr("tactune.core.sources.realsense.session.Session.read", lambda *_: released.wait() and None)
     try:
-        with pytest.raises(SourceError, match="driver does not come back from the (L515|D405)"):
+        with pytest.raises(SourceError, match=r"driver does not come back from the (L515|D405)"):
             session.read(1_000)
     finally:
         released.set()
