@@ -11,8 +11,9 @@ from ..frames import Rig
 from ..preset import AlignmentSection
 
 _STEPS = 12
-#: Noise makes the last steps go back and forth between neighbouring pixels by less than this.
-_SETTLED_M = 1e-3
+_SETTLED_M = 2e-4
+#: Noise makes the steps go back and forth between neighbouring pixels by less than this.
+_WAVERING_M = 1e-3
 #: Where searches start, as quantiles of the measured depths: a ray that misses the membrane at the
 #: one may meet it at the next.
 _STARTS = (0.5, 0.01, 0.99)
@@ -89,16 +90,21 @@ class MembraneView:
         self, tactile_depth: npt.NDArray[np.uint16], which: npt.NDArray[np.intp], start_m: float
     ) -> npt.NDArray[np.float64]:
         """Return the depth at which some rays meet the membrane, nan where the search does not settle."""
-        z, miss = np.full(len(which), start_m), np.full(len(which), np.nan)
-        directions = self._directions[which, 2]
-        for _ in range(_STEPS):
-            row, column, inside = self._pixels(z, which)
+        found = np.full(len(which), np.nan)
+        open_, z = np.arange(len(which)), np.full(len(which), start_m)
+        for step in range(_STEPS):
+            rays = which[open_]
+            row, column, inside = self._pixels(z, rays)
             counts = np.where(inside, tactile_depth[row, column], 0)
-            measured = np.where(valid_depth(counts), counts * self._factor + self._offset, np.nan)
-            miss = measured - (directions * z + self._origin[2])
-            z = np.where(np.isnan(miss), z, z + miss)
-        z[~(np.abs(miss) <= _SETTLED_M)] = np.nan
-        return z
+            measured = counts * self._factor + self._offset
+            miss = measured - (self._directions[rays, 2] * z + self._origin[2])
+            seen = valid_depth(counts)
+            z = z + miss
+            settled = seen & (np.abs(miss) <= (_SETTLED_M if step < _STEPS - 1 else _WAVERING_M))
+            found[open_[settled]] = z[settled]
+            go_on = seen & ~settled
+            open_, z = open_[go_on], z[go_on]
+        return found
 
     def _pixels(
         self, z: npt.NDArray[np.float64], which: npt.NDArray[np.intp]
