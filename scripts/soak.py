@@ -264,8 +264,8 @@ def main() -> int:
     seconds = 60 * options.minutes
     cycle_s = min(options.recording_seconds, seconds / 20)
     # What is loaded once and kept (compiled kernels, thread pools, fonts) is no leak: a first window loads it.
-    warm_up = run_window(options.source, 2.0, 1.0)
-    if warm_up.problems:
+    warm_up = run_window(options.source, 8.0, 4.0)
+    if not warm_up.frames:
         print("\n".join(warm_up.problems), file=sys.stderr)
         return 1
     before = open_things()
