@@ -62,7 +62,7 @@ def reference_patch(preset: Preset, rig: Rig, frame: SensorFrame, dtype: Any = n
         provenance[contact & _membrane_colored(points, frame, rig, preset.mask, dtype)] = Provenance.MASKED
     if preset.outliers.enabled:
         where = np.argwhere(provenance == Provenance.CONTACT)
-        rejected = where[~_inliers(points[tuple(where.T)], preset.outliers.k, preset.outliers.ratio)]
+        rejected = where[~inliers(points[tuple(where.T)], preset.outliers.k, preset.outliers.ratio)]
         provenance[tuple(rejected.T)] = Provenance.OUTLIER
     if preset.outliers.min_cluster_area_mm2 > 0:
         provenance[_in_small_cluster(provenance, depth, rig, preset)] = Provenance.SMALL_CLUSTER
@@ -147,8 +147,8 @@ def _membrane_colored(points: Array, frame: SensorFrame, rig: Rig, section: Mask
     return np.asarray(inside & colored[row, column])
 
 
-def _inliers(points: Array, k: int, ratio: float) -> Array:
-    """Open3D's statistical outlier removal, spelled out."""
+def inliers(points: Array, k: int, ratio: float) -> npt.NDArray[np.bool_]:
+    """Open3D's statistical outlier removal of points (N, 3), spelled out."""
     count = len(points)
     if count < 2:
         return np.zeros(count, bool)

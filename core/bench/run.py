@@ -14,7 +14,8 @@ from ..clouds import ray_table
 from ..errors import TactuneError
 from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
 from ..provenance import Provenance
-from ..reference import reference_patch
+from ..reference import inliers, reference_patch
+from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
 from .registry import Engine, Job, Outcome, Runner, engines
 from .scenes import BenchScene, make_scene
@@ -135,25 +136,21 @@ def _row(
 
 def expected_mask(scene: BenchScene, job: Job) -> Bools:
     """Return the mask that an exact engine of this job gives, from the float64 reference."""
-    if job == Job.PIPELINE:
-        return reference_mask(scene)
-    if job == Job.PER_PIXEL:
-        return reference_mask(scene, outliers=False)
-    return reference_mask(scene, clusters=False)
+    if job == Job.OUTLIERS:
+        points, pixels = candidate_points(scene)
+        section = scene.preset.outliers
+        return mask_of(scene, pixels[inliers(points, section.k, section.ratio)])
+    return reference_mask(scene, outliers=job == Job.PIPELINE)
 
 
-_MASKS: dict[tuple[int, bool, bool], tuple[BenchScene, Bools]] = {}
+_MASKS: dict[tuple[int, bool], tuple[BenchScene, Bools]] = {}
 
 
-def reference_mask(scene: BenchScene, *, outliers: bool = True, clusters: bool = True) -> Bools:
-    """Return the contact mask of the float64 reference, with or without its last stages; kept."""
-    key = (id(scene), outliers, clusters)
+def reference_mask(scene: BenchScene, *, outliers: bool = True) -> Bools:
+    """Return the contact mask of the float64 reference, with or without its last two stages; kept."""
+    key = (id(scene), outliers)
     if key not in _MASKS:
-        values: dict[str, Any] = {}
-        if not outliers:
-            values = {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0}
-        elif not clusters:
-            values = {"outliers.min_cluster_area_mm2": 0.0}
+        values = {} if outliers else {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0}
         preset = scene.preset.with_values(values)
         found = reference_patch(preset, scene.rig, scene.frame, np.float64)
         _MASKS[key] = scene, found.provenance == Provenance.CONTACT

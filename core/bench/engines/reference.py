@@ -57,7 +57,7 @@ def per_pixel(scene: BenchScene) -> Runner:
 @engine("reference-outliers", Job.OUTLIERS, "Open3D remove_statistical_outlier", baseline=True, needs=("open3d",))
 def outliers_only(scene: BenchScene) -> Runner:
     """Open3D's statistical outlier removal of the scene's candidates."""
-    points, pixels = _candidates(scene)()
+    points, pixels = candidate_points(scene)
     section = scene.preset.outliers
 
     def run() -> Outcome:
@@ -68,8 +68,12 @@ def outliers_only(scene: BenchScene) -> Runner:
 
 
 def candidate_points(scene: BenchScene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
-    """Return the points (N, 3) in metres and flat pixels (N,) that outlier removal starts from."""
-    return _candidates(scene)()
+    """Return the points (N, 3) in metres and flat pixels (N,) that outlier removal starts from.
+
+    Coordinates are float64 numbers that float32 holds as well, so that every engine gets the same points.
+    """
+    points, pixels = _candidates(scene)()
+    return points.astype(np.float32).astype(np.float64), pixels
 
 
 def candidate_colors(scene: BenchScene) -> Any:
