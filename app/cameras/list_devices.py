@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import json
 import sys
+from dataclasses import asdict
 
 from ...core.errors import TactuneError
-
-#: What is told of each device.
-FIELDS = ("model", "serial", "firmware", "usb", "problem")
 
 
 def main() -> int:
     """Write ``{"devices": [...], "hint": sentence}`` or ``{"problem": sentence}`` to standard output.
 
-    The hint says why this driver finds no L515.
+    A device has the fields of `DeviceInfo`. The hint says why this driver finds no L515.
     """
     from ...core.sources.realsense.devices import list_devices
     from ...core.sources.realsense.driver import driver_version, no_l515_sentence
 
     try:
-        devices = [{name: getattr(device, name) for name in FIELDS} for device in list_devices()]
+        devices = [asdict(device) for device in list_devices()]
         answer: dict[str, object] = {"devices": devices, "hint": no_l515_sentence(driver_version())}
     except TactuneError as error:
         answer = {"problem": str(error)}

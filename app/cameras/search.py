@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
-
-from .list_devices import FIELDS
 
 #: Loading the driver takes a second or two; a hanging one is given up after this time.
 PATIENCE_MS = 15_000
@@ -127,5 +125,5 @@ def sentence_of(words: str) -> str:
 
 
 def _camera(device: dict[str, Any]) -> FoundCamera:
-    texts = {name: str(device.get(name, "") or "") for name in FIELDS}
+    texts = {field.name: str(device.get(field.name, "") or "") for field in fields(FoundCamera)}
     return FoundCamera(**texts)

@@ -8,10 +8,13 @@ from pathlib import Path
 import pytest
 
 from tactune.app import cli_devices
+from tactune.app.cameras import list_devices
 from tactune.app.diagnostics import doctor, doctor_cameras
 from tactune.app.diagnostics.doctor import Child
 from tactune.app.diagnostics.doctor_cameras import UsbCamera
+from tactune.core.sources.realsense import devices as realsense_devices
 from tactune.core.sources.realsense import driver
+from tactune.core.sources.realsense.devices import DeviceInfo, StreamMode
 
 
 def mode(stream, width, height, rate_hz, format_="z16"):
@@ -120,3 +123,24 @@ def test_a_missing_driver_is_one_sentence(tactune, answer):
 def test_the_program_that_is_asked_exists():
     finished = doctor.run_child([cli_devices.sys.executable, *cli_devices._PROGRAM], 30.0)
     assert {"devices", "problem"} & set(finished.answer()), finished
+
+
+def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, monkeypatch, capsys):
+    modes = tuple(StreamMode(**each) for each in L515["modes"])
+    connected = [DeviceInfo(**{**L515, "modes": modes}), DeviceInfo("unknown", "", problem="it does not answer")]
+    monkeypatch.setattr(realsense_devices, "list_devices", lambda: connected)
+    assert list_devices.main() == 0
+    written = capsys.readouterr().out
+    monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(written))
+    done = tactune("devices")
+    assert done.status == 0
+    assert done.out.splitlines() == [
+        "L515, serial f0190001",
+        "  firmware 1.5.8.1, USB 3.2",
+        "  color: 640 x 480 at 15, 30 Hz",
+        "  depth: 640 x 480 at 30 Hz; 1024 x 768 at 30 Hz",
+        "unknown, serial unknown",
+        "  firmware unknown, USB version unknown",
+        "  It does not answer.",
+    ]
+    assert json.loads(tactune("devices", "--json").out)["devices"][0] == L515
