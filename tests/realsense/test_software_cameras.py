@@ -88,7 +88,9 @@ def test_an_l515_starts_at_short_range_and_options_can_be_changed(session):
     assert values["tactile", "visual_preset"] == 0.0
     visual_preset = source.options()[0]
     assert (5.0, "short range") in visual_preset.choices
-    assert (visual_preset.minimum, visual_preset.maximum, visual_preset.default) == (0.0, 5.0, 3.0)
+    assert (visual_preset.minimum, visual_preset.maximum, visual_preset.default) == (0.0, 5.0, 5.0)
+    source.set_option("proximity", "visual_preset", 3.0)
+    assert source.options()[0].default == 5.0, "what a preset without a word of it means"
     source.set_option("tactile", "exposure", 12_000.0)
     assert options_of(source)["tactile", "exposure"] == 12_000.0
     with pytest.raises(SourceError, match=r"L515 .*refuses laser_power = 101.*allowed are 0 to 100"):

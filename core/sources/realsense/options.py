@@ -109,7 +109,8 @@ class SensorOptions:
             minimum=float(extent.min),
             maximum=float(extent.max),
             step=float(extent.step),
-            default=float(extent.default),
+            # What a camera gets where a preset says nothing: presets leave such values out.
+            default=wanted_options(self.info, {}).get(name, float(extent.default)),
             value=float(self.sensor.get_option(option)),
             unit=unit,
             choices=self._choices(option, extent) if name == VISUAL_PRESET else (),
