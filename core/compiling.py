@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from numba import njit
 
+_PACKAGE = f"{__name__.partition('.')[0]}."
 _kernels: list[Any] = []
 
 
-def kernel(function: Callable[..., Any]) -> Any:
-    """Compile a function at its first call; keep the machine code for the next process.
+def kernel(function: Callable[..., Any], **options: Any) -> Any:
+    """Compile a function at its first call, with numba's options; keep the machine code for the next process.
 
     numba keeps it beside the source, or else in the user's cache folder, or where the environment's
     ``NUMBA_CACHE_DIR`` says. Where none of them can be written, the kernel is compiled in each process.
     """
     try:
-        compiled = njit(nogil=True, cache=True)(function)
+        compiled = njit(nogil=True, cache=True, **options)(function)
+        # numba looks at the kernel's own file only, but other files' code is compiled into it
+        compiled._cache._cache_file._source_stamp = _stamp(function)
     except RuntimeError:  # numba found no place to keep it
-        compiled = njit(nogil=True)(function)
+        compiled = njit(nogil=True, **options)(function)
     _kernels.append(compiled)
     return compiled
 
@@ -29,6 +35,32 @@ def kernel(function: Callable[..., Any]) -> Any:
 def inline(function: Callable[..., Any]) -> Any:
     """Compile a function into each kernel that calls it."""
     return njit(inline="always")(function)
+
+
+def _stamp(function: Callable[..., Any]) -> tuple[tuple[str, int, int], ...]:
+    """Return name, time and size of every file of ours whose code may be part of a kernel."""
+    files = [(path, path.stat()) for path in map(Path, _sources(function.__module__)) if path.exists()]
+    return tuple((path.name, stat.st_mtime_ns, stat.st_size) for path, stat in files)
+
+
+@cache
+def _sources(module_name: str) -> tuple[str, ...]:
+    """Return the files of a module and, in turn, of those of ours that it takes functions or classes from."""
+    found: dict[str, str] = {}
+    waiting = [module_name]
+    while waiting:
+        name = waiting.pop()
+        module = sys.modules.get(name)
+        file = getattr(module, "__file__", None)
+        if name in found or module is None or file is None:
+            continue
+        found[name] = file
+        for value in list(vars(module).values()):
+            python = getattr(value, "py_func", value)
+            home = python.__name__ if isinstance(python, ModuleType) else getattr(python, "__module__", None)
+            if isinstance(home, str) and home.startswith(_PACKAGE):
+                waiting.append(home)
+    return tuple(found[name] for name in sorted(found))
 
 
 @dataclass(frozen=True)
@@ -57,9 +89,9 @@ def compiled_so_far() -> Compiled:
 
 
 def is_kept(compiled: Any) -> bool:
-    """Tell whether a kernel's machine code lies on the disk, younger than its source."""
+    """Tell whether a kernel's machine code lies on the disk, younger than its sources."""
     folder, source = compiled.stats.cache_path, Path(compiled.py_func.__code__.co_filename)
     if not folder:
         return False
-    written = [file.stat().st_mtime for file in Path(folder).glob(f"{source.stem}.{compiled.__name__}-*.nbi")]
-    return bool(written) and max(written) >= source.stat().st_mtime
+    written = [file.stat().st_mtime_ns for file in Path(folder).glob(f"{source.stem}.{compiled.__name__}-*.nbi")]
+    return bool(written) and max(written) >= max(time_ns for _, time_ns, _ in _stamp(compiled.py_func))

@@ -7,12 +7,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
 from ..calibration_record import SnapshotRecord
 from ..clouds import valid_depth
+from ..compiling import kernel
 from ..errors import CalibrationError
 from ..frames import Float64Array, SensorFrame
 
@@ -167,7 +167,7 @@ def _check_sizes(images: Sequence[npt.NDArray[Any]]) -> None:
             )
 
 
-@numba.njit(cache=True, nogil=True)
+@kernel
 def _median_rows(stack: npt.NDArray[np.uint16], out: npt.NDArray[np.uint16]) -> None:
     """Write the lower median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
     height, width, count = stack.shape

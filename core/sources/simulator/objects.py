@@ -15,7 +15,8 @@ from typing import Any, Final, TypeVar, cast
 
 import numpy as np
 import numpy.typing as npt
-from numba import njit
+
+from ...compiling import kernel
 
 Float64Array = npt.NDArray[np.float64]
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
@@ -47,8 +48,7 @@ _NORMAL_STEP: Final = 2e-6
 
 def compiled(function: _Kernel) -> _Kernel:
     """Compile a kernel: kept on disk, free of the interpreter lock, and the same bits every time."""
-    kernel: Any = njit(cache=True, nogil=True, error_model="numpy")(function)
-    return cast(_Kernel, kernel)
+    return cast(_Kernel, kernel(function, error_model="numpy"))
 
 
 @dataclass(frozen=True)
