@@ -20,7 +20,7 @@ from tactune.core.errors import SourceError
 from tactune.core.frames import SensorFrame
 from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.messages import Opened
+from tactune.core.sources.process.messages import FrameReady, Heartbeat, Opened
 from tactune.core.sources.process.watch import Patience
 
 #: All that a troubled source sends.
@@ -194,7 +194,7 @@ from pathlib import Path
 from capture_sources import open_troubled
 from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.messages import Opened
+from tactune.core.sources.process.messages import FrameReady, Heartbeat, Opened
 from tactune.core.sources.process.watch import Patience
 with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
     source.next_frame()
@@ -226,3 +226,17 @@ def test_a_machine_that_is_too_busy_is_no_silence_of_the_process() -> None:
     for _ in range(10):
         patience.silent(waited_s=0.1)
     assert patience.problem == "has given no sign of life for 1 s"
+
+
+def test_what_has_come_back_after_long_is_no_hang() -> None:
+    """Opening may take longer than a first frame, and a first frame longer than the others."""
+    patience = Patience()
+    patience.heard(Heartbeat(Health(), 60.0))
+    patience.heard(Opened("a", make_rig(), 30.0, Health(), 1))
+    assert patience.problem == ""
+    patience.heard(Heartbeat(Health(), 5.0))
+    assert patience.problem == ""
+    patience.heard(FrameReady(0, (), 0, 0.0, 0.0, 0))
+    assert patience.problem == ""
+    patience.heard(Heartbeat(Health(), 5.0))
+    assert "has waited 5.0 s for its source" in patience.problem

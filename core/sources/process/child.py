@@ -109,6 +109,7 @@ class _Capture:
         reserve_memory(self._memory, SLOTS * size)
         ring = Ring(self._memory, SLOTS, size)
         self._health = source.health()
+        self._round_s = time.monotonic()  # a long opening is over
         self._send(Opened(source.name, rig, source.frame_rate_hz, self._health, size))
         while not self._stop.is_set():
             self._round_s = time.monotonic()
@@ -119,6 +120,7 @@ class _Capture:
             if not source.wait(_ROUND_S):
                 continue
             frame = source.next_frame()
+            self._round_s = time.monotonic()  # what is left to do is no waiting for the source
             if frame is None:
                 self._send(Ended())
                 return

@@ -49,6 +49,8 @@ class Patience:
     def heard(self, message: object) -> None:
         """Note a message from the process."""
         self._silent = 0
+        if isinstance(message, Opened | FrameReady):
+            self._busy_s = 0.0  # it took long, but it has come back
         if isinstance(message, Opened):
             self._silent_limit_s, self._busy_limit_s = _SILENT_S, _BUSY_FIRST_FRAME_S
         elif isinstance(message, FrameReady):
