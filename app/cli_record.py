@@ -45,7 +45,7 @@ def record(
     frames: _Frames = None,
     force: _Force = False,
 ) -> None:
-    """Record into a ROS 2 bag (MCAP). Ctrl+C ends the recording; so does the end of the source.
+    """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
 
     A recording or the simulator is written completely, however long that takes; a live source does
     not wait, and what the disk was too slow for is counted and said.
@@ -64,8 +64,9 @@ def record(
         with SessionWriter(
             out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=opened.reference()
         ) as writer:
+            lost_before = opened.health().dropped
             _record_frames(opened, writer, frames, seconds)
-        _tell(opened, writer.close())
+        _tell(opened, writer.close(), lost_before)
 
 
 def convert(
@@ -120,7 +121,7 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
     if seconds is not None and live:
         end_s = time.monotonic() + seconds
     elif seconds is not None and total is not None:
-        total = min(total, math.ceil(seconds * source.frame_rate_hz))
+        total = math.ceil(min(total, seconds * source.frame_rate_hz))
     said = ""
     done = 0
     with CliProgress() as progress, _interrupt() as interrupted:
@@ -140,7 +141,7 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
             progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
 
 
-def _tell(source: FrameSource, status: RecordingStatus) -> None:
+def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
     from .cli_run import counted, warn
 
     if status.error:
@@ -148,7 +149,7 @@ def _tell(source: FrameSource, status: RecordingStatus) -> None:
         raise ExportError(status.error + kept)
     if status.dropped:
         warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
-    if lost := source.health().dropped:
+    if lost := source.health().dropped - lost_before:
         warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
     size = f"{status.bytes / 1e6:.1f} MB"
     typer.echo(
@@ -166,16 +167,21 @@ def _refuse_existing(path: Path, force: bool) -> None:
 
 @contextmanager
 def _interrupt() -> Iterator[threading.Event]:
-    """Yield what is set at the first Ctrl+C; the second ends the program as usual."""
+    """Yield what is set at the first Ctrl+C or SIGTERM; the second ends the program as usual."""
     pressed = threading.Event()
-    usual = signal.getsignal(signal.SIGINT)
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
 
     def press(*_: object) -> None:
         pressed.set()
-        signal.signal(signal.SIGINT, usual)
+        restore()
 
-    signal.signal(signal.SIGINT, press)
+    for number in usual:
+        signal.signal(number, press)
     try:
         yield pressed
     finally:
-        signal.signal(signal.SIGINT, usual)
+        restore()

@@ -63,7 +63,7 @@ class LiveSource(FrameSource):
         self._asked = 0
         self.given = 0
         self.message = ""
-        self.lost = 0
+        self.lost_each = 0
 
     @property
     def rig(self) -> Any:
@@ -84,7 +84,7 @@ class LiveSource(FrameSource):
         return frame
 
     def health(self) -> Health:
-        return Health(ok=not self.message, message=self.message, dropped=self.lost)
+        return Health(ok=not self.message, message=self.message, dropped=self.lost_each * self.given)
 
 
 @pytest.fixture
@@ -107,7 +107,12 @@ def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune:
 
 
 def test_frames_and_seconds_end_a_recording(tmp_path: Path, recording: Path, tactune: Run) -> None:
-    for option, value, count in (("--frames", 3, 3), ("--seconds", 0.05, 2), ("--seconds", 100, 4), ("--frames", 9, 4)):
+    for option, value, count in (
+        ("--frames", 3, 3),
+        ("--seconds", 0.05, 2),
+        ("--seconds", "inf", 4),
+        ("--frames", 9, 4),
+    ):
         tactune("record", "-s", recording, "-o", tmp_path / "a.mcap", option, value, "--force")
         assert length_of(tmp_path / "a.mcap") == count
 
@@ -153,9 +158,9 @@ def test_what_a_live_source_has_to_say_is_said_once(tmp_path: Path, live: LiveSo
     live.message = "the tactile camera is missing"
     done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--frames", 3)
     assert done.err == "tactune: the tactile camera is missing\n"
-    live.message, live.lost = "", 5
-    done = tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--frames", 3)
-    assert done.err.startswith("tactune: 5 frames lost before they got here;")
+    live.message, live.lost_each = "", 5
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--frames", 2)
+    assert done.err.startswith("tactune: 10 frames lost before they got here;"), "the 15 of the first are no news"
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
@@ -293,14 +298,17 @@ def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path,
     assert "holds contact patches, no images" in tactune("run", "-s", out, "--json").sentence
 
 
-def test_the_command_itself_ends_on_ctrl_c_with_a_whole_file(tmp_path: Path, recording: Path) -> None:
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
+    tmp_path: Path, recording: Path, sent: signal.Signals
+) -> None:
     out = tmp_path / "a.mcap"
     command = [sys.executable, "-m", "tactune.app", "record", "-s", f"live:folder:{recording}", "-o", out]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
         end = time.monotonic() + 60
         while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
             time.sleep(0.05)
-        child.send_signal(signal.SIGINT)
+        child.send_signal(sent)
         printed, said = child.communicate(timeout=60)
     assert child.returncode == 0, said
     with McapSource(out) as source:
