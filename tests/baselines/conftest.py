@@ -29,13 +29,15 @@ BACKDROP_M = 0.5
 
 @dataclass(frozen=True)
 class CircularMembrane:
-    """The membrane in front of both cameras, its middle on the tactile camera's axis."""
+    """The membrane in front of both cameras, its middle ``aside_m`` to the right of the tactile camera's axis."""
 
     rig: Rig
     radius_m: float = 0.095
     apex_m: float = 0.005
     gauge_pressure_pa: float = 1600.0
     housing_m3: float = 0.002
+    rim_m: float = RIM_M
+    aside_m: float = 0.0
 
     def shape(self, r, contact_radius_m: float):
         """Height over the rim's plane per p / p0, metres; p0 / (4 T) is such that the apex is at ``apex_m``."""
@@ -63,10 +65,10 @@ class CircularMembrane:
     def depth_m(self, camera: Intrinsics, middle_x_m: float, contact_radius_m: float):
         """Depth at which each pixel sees the membrane, and how far from its middle, metres; nan outside of it."""
         x, y = np.moveaxis(camera.rays().astype(np.float64), 2, 0)
-        depth = np.full(camera.shape, RIM_M)
+        depth = np.full(camera.shape, self.rim_m)
         for _ in range(50):
             r = np.hypot(x * depth - middle_x_m, y * depth)
-            depth = RIM_M + self.height(r, contact_radius_m)
+            depth = self.rim_m + self.height(r, contact_radius_m)
         return np.where(r <= self.radius_m, depth, np.nan), r
 
     def frame(self, contact_radius_m: float, noise_m: float = 0.0, seed: int = 0, gap_m: float = 0.0) -> SensorFrame:
@@ -75,12 +77,12 @@ class CircularMembrane:
         With a gap the plate hovers that far above the untouched apex, and is as large as c.
         """
         touching = 0.0 if gap_m > 0 else contact_radius_m
-        tactile, _ = self.depth_m(self.rig.tactile.intrinsics, 0.0, touching)
+        tactile, _ = self.depth_m(self.rig.tactile.intrinsics, self.aside_m, touching)
         tactile = tactile + np.random.default_rng(seed).normal(0, noise_m, tactile.shape)
-        membrane, r = self.depth_m(self.rig.proximity.intrinsics, BASELINE_M, touching)
-        plate_m = RIM_M + (self.apex_m + gap_m if gap_m > 0 else self.height(contact_radius_m, contact_radius_m))
+        membrane, r = self.depth_m(self.rig.proximity.intrinsics, BASELINE_M + self.aside_m, touching)
+        plate_m = self.rim_m + (self.apex_m + gap_m if gap_m > 0 else self.height(contact_radius_m, contact_radius_m))
         x, y = np.moveaxis(self.rig.proximity.intrinsics.rays().astype(np.float64), 2, 0)
-        on_plate = np.hypot(x * plate_m - BASELINE_M, y * plate_m) < contact_radius_m
+        on_plate = np.hypot(x * plate_m - BASELINE_M - self.aside_m, y * plate_m) < contact_radius_m
         color = np.zeros((*self.rig.proximity_color_shape, 3), np.uint8)
         return SensorFrame(
             sequence=seed,

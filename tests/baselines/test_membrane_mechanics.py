@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.sparse.linalg import spsolve
@@ -123,6 +125,19 @@ def test_the_program_is_the_membranes_balance_in_si_units(bulged):
     assert rise == pytest.approx(-(101_325.0 + p0) / volume * float(areas @ u), rel=1e-6)
 
 
+def test_ways_along_rays_are_displacements_along_normals(bulged):
+    """A membrane moved away by 1 mm has moved by that times the z of its normals, however rays meet it."""
+    aside = replace(bulged, radius_m=0.04, apex_m=0.01, aside_m=0.11)
+    method = mechanics(aside, nodes=120, crop_px=3)
+    mesh = method.problem.mesh
+    counts = replace(aside, rim_m=aside.rim_m + 0.001).frame(0.0).tactile_depth
+    program = method.problem.program(method.way_m(counts))
+    fitted_mm = -program.q / np.where(program.P.diagonal() > 0, program.P.diagonal(), np.inf)
+    inner = ~mesh.rim
+    assert mesh.facing[inner].min() < 0.85
+    np.testing.assert_allclose(fitted_mm[: len(inner)][inner], mesh.normals[inner, 2], rtol=0.03)
+
+
 def test_nothing_presses_on_the_untouched_membrane(bulged):
     patch = mechanics(bulged).find(bulged.frame(0.0, noise_m=0.0003, seed=5))
     assert len(patch.points) == 0
@@ -209,6 +224,4 @@ def mechanics(membrane, **parameters) -> MembraneMechanics:
 
 
 def with_tactile(frame, counts):
-    from dataclasses import replace
-
     return replace(frame, tactile_depth=counts)

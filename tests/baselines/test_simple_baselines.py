@@ -40,6 +40,7 @@ class TestMembraneView:
         assert np.abs(found - frame.truth.depth_m)[sure].max() < 4e-4
         assert np.sqrt(np.mean((found - frame.truth.depth_m)[sure] ** 2)) < 1e-4
         far = ~np.isfinite(frame.truth.depth_m)
+        assert np.isnan(found[~far]).mean() < 0.003
         assert np.isfinite(found[far]).sum() < 0.02 * far.sum()
 
     def test_depth_scale_and_offset_are_applied(self, bulged):
