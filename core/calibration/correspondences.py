@@ -116,6 +116,8 @@ def read_points(path: Path | str) -> list[Correspondence]:
         No such file, another header, or a bad row: line number, field and value are named.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise CalibrationError(f"cannot read the points {path}: it is no ordinary file; choose a CSV or .points file")
     try:
         text = path.read_text("utf-8-sig")
     except (OSError, UnicodeDecodeError) as error:

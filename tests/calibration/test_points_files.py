@@ -76,3 +76,9 @@ def test_a_bad_row_is_named_with_line_field_and_value(tmp_path, text, words):
 def test_a_file_that_is_not_there_is_named(tmp_path):
     with pytest.raises(CalibrationError, match=r"nowhere\.csv.*No such file"):
         read_points(tmp_path / "nowhere.csv")
+
+
+def test_devices_and_folders_are_no_points_files(tmp_path):
+    for path in (tmp_path, "/dev/zero"):
+        with pytest.raises(CalibrationError, match="no ordinary file"):
+            read_points(path)
