@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any
 
@@ -94,9 +95,12 @@ class McapSource(SeekableSource):
     def frame_rate_hz(self) -> float:
         """The rate that the recording names, else that of its log times."""
         try:
-            return float(self._about["frame_rate_hz"])
+            named_hz = float(self._about["frame_rate_hz"])
         except (KeyError, ValueError):
-            return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
+            named_hz = 0.0
+        if 0.0 < named_hz < math.inf:
+            return named_hz
+        return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
 
     def preset(self) -> Preset | None:
         """Return the preset with which it was recorded, or None where it has none.
@@ -187,7 +191,7 @@ class McapSource(SeekableSource):
         data = self._json_object(self._parse(place, TEXT).data, Topic.FRAME)
         try:
             return int(data["sequence"]), float(data["proximity_time_s"]), float(data["tactile_time_s"])
-        except (KeyError, TypeError, ValueError) as error:
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
             raise SourceError(f"{self._path}: a message of {Topic.FRAME} is damaged; record it again") from error
 
     def _truth(self, index: int) -> GroundTruth | None:

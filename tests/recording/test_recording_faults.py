@@ -149,6 +149,22 @@ def test_flipped_bytes_are_never_more_than_one_sentence(
             assert "\n" not in str(error)
 
 
+@pytest.mark.parametrize("rate", ["0", "-5", "nan", "inf", "many"])
+def test_a_rate_that_cannot_be_is_not_believed(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, monkeypatch: pytest.MonkeyPatch, rate: str
+) -> None:
+    add_metadata = container.McapWriter.add_metadata
+    monkeypatch.setattr(
+        container.McapWriter,
+        "add_metadata",
+        lambda self, name, values: add_metadata(self, name, values | {"frame_rate_hz": rate}),
+    )
+    frames = [replace(frame, proximity_time_s=n / 10) for n, frame in enumerate(make_frames(3))]
+    record(tmp_path / "a.mcap", rig, frames)
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert source.frame_rate_hz == pytest.approx(10.0)
+
+
 @pytest.mark.parametrize(
     ("content", "sentence"),
     [
