@@ -16,7 +16,7 @@ from ..intrinsics import Intrinsics
 Float64Array = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 
-_FEWEST_NODES = 30
+_FEWEST_NODES = 20
 #: Depth that differs so much from its surroundings' mean is a false match, metres.
 _FALSE_MATCH_M = 0.015
 #: Nicks in the region's outline up to this width are closed.
@@ -130,12 +130,13 @@ def build_mesh(
         spacing *= np.sqrt(found / nodes)
     pixels = np.concatenate([outline, inner])
     depth = make_sampler(pixels, spacing, factor_m).sample(reference) * factor_m + offset_m
-    kept = np.isfinite(depth)
-    if np.count_nonzero(kept) < _FEWEST_NODES:
+    kept, rim = np.isfinite(depth), np.arange(len(pixels)) < len(outline)
+    if np.count_nonzero(kept & ~rim) < _FEWEST_NODES:
         raise TactuneError(
-            f"the reference has depth at {np.count_nonzero(kept)} nodes of the membrane's mesh only; take a new one"
+            f"the reference has depth at {np.count_nonzero(kept & ~rim)} nodes within the membrane's outline only, "
+            f"but the mechanics needs {_FEWEST_NODES}; take a new reference or ask for more nodes"
         )
-    pixels, depth, rim = pixels[kept], depth[kept], (np.arange(len(pixels)) < len(outline))[kept]
+    pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]
     triangles = _triangulate(pixels, region)
     used = np.unique(triangles)
