@@ -55,7 +55,7 @@ Source = Annotated[
         "--source",
         "-s",
         metavar="SOURCE",
-        help="Where frames come from: sim, sim:cube, sim:cup, sim:octopus (options as in 'sim:cup?seed=3'), "
+        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), realsense:, live:SOURCE, "
         "folder:PATH, bag:PATH, mcap:PATH, or a path.",
     ),
 ]

@@ -35,6 +35,10 @@ def bench(
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="FILE.md", help="Measure everything and write it as a page with figures."),
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Compare all engines on all scenes, or say with --gate whether the promised speed holds."""
@@ -42,6 +46,9 @@ def bench(
         return
     if gate:
         raise typer.Exit(_run_gate(rounds, as_json))
+    if report is not None:
+        _write_report(report, rounds)
+        return
     _compare(_names(scenes), _names(engines), rounds, growth or plots is not None, plots, as_json)
 
 
@@ -133,6 +140,41 @@ def _compare(
 
         for path in draw_pareto(rows, plots) + draw_growth(points, sizes, plots):
             typer.echo(f"wrote {path}", err=as_json)
+
+
+def _write_report(path: Path, rounds: int) -> None:
+    """Measure all there is and write the page, its figures in ``images/bench`` beside it."""
+    from ..core.bench.gate import run_gate
+    from ..core.bench.growth import growth_with_points, growth_with_size
+    from ..core.bench.long_run import check_long_run
+    from ..core.bench.machine import machine_facts
+    from ..core.bench.plots import draw_growth, draw_pareto
+    from ..core.bench.registry import Job
+    from ..core.bench.report import BenchReport, write_report
+    from ..core.bench.run import compare_engines
+    from ..core.bench.scenes import scene_names
+    from ..core.bench.stability import check_stability
+    from ..core.bench.stages import stage_breakdown, thread_scaling
+    from .cli_progress import CliProgress
+
+    _need("open3d")
+    machine = _machine_line(machine_facts())
+    with CliProgress() as progress:
+        measured = BenchReport(
+            machine=machine,
+            checks=run_gate(rounds, progress.preparing),
+            rows=compare_engines(scene_names(), list(Job), rounds=rounds, progress=progress.preparing),
+            points=growth_with_points(rounds, progress=progress.preparing),
+            sizes=growth_with_size(rounds, progress=progress.preparing),
+            stages=stage_breakdown(scene_names()),
+            threads=thread_scaling(scene_names(), rounds),
+            stability=check_stability(10_000, 0, lambda share: progress.preparing(share, "comparing frames")),
+            long_run=check_long_run(20_000, 0, lambda share: progress.preparing(share, "changing parameters")),
+        )
+    folder = path.parent / "images" / "bench"
+    figures = draw_pareto(measured.rows, folder) + draw_growth(measured.points, measured.sizes, folder)
+    write_report(measured, path, figures)
+    typer.echo(f"wrote {path}")
 
 
 def _machine_line(facts: dict[str, Any]) -> str:

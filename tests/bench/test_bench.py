@@ -13,14 +13,18 @@ import pytest
 
 from tactune.core.bench import gate, run
 from tactune.core.bench.gate import Check
-from tactune.core.bench.growth import growth_as_text, growth_with_size
+from tactune.core.bench.growth import GrowthRow, growth_as_text, growth_with_size
+from tactune.core.bench.long_run import LongRunReport
 from tactune.core.bench.measure import allocated_bytes, bandwidth_bytes_per_s, peak_bytes, time_in_turns
 from tactune.core.bench.registry import Job, engines, find_engine
+from tactune.core.bench.report import BenchReport, write_report
 from tactune.core.bench.roofline import roofline
 from tactune.core.bench.run import compare_engines, expected_mask, rows_as_json, rows_as_text
 from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synthetic_scene
+from tactune.core.bench.stability import check_stability
+from tactune.core.bench.stages import stage_breakdown, thread_scaling
 from tactune.core.errors import TactuneError
-
+from tactune.core.threads import available_threads, get_threads
 
 pytest.importorskip("open3d", reason="needs the extra bench")
 
@@ -161,3 +165,36 @@ def test_figures_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) ->
         "growth.png", "growth.svg", "run-time-against-error.png", "run-time-against-error.svg",
     ]  # fmt: skip
     assert all(path.stat().st_size > 5000 for path in written)
+
+
+def test_stages_and_threads_are_told() -> None:
+    (row,) = stage_breakdown(["noisy-51k"], frames=3)
+    assert row.points > 40_000
+    assert row.stage_ms["outliers"] > 0
+    scaling = thread_scaling(["empty"], 3)["empty"]
+    assert 1 in scaling
+    assert all(timing.median_ms > 0 for timing in scaling.values())
+    assert get_threads() == available_threads()
+
+
+def test_the_page_holds_every_part(tmp_path: Path) -> None:
+    rows = compare_engines(["empty"], [Job.PIPELINE], rounds=3, only=["tactune"])
+    timing = rows[0].timing
+    report = BenchReport(
+        machine="a machine",
+        checks=[Check("speed", 5.0, 6)],
+        rows=rows,
+        points=[GrowthRow(10, 64, 48, {"tactune": timing})],
+        sizes=[],
+        stages=stage_breakdown(["empty"], frames=2),
+        threads={"empty": {1: timing}},
+        stability=check_stability(2),
+        long_run=LongRunReport(5, 0),
+    )
+    page = tmp_path / "docs" / "benchmarks.md"
+    write_report(report, page, [tmp_path / "docs" / "images" / "bench" / "growth.png"])
+    text = page.read_text()
+    assert "SHORT speed: 5.00" in text
+    assert "![growth](images/bench/growth.png)" in text
+    assert "5 changes of parameters" in text
+    assert "a machine" in text
