@@ -29,8 +29,9 @@ from tactune.core.sources.base import FrameSource, Progress
 from tactune.core.sources.process import ProcessSource
 from tactune.core.sources.registry import open_source
 
-#: A window that waited for the capture process would stand still for at least a second.
-RESPONSIVE_S = 0.5
+#: What a person is promised. A machine may be too busy once, but a window that waited for the capture process would
+#: stand still for at least a second each time.
+RESPONSIVE_S, ATTEMPTS = 0.2, 3
 
 
 class Heart(QObject):
@@ -125,16 +126,20 @@ def test_the_window_stays_responsive_says_it_and_goes_on(
     path = watched.folder / "session.mcap"
     window.worker.start_recording(path)
     qtbot.wait(300)
-    watched.states.clear()
-    heart = Heart()
-    harm(watched)
-    qtbot.waitUntil(
-        lambda: any(state.stale and what in state.health.message for state in watched.states), timeout=30_000
-    )
-    qtbot.waitUntil(lambda: what in watched.sentences(), timeout=30_000)
-    qtbot.waitUntil(lambda: not watched.states[-1].stale, timeout=30_000)
-    shown = window.result.processed
-    qtbot.waitUntil(lambda: window.result.processed > shown + 10, timeout=30_000)
+    for _ in range(ATTEMPTS):
+        qtbot.waitUntil(lambda: not watched.states or not watched.states[-1].health.message, timeout=30_000)
+        watched.states.clear()
+        heart = Heart()
+        harm(watched)
+        qtbot.waitUntil(
+            lambda: any(state.stale and what in state.health.message for state in watched.states), timeout=30_000
+        )
+        qtbot.waitUntil(lambda: what in watched.sentences(), timeout=30_000)
+        qtbot.waitUntil(lambda: not watched.states[-1].stale, timeout=30_000)
+        shown = window.result.processed
+        qtbot.waitUntil(lambda shown=shown: window.result.processed > shown + 10, timeout=30_000)
+        if heart.longest_s < RESPONSIVE_S:
+            break
     assert heart.longest_s < RESPONSIVE_S
     window.worker.stop_recording()
     qtbot.waitUntil(lambda: bool(watched.ends), timeout=30_000)
@@ -150,7 +155,7 @@ def test_the_window_goes_through_all_faults_of_the_cameras(
     qtbot, watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
-    from software_cameras import FAULTS, Command, FolderCommands, open_software_cameras
+    from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
 
     watched = watch(open_software_cameras)
     commands = FolderCommands(tmp_path)
@@ -164,17 +169,26 @@ def test_the_window_goes_through_all_faults_of_the_cameras(
     watched.window.worker.start_recording(tmp_path / "session.mcap")
     qtbot.wait(500)
     gaps = {}
-    for name, fault in FAULTS.items():
+
+    def go_through(fault: Fault) -> float:
+        """Return the longest gap meanwhile."""
         watched.states.clear()
         heart = Heart()
         do(fault.harm)
-        qtbot.waitUntil(lambda words=fault.words: is_told(words), timeout=30_000)
+        qtbot.waitUntil(lambda: is_told(fault.words), timeout=30_000)
         if fault.mend is not None:
             do(fault.mend)
         qtbot.waitUntil(lambda: is_well(watched.states[-1]), timeout=30_000)
         shown = watched.window.result.frame.sequence
-        qtbot.waitUntil(lambda shown=shown: watched.window.result.frame.sequence > shown + 5, timeout=30_000)
-        gaps[name] = heart.longest_s
+        qtbot.waitUntil(lambda: watched.window.result.frame.sequence > shown + 5, timeout=30_000)
+        return heart.longest_s
+
+    for name, fault in FAULTS.items():
+        for _ in range(ATTEMPTS):
+            gaps[name] = go_through(fault)
+            if gaps[name] < RESPONSIVE_S:
+                break
+            qtbot.waitUntil(lambda: watched.states[-1].health.message == "", timeout=30_000)
     with capsys.disabled():
         print("".join(f"\n{name}: longest gap {1e3 * gap:.0f} ms" for name, gap in gaps.items()), end=" ")  # noqa: T201
     assert max(gaps.values()) < RESPONSIVE_S

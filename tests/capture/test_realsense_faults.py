@@ -14,7 +14,7 @@ import pytest
 
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
-from software_cameras import FAULTS, Command, FolderCommands, open_software_cameras
+from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
 
 from tactune.core.errors import SourceError
 from tactune.core.frames import SensorFrame
@@ -23,8 +23,8 @@ from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
 from tactune.core.sources.registry import open_source
 
-#: What a person is promised; the tests themselves allow for a busy machine.
-PROMISED_S, ALLOWED_S = 3.0, 20.0
+#: What a person is promised. A machine may be too busy once, but not each time; waiting itself ends much later.
+PROMISED_S, ATTEMPTS, ALLOWED_S = 3.0, 3, 20.0
 
 
 class Session:
@@ -51,6 +51,14 @@ class Session:
             assert time.monotonic() - began_s < ALLOWED_S, f"still {self.source.health()}"
             self._record_one()
         return time.monotonic() - began_s
+
+    def go_through(self, fault: Fault) -> tuple[float, float]:
+        """Harm, mend and go on; return after how long it was told, and then mended."""
+        self.do(fault.harm)
+        told_s = self.until(lambda health: fault.words in health.message)
+        if fault.mend is not None:
+            self.do(fault.mend)
+        return told_s, self.until(is_well)
 
     def record(self, count: int) -> None:
         """Record so many more frames."""
@@ -85,16 +93,17 @@ def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
         session = Session(tmp_path, source, writer)
         session.record(60)
         assert source.health().message == ""
-        session.do(told_of.harm)
-        told_s = session.until(lambda health: told_of.words in health.message)
-        if told_of.mend is not None:
-            session.do(told_of.mend)
-        mended_s = session.until(is_well)
+        for _ in range(ATTEMPTS):
+            session.until(lambda health: health.message == "")
+            told_s, mended_s = session.go_through(told_of)
+            recovered_s = mended_s if told_of.mend is not None else told_s + mended_s
+            if recovered_s < PROMISED_S:
+                break
         session.record(30)
         status = writer.close()
     with capsys.disabled():
-        late = "" if mended_s < PROMISED_S else f", promised are {PROMISED_S:g} s"
-        print(f"\n{fault}: told after {told_s:.1f} s, mended after {mended_s:.1f} s{late}", end=" ")  # noqa: T201
+        print(f"\n{fault}: told after {told_s:.1f} s, mended after {mended_s:.1f} s", end=" ")  # noqa: T201
+    assert recovered_s < PROMISED_S
     assert (status.error, status.dropped, status.frames) == ("", 0, len(session.frames))
     with open_source(str(path)) as recording:
         kept = list(recording)
