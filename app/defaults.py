@@ -6,5 +6,5 @@ SOURCE = "sim"
 
 
 def default_preset(source: str) -> str:
-    """Return the shipped preset that suits a source: the simulator has its own."""
-    return "simulator" if source.partition(":")[0] == "sim" else "default"
+    """Return the shipped preset that suits a source: the simulator, played live or not, has its own."""
+    return "simulator" if source.removeprefix("live:").partition(":")[0] == "sim" else "default"
