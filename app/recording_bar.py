@@ -33,7 +33,9 @@ class RecordingBar(QWidget):
         self._frames = self._number("000000 frames", "Frames in the file")
         self._size = self._number("000.0 GB", "Size of the file")
         self._dropped = self._number(
-            "0000 dropped", "Frames that are missing in the file because the disk was too slow, or because of an error"
+            "0000 dropped",
+            "Frames that are missing in the file: lost by the cameras or this computer, because the disk was too slow, "
+            "or because of an error",
         )
         self._room = self._number("000 GB free, 00 h 00 min", "Room on the disk, and how long that lasts")
         self.stop = QPushButton("Stop")

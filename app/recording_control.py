@@ -5,16 +5,19 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 from PyQt6.QtCore import QObject, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
 
+from ..core.recording.writer import RecordingStatus
 from .message_bar import MessageBar, Offer, Severity
 from .playback import PlaybackState
 from .recorder import RecordingEnd
 from .recording_bar import RecordingBar, duration, size
+from .results import SourceState
 from .settings import Settings, default_recordings_folder
 from .worker import Worker
 
@@ -51,6 +54,7 @@ class RecordingControl(QObject):
         self._path: Path | None = None
         self._started_s = 0.0
         self._hint = ""
+        self._lost = self._lost_before = 0
         self._then: Callable[[], object] | None = None
         self._refresh = QTimer(self)
         self._refresh.setInterval(REFRESH_MS)
@@ -61,6 +65,8 @@ class RecordingControl(QObject):
         worker.recordingFailed.connect(self._failed)
         worker.recordingEnded.connect(self._ended)
         worker.playbackChanged.connect(self._playback_changed)
+        worker.opened.connect(self._source_opened)
+        worker.stateChanged.connect(self._source_changed)
 
     @property
     def running(self) -> bool:
@@ -114,7 +120,7 @@ class RecordingControl(QObject):
             self.start()
 
     def _started(self, path: Path) -> None:
-        self._path, self._started_s = path, time.monotonic()
+        self._path, self._started_s, self._lost_before = path, time.monotonic(), self._lost
         self._bar.show_start(path.name)
         self._bar.show_hint(path.name, self._hint)
         self._show_action()
@@ -132,7 +138,7 @@ class RecordingControl(QObject):
             free = free_bytes(self._path.parent)
         except OSError:
             free = 0  # the disk is gone: what cannot be asked has no room
-        self._bar.show_progress(status, time.monotonic() - self._started_s, free)
+        self._bar.show_progress(self._with_lost(status), time.monotonic() - self._started_s, free)
         if status.error:
             self._worker.stop_recording()
         elif free < ROOM_TO_GO_ON:
@@ -150,7 +156,7 @@ class RecordingControl(QObject):
 
     def _tell(self, end: RecordingEnd) -> None:
         """Say what there is now, why it ended if nobody asked, and offer to look at it."""
-        status = end.status
+        status = self._with_lost(end.status)
         offers: list[Offer] = []
         if status.frames:
             count = f"{status.frames} frame{'' if status.frames == 1 else 's'}"
@@ -162,13 +168,26 @@ class RecordingControl(QObject):
         else:
             sentence = "Nothing was recorded: no frame came."
         if status.dropped:
-            sentence += f" {status.dropped} frames are missing: they did not fit or the disk was too slow."
+            sentence += (
+                f" {status.dropped} frames are missing: the cameras or this computer lost them, they did not fit, "
+                "or the disk was too slow."
+            )
         if status.error and status.frames:
             sentence += f" {status.error[0].upper()}{status.error[1:]}."
         if end.reason:
             sentence += f" It ended because {end.reason.rstrip('.')}."
         well = not (status.dropped or status.error or end.reason)
         self._messages.show_message("recording", Severity.INFO if well else Severity.WARNING, sentence, offers)
+
+    def _source_opened(self) -> None:
+        self._lost = self._lost_before = 0
+
+    def _source_changed(self, state: SourceState) -> None:
+        self._lost = state.health.dropped
+
+    def _with_lost(self, status: RecordingStatus) -> RecordingStatus:
+        """Count also what never reached the recorder."""
+        return replace(status, dropped=status.dropped + max(self._lost - self._lost_before, 0))
 
     def _playback_changed(self, state: PlaybackState) -> None:
         self._hint = _STANDS_STILL if state.seekable and not state.running else ""

@@ -217,3 +217,14 @@ def test_drops_are_red(window, cameras, qtbot):
     assert bar._dropped.palette().windowText().color() != calm
     assert "GB free" in bar._room.text() or "MB free" in bar._room.text()
     assert ":" in bar._time.text()
+
+
+def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot):
+    cameras.dropped = 5
+    qtbot.waitUntil(lambda: window.live.recording._lost == 5)
+    begin(window, qtbot)
+    cameras.release(3)
+    cameras.dropped = 8
+    qtbot.waitUntil(lambda: window.recording_bar._dropped.text() == "3 dropped")
+    end(window, qtbot)
+    assert "3 frames are missing: the cameras or this computer lost them" in told(window)
