@@ -5,7 +5,6 @@ from __future__ import annotations
 from html import escape
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.diagnostics.interference import Half, Interference
@@ -13,6 +12,7 @@ from ...core.sources.base import CameraOption
 from ..results import Result
 from ..worker import Worker
 from .interference_flow import InterferenceFlow
+from .parts import keep_place, make_verdict
 
 _INTRO = (
     "Leave the scene at rest. The proximity camera's laser is left on and then switched off, for a few seconds each, "
@@ -69,14 +69,8 @@ class InterferenceTab(QWidget):
         self.start.setToolTip("Compare the tactile camera with the proximity camera's laser on and off (Ctrl+T)")
         self.start.setShortcut("Ctrl+T")
         self.cancel.setToolTip("Give the test up; the laser is put back at once")
-        self.progress.setRange(0, 100)
-        keep_place = self.progress.sizePolicy()
-        keep_place.setRetainSizeWhenHidden(True)
-        self.progress.setSizePolicy(keep_place)
-        font = QFont(self.sentence.font())
-        font.setPointSizeF(1.15 * font.pointSizeF())
-        font.setBold(True)
-        self.sentence.setFont(font)
+        keep_place(self.progress)
+        make_verdict(self.sentence)
         row = QHBoxLayout()
         row.addWidget(self.start)
         row.addWidget(self.cancel)

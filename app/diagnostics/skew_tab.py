@@ -9,7 +9,6 @@ from functools import partial
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, QTimer
-from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.diagnostics.motion import MotionSeries, Sample
@@ -20,6 +19,7 @@ from ..calibration.jobs import Job
 from ..document import Document
 from ..results import Result, SourceInfo
 from ..worker import Worker
+from .parts import keep_place, make_verdict
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _START_TIME_S, _LONGEST_TIME_S = 6.0, 30.0
@@ -155,14 +155,8 @@ class SkewTab(QWidget):
         self.start.setShortcut("Ctrl+M")
         self.cancel.setToolTip("Give this measurement up")
         self.compensate.setToolTip("Put the delay into the preset, where it can be undone (Ctrl+Z in the main window)")
-        self.progress.setRange(0, 100)
-        keep_place = self.progress.sizePolicy()
-        keep_place.setRetainSizeWhenHidden(True)
-        self.progress.setSizePolicy(keep_place)
-        font = QFont(self.sentence.font())
-        font.setPointSizeF(1.15 * font.pointSizeF())
-        font.setBold(True)
-        self.sentence.setFont(font)
+        keep_place(self.progress)
+        make_verdict(self.sentence)
         self.sentence.setWordWrap(True)
         self.sentence.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         row = QHBoxLayout()
