@@ -142,15 +142,14 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
 
 
 def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
-    from .cli_run import counted, warn
+    from .cli_run import counted, warn, warn_of_lost_frames
 
     if status.error:
         kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
         raise ExportError(status.error + kept)
     if status.dropped:
         warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
-    if lost := source.health().dropped - lost_before:
-        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
+    warn_of_lost_frames(source, lost_before)
     size = f"{status.bytes / 1e6:.1f} MB"
     typer.echo(
         f"recorded {counted(status.frames, 'frame')} of {source.name}, {status.seconds:.1f} s, {size}, "

@@ -59,12 +59,14 @@ def run_frames(options: RunOptions) -> None:
         pipeline = ContactPipeline(preset, source.rig)
         for sentence in pipeline.warnings:
             warn(sentence)
+        lost_before = source.health().dropped
         with patch_output(options, source, preset) as save:
             records = process_frames(source, pipeline, options, save)
         if not records:
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
             warn(source.health().message)
+        warn_of_lost_frames(source, lost_before)
         if not options.json_lines:
             typer.echo(summary(records, source.name, preset.name, options))
 
@@ -84,6 +86,12 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
         yield lambda patch, frame: write_cloud(
             patch_path(out, patch.sequence, options.file_format), patch_cloud(patch, frame, source.rig)
         )
+
+
+def warn_of_lost_frames(source: FrameSource, before: int) -> None:
+    """Tell how many frames the source has lost since it had lost ``before``."""
+    if lost := source.health().dropped - before:
+        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
 
 
 def process_frames(

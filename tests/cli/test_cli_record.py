@@ -314,3 +314,11 @@ def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
     with McapSource(out) as source:
         assert source.health().ok
         assert f"recorded {source.length} frames" in printed
+
+
+def test_patches_of_a_live_source_say_which_frames_are_lost(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
+    live.lost_each = 2
+    live.given = 4
+    done = tactune("run", "-s", "live:x", "--out", tmp_path / "patches.mcap", "--frames", 3)
+    assert done.status == 0
+    assert "tactune: 6 frames lost before they got here;" in done.err
