@@ -36,6 +36,7 @@ from tactune.core.sources.registry import open_source
 LIMIT_MB_PER_MIN = 1.0
 HEARTBEAT_MS = 10
 SETTLING_S = 5.0
+WARM_UP_FRAMES = 30
 
 
 @dataclass
@@ -81,7 +82,10 @@ class Soak(QObject):
         timer.start(interval_ms)
 
     def _start(self) -> None:
-        """Begin with the first frame."""
+        """Begin once frames flow: before the first ones kernels are compiled, which takes long."""
+        result = self._window.result
+        if result is None or result.processed < WARM_UP_FRAMES:
+            return
         self._window.frameShown.disconnect(self._start)
         self._children = children()
         self.tally.processor_s = -time.process_time()
