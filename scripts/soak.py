@@ -1,9 +1,10 @@
 """Run the window on a live source for long, recording all the while, and see that nothing grows or is left behind.
 
 The source is captured in a process of its own; a new recording begins every few seconds, the finished one is opened,
-its frames are counted, and it is deleted. Memory of both processes is sampled each second; a straight line through
-the medians of the recordings must rise by less than 1 MB per minute (less three standard errors, which matter in a
-short run only). At exit no thread, process, file descriptor or shared-memory segment may be left. For example::
+its frames are counted, and it is deleted. Memory of both processes is taken whenever a recording is complete, since
+none of its frames waits any more; a straight line through it must rise by less than 1 MB per minute (less three
+standard errors, which matter in a short run only). At exit no thread, process, file descriptor or shared-memory
+segment may be left. For example::
 
     QT_QPA_PLATFORM=offscreen python scripts/soak.py --minutes 30
 """
@@ -44,7 +45,6 @@ class Tally:
     """What a run has measured."""
 
     memory: list[tuple[float, float, float]] = field(default_factory=list)
-    cycles: list[tuple[float, float, float]] = field(default_factory=list)
     frames: int = 0
     dropped: int = 0
     recordings: int = 0
@@ -73,7 +73,6 @@ class Soak(QObject):
         window.worker.stateChanged.connect(self._hear)
         window.frameShown.connect(self._start)
         self._every(HEARTBEAT_MS, self._beat)
-        self._every(1000, self._sample)
 
     def _every(self, interval_ms: int, slot: object) -> None:
         timer = QTimer(self)
@@ -106,9 +105,7 @@ class Soak(QObject):
             self._fail(end.reason or status.error)
         if status.frames:  # of none no file is kept
             self._check(status.path, status.frames)
-        if tally.memory:
-            tally.cycles.append(tuple(np.median(tally.memory, axis=0)))  # type: ignore[arg-type]
-            tally.memory.clear()
+        self._sample()
         if time.monotonic() < self._end_s:
             self._record()
             return
@@ -236,7 +233,7 @@ def judge(tally: Tally, seconds: float, before: dict[str, Counter[str]]) -> list
     wrong = list(tally.problems)
     if not tally.frames:
         wrong.append("nothing was recorded")
-    warm = [cycle for cycle in tally.cycles if cycle[0] >= min(5.0, seconds / 60 / 3)]
+    warm = [sample for sample in tally.memory if sample[0] >= min(5.0, seconds / 60 / 3)]
     table = np.array(warm or np.zeros((0, 3)))
     print(f"recorded          {tally.frames} frames in {tally.recordings} recordings, {tally.dropped} dropped")
     print(f"processor time    {100 * tally.processor_s / seconds:.0f} % of one core in this process")
