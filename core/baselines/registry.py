@@ -10,6 +10,7 @@ from ..errors import TactuneError
 from ..frames import Rig, SensorFrame
 from ..pipeline import ContactPipeline
 from ..preset import Preset
+from .calibrated import CalibratedFusion
 from .membrane_mechanics import MembraneMechanics
 from .method import ContactMethod, MethodPatch
 from .proximity_only import ProximityOnly
@@ -83,6 +84,7 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
 _FUSION: dict[str, Callable[[Preset, Rig], ContactMethod]] = {
     "fusion-rigid": partial(Fusion, model="rigid"),
     "fusion-homography": partial(Fusion, model="homography"),
+    "fusion-calibrated": CalibratedFusion,
 }
 _AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,

@@ -8,12 +8,20 @@ from tactune.core.errors import RigMismatchError, TactuneError
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset_file import load_preset
 
-NAMES = ("fusion-rigid", "fusion-homography", "proximity-only", "tactile-only", "tactile-threshold", "mechanics")
+NAMES = (
+    "fusion-rigid",
+    "fusion-homography",
+    "fusion-calibrated",
+    "proximity-only",
+    "tactile-only",
+    "tactile-threshold",
+    "mechanics",
+)
 
 
 def test_names():
     assert method_names() == NAMES
-    assert [name for name in NAMES if not needs_reference(name)] == ["fusion-rigid", "fusion-homography"]
+    assert [name for name in NAMES if not needs_reference(name)] == list(NAMES[:3])
 
 
 @pytest.mark.parametrize("name", NAMES)
