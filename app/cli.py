@@ -23,6 +23,7 @@ from .cli_bench import bench_commands
 from .cli_calibrate import calibrate
 from .cli_devices import devices
 from .cli_doctor import doctor
+from .cli_evaluate import evaluate_commands
 from .cli_preset import preset_commands
 from .cli_record import convert, record
 from .cli_warmup import warmup
@@ -42,6 +43,7 @@ commands = typer.Typer(
 )
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
+commands.add_typer(evaluate_commands, name="evaluate")
 commands.command()(calibrate)
 commands.command()(devices)
 commands.command()(doctor)

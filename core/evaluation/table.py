@@ -1,0 +1,230 @@
+"""The paper's table: methods on scenes with known truth, and what the cells say together.
+
+Cells are measured one by one and kept, so a table can be cancelled at any time and goes on where it was.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from pathlib import Path
+from statistics import mean, median, stdev
+from typing import Final
+
+from scipy.stats import t as student_t
+
+from ..baselines.registry import make_method
+from ..preset import Preset
+from ..sources.base import FrameSource
+from ..sources.registry import open_source
+from .cells import FRAMES_A_CELL, Cell, CellFolder, MakeMethod, build_method, measure_cell, table_methods
+from .scene_plan import PRESSES, PlannedScene
+from .untouched import untouched_frame
+
+#: Symmetric RMSE in mm at low, medium and high strain, and seconds a frame, as Yin et al. print them.
+PAPER_RMSE_MM: Final = {
+    "fusion": (2.70, 2.33, 2.78),
+    "proximity-only": (3.73, 5.33, 4.33),
+    "tactile-only": (4.09, 4.05, 4.03),
+    "mechanics": (13.73, 9.10, 7.69),
+}
+PAPER_SECONDS: Final = {"fusion": 0.07, "proximity-only": 0.03, "tactile-only": 0.03, "mechanics": 0.3}
+
+#: Numbers of a cell that are averaged over the scenes with contact.
+MEASURES: Final = (
+    "rmse_mm", "iou", "precision", "recall", "hausdorff_mm", "p95_mm", "chamfer_mm", "area_error_mm2", "boundary_px",
+)  # fmt: skip
+
+CONFIDENCE: Final = 0.95
+
+
+def paper_method(method: str) -> str:
+    """Return which of the paper's methods a method stands beside."""
+    if method in PAPER_RMSE_MM:
+        return method
+    return "tactile-only" if method.startswith("tactile") else "fusion"
+
+
+@dataclass(frozen=True)
+class TablePlan:
+    """What to measure, and with what.
+
+    Attributes
+    ----------
+    methods : tuple of str
+        Of `table_methods`.
+    scenes : tuple of PlannedScene
+    seeds : tuple of int
+        One choice of noise each.
+    preset : Preset
+        Of all methods; the straight one takes its own alignment and tolerance.
+    work : Path
+        Where finished cells are kept.
+    """
+
+    methods: tuple[str, ...]
+    scenes: tuple[PlannedScene, ...]
+    seeds: tuple[int, ...]
+    preset: Preset
+    work: Path
+
+    @property
+    def count(self) -> int:
+        """How many cells there are."""
+        return len(self.methods) * len(self.scenes) * len(self.seeds)
+
+
+def measure_table(
+    plan: TablePlan,
+    make: MakeMethod = make_method,
+    open_scene: Callable[[str], FrameSource] = open_source,
+) -> Iterator[Cell]:
+    """Yield cell after cell, taking from ``plan.work`` what was measured before.
+
+    To cancel, stop iterating: each cell that came out is kept.
+
+    Raises
+    ------
+    TactuneError
+        A scene cannot be opened or a cell cannot be kept.
+    """
+    folder = CellFolder(plan.work, plan.preset)
+    for scene in plan.scenes:
+        with _SceneFrames(scene, open_scene) as shown:
+            for seed in plan.seeds:
+                for method in plan.methods:
+                    cell = folder.load(method, scene, seed)
+                    if cell is None:
+                        cell = shown.measure(method, seed, plan.preset, make)
+                        folder.save(cell, scene)
+                    yield cell
+
+
+class _SceneFrames(ExitStack):
+    """Frames of one scene, of one seed at a time, opened only when something must be measured.
+
+    The sources of all seeds stay open until the end, since they share what was solved.
+    """
+
+    def __init__(self, scene: PlannedScene, open_scene: Callable[[str], FrameSource]) -> None:
+        super().__init__()
+        self._scene, self._open = scene, open_scene
+        self._seed = -1
+
+    def measure(self, method: str, seed: int, preset: Preset, make: MakeMethod) -> Cell:
+        """Measure one method."""
+        if seed != self._seed:
+            self._source = self.enter_context(self._open(f"{self._scene.source}&seed={seed}"))
+            self._reference = untouched_frame(self._source)
+            self._frames = list(itertools.islice(self._source, FRAMES_A_CELL))
+            self._seed = seed
+        reference, rig = self._reference, self._source.rig
+        return measure_cell(
+            method, self._scene, seed, lambda: build_method(method, preset, rig, reference, make), self._frames, rig
+        )
+
+
+@dataclass(frozen=True)
+class Average:
+    """A mean over scenes and seeds.
+
+    Attributes
+    ----------
+    mean : float
+        nan where every cell failed.
+    half_width : float
+        Of the 95 % confidence interval of the mean over seeds, by Student's t-distribution; nan with fewer
+        than two seeds.
+    failed, cells : int
+        How many cells failed, of how many.
+    """
+
+    mean: float
+    half_width: float
+    failed: int
+    cells: int
+
+    @property
+    def low(self) -> float:
+        """Lower confidence bound."""
+        return self.mean - self.half_width
+
+    @property
+    def high(self) -> float:
+        """Upper confidence bound."""
+        return self.mean + self.half_width
+
+
+def average(cells: Iterable[Cell], measure: str) -> Average:
+    """Average a measure of cells: over sides, then over scenes, then over seeds.
+
+    Failed cells and those without this measure are left out, and failures counted.
+    """
+    cells = list(cells)
+    by_seed: dict[int, dict[tuple[str, str], list[float]]] = {}
+    for cell in cells:
+        number = getattr(cell, measure)
+        if number is not None:
+            by_seed.setdefault(cell.seed, {}).setdefault((cell.row, cell.press), []).append(number)
+    of_seeds = [mean(mean(sides) for sides in scenes.values()) for scenes in by_seed.values()]
+    half_width = math.nan
+    if len(of_seeds) > 1:
+        quantile = float(student_t.ppf((1 + CONFIDENCE) / 2, len(of_seeds) - 1))
+        half_width = quantile * stdev(of_seeds) / math.sqrt(len(of_seeds))
+    failed = sum(1 for cell in cells if cell.failure)
+    return Average(mean(of_seeds) if of_seeds else math.nan, half_width, failed, len(cells))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Finished cells, and what they say together."""
+
+    cells: list[Cell] = field(default_factory=list)
+
+    @property
+    def methods(self) -> list[str]:
+        """The methods, in the order of `table_methods`."""
+        order = table_methods()
+        names = list(dict.fromkeys(cell.method for cell in self.cells))
+        return sorted(names, key=lambda name: order.index(name) if name in order else len(order))
+
+    @property
+    def seeds(self) -> list[int]:
+        """The seeds."""
+        return sorted({cell.seed for cell in self.cells})
+
+    def rows(self, group: str) -> list[tuple[str, str]]:
+        """Return (object or special scene, press) of a group, in the order of the plan."""
+        return list(dict.fromkeys((cell.row, cell.press) for cell in self.cells if cell.group == group))
+
+    def presses(self) -> list[str]:
+        """Return the presses of the paper's cells."""
+        found = {press for _, press in self.rows("main")}
+        return [press for press in PRESSES if press in found]
+
+    def pick(self, method: str, group: str, row: str | None = None, press: str | None = None) -> list[Cell]:
+        """Return the cells of a method."""
+        return [
+            cell
+            for cell in self.cells
+            if (cell.method, cell.group) == (method, group) and row in (None, cell.row) and press in (None, cell.press)
+        ]
+
+    def median_ms(self, method: str) -> float:
+        """Return the median time of a frame in milliseconds; nan where nothing was timed."""
+        times = [cell.ms for cell in self.cells if cell.method == method and cell.ms is not None]
+        return median(times) if times else math.nan
+
+
+def seeds_from(first: int, count: int) -> tuple[int, ...]:
+    """Return ``count`` seeds from the first."""
+    return tuple(range(first, first + count))
+
+
+def contacts_right(cells: Sequence[Cell]) -> float:
+    """Return the share of cells with as many separate contacts as truth; nan without a cell."""
+    judged = [cell.contacts == cell.true_contacts and not cell.failure for cell in cells]
+    return sum(judged) / len(judged) if judged else math.nan
