@@ -180,6 +180,6 @@ class CalibratedFusion(ContactMethod):
         return contact & (share > 0.05), smooth
 
 
-def _reach(used: npt.NDArray[np.bool_], margin: int) -> slice:
+def _reach(used: npt.ArrayLike, margin: int) -> slice:
     places = np.flatnonzero(used)
-    return slice(max(int(places[0]) - margin, 0), min(int(places[-1]) + 1 + margin, len(used)))
+    return slice(max(int(places[0]) - margin, 0), int(places[-1]) + 1 + margin)

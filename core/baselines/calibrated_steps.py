@@ -6,6 +6,8 @@ small difference between them, and no print that hides the object.
 
 from __future__ import annotations
 
+from typing import Any
+
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -160,5 +162,5 @@ def drop_small(mask: BoolArray, depth_m: Float32Array, area_per_depth: float, le
     return np.asarray(large[labels])
 
 
-def _unpadded(image: Float32Array) -> Float32Array:
-    return image[1:-1, 1:-1]
+def _unpadded(image: npt.NDArray[Any] | cv2.typing.MatLike) -> npt.NDArray[Any]:
+    return np.asarray(image[1:-1, 1:-1])

@@ -1,0 +1,170 @@
+"""Measure every method on the simulator's cells, and what each part of fusion-calibrated buys.
+
+    .venv/bin/python scripts/measure_methods.py [table] [ablation] [heldout] [hover] [--seeds=0,1,2]
+
+Without a name: table and ablation. Settings were chosen on cube, cup and octopus with the seeds 0 to 2; ``heldout``
+takes the shapes mug and hand, and the other scenes with seeds from 100 on. Each number is the mean over the
+seeds of one frame each: average symmetric RMSE in millimetres, IoU, median milliseconds. Every method but the
+two ``simulator`` ones gets the preset ``default`` (t = 0.03) with the simulator's mask; these get the preset made
+for the simulator (t = 0.008). The straight method is fusion-homography.
+"""
+
+from __future__ import annotations
+
+import statistics
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from tactune.core.baselines.calibrated import CalibratedFusion, CalibratedSettings
+from tactune.core.baselines.method import ContactMethod
+from tactune.core.baselines.registry import make_method, method_names
+from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from tactune.core.frames import Rig, SensorFrame
+from tactune.core.preset_file import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+
+SIMULATOR = load_preset("simulator")
+STRAIGHT = load_preset("default").model_copy(update={"mask": SIMULATOR.mask})
+PRESSES = ("low", "medium", "high")
+DEVELOPED = tuple((name, press) for press in PRESSES for name in ("cube", "cup", "octopus"))
+SPECIAL = (("stiff", ""), ("wrinkled", ""))
+NEW_SHAPES = tuple((name, press) for press in PRESSES for name in ("mug", "hand"))
+HELD_OUT_SEEDS = (100, 101, 102)
+
+PARTS = {
+    "all parts": CalibratedSettings(),
+    "no local mean": CalibratedSettings(window_px=0.0),
+    "no bias correction": CalibratedSettings(bias_m=0.0),
+    "no slope": CalibratedSettings(slope=False),
+    "no retreat": CalibratedSettings(retreat=0.0),
+    "no retreat, gap 1 mm": CalibratedSettings(retreat=0.0, gap_m=0.001),
+    "no protected core": CalibratedSettings(core=1.0),
+    "no cluster rule": CalibratedSettings(least_area_mm2=0.0),
+    "no smooth points": CalibratedSettings(smooth_px=0.0),
+    "points of proximity": CalibratedSettings(tactile_weight=0.0),
+    "points of tactile": CalibratedSettings(tactile_weight=1.0),
+}
+
+Cell = tuple[str, str]
+Build = Callable[[Rig, SensorFrame], ContactMethod]
+
+
+@dataclass(frozen=True)
+class Result:
+    """Means over seeds; RMSE is nan where a method found nothing with any of them."""
+
+    rmse_mm: float
+    iou: float
+    ms: float
+
+
+@cache
+def source(cell: Cell, seed: int) -> SimulatorSource:
+    """Open a still press once."""
+    name, press = cell
+    return SimulatorSource(name, seed=seed, variant=Variant(press=press))
+
+
+@cache
+def untouched() -> SensorFrame:
+    """Return the reference of the methods that need one."""
+    return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0)).read(0)
+
+
+def measure(build: Build, cell: Cell, seeds: Sequence[int]) -> Result:
+    """Run a method on one frame of each seed, without the truth, and compare."""
+    method = build(source(cell, seeds[0]).rig, untouched())
+    rmse, iou, ms = [], [], []
+    for seed in seeds:
+        frame = source(cell, seed).read(5 + 7 * (seed % 3))
+        start = time.perf_counter()
+        patch = method.find(replace(frame, truth=None))
+        _ = patch.points
+        ms.append(1e3 * (time.perf_counter() - start))
+        rmse.append(1e3 * symmetric_rmse_m(patch.points, truth_cloud(frame.truth, source(cell, seed).rig).points))
+        iou.append(pixel_scores(patch.mask, frame.truth.contact).iou)
+    return Result(float(np.mean(rmse)), float(np.mean(iou)), statistics.median(ms))
+
+
+def show(builds: dict[str, Build], cells: Sequence[Cell], seeds: Sequence[int]) -> None:
+    """Print a line per method: RMSE per cell, then mean RMSE, mean IoU, median time; and which is the best."""
+    print(f"\nRMSE in mm, seeds {', '.join(map(str, seeds))}")
+    print(f"{'':26s}" + "".join(f"{name[:7]:>9s}" for name, _ in cells) + "     mean     IoU      ms")
+    print(f"{'':26s}" + "".join(f"{press:>9s}" for _, press in cells))
+    rows: dict[str, list[Result]] = {}
+    for label, build in builds.items():
+        rows[label] = [measure(build, cell, seeds) for cell in cells]
+        found = [result.rmse_mm for result in rows[label]]
+        print(
+            f"{label:26s}" + "".join(f"{value:9.2f}" for value in found) + f"{np.mean(found):9.2f}"
+            f"{np.mean([result.iou for result in rows[label]]):8.2f}"
+            f"{statistics.median(result.ms for result in rows[label]):8.1f}",
+            flush=True,
+        )
+    if "fusion-homography" in rows:
+        ours, straight = rows["fusion-calibrated"], rows["fusion-homography"]
+        print(f"{'of the straight method':26s}" + "".join(
+            f"{a.rmse_mm / b.rmse_mm:9.2f}" for a, b in zip(ours, straight, strict=True)))  # fmt: skip
+        best = [
+            min(rows, key=lambda label: np.nan_to_num(rows[label][i].rmse_mm, nan=np.inf)) for i in range(len(cells))
+        ]
+        print(f"lowest: fusion-calibrated in {best.count('fusion-calibrated')} of {len(cells)} cells")
+
+
+def methods() -> dict[str, Build]:
+    """Return every method with the straight preset, and fusion with the simulator's too."""
+    builds: dict[str, Build] = {
+        name: (lambda rig, reference, name=name: make_method(name, STRAIGHT, rig, reference)) for name in method_names()
+    }
+    for name in ("fusion-rigid", "fusion-homography"):
+        builds[f"{name} simulator"] = lambda rig, reference, name=name: make_method(name, SIMULATOR, rig, reference)
+    return builds
+
+
+def parts() -> dict[str, Build]:
+    """Return fusion-calibrated with one part after another left out."""
+    return {
+        label: (lambda rig, reference, settings=settings: CalibratedFusion(STRAIGHT, rig, settings))
+        for label, settings in PARTS.items()
+    }
+
+
+def hover() -> None:
+    """Print how many false points objects beside the membrane give."""
+    print("\nFalse points of fusion-calibrated, the most of 3 frames, with the object so far away")
+    for shape in ("cube", "cup", "octopus"):
+        found = []
+        for gap_mm in (1.0, 2.0, 3.0, 4.0, 5.0, 10.0):
+            still = SimulatorSource("hover", seed=100, variant=Variant(object=shape, gap_mm=gap_mm))
+            method = CalibratedFusion(STRAIGHT, still.rig)
+            most = max(len(method.find(still.read(index)).points) for index in (0, 7, 14))
+            found.append(f"{gap_mm:g} mm: {most}")
+        print(f"{shape:8s} " + "   ".join(found), flush=True)
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Print what the arguments name."""
+    names = [name for name in arguments if not name.startswith("--")] or ["table", "ablation"]
+    seeds = (0, 1, 2)
+    for option in arguments:
+        if option.startswith("--seeds="):
+            seeds = tuple(int(seed) for seed in option.partition("=")[2].split(","))
+    if "table" in names:
+        show(methods(), DEVELOPED + SPECIAL, seeds)
+    if "ablation" in names:
+        show(parts(), DEVELOPED + SPECIAL, seeds)
+    if "heldout" in names:
+        show(methods(), NEW_SHAPES, HELD_OUT_SEEDS)
+        show(methods(), DEVELOPED + SPECIAL, HELD_OUT_SEEDS)
+    if "hover" in names:
+        hover()
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
