@@ -1,0 +1,200 @@
+"""Membrane strain from a grid of dots printed on it, seen in one colour and depth image (Yin et al.).
+
+Dots are found and put in order, brought into space through the depth, and the distances between
+neighbours compared with their spacing on the flat, unstretched sheet.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import partial
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..clouds import valid_depth
+from ..errors import TactuneError
+from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
+from .dot_lattice import DotLattice, order_dots
+from .dot_surface import dot_points, surface_between
+from .dots import DOT_WIDTHS_PX, find_dots
+from .strain_field import AxisStrain, axis_strain
+
+#: Distance of neighbouring dots on the flat sheet, metres, unless said otherwise.
+SPACING_M: Final = 0.010
+SPACING_RANGE_M: Final = (0.001, 0.1)
+#: Dots in order below which there is no grid, and their share of all dark spots where they are.
+_FEWEST_DOTS, _FEWEST_SHARE = 16, 0.5
+#: Depth is averaged over this much before indentations are compared, as a Gaussian's sigma, pixels.
+_INDENTATION_SIGMA_PX: Final = 4.0
+
+
+class StrainError(TactuneError):
+    """A frame in which strain cannot be measured."""
+
+
+@dataclass(frozen=True, eq=False)
+class StrainMeasurement:
+    """Strain of one frame. All dots are in the tactile camera.
+
+    Attributes
+    ----------
+    pixels : float64, shape (N, 2)
+        Dots in order, ``(u, v)``.
+    points_m : float64, shape (N, 3)
+        The same in the tactile camera's frame; nan where there is no depth.
+    lattice : DotLattice
+        Rows, columns and pieces.
+    length, width : AxisStrain
+        Along the rows, which run more along u, and along the columns.
+    """
+
+    pixels: Float64Array
+    points_m: Float64Array
+    lattice: DotLattice
+    length: AxisStrain
+    width: AxisStrain
+
+    @property
+    def dots(self) -> int:
+        """Number of dots in order."""
+        return len(self.pixels)
+
+    def at_dots(self) -> Float64Array:
+        """Return the strain map: mean strain between each dot and its neighbours, along length and width.
+
+        Returns
+        -------
+        float64, shape (N, 2)
+            nan where there is no neighbour.
+        """
+        columns = []
+        for axis in (self.length, self.width):
+            ends = axis.pairs.ravel()
+            count = np.bincount(ends, minlength=self.dots)
+            total = np.bincount(ends, np.repeat(axis.strain, 2), minlength=self.dots)
+            columns.append(np.where(count > 0, total / np.maximum(count, 1), np.nan))
+        return np.column_stack(columns)
+
+
+def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
+    """Measure strain from the grid of dots in a frame.
+
+    Parameters
+    ----------
+    frame : SensorFrame
+        With a tactile colour image.
+    rig : Rig
+    spacing_m : float
+        Distance of neighbouring dots on the flat sheet.
+
+    Raises
+    ------
+    StrainError
+        The frame has no tactile colour, or no grid is found, or there is no depth where it is.
+    FrameError
+        The frame belongs to another rig.
+    """
+    check_spacing(spacing_m)
+    frame.check_against(rig)
+    if frame.tactile_color is None:
+        raise StrainError(
+            f"frame {frame.sequence} has no tactile colour image; record the tactile camera's colour, too"
+        )
+    camera = rig.tactile
+    depth_m = _depth_m(frame.tactile_depth, camera)
+    pixels, lattice = _find_grid(frame, depth_m, camera.intrinsics.fx)
+    points, depth_sigma = dot_points(frame.tactile_depth, camera, pixels)
+    places = np.column_stack([lattice.piece, lattice.cells])
+    axes = []
+    for axis, name in ((1, "length"), (0, "width")):
+        pairs = lattice.neighbours(axis)
+        pairs = pairs[
+            np.array([_usable(depth_m, camera.intrinsics.fx, pixels[pair], points[pair]) for pair in pairs], bool)
+        ]
+        strain = axis_strain(pairs, points, depth_sigma, camera.intrinsics.fx, spacing_m, places)
+        if len(strain.pairs) == 0:
+            raise StrainError(
+                f"frame {frame.sequence}: {len(pixels)} dots are seen, but no neighbours along the {name} have depth; "
+                "see that the tactile camera's depth covers the membrane"
+            )
+        axes.append(strain)
+    return StrainMeasurement(pixels, points, lattice, *axes)
+
+
+def check_spacing(spacing_m: float) -> None:
+    """Refuse a spacing that cannot be meant.
+
+    Raises
+    ------
+    StrainError
+        It is not between 1 and 100 mm.
+    """
+    low, high = SPACING_RANGE_M
+    if not (math.isfinite(spacing_m) and low <= spacing_m <= high):
+        raise StrainError(
+            f"the dots' spacing is {1e3 * spacing_m:g} mm; give the distance of neighbours on the flat sheet, "
+            f"{1e3 * low:g} to {1e3 * high:g} mm"
+        )
+
+
+def indentation_m(frame: SensorFrame, reference: SensorFrame, rig: Rig) -> float:
+    """Return how far the membrane has come towards the tactile camera where it came farthest, metres.
+
+    Noise is averaged over some pixels first; 0 where nothing came nearer.
+
+    Raises
+    ------
+    StrainError
+        The frames have no pixel with depth in common.
+    """
+    depths = [_depth_m(one.tactile_depth, rig.tactile) for one in (reference, frame)]
+    moved = depths[0] - depths[1]
+    seen = np.isfinite(moved)
+    if not seen.any():
+        raise StrainError(
+            f"frames {reference.sequence} and {frame.sequence} have no pixel with tactile depth in common; "
+            "check that the tactile camera sees the membrane"
+        )
+    weight, total = (
+        cv2.GaussianBlur(image.astype(np.float64), (0, 0), _INDENTATION_SIGMA_PX)
+        for image in (seen, np.where(seen, moved, 0.0))
+    )
+    return max(float((total / np.maximum(weight, 1e-9))[seen & (weight > 0.5)].max(initial=0.0)), 0.0)
+
+
+def _depth_m(counts: npt.NDArray[np.uint16], camera: DepthCamera) -> Float64Array:
+    return np.where(valid_depth(counts), counts * camera.depth_unit_m, np.nan)
+
+
+def _linked(depth_m: Float64Array, focal_px: float, pixels: Float64Array, first: int, second: int) -> bool:
+    return surface_between(depth_m, focal_px, pixels[first], pixels[second])
+
+
+def _usable(depth_m: Float64Array, focal_px: float, pixels: Float64Array, points: Float64Array) -> bool:
+    """Whether two neighbours have places in space and the surface between them is seen."""
+    return bool(np.isfinite(points).all()) and surface_between(depth_m, focal_px, pixels[0], pixels[1])
+
+
+def _find_grid(frame: SensorFrame, depth_m: Float64Array, focal_px: float) -> tuple[Float64Array, DotLattice]:
+    """Return the dots that are in order, from the dot size that puts most in order."""
+    assert frame.tactile_color is not None
+    best, spots, in_order = (np.empty((0, 2)), order_dots(np.empty((0, 2)))), 0, 0
+    for width_px in DOT_WIDTHS_PX:
+        pixels = find_dots(frame.tactile_color, width_px)
+        lattice = order_dots(pixels, partial(_linked, depth_m, focal_px, pixels))
+        ordered = lattice.piece >= 0
+        spots = max(spots, len(pixels))
+        if ordered.sum() > in_order and ordered.sum() >= _FEWEST_SHARE * len(pixels):
+            in_order = int(ordered.sum())
+            best = pixels[ordered], DotLattice(lattice.cells[ordered], lattice.piece[ordered])
+    if in_order < _FEWEST_DOTS:
+        raise StrainError(
+            f"frame {frame.sequence}: no grid of dots is seen in the tactile colour image ({spots} dark spots, not in "
+            "rows and columns); print a square grid of dark dots on the membrane, lit evenly and in focus "
+            "(simulated: sim:cup?grid=dots)"
+        )
+    return best

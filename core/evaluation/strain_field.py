@@ -1,0 +1,136 @@
+"""Strain between neighbouring dots, with its noise averaged over as many neighbours as agree."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ..frames import Float64Array
+
+#: Half the sides of the squares of pairs over which strain is fitted, and the terms of the fits.
+_REACHES: Final = ((1, 1), (1, 3), (2, 6), (3, 6))
+#: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
+_AGREES_WITHIN: Final = 3.5
+_FEWEST_OVER_TERMS: Final = 3
+#: A pair whose length over that of the pairs around it is beyond this, or one over it, is misread.
+_LARGEST_RATIO: Final = 1.35
+#: How well the middle of a dot is found in a colour image, pixels.
+PIXEL_SIGMA: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class AxisStrain:
+    """Strain along one direction of the grid.
+
+    Attributes
+    ----------
+    pairs : int64, shape (M, 2)
+        Numbers of neighbouring dots.
+    strain : float64, shape (M,)
+        Distance over spacing, minus 1, noise averaged.
+    sigma : float64, shape (M,)
+        Standard deviation of ``strain``.
+    raw : float64, shape (M,)
+        The same as ``strain`` from both dots alone.
+    """
+
+    pairs: npt.NDArray[np.int64]
+    strain: Float64Array
+    sigma: Float64Array
+    raw: Float64Array
+
+    @property
+    def largest(self) -> float:
+        """The largest strain."""
+        return float(self.strain.max())
+
+    @property
+    def largest_sigma(self) -> float:
+        """Standard deviation of the largest strain."""
+        return float(self.sigma[np.argmax(self.strain)])
+
+
+def axis_strain(
+    pairs: npt.NDArray[np.int64],
+    points_m: Float64Array,
+    depth_sigma_m: Float64Array,
+    focal_px: float,
+    spacing_m: float,
+    places: npt.NDArray[np.int64],
+) -> AxisStrain:
+    """Compare distances between neighbours with their spacing on the flat sheet.
+
+    Parameters
+    ----------
+    pairs : int64, shape (M, 2)
+    points_m : float64, shape (N, 3)
+        The dots in the camera's frame.
+    depth_sigma_m : float64, shape (N,)
+        Standard deviation of their depths.
+    focal_px : float
+    spacing_m : float
+    places : int64, shape (N, 3)
+        Piece, row and column of each dot.
+    """
+    start, end = points_m[pairs[:, 0]], points_m[pairs[:, 1]]
+    length = np.linalg.norm(end - start, axis=1)
+    direction = (end - start) / length[:, None]
+    variance = np.zeros(len(pairs))
+    for side, point in zip(pairs.T, (start, end), strict=True):
+        depth = point[:, 2]
+        along_ray = np.abs((direction * point).sum(axis=1)) / depth
+        variance += (along_ray * depth_sigma_m[side]) ** 2 + (PIXEL_SIGMA * depth / focal_px) ** 2
+    raw, sigma = length / spacing_m - 1.0, np.sqrt(variance) / spacing_m
+    where = places[pairs[:, 0]]
+    kept = _plausible(where, raw)
+    pairs, raw, sigma, where = pairs[kept], raw[kept], sigma[kept], where[kept]
+    return AxisStrain(pairs, *_smoothed(where, raw, sigma), raw)
+
+
+def _around(where: npt.NDArray[np.int64], number: int, reach: int) -> npt.NDArray[np.intp]:
+    """Return the numbers of the pairs in a square around one, of the same piece."""
+    apart = np.abs(where - where[number])
+    return np.flatnonzero((apart[:, 0] == 0) & (apart[:, 1] <= reach) & (apart[:, 2] <= reach))
+
+
+def _plausible(where: npt.NDArray[np.int64], raw: Float64Array) -> npt.NDArray[np.bool_]:
+    """Tell the pairs whose length some neighbours on the grid confirm."""
+    kept = np.zeros(len(raw), bool)
+    for number in range(len(raw)):
+        around = raw[_around(where, number, 1)]
+        ratio = (1.0 + around) / (1.0 + raw[number])
+        alike = (ratio < _LARGEST_RATIO) & (ratio > 1.0 / _LARGEST_RATIO)
+        kept[number] = np.count_nonzero(alike) > 2 and 2 * np.count_nonzero(alike) > len(around)
+    return kept
+
+
+def _smoothed(
+    where: npt.NDArray[np.int64], raw: Float64Array, sigma: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Fit polynomials around each pair, the wider ones while they agree with the narrower (Lepski's rule)."""
+    strain, spread = raw.copy(), sigma.copy()
+    for number in range(len(raw)):
+        low, high = raw[number] - _AGREES_WITHIN * sigma[number], raw[number] + _AGREES_WITHIN * sigma[number]
+        for reach, terms in _REACHES:
+            around = _around(where, number, reach)
+            if len(around) < terms + _FEWEST_OVER_TERMS:
+                break
+            row, column = (where[around, 1:] - where[number, 1:]).T.astype(np.float64)
+            design = np.stack(
+                [np.ones(len(row)), row, column, row * row, row * column, column * column][:terms], axis=1
+            )
+            weighted = design / sigma[around, None] ** 2
+            normal = design.T @ weighted
+            if np.linalg.cond(normal) > 1e9:
+                break
+            covariance = np.linalg.inv(normal)
+            value, error = float(covariance[0] @ (weighted.T @ raw[around])), float(np.sqrt(covariance[0, 0]))
+            low, high = max(low, value - _AGREES_WITHIN * error), min(high, value + _AGREES_WITHIN * error)
+            if low > high:
+                break
+            if error < spread[number]:
+                strain[number], spread[number] = value, error
+    return strain, spread

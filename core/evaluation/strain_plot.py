@@ -1,0 +1,64 @@
+"""Figures of strain: the curve against displacement, and the map of the last frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..atomic import atomic_path
+from ..errors import MissingExtraError
+from .strain import StrainMeasurement
+
+
+def draw_strain(
+    displacement_mm: Sequence[float],
+    length_percent: Sequence[float],
+    width_percent: Sequence[float],
+    last: StrainMeasurement,
+    path: Path,
+) -> None:
+    """Draw strain against displacement, and beside it the strain at each dot of the last frame.
+
+    Parameters
+    ----------
+    displacement_mm, length_percent, width_percent : sequence of float
+        One value a frame.
+    last : StrainMeasurement
+    path : Path
+        A .png file.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    ExportError
+        The file cannot be written.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[bench]'") from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (curve, *maps) = plt.subplots(1, 3, figsize=(15, 4.2))
+    order = np.argsort(displacement_mm, kind="stable")
+    for values, label, style in ((length_percent, "length", "o-"), (width_percent, "width", "s--")):
+        curve.plot(np.take(displacement_mm, order), np.take(values, order), style, markersize=4, label=label)
+    curve.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
+    curve.grid(True, alpha=0.3)
+    curve.legend(frameon=False)
+    at_dots = 100 * last.at_dots()
+    for axis, values, label in zip(maps, at_dots.T, ("length", "width"), strict=True):
+        drawn = axis.scatter(*last.pixels.T, c=values, s=16, cmap="viridis")
+        axis.set(title=f"Last frame: strain along the {label}, %", xlabel="u, px", ylabel="v, px", aspect="equal")
+        axis.invert_yaxis()
+        figure.colorbar(drawn, ax=axis, shrink=0.7)
+    figure.tight_layout()
+    try:
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+    finally:
+        plt.close(figure)
