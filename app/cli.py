@@ -26,6 +26,7 @@ from .cli_doctor import doctor
 from .cli_evaluate import evaluate_commands
 from .cli_preset import preset_commands
 from .cli_record import convert, record
+from .cli_strain import strain
 from .cli_warmup import warmup
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
@@ -49,6 +50,7 @@ commands.command()(devices)
 commands.command()(doctor)
 commands.command()(record)
 commands.command()(convert)
+commands.command()(strain)
 commands.command()(warmup)
 
 Source = Annotated[
