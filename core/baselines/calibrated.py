@@ -155,7 +155,7 @@ class CalibratedFusion(ContactMethod):
     def _contact(
         self, difference: Float32Array, usable: BoolArray, depth: Float32Array, bias_m: float, cut: tuple[slice, slice]
     ) -> BoolArray:
-        s = self.settings
+        s, camera = self.settings, self._rig.proximity.intrinsics
         gap, share = local_mean(np.where(usable, difference - np.float32(bias_m), np.float32(0)), usable, s.window_px)
         known = share > s.least_share
         if s.bias_m > 0:
@@ -163,11 +163,10 @@ class CalibratedFusion(ContactMethod):
             gap -= np.float32(contact_bias_m(gap[known], s.bias_m) / 2)
         if s.slope:
             smooth, _ = local_mean(depth, usable, max(s.window_px, 1.0))
-            gap *= facing(smooth, self._rays[cut])
+            gap *= facing(smooth, self._rays[cut], (camera.fx, camera.fy))
         near = known & (gap < s.gap_m)
         if s.retreat > 0:
             near = retreat(near, known, gap, s.gap_m, s.retreat, s.core, s.most_px)
-        camera = self._rig.proximity.intrinsics
         return drop_small(near, depth, 1.0 / (camera.fx * camera.fy), s.least_area_mm2)
 
     def _surface(

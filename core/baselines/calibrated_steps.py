@@ -78,8 +78,11 @@ def contact_bias_m(gap_m: Float32Array, limit_m: float) -> float:
     return float(edges[best] + edges[best + 1]) / 2
 
 
-def facing(depth_m: Float32Array, rays: Float32Array) -> Float32Array:
+def facing(depth_m: Float32Array, rays: Float32Array, focal_px: tuple[float, float]) -> Float32Array:
     """Return the cosine between the optical axis and a surface's normal, at least a quarter.
+
+    With x = z (u - cx) / fx and y = z (v - cy) / fy the normal of z(u, v) is along
+    (-fx z_u, -fy z_v, z + (u - cx) z_u + (v - cy) z_v).
 
     Parameters
     ----------
@@ -87,13 +90,15 @@ def facing(depth_m: Float32Array, rays: Float32Array) -> Float32Array:
         Smooth depth.
     rays : float32, shape (H, W, 2)
         ``(x / z, y / z)`` of each pixel.
+    focal_px : tuple of float
+        ``(fx, fy)``.
     """
-    planes = [rays[..., 0] * depth_m, rays[..., 1] * depth_m, depth_m]
-    along_u, along_v = ([cv2.Sobel(plane, cv2.CV_32F, *order) for plane in planes] for order in ((1, 0), (0, 1)))
-    x = along_u[1] * along_v[2] - along_u[2] * along_v[1]
-    y = along_u[2] * along_v[0] - along_u[0] * along_v[2]
-    z = along_u[0] * along_v[1] - along_u[1] * along_v[0]
-    cosine = np.abs(z) / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-20)
+    x, y = (
+        cv2.Sobel(depth_m, cv2.CV_32F, *order, scale=focal / 8)
+        for order, focal in zip(((1, 0), (0, 1)), focal_px, strict=True)
+    )
+    z = depth_m + rays[..., 0] * x + rays[..., 1] * y
+    cosine = np.abs(z) / np.maximum(np.sqrt(x * x + y * y + z * z), 1e-9)
     return np.asarray(np.clip(cosine, _LEAST_FACING, 1.0), np.float32)
 
 

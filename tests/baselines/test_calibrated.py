@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.baselines.calibrated import CalibratedFusion, CalibratedSettings
-from tactune.core.baselines.calibrated_steps import contact_bias_m, local_mean, print_bias_m, retreat
+from tactune.core.baselines.calibrated_steps import contact_bias_m, facing, local_mean, print_bias_m, retreat
 from tactune.core.baselines.registry import make_method
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
@@ -119,6 +119,14 @@ class TestSteps:
         assert share[10, 5] == pytest.approx(1.0)
         assert 0.5 < share[10, 9] < 0.7
         np.testing.assert_array_equal(local_mean(image, usable, 0.0)[0], image * usable)
+
+    def test_the_slope_of_a_plane(self, bulged):
+        camera = bulged.rig.proximity.intrinsics
+        rays = camera.rays().astype(np.float32)
+        for normal in ((0.0, 0.0, 1.0), (0.6, 0.0, 0.8), (0.3, -0.5, 0.812)):
+            depth = 0.3 / (rays @ np.array(normal[:2]) + normal[2])
+            cosine = facing(depth.astype(np.float32), rays, (camera.fx, camera.fy))[100:140, 140:180]
+            np.testing.assert_allclose(cosine, normal[2], atol=2e-3)
 
     def test_biases(self):
         rng = np.random.default_rng(1)
