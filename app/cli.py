@@ -164,6 +164,15 @@ def run(
     truth: Annotated[
         bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
     ] = False,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
+    ] = "fusion",
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
+        ),
+    ] = None,
 ) -> None:
     """Compute contact patches without a window."""
     from .cli_run import RunOptions, run_frames
@@ -173,7 +182,7 @@ def run(
             "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
         )
     preset = preset or defaults.default_preset(source)
-    run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth))
+    run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference))
 
 
 @commands.command("export-folder")

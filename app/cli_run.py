@@ -14,21 +14,25 @@ from typing import Any
 
 import typer
 
+from ..core.baselines.method import MethodPatch
+from ..core.clouds import PointCloud
 from ..core.errors import ExportError, SourceError
 from ..core.evaluation.metrics import compare_with_truth
 from ..core.export import patch_cloud, write_cloud
 from ..core.frames import GroundTruth, Rig, SensorFrame
-from ..core.pipeline import ContactPatch, ContactPipeline
+from ..core.pipeline import ContactPatch
 from ..core.preset import CamerasSection, Preset
 from ..core.preset_file import load_preset
+from ..core.rig_check import check_rig
 from ..core.sources import FrameSource
 from ..core.sources.folder import export_folder
 from ..core.sources.registry import open_source
+from .cli_method import FUSION, Step, make_step, read_reference
 from .cli_progress import CliProgress
-from .patch_record import finite_or_none, patch_record
+from .patch_record import finite_or_none
 
 Record = dict[str, Any]
-SavePatch = Callable[[ContactPatch, SensorFrame], None]
+SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
 
 #: Recordings and bags of patches are named so.
 MCAP_SUFFIX = ".mcap"
@@ -48,20 +52,23 @@ class RunOptions:
     file_format: str
     json_lines: bool
     truth: bool
+    method: str = FUSION
+    reference: str | None = None
 
 
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
     preset = load_preset(options.preset)
+    reference = read_reference(options.method, options.reference)
     if options.out is not None and options.out.suffix != MCAP_SUFFIX:
         make_folder(options.out)
     with open_with_progress(options.source, preset.cameras) as source:
-        pipeline = ContactPipeline(preset, source.rig)
-        for sentence in pipeline.warnings:
+        step = make_step(options.method, preset, source, reference)
+        for sentence in check_rig(preset, source.rig):
             warn(sentence)
         lost_before = source.health().dropped
         with patch_output(options, source, preset) as save:
-            records = process_frames(source, pipeline, options, save)
+            records = process_frames(source, step, options, save)
         if not records:
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
@@ -81,11 +88,16 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
         from ..core.recording.patches import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
-            yield lambda patch, frame: writer.write(patch.points, patch.sequence, frame.proximity_time_s)
+            yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
     else:
         yield lambda patch, frame: write_cloud(
-            patch_path(out, patch.sequence, options.file_format), patch_cloud(patch, frame, source.rig)
+            patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig)
         )
+
+
+def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
+    """Return what is known of a patch; the points of other methods than fusion need not be pixels."""
+    return patch_cloud(patch, frame, rig) if isinstance(patch, ContactPatch) else PointCloud(patch.points)
 
 
 def warn_of_lost_frames(source: FrameSource, before: int) -> None:
@@ -94,16 +106,13 @@ def warn_of_lost_frames(source: FrameSource, before: int) -> None:
         warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
 
 
-def process_frames(
-    source: FrameSource, pipeline: ContactPipeline, options: RunOptions, save: SavePatch
-) -> list[Record]:
+def process_frames(source: FrameSource, step: Step, options: RunOptions, save: SavePatch) -> list[Record]:
     """Do what is asked for with each frame; return what can be said of it."""
     records: list[Record] = []
     total = number_of_frames(source, options.frames)
     with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
         for frame in itertools.islice(source, total):
-            patch = pipeline.process(frame)
-            record = patch_record(patch)
+            record, patch = step(frame)
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
             save(patch, frame)
@@ -154,7 +163,7 @@ def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
     return min(known, default=None)
 
 
-def truth_record(patch: ContactPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Compare with the truth; every value is None where the source has none."""
     if truth is None:
         return dict.fromkeys(TRUTH_KEYS)
@@ -167,7 +176,7 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
-    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}"]
+    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}" + _by(options.method)]
     if touched:
         lines.append(
             f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
@@ -175,6 +184,8 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
         )
     else:
         lines.append("no contact in any of them")
+    if failures := [record["failure"] for record in records if record["failure"]]:
+        lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
     lines.append(f"{sum(stages.values()):.1f} ms a frame ({details})")
     for key, unit in TRUTH_KEYS.items():
@@ -189,6 +200,10 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     if options.frames is not None and len(records) < options.frames:
         lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
     return "\n".join(lines)
+
+
+def _by(method: str) -> str:
+    return "" if method == FUSION else f", method {method}"
 
 
 def counted(number: int, thing: str) -> str:

@@ -21,7 +21,7 @@ from ..frames import Rig, SensorFrame
 from ..outliers.clusters import pixel_areas_m2
 from ..preset import Preset
 from .distances import area_error_mm2, boundary_distance_px, cloud_distances, separate_contacts
-from .metrics import pixel_scores, truth_cloud
+from .metrics import method_area_mm2, pixel_scores, truth_cloud
 from .scene_plan import PlannedScene
 
 #: What the paper has: its alignment and its tolerance.
@@ -154,8 +154,7 @@ def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
         return {"failure": patch.failure or NO_CONTACT_FOUND, "true_contacts": true_contacts}
     pixels = pixel_scores(patch.mask, frame.truth.contact)
     apart = cloud_distances(patch.points, truth)
-    lens = rig.proximity.intrinsics
-    patch_mm2, truth_mm2 = (1e6 * float(pixel_areas_m2(points[:, 2], lens).sum()) for points in (patch.points, truth))
+    truth_mm2 = 1e6 * float(pixel_areas_m2(truth[:, 2], rig.proximity.intrinsics).sum())
     numbers = {
         "rmse_mm": 1e3 * apart.symmetric_rmse_m,
         "hausdorff_mm": 1e3 * apart.hausdorff_m,
@@ -164,7 +163,7 @@ def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
         "iou": pixels.iou,
         "precision": pixels.precision,
         "recall": pixels.recall,
-        "area_error_mm2": area_error_mm2(patch_mm2, truth_mm2),
+        "area_error_mm2": area_error_mm2(method_area_mm2(patch, rig), truth_mm2),
         "boundary_px": boundary_distance_px(patch.mask, frame.truth.contact),
     }
     known = {key: number if math.isfinite(number) else None for key, number in numbers.items()}

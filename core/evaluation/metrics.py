@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
+from ..baselines.method import MethodPatch
 from ..clouds import PointCloud, ray_table
 from ..frames import GroundTruth, Rig
 from ..pipeline import ContactPatch
@@ -93,7 +94,7 @@ def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
     return PointCloud(np.concatenate([rays * depth, depth], axis=1).astype(np.float32))
 
 
-def compare_with_truth(patch: ContactPatch, truth: GroundTruth, rig: Rig) -> dict[str, float]:
+def compare_with_truth(patch: ContactPatch | MethodPatch, truth: GroundTruth, rig: Rig) -> dict[str, float]:
     """Score a patch.
 
     Returns
@@ -105,6 +106,18 @@ def compare_with_truth(patch: ContactPatch, truth: GroundTruth, rig: Rig) -> dic
     scores = pixel_scores(patch.mask, truth.contact)
     rmse_mm = 1e3 * symmetric_rmse_m(patch.points, truth_cloud(truth, rig).points)
     return {"iou": scores.iou, "precision": scores.precision, "recall": scores.recall, "rmse_mm": rmse_mm}
+
+
+def method_area_mm2(patch: MethodPatch, rig: Rig) -> float:
+    """Return a patch's area, projected on the plane across the optical axis.
+
+    The area of its proximity pixels at its mean square depth: the points may be another camera's pixels.
+    """
+    if len(patch.points) == 0:
+        return 0.0
+    lens = rig.proximity.intrinsics
+    square_m2 = float(np.mean(np.square(patch.points[:, 2], dtype=np.float64)))
+    return 1e6 * np.count_nonzero(patch.mask) * square_m2 / (lens.fx * lens.fy)
 
 
 def _share(part: int, whole: int) -> float:

@@ -83,7 +83,7 @@ def draw_patches(
     if drawn is not None:
         figure.colorbar(drawn, ax=axes, shrink=0.6, label="distance to the truth, mm", extend="max")
     with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=130)
+        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=130, bbox_inches="tight")
     plt.close(figure)
 
 
@@ -92,7 +92,7 @@ def _draw_one(axis: Any, points: Points | str, truth: Points) -> Any:
     if isinstance(points, str):
         axis.text(0.5, 0.5, "Fail", transform=axis.transAxes, ha="center", va="center", color="crimson", fontsize=11)
         return None
-    away_mm = 1e3 * cKDTree(truth).query(points)[0]
+    away_mm = 1e3 * np.asarray(cKDTree(truth).query(points)[0])
     order = np.argsort(away_mm)  # the worst on top
     drawn = axis.scatter(
         1e3 * points[order, 0], 1e3 * points[order, 1], c=away_mm[order], s=0.3, linewidths=0,

@@ -1,0 +1,123 @@
+"""`tactune evaluate patch`: clouds of files, of this program and of others."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.app.cli import main
+from tactune.core.clouds import PointCloud
+from tactune.core.errors import SourceError
+from tactune.core.evaluation.cloud_files import read_points
+from tactune.core.export import write_cloud
+
+RNG = np.random.default_rng(5)
+PATCH = RNG.normal(0, 0.02, (150, 3)).astype(np.float32)
+TRUTH = RNG.normal(0, 0.02, (120, 3)).astype(np.float32)
+
+
+def tactune(monkeypatch, *words: object) -> int:
+    monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
+    return main()
+
+
+def brute_force() -> dict[str, float]:
+    apart = 1e3 * np.linalg.norm(PATCH[:, None].astype(float) - TRUTH[None], axis=2)
+    there, back = apart.min(axis=1), apart.min(axis=0)
+    rms = [float(np.sqrt(np.mean(side**2))) for side in (there, back)]
+    return {
+        "patch_to_truth_rms_mm": rms[0],
+        "truth_to_patch_rms_mm": rms[1],
+        "symmetric_rmse_mm": sum(rms) / 2,
+        "hausdorff_mm": max(there.max(), back.max()),
+        "percentile_95_mm": max(np.percentile(there, 95), np.percentile(back, 95)),
+        "chamfer_mm": (there.mean() + back.mean()) / 2,
+    }
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
+def test_files_of_this_program_against_brute_force(tmp_path, monkeypatch, capsys, suffix):
+    write_cloud(tmp_path / f"a.{suffix}", PointCloud(PATCH))
+    write_cloud(tmp_path / f"b.{suffix}", PointCloud(TRUTH))
+    files = ["--patch", tmp_path / f"a.{suffix}", "--truth", tmp_path / f"b.{suffix}"]
+    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found.pop("patch_points"), found.pop("truth_points")) == (150, 120)
+    assert found == pytest.approx(brute_force(), rel=1e-6)
+    assert tactune(monkeypatch, "evaluate", "patch", *files) == 0
+    assert f"{brute_force()['symmetric_rmse_mm']:.3f} mm" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+@pytest.mark.parametrize("ascii_text", [True, False])
+def test_files_of_open3d_and_its_distances(tmp_path, suffix, ascii_text):
+    open3d = pytest.importorskip("open3d")
+    clouds = []
+    for name, points in (("a", PATCH), ("b", TRUTH)):
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(float)))
+        cloud.paint_uniform_color([0.1, 0.5, 0.9])
+        path = tmp_path / f"{name}.{suffix}"
+        assert open3d.io.write_point_cloud(str(path), cloud, write_ascii=ascii_text)
+        np.testing.assert_allclose(read_points(path), points, atol=1e-6 if ascii_text else 1e-8)
+        clouds.append(cloud)
+    there, back = (np.asarray(one.compute_point_cloud_distance(other)) for one, other in (clouds, clouds[::-1]))
+    rms = [1e3 * float(np.sqrt(np.mean(side**2))) for side in (there, back)]
+    assert sum(rms) / 2 == pytest.approx(brute_force()["symmetric_rmse_mm"], rel=1e-6)
+    assert 1e3 * max(there.max(), back.max()) == pytest.approx(brute_force()["hausdorff_mm"], rel=1e-6)
+
+
+def test_an_empty_cloud_has_no_distances(tmp_path, monkeypatch, capsys):
+    write_cloud(tmp_path / "a.ply", PointCloud(PATCH[:0]))
+    write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
+    files = ["--patch", tmp_path / "a.ply", "--truth", tmp_path / "b.ply"]
+    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["symmetric_rmse_mm"] is None
+    assert "holds no point" in shown.err
+
+
+def test_points_that_are_none_are_left_out_and_infinite_ones_refused(tmp_path):
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(head + "nan nan nan\n1 2 3\n")
+    np.testing.assert_array_equal(read_points(tmp_path / "a.pcd"), [[1, 2, 3]])
+    (tmp_path / "a.pcd").write_text(head + "inf 0 0\n1 2 3\n")
+    with pytest.raises(SourceError, match="infinite"):
+        read_points(tmp_path / "a.pcd")
+
+
+PLY = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.ply", b""),
+        ("a.ply", PLY + b"1 2 3\n"),
+        ("a.ply", PLY + b"1 2 3\n1 x 3\n"),
+        ("a.ply", PLY + b"1 2\n1 2\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex 99999999999999") + b"1 2 3\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex -2") + b"1 2 3\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex")),
+        ("a.ply", PLY.replace(b"float z", b"float w") + b"1 2 3\n1 2 3\n"),
+        ("a.ply", PLY + b"\xff\xfe\x00 2 3\n1 2 3\n"),
+        ("a.pcd", b"DATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nCOUNT 1 1\nPOINTS 1\nDATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nPOINTS\nDATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nDATA binary_compressed\n123"),
+        ("a.npz", b"PK\x03\x04garbage"),
+        ("a.csv", b"x,y\n1,2\n"),
+        ("a.txt", b"1 2 3\n"),
+        ("missing.ply", None),
+        ("a.ply", RNG.bytes(5000)),
+    ],
+)
+def test_garbage_is_one_sentence(tmp_path: Path, monkeypatch, capsys, name, data):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
+    assert tactune(monkeypatch, "evaluate", "patch", "--patch", tmp_path / name, "--truth", tmp_path / "b.ply") == 2
+    shown = capsys.readouterr()
+    assert shown.out == "" and len(shown.err.strip().splitlines()) == 1 and name in shown.err
