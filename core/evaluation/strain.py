@@ -106,6 +106,8 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         )
     camera = rig.tactile
     depth_m = _depth_m(frame.tactile_depth, camera)
+    if not np.isfinite(depth_m).any():
+        raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
     pixels, lattice = _find_grid(frame, depth_m, camera.intrinsics.fx)
     points, depth_sigma = dot_points(frame.tactile_depth, camera, pixels)
     places = np.column_stack([lattice.piece, lattice.cells])
