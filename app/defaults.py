@@ -2,9 +2,25 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from pathlib import Path
+
+from ..core.errors import TactuneError
+
 SOURCE = "sim"
 
 
 def default_preset(source: str) -> str:
-    """Return the shipped preset that suits a source: the simulator, played live or not, has its own."""
-    return "simulator" if source.removeprefix("live:").partition(":")[0] == "sim" else "default"
+    """Return the preset that suits a source, as `load_preset` takes it.
+
+    A recording's own where it holds one; the simulator, played live or not, has its own; else ``default``.
+    """
+    plain = source.removeprefix("live:")
+    path = Path(plain.removeprefix("mcap:")).expanduser()
+    if path.suffix == ".mcap" and path.is_file():
+        from ..core.preset_file import recorded_preset
+
+        with suppress(TactuneError):  # opening the source tells what is wrong with it
+            if recorded_preset(path) is not None:
+                return str(path)
+    return "simulator" if plain.partition(":")[0] == "sim" else "default"

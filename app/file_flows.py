@@ -13,7 +13,7 @@ from PyQt6.QtCore import QMimeData, QObject
 
 from ..core.errors import TactuneError
 from ..core.frames import Rig
-from ..core.preset import now
+from ..core.preset import Preset, now
 from ..core.preset_file import load_preset
 from ..core.sources.registry import source_kinds
 from .actions import Actions
@@ -86,6 +86,18 @@ class FileFlows(QObject):
             self._document.new(preset.model_copy(update={"name": "untitled", "created": created, "modified": created}))
 
         self.guarded(partial(self._told, begin))
+
+    def offer_preset(self, preset: Preset | None) -> None:
+        """Offer the preset that a recording holds, unless it is in use already."""
+        if preset is None or preset == self._document.preset:
+            self._messages.clear("recorded preset")
+            return
+        self._messages.show_message(
+            "recorded preset",
+            Severity.INFO,
+            f"This recording holds the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
+            [("Use the recorded one", lambda: self.guarded(lambda: self._document.new(preset)))],
+        )
 
     def open_preset_dialog(self) -> None:
         """Ask for a preset file and open it."""

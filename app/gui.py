@@ -126,7 +126,7 @@ def start_with(name: str | None, source: str) -> tuple[Preset, Path | None]:
     """Return the preset to begin with, and its file unless it is a shipped one."""
     name = name or default_preset(source)
     path = Path(name)
-    return load_preset(name), path if path.is_file() else None
+    return load_preset(name), path if path.is_file() and path.suffix != ".mcap" else None
 
 
 class _Screenshot(QObject):

@@ -273,6 +273,7 @@ class MainWindow(QMainWindow):
         self.settings.add_recent("sources", info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
+        self.file_flows.offer_preset(info.preset)
         height, width = info.rig.proximity.intrinsics.shape
         self.left.set_aspect(height / width)
 

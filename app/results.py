@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from ..core.errors import PresetError
 from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch
 from ..core.preset import Preset
 from ..core.provenance import Provenance
-from ..core.sources.base import Health
+from ..core.sources.base import FrameSource, Health
 from .playback import PlaybackState
 
 if TYPE_CHECKING:
@@ -94,6 +95,16 @@ class SourceInfo:
     rig: Rig
     length: int | None
     frame_rate_hz: float
+    preset: Preset | None = None
+
+    @classmethod
+    def of(cls, source: FrameSource) -> SourceInfo:
+        """Ask a source; a preset that cannot be used counts as none."""
+        try:
+            preset = source.preset()
+        except PresetError:
+            preset = None
+        return cls(source.name, source.rig, source.length, source.frame_rate_hz, preset)
 
 
 @dataclass(frozen=True)

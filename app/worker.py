@@ -253,7 +253,7 @@ class Worker(QThread):
 
     def _use_source(self, source: FrameSource) -> None:
         self._close_source(f"{source.name} was opened")
-        self._info = SourceInfo(source.name, source.rig, source.length, source.frame_rate_hz)
+        self._info = SourceInfo.of(source)
         self._processor.forget()
         self._playback.start_source(source.length, source.frame_rate_hz)
         self.opened.emit(self._info)

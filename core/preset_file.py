@@ -60,7 +60,8 @@ def load_preset(path_or_name: Path | str) -> Preset:
     Parameters
     ----------
     path_or_name : path or str
-        A file, or one of `shipped_presets`. A file of that name in the working folder wins.
+        A file, a recording (``.mcap``) that holds a preset, or one of `shipped_presets`. A file of that
+        name in the working folder wins.
 
     Raises
     ------
@@ -71,6 +72,11 @@ def load_preset(path_or_name: Path | str) -> Preset:
     if str(path_or_name) in shipped_presets() and not path.is_file():
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
         return preset_from_text(resource.read_text("utf-8"), origin=f"shipped preset {path_or_name}")
+    if path.suffix == ".mcap" and path.is_file():
+        preset = recorded_preset(path)
+        if preset is None:
+            raise PresetError(f"{path} holds no preset: it was recorded without; name a preset file")
+        return preset
     try:
         if path.is_char_device():  # /dev/zero would never end
             raise PresetError(f"{path} is no preset: it is a device; choose a .json file")
@@ -85,6 +91,22 @@ def load_preset(path_or_name: Path | str) -> Preset:
             f"{path} is no preset: it is not a text file (byte {error.start}); choose a .json file"
         ) from error
     return preset_from_text(text, origin=str(path))
+
+
+def recorded_preset(path: Path) -> Preset | None:
+    """Return the preset inside a recording (``.mcap``), or None where it was recorded without.
+
+    Raises
+    ------
+    SourceError
+        The file is no recording.
+    PresetError
+        The preset is none that this version can use.
+    """
+    from .sources.mcap import McapSource
+
+    with McapSource(path) as recording:
+        return recording.preset()
 
 
 def shipped_presets() -> list[str]:

@@ -5,10 +5,13 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import TYPE_CHECKING, Literal, Self
 
 from ..errors import SourceError
 from ..frames import Rig, SensorFrame
+
+if TYPE_CHECKING:
+    from ..preset import Preset
 
 #: Told the share of a long task that is done, 0 to 1, and what is being done.
 Progress = Callable[[float, str], None]
@@ -151,6 +154,16 @@ class FrameSource(ABC):
 
     def reference(self) -> SensorFrame | None:
         """Return a frame of the untouched membrane, or None where the source has none."""
+        return None
+
+    def preset(self) -> Preset | None:
+        """Return the preset that a recording holds, or None where it holds none.
+
+        Raises
+        ------
+        PresetError
+            It is none that this version can use.
+        """
         return None
 
     def health(self) -> Health:
