@@ -11,8 +11,6 @@ import typer
 
 from ..core.errors import TactuneError
 from .cli_progress import CliProgress
-from .cli_run import counted, warn
-from .patch_record import finite_or_none
 
 if TYPE_CHECKING:
     from ..core.evaluation.table import Table, TablePlan
@@ -85,6 +83,8 @@ def evaluate_patch(
     """Compare the clouds of two files: RMSE, Hausdorff, 95th percentile and Chamfer distance."""
     from ..core.evaluation.cloud_files import read_points, unit_doubt
     from ..core.evaluation.distances import cloud_distances
+    from .cli_run import counted, warn
+    from .patch_record import finite_or_none
 
     clouds = {path: read_points(path) for path in (patch, truth)}
     for path, points in clouds.items():
@@ -144,6 +144,7 @@ def _plan(
 def _measure(plan: TablePlan) -> Table:
     """Measure cell after cell, telling how far it is; after Ctrl-C say how to go on."""
     from ..core.evaluation.table import Table, measure_table
+    from .cli_run import counted, warn
 
     finished = Table()
     with CliProgress() as progress:

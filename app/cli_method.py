@@ -10,7 +10,6 @@ from ..core.baselines.method import MethodPatch
 from ..core.baselines.registry import make_method, method_names, needs_reference
 from ..core.errors import SourceError, TactuneError
 from ..core.evaluation.metrics import method_area_mm2
-from ..core.evaluation.untouched import untouched_frame
 from ..core.frames import Rig, SensorFrame
 from ..core.pipeline import ContactPatch, ContactPipeline
 from ..core.preset import Preset
@@ -58,6 +57,8 @@ def make_step(method: str, preset: Preset, source: FrameSource, reference: Senso
     if method == FUSION:
         return _fusion_step(ContactPipeline(preset, source.rig))
     if needs_reference(method) and reference is None:
+        from ..core.evaluation.untouched import untouched_frame  # the simulator, which other sources need not wait for
+
         reference = untouched_frame(source)
         if reference is None:
             raise TactuneError(
