@@ -23,6 +23,7 @@ from .outliers.clusters import in_large_cluster
 from .outliers.statistical import NeighbourMemory
 from .preset import OutlierSection, Preset
 from .provenance import Provenance
+from .simd import LANES
 from .threads import by_rows
 
 #: Tells which points are no outliers, as `outliers.statistical.statistical_inliers` does.
@@ -98,12 +99,13 @@ class CandidateFinder:
         tiles, possible = self.coarse.tiles(*images, self.limits)
         if possible == 0:
             return NO_CANDIDATES
+        image = flat(frame.proximity_color, 3 * LANES)
         counts: dict[int, int] = {}
 
         def find_rows(first: int, last: int) -> None:
             counts[first * width] = kernels.find_candidates(
                 *images, self.alignment.size, self.alignment.tables, self.region, self.limits, self._rays,
-                frame.proximity_color, self._color, self._hsv, tiles, first, last, buffers.pixels, buffers.points,
+                image, self._color, self._hsv, tiles, first, last, buffers.pixels, buffers.points.reshape(-1),
             )  # fmt: skip
 
         if possible <= _TILES_ALONE:

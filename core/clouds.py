@@ -70,10 +70,10 @@ def planes_of(table: Float32Array) -> Float32Array:
     return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
 
 
-def flat(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Return an image's pixels in a row, filled up with zeros where kernels could not load a vector."""
+def flat(image: npt.NDArray[Any], least: int = LANES) -> npt.NDArray[Any]:
+    """Return an image's elements in a row, filled up with zeros to what kernels load at least."""
     pixels = np.ascontiguousarray(image).reshape(-1)
-    return pixels if len(pixels) >= LANES else np.pad(pixels, (0, LANES - len(pixels)))
+    return pixels if len(pixels) >= least else np.pad(pixels, (0, least - len(pixels)))
 
 
 def valid_depth(counts: npt.NDArray[np.uint16]) -> npt.NDArray[np.bool_]:

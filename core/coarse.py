@@ -23,11 +23,13 @@ from .simd import (
     count_trailing_zeros,
     counts,
     flags,
+    float_scratch,
     floats,
     floor,
     gather,
     greater,
     greater_counts,
+    int_scratch,
     ints,
     largest_count,
     least_count,
@@ -54,6 +56,7 @@ _SLACK = np.float32(1e-5)
 #: A tile with points nearer to the tactile camera's own plane is never ruled out, metres.
 _LEAST_Z = np.float32(1e-6)
 _FARTHEST_PIXEL = np.float32(1e6)
+_box, _least, _most = int_scratch(4 * LANES), float_scratch(LANES), float_scratch(LANES)
 _NOTHING, _ONE = np.int32(0), np.int32(1)
 
 
@@ -228,11 +231,9 @@ def _mark_tiles(
     _spread(cells, wide, cell_rows * cell_columns, cell_columns)
     wide_low, wide_high = wide[2], wide[3]
 
-    flat_tiles = tiles.ravel()
+    flat_tiles = tiles.reshape(tiles.size)
     room = lows.shape[0]
-    box = np.empty(4 * LANES, np.int32)
-    least = np.empty(LANES, np.float32)
-    most = np.empty(LANES, np.float32)
+    box, least, most = _box(), _least(), _most()
     active = 0
     for start in range(0, room, LANES):
         low = load(lows, start)

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from .compiling import inline, kernel
 from .lenses import project
 from .preset import MaskSection
+from .simd import floats, floor, greater, ints, lesser, shift_right, to_floats, to_ints, where
 
 _HALF = np.float32(0.5)
 
@@ -21,6 +22,11 @@ _DIVISORS = np.maximum(np.arange(256), 1)
 _BY_VALUE = np.rint((255 << _SHIFT) / _DIVISORS).astype(np.int32) * (np.arange(256) > 0)
 _BY_CHROMA = np.rint((180 << _SHIFT) / (6.0 * _DIVISORS)).astype(np.int32) * (np.arange(256) > 0)
 _HUES = 180
+
+_ONE = np.float32(1.0)
+_NOTHING, _FOUR = np.int32(0), np.int32(4)
+_FULL, _SIXTH = np.float32(255 << _SHIFT), np.float32((180 << _SHIFT) // 6)
+_ROUND_LANES, _HUES_LANES = np.int32(_ROUND), np.int32(_HUES)
 
 
 def hsv_limits(section: MaskSection) -> npt.NDArray[np.int64]:
@@ -49,6 +55,33 @@ def in_range(red: Any, green: Any, blue: Any, limits: Any) -> Any:
     return (
         hue_fits and limits[2] <= saturation and saturation <= limits[3] and limits[4] <= value and value <= limits[5]
     )
+
+
+@inline
+def _divided(dividend: Any, divisor: Any) -> Any:
+    """Return a table's entry for each lane: the quotient to the nearest whole number; for 0 that for 1."""
+    quotient = floats(dividend) / greater(to_floats(divisor), floats(_ONE))
+    return to_ints(floor(quotient + floats(_HALF)))
+
+
+@inline
+def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
+    """Tell the same of vectors of colours, computing the tables' entries."""
+    value = greater(r, greater(g, b))
+    chroma = value - lesser(r, lesser(g, b))
+    saturation = shift_right(chroma * _divided(_FULL, value) + ints(_ROUND_LANES), _SHIFT)
+    hue = where(
+        value == r,
+        g - b,
+        where(value == g, b - r + chroma + chroma, r - g + ints(_FOUR) * chroma),
+    )
+    hue = shift_right(hue * _divided(_SIXTH, chroma) + ints(_ROUND_LANES), _SHIFT)
+    hue = where(hue < ints(_NOTHING), hue + ints(_HUES_LANES), hue)
+    low, high = ints(np.int32(limits[0])), ints(np.int32(limits[1]))
+    from_low, to_high = hue >= low, hue <= high
+    fits = (from_low & to_high) if limits[0] <= limits[1] else (from_low | to_high)
+    fits = fits & (saturation >= ints(np.int32(limits[2]))) & (saturation <= ints(np.int32(limits[3])))
+    return fits & (value >= ints(np.int32(limits[4]))) & (value <= ints(np.int32(limits[5])))
 
 
 @kernel

@@ -16,12 +16,17 @@ _PACKAGE = f"{__name__.partition('.')[0]}."
 _kernels: list[Any] = []
 
 
-def kernel(function: Callable[..., Any], **options: Any) -> Any:
+def kernel(function: Callable[..., Any], *, allocates: bool = False, **options: Any) -> Any:
     """Compile a function at its first call, with numba's options; keep the machine code for the next process.
+
+    Unless it ``allocates``, a kernel cannot make arrays, and numba refuses to compile one that tries. In return
+    it does not count references to those it is given, which would take longer than the work in inner loops,
+    above all where threads count the same ones.
 
     numba keeps it beside the source, or else in the user's cache folder, or where the environment's
     ``NUMBA_CACHE_DIR`` says. Where none of them can be written, the kernel is compiled in each process.
     """
+    options["_nrt"] = allocates
     try:
         compiled = njit(nogil=True, cache=True, **options)(function)
         # numba looks at the kernel's own file only, but other files' code is compiled into it

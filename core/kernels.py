@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from .colors import in_range
+from .colors import lanes_in_range
 from .compiling import inline, kernel
 from .lenses import project_lanes
 from .provenance import Provenance
@@ -34,17 +34,26 @@ from .simd import (
     bits,
     count_ones,
     count_trailing_zeros,
+    float_scratch,
     floats,
     floor,
     gather,
+    gather_colors,
+    int_scratch,
     ints,
     lane_numbers,
     load,
+    load_colors,
     store,
+    store_numbers,
+    store_points,
     to_floats,
     to_ints,
     where,
 )
+
+_two_vectors, _three_vectors = float_scratch(2 * LANES), float_scratch(3 * LANES)
+_int_vector = int_scratch(LANES)
 
 #: Rows of a tile; it is `LANES` columns wide.
 TILE_ROWS: Final = 8
@@ -54,6 +63,7 @@ _ZERO = np.float32(0.0)
 _NAN = np.float32(np.nan)
 _NONE = np.int32(0)
 _SATURATED = np.int32(65535)
+_ALL_LANES = (1 << LANES) - 1
 
 _NO_PROXIMITY_DEPTH = np.int32(Provenance.NO_PROXIMITY_DEPTH)
 _OUTSIDE_REGION = np.int32(Provenance.OUTSIDE_REGION)
@@ -134,7 +144,7 @@ def align_rows(
     """
     width, height = size[0], size[1]
     pixels = max(width * height, LANES)
-    buffer = np.empty(2 * LANES, np.float32)
+    buffer = _two_vectors()
     for v in range(first, last):
         for u in range(0, width, LANES):
             place, before = _place(v, u, width, pixels)
@@ -167,7 +177,7 @@ def classify_rows(
     """
     width, height = size[0], size[1]
     pixels = max(width * height, LANES)
-    buffer = np.empty(LANES, np.uint8)
+    buffer = _int_vector()
     for v in range(first, last):
         row_in_region = v >= region[1] and v < region[3]
         for u in range(0, width, LANES):
@@ -193,7 +203,7 @@ def classify_rows(
                 continue
             store(buffer, 0, verdict)
             for i in range(min(LANES, width - u)):
-                provenance[v * width + u + i] = buffer[before + i]
+                provenance[v * width + u + i] = np.uint8(buffer[before + i])
 
 
 @kernel
@@ -223,16 +233,17 @@ def find_candidates(
     ----------
     rays : float32, flat
         x / z, then y / z of each proximity ray.
-    image : uint8, (H, W, 3)
+    image : uint8, flat
         Proximity colours.
     color : tuple
-        ``(own, transform, lens, camera)``; ``own`` tells whether the colour camera stands apart, and
-        ``transform`` (float32, (12,)) holds rotation and translation from depth to colour.
+        ``(own, transform, lens, camera, width, height)``; ``own`` tells whether the colour camera stands apart,
+        ``transform`` (float32, (12,)) holds rotation and translation from depth to colour, and the last two
+        are the colour image's size.
     hsv : int64, (6,) or (0,)
         Range of colours to leave out, from `colors.hsv_limits`; empty for no mask.
     tiles : bool, (rows of tiles, tiles in a row)
         False where `coarse` has shown that a tile of `TILE_ROWS` x `LANES` pixels has no candidate.
-    pixels_out, points_out : int64 and float32 (n, 3), written from ``first * width`` on
+    pixels_out, points_out : int64 and float32 (flat, three a point), written from point ``first * width`` on
         Those pixels and their points, in order.
 
     Returns
@@ -242,12 +253,9 @@ def find_candidates(
     """
     width, height = size[0], size[1]
     pixels = max(width * height, LANES)
-    point = np.empty((3, LANES), np.float32)
-    flat_point = point.ravel()
-    partner = np.empty(LANES, np.int32)
-    own, transform, color_lens, color_camera = color
+    point = _three_vectors()
+    own, transform, color_lens, color_camera, color_width, color_height = color
     has_mask = hsv.shape[0] > 0
-    flat_image = image.ravel()
     kept = first * width
     for v in range(max(first, region[1]), min(last, region[3])):
         for u in range(region[0] // LANES * LANES, region[2], LANES):
@@ -263,15 +271,10 @@ def find_candidates(
                 continue
             dp, _, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
             passes = has_dt & (absolute(dp - dt) <= floats(limits[2]) * absolute(dp))
-            remaining = bits(passes)
-            if remaining == 0:
+            if bits(passes) == 0:
                 continue
             x = load(rays, place) * depth
             y = load(rays, pixels + place) * depth
-            store(flat_point, 0, x)
-            store(flat_point, LANES, y)
-            store(flat_point, 2 * LANES, depth)
-            colored = remaining if has_mask else 0
             if has_mask and own:
                 cx = floats(transform[0]) * x + floats(transform[1]) * y
                 cx = cx + floats(transform[2]) * depth + floats(transform[9])
@@ -280,22 +283,28 @@ def find_candidates(
                 cz = floats(transform[6]) * x + floats(transform[7]) * y
                 cz = cz + floats(transform[8]) * depth + floats(transform[11])
                 cu, cv = project_lanes(cx, cy, cz, color_lens, color_camera)
-                inside, there = _nearest(cu, cv, image.shape[1], image.shape[0])
-                colored = bits(passes & inside & (cz > floats(_ZERO)))
-                store(partner, 0, there)
+                inside, there = _nearest(cu, cv, color_width, color_height)
+                red, green, blue = gather_colors(image, where(inside, there, ints(_NONE)))
+                masked = lanes_in_range(red, green, blue, hsv)
+                passes = passes & ~(masked & inside & (cz > floats(_ZERO)))
+            elif has_mask:
+                red, green, blue = load_colors(image, place)
+                passes = passes & ~lanes_in_range(red, green, blue, hsv)
+            remaining = bits(passes)
+            if remaining == _ALL_LANES:
+                store_points(points_out, 3 * kept, x, y, depth)
+                store_numbers(pixels_out, kept, place)
+                kept += LANES
+                continue
+            store(point, 0, x)
+            store(point, LANES, y)
+            store(point, 2 * LANES, depth)
             while remaining != 0:
                 lane = count_trailing_zeros(remaining)
-                is_masked = False
-                if (colored >> lane) & 1:
-                    there_flat = 3 * (np.int64(partner[lane]) if own else place + lane)
-                    is_masked = in_range(
-                        flat_image[there_flat], flat_image[there_flat + 1], flat_image[there_flat + 2], hsv
-                    )
-                if not is_masked:
-                    pixels_out[kept] = place + lane
-                    points_out[kept, 0] = point[0, lane]
-                    points_out[kept, 1] = point[1, lane]
-                    points_out[kept, 2] = point[2, lane]
-                    kept += 1
+                pixels_out[kept] = place + lane
+                points_out[3 * kept] = point[lane]
+                points_out[3 * kept + 1] = point[LANES + lane]
+                points_out[3 * kept + 2] = point[2 * LANES + lane]
+                kept += 1
                 remaining &= remaining - 1
     return kept - first * width

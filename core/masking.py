@@ -64,10 +64,12 @@ def colors_at(points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], ima
     return colors, seen
 
 
-def color_model(rig: Rig) -> tuple[bool, npt.NDArray[np.float32], int, npt.NDArray[np.float32]]:
+def color_model(rig: Rig) -> tuple[bool, npt.NDArray[np.float32], int, npt.NDArray[np.float32], int, int]:
     """Return the colour camera as `kernels.find_candidates` takes it."""
     if rig.proximity_color is None:
-        return False, np.zeros(12, np.float32), 0, np.zeros(9, np.float32)
+        lens = rig.proximity.intrinsics
+        return False, np.zeros(12, np.float32), 0, np.zeros(9, np.float32), lens.width, lens.height
     T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)
     transform = np.concatenate([T_c_d[:3, :3].ravel(), T_c_d[:3, 3]])
-    return True, transform, *lens_parameters(rig.proximity_color.intrinsics)
+    camera = rig.proximity_color.intrinsics
+    return True, transform, *lens_parameters(camera), camera.width, camera.height

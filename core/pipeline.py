@@ -90,6 +90,7 @@ class ContactPipeline:
         self._preset = preset
         self._finder = CandidateFinder(preset, rig, make_alignment(preset.alignment, rig))
         self._buffers = CandidateBuffers(rig)
+        self._neighbours = NeighbourMemory()
         self._memory = _Memory()
 
     @property
@@ -139,7 +140,7 @@ class ContactPipeline:
             return memory.patch_of(frame, self.rig, finder, (unmasked, unmasked, unmasked), stage, (NO_CANDIDATES,))
         inliers = stage(
             "outliers", (outliers.enabled, outliers.k, outliers.ratio),
-            drop_outliers, unmasked, self.rig, outliers, self._inliers, memory.neighbours,
+            drop_outliers, unmasked, self.rig, outliers, self._inliers, self._neighbours,
         )  # fmt: skip
         contact = stage("clusters", outliers.min_cluster_area_mm2, drop_small_clusters, inliers, self.rig, outliers)
 
@@ -171,7 +172,6 @@ class _Memory:
 
     frame: SensorFrame | None = None
     results: dict[str, tuple[Any, Any]] = field(default_factory=dict)
-    neighbours: NeighbourMemory = field(default_factory=NeighbourMemory)
     patch: ContactPatch | None = None
     preset: Preset | None = None
 

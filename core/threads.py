@@ -12,6 +12,10 @@ import os
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
 
 _local = threading.local()
 _lock = threading.Lock()
@@ -35,6 +39,18 @@ def get_threads() -> int:
 def set_threads(count: int) -> None:
     """Let the calling thread's kernels use so many threads, itself included; at least 1."""
     _local.threads = max(1, count)
+
+
+def scratch(name: str, count: int, dtype: type[np.generic]) -> npt.NDArray[Any]:
+    """Return the calling thread's array of this name with at least so many elements, which may hold anything.
+
+    It is the same array at each call, a larger one where need be.
+    """
+    arrays: dict[str, npt.NDArray[Any]] = _local.__dict__.setdefault("arrays", {})
+    found = arrays.get(name)
+    if found is None or len(found) < count:
+        found = arrays[name] = np.empty(count + count // 2, dtype)
+    return found
 
 
 def in_parallel(task: Callable[[int], object], count: int) -> None:

@@ -14,7 +14,7 @@ from .frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from .intrinsics import Intrinsics
 from .masking import colors_at, in_hsv_range
 from .outliers import mean_neighbour_distances
-from .outliers.single import search_all
+from .outliers.statistical import compare_with_all
 from .outliers.threshold import below_threshold
 from .pipeline import ContactPipeline
 from .preset import Preset
@@ -61,7 +61,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
         lambda: patch.aligned,
         lambda: mean_neighbour_distances(points, pixels, lens, 8),
         lambda: below_threshold(np.ones(len(points)), 2.0),
-        lambda: search_all(few, points, 2, means),
+        lambda: compare_with_all(few, points, 2, means),
         lambda: colors_at(points, pixels, frame.proximity_color, rig),
         lambda: in_hsv_range(frame.proximity_color, preset.mask),
     ]

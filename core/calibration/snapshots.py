@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -167,7 +168,7 @@ def _check_sizes(images: Sequence[npt.NDArray[Any]]) -> None:
             )
 
 
-@kernel
+@partial(kernel, allocates=True)
 def _median_rows(stack: npt.NDArray[np.uint16], out: npt.NDArray[np.uint16]) -> None:
     """Write the lower median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
     height, width, count = stack.shape

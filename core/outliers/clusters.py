@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from ..compiling import kernel
 from ..intrinsics import Intrinsics
+from ..threads import scratch
 
 
 def pixel_areas_m2(depth_m: npt.NDArray[np.float32], intrinsics: Intrinsics) -> npt.NDArray[np.float64]:
@@ -31,7 +32,10 @@ def in_large_cluster(
     if min_area_mm2 <= 0 or len(points) == 0:
         return np.ones(len(points), bool)
     large = np.empty(len(points), np.bool_)
-    _mark_large(pixels, points[:, 2], intrinsics.width, intrinsics.fx * intrinsics.fy, min_area_mm2, large)
+    starts, parents = scratch("starts", len(points) + 1, np.int64), scratch("parents", len(points), np.int64)
+    areas = scratch("areas", len(points), np.float64)
+    focal_product = intrinsics.fx * intrinsics.fy
+    _mark_large(pixels, points[:, 2], intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
     return large
 
 
@@ -44,10 +48,12 @@ def _root(parents: Any, run: Any) -> Any:
 
 
 @kernel
-def _mark_large(pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any, large: Any) -> None:
+def _mark_large(
+    pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any, starts: Any, parents: Any,
+    areas: Any, large: Any
+) -> None:  # fmt: skip
     """Join runs of neighbouring pixels to those that they touch in the row above; add up areas in pixel order."""
     count = len(pixels)
-    starts = np.empty(count + 1, np.int64)
     runs = 0
     for i in range(count):
         if i == 0 or pixels[i] != pixels[i - 1] + 1 or pixels[i] % width == 0:
@@ -55,7 +61,9 @@ def _mark_large(pixels: Any, depths: Any, width: Any, focal_product: Any, min_ar
             runs += 1
     starts[runs] = count
 
-    parents = np.arange(runs)
+    for run in range(runs):
+        parents[run] = run
+        areas[run] = 0.0
     above = 0
     for run in range(runs):
         first = pixels[starts[run]]
@@ -72,7 +80,6 @@ def _mark_large(pixels: Any, depths: Any, width: Any, focal_product: Any, min_ar
             parents[max(a, b)] = min(a, b)
             other += 1
 
-    areas = np.zeros(runs, np.float64)
     for run in range(runs):
         parents[run] = _root(parents, run)
         for i in range(starts[run], starts[run + 1]):

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ..compiling import kernel
 from ..intrinsics import Intrinsics
-from ..threads import in_parallel
+from ..threads import in_parallel, scratch
 from .grid import side_planes
 
 #: A point whose neighbours are not certain after this many rings is looked up in a k-d tree.
@@ -55,7 +55,8 @@ def mean_neighbour_distances(
 
     def search(part: int) -> None:
         first, last = part * _PART, min((part + 1) * _PART, len(chosen))
-        _ring_search(chosen, points, pixels, numbers, *planes, k, _MOST_RINGS, first, last, means)
+        best = scratch("best", k, np.float64)
+        _ring_search(chosen, points, pixels, numbers, *planes, k, _MOST_RINGS, first, last, best, means)
 
     in_parallel(search, -(-len(chosen) // _PART))
     uncertain = np.isnan(means)
@@ -108,11 +109,10 @@ def _bound_beyond(x: Any, y: Any, z: Any, u: Any, v: Any, ring: Any, columns: An
 @kernel
 def _ring_search(
     chosen: Any, points: Any, pixels: Any, numbers: Any, columns: Any, rows: Any, k: Any, most_rings: Any,
-    first: Any, last: Any, means: Any
+    first: Any, last: Any, best: Any, means: Any
 ) -> None:  # fmt: skip
     """Write the mean distances of chosen points ``first`` to ``last - 1``; nan where ``most_rings`` settle nothing."""
     height, width = numbers.shape
-    best = np.empty(k, np.float64)
     for wanted in range(first, last):
         i = chosen[wanted]
         v, u = pixels[i] // width, pixels[i] % width

@@ -16,6 +16,7 @@ from ..simd import (
     bits,
     count_trailing_zeros,
     doubles,
+    float_scratch,
     floats,
     ints,
     lesser,
@@ -40,6 +41,12 @@ _FIRST_RADIUS = 7
 _GROUPS = 16
 #: Interpolation steps, after which the bracket is walked through value by value.
 _STEPS = 10
+#: Steps to a bound for the k-th smallest, each halving the range of exponents.
+_BOUND_STEPS = 24
+_TINY = np.float32(1e-18)
+
+_squares = float_scratch((2 * MOST_SINGLE_RADIUS + 1) * ((2 * MOST_SINGLE_RADIUS + LANES) // LANES) * LANES)
+_minima, _nearest = float_scratch(LANES), float_scratch(_GROUPS * LANES)
 
 
 @inline
@@ -65,7 +72,10 @@ def _next_above(squares: Any, vectors: Any, threshold: Any, minima: Any) -> Any:
         square = load(squares, i * LANES)
         least = lesser(least, where(square <= floats(threshold), floats(_HUGE), square))
     store(minima, 0, least)
-    return minima.min()
+    smallest = minima[0]
+    for lane in range(1, LANES):
+        smallest = min(smallest, minima[lane])
+    return smallest
 
 
 @inline
@@ -112,40 +122,41 @@ def _mean_of_nearest(squares: Any, vectors: Any, limit: Any, within_limit: Any, 
 
 @kernel
 def search_single(
-    chosen: Any, points: Any, pixels: Any, width: Any, stride: Any, xs: Any, ys: Any, zs: Any, columns: Any,
-    rows: Any, k: Any, means: Any
+    first: Any, last: Any, points: Any, pixels: Any, width: Any, stride: Any, xs: Any, ys: Any, zs: Any,
+    columns: Any, rows: Any, k: Any, most_radius: Any, means: Any
 ) -> None:  # fmt: skip
-    """Write the chosen points' mean distance to their k nearest; nan where the largest window is too small.
+    """Find the mean distance to the k nearest of the points that have nan; leave it where no window is large enough.
 
     Parameters
     ----------
-    chosen : int, shape (M,)
-        Numbers of points.
+    first, last : int
+        Numbers of points; ``last`` is exclusive.
     points, pixels
         The whole cloud, (N, 3) and (N,).
     width, stride, xs, ys, zs, columns, rows
         Of the `Grid` that it lies in.
+    most_radius : int
+        Largest window, at most `MOST_SINGLE_RADIUS`.
     k, means
         As in `tiles.search_tiles`, with the same precision.
     """
-    across = (2 * MOST_SINGLE_RADIUS + LANES) // LANES
-    squares = np.empty((2 * MOST_SINGLE_RADIUS + 1) * across * LANES, np.float32)
-    minima = np.empty(LANES, np.float32)
+    squares, minima = _squares(), _minima()
     columns_end = columns.shape[0] // 4
     rows_end = rows.shape[0] // 4
-    for i in chosen:
+    for i in range(first, last):
+        if means[i] == means[i]:
+            continue
         v = pixels[i] // width
         u = pixels[i] - v * width
         x = points[i, 0]
         y = points[i, 1]
         z = points[i, 2]
-        means[i] = np.nan
 
         radius = _FIRST_RADIUS
         vectors = 0
         limit = _ZERO
         within_high = 0
-        while radius <= MOST_SINGLE_RADIUS:
+        while radius <= most_radius:
             left = MARGIN + u - radius - 1
             right = MARGIN + u + radius + 1
             top = MARGIN + v - radius - 1
@@ -177,26 +188,63 @@ def search_single(
         means[i] = _mean_of_nearest(squares, vectors, limit, within_high, k, minima)
 
 
-@kernel
-def search_all(chosen: Any, points: Any, k: Any, means: Any) -> None:
-    """Write the chosen points' mean distance to their k nearest, looking at every point of the cloud.
+@inline
+def _bound_of_nearest(nearest: Any, k: Any) -> Any:
+    """Return a value that at least k of ``nearest`` do not exceed, and rarely many more."""
+    high = _ZERO
+    low = _HUGE
+    for i in range(_GROUPS * LANES):
+        high = max(high, nearest[i])
+        low = min(low, nearest[i])
+    low = max(low, _TINY)
+    within = _GROUPS * LANES
+    for _ in range(_BOUND_STEPS):
+        if within <= k + k // 2:
+            break
+        middle = np.float32(np.sqrt(low * high))
+        found = _count_within(nearest, _GROUPS, middle)
+        if found >= k:
+            high = middle
+            within = found
+        else:
+            low = middle
+    return high
 
-    Parameters as in `search_single`.
-    """
+
+@kernel
+def part_coordinates(points: Any, xs: Any, ys: Any, zs: Any) -> None:
+    """Write the coordinates of points (N, 3) to planes, filled up with points far away to a whole vector."""
     count = len(points)
-    vectors = (count + LANES - 1) // LANES
-    xs, ys = np.zeros(vectors * LANES, np.float32), np.zeros(vectors * LANES, np.float32)
-    zs = np.full(vectors * LANES, FAR)
     for j in range(count):
         xs[j], ys[j], zs[j] = points[j, 0], points[j, 1], points[j, 2]
-    squares = np.empty(vectors * LANES, np.float32)
-    kept = np.empty((vectors + 1) * LANES, np.float32)
-    nearest = np.empty(_GROUPS * LANES, np.float32)
-    minima = np.empty(LANES, np.float32)
+    for j in range(count, (count + LANES - 1) // LANES * LANES):
+        xs[j], ys[j], zs[j] = _ZERO, _ZERO, FAR
+
+
+@kernel
+def search_all(chosen: Any, count: Any, xs: Any, ys: Any, zs: Any, k: Any, squares: Any, kept: Any, means: Any) -> None:
+    """Write the chosen points' mean distance to their k nearest, looking at every point of the cloud.
+
+    Parameters
+    ----------
+    chosen : int, shape (M,)
+        Numbers of points.
+    count : int
+        Points of the cloud.
+    xs, ys, zs : float32
+        Their coordinates from `part_coordinates`.
+    squares, kept : float32
+        Room for every point and two vectors more.
+    k, means
+        As in `search_single`.
+    """
+    vectors = (count + LANES - 1) // LANES
+    nearest, minima = _nearest(), _minima()
     for i in chosen:
-        x, y, z = floats(points[i, 0]), floats(points[i, 1]), floats(points[i, 2])
+        x, y, z = floats(xs[i]), floats(ys[i]), floats(zs[i])
         # The k smallest of the groups' least distances are distances, too, so the k-th bounds the k-th of all.
-        nearest[:] = _HUGE
+        for group in range(_GROUPS):
+            store(nearest, group * LANES, floats(_HUGE))
         for j in range(vectors):
             dx = x - load(xs, j * LANES)
             dy = y - load(ys, j * LANES)
@@ -205,8 +253,7 @@ def search_all(chosen: Any, points: Any, k: Any, means: Any) -> None:
             group = j % _GROUPS * LANES
             store(squares, j * LANES, square)
             store(nearest, group, lesser(load(nearest, group), square))
-        nearest.sort()
-        bound = nearest[k - 1] if k <= len(nearest) else _HUGE
+        bound = _bound_of_nearest(nearest, k) if k <= _GROUPS * LANES else _HUGE
         found = 0
         for j in range(vectors):
             near = bits(load(squares, j * LANES) <= floats(bound))
@@ -218,5 +265,5 @@ def search_all(chosen: Any, points: Any, k: Any, means: Any) -> None:
         farthest = _ZERO
         for j in range(found):
             farthest = max(farthest, kept[j])
-        kept[found : found + LANES] = _HUGE
+        store(kept, found, floats(_HUGE))
         means[i] = _mean_of_nearest(kept, (found + LANES - 1) // LANES, farthest, found, k, minima)

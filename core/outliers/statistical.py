@@ -8,11 +8,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ..intrinsics import Intrinsics
-from ..threads import in_parallel
+from ..simd import LANES
+from ..threads import in_parallel, scratch
 from . import threshold
-from .grid import Grid, GridPool
+from .grid import MOST_SINGLE_RADIUS, NUMBER, Grid, GridPool
 from .rings import mean_neighbour_distances, tree_means
-from .single import search_all, search_single
+from .single import part_coordinates, search_all, search_single
 from .threshold import below_threshold, surely_below_threshold
 from .tiles import search_tiles
 
@@ -23,22 +24,33 @@ Distances = npt.NDArray[np.float64]
 
 #: Up to so many points a k-d tree is faster than laying a grid out.
 _TREE_POINTS = 64
-#: Tiles with fewer points each are not searched together.
-_POINTS_A_TILE = 2.5
-#: So many points are rather compared with all others than looked up in a k-d tree.
-_FEW_LEFT = 120
-#: Tiles, single points and points compared with all others that one thread takes at a time.
-_TILES, _SINGLES, _COMPARED = 192, 256, 16
+#: Up to so many distances are rather computed than looked up in a k-d tree, and fewer on one thread alone.
+_MOST_PAIRS, _PAIRS_ALONE = 150_000_000, 1_000_000
+#: Windows of single points hold at most this share of the number of points, but for the least.
+_WINDOW_SHARE, _LEAST_SINGLE_RADIUS = 0.25, 7
+#: Tiles and points compared with all others that one thread takes at a time.
+_TILES, _COMPARED = 192, 16
 
 _grids = GridPool()
 
 
 class NeighbourMemory:
-    """The mean distances found last, for the same points and k once more with another ratio."""
+    """The mean distances found last, for the same points and k once more with another ratio.
+
+    Used for one frame after another, it keeps the array that they lie in. For one thread at a time.
+    """
 
     def __init__(self) -> None:
         self._of: tuple[Points, int] | None = None
         self._means = np.empty(0)
+        self._room = np.empty(0)
+
+    def room(self, count: int) -> Distances:
+        """Return an array for so many means; what was remembered is forgotten."""
+        self._of = None
+        if len(self._room) < count:
+            self._room = np.empty(count + count // 2)
+        return self._room[:count]
 
     def recall(self, points: Points, k: int) -> Distances | None:
         """Return the means of this very array of points, if remembered."""
@@ -87,7 +99,7 @@ def statistical_inliers(
     if len(points) > _TREE_POINTS and k > 1:
         means = memory.recall(points, k) if memory is not None else None
         if means is None:
-            means = near_means(points, pixels, intrinsics, k)
+            means = near_means(points, pixels, intrinsics, k, memory=memory)
             if memory is not None:
                 memory.remember(points, k, means)
         inliers = surely_below_threshold(means, ratio, threshold.UNCERTAINTY)
@@ -99,30 +111,50 @@ def statistical_inliers(
     return np.asarray(below_threshold(mean_neighbour_distances(points, pixels, intrinsics, k), ratio))
 
 
-def near_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int, window: int = 0) -> Distances:
+def near_means(
+    points: Points,
+    pixels: Pixels,
+    intrinsics: Intrinsics,
+    k: int,
+    window: int = 0,
+    memory: NeighbourMemory | None = None,
+) -> Distances:
     """Return each point's mean distance to its k nearest, to within `threshold.UNCERTAINTY` of itself.
 
-    Parameters as in `statistical_inliers`, with 1 < k <= N; ``window`` as in `tiles.search_tiles`.
+    Parameters as in `statistical_inliers`, with 1 < k <= N; ``window`` as in `tiles.search_tiles`. With a
+    ``memory`` the result lies in its array.
     """
     grid = _grids.borrow(intrinsics)
     try:
         if not grid.lay(points, pixels):
             return tree_means(points, points, k)
-        means = np.empty(len(points))
-        dense = len(points) >= _POINTS_A_TILE * len(grid.tiles)
-        if dense:
-            in_parallel(partial(_search_tiles, grid, k, window, False, means), -(-len(grid.tiles) // _TILES))
-        left = np.flatnonzero(np.isnan(means)) if dense else np.arange(len(points))
-        in_parallel(partial(_search_single, grid, left, points, pixels, k, means), -(-len(left) // _SINGLES))
+        means = memory.room(len(points)) if memory is not None else np.empty(len(points))
+        radius = _largest_worthwhile_radius(len(points))
+        search = partial(_search_part, grid, points, pixels, k, window, radius, means)
+        in_parallel(search, -(-len(grid.tiles) // _TILES))
     finally:
         grid.clear(pixels)
         _grids.give_back(intrinsics, grid)
-    left = left[np.isnan(means[left])]
-    if len(left) <= _FEW_LEFT:
-        in_parallel(partial(_search_all, left, points, k, means), -(-len(left) // _COMPARED))
-    else:
+    left = np.flatnonzero(np.isnan(means))
+    if len(left) == 0:
+        return means
+    if len(left) * len(points) > _MOST_PAIRS:
         means[left] = tree_means(points, points[left], k)
+    else:
+        compare_with_all(left, points, k, means)
     return means
+
+
+def compare_with_all(left: Pixels, points: Points, k: int, means: Distances) -> None:
+    """Write the mean distance of the points numbered in ``left`` to their k nearest, looking at every point."""
+    planes = tuple(scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
+    part_coordinates(points, *planes)
+    compare = partial(_search_all, left, planes, len(points), k, means)
+    if len(left) * len(points) <= _PAIRS_ALONE:
+        compare(slice(None))
+    else:
+        parts = -(-len(left) // _COMPARED)
+        in_parallel(lambda part: compare(slice(part * _COMPARED, (part + 1) * _COMPARED)), parts)
 
 
 def precise_means(points: Points, pixels: Pixels, intrinsics: Intrinsics, k: int) -> Distances:
@@ -146,14 +178,29 @@ def _search_tiles(grid: Grid, k: int, window: int, precise: bool, means: Distanc
     search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, window, precise, means)
 
 
-def _search_single(
-    grid: Grid, left: Pixels, points: Points, pixels: Pixels, k: int, means: Distances, part: int
+def _search_part(
+    grid: Grid, points: Points, pixels: Pixels, k: int, window: int, radius: int, means: Distances, part: int
 ) -> None:
-    chosen = left[part * _SINGLES : (part + 1) * _SINGLES]
+    """Search some tiles' points together, and those that this leaves one by one."""
+    tiles = grid.tiles[part * _TILES : (part + 1) * _TILES]
+    end = (part + 1) * _TILES
+    first = tiles[0, NUMBER]
+    last = grid.tiles[end, NUMBER] if end < len(grid.tiles) else len(points)
+    planes = grid.xs, grid.ys, grid.zs
+    search_tiles(tiles, *planes, grid.offsets, grid.columns, grid.rows, k, window, False, means)
     search_single(
-        chosen, points, pixels, grid.width, grid.stride, grid.xs, grid.ys, grid.zs, grid.columns, grid.rows, k, means
+        first, last, points, pixels, grid.width, grid.stride, *planes, grid.columns, grid.rows, k, radius, means
     )
 
 
-def _search_all(left: Pixels, points: Points, k: int, means: Distances, part: int) -> None:
-    search_all(left[part * _COMPARED : (part + 1) * _COMPARED], points, k, means)
+def _largest_worthwhile_radius(count: int) -> int:
+    """Return the largest window for single points that is a small part of the work of looking at all points."""
+    radius = MOST_SINGLE_RADIUS
+    while radius > _LEAST_SINGLE_RADIUS and (2 * radius + 1) ** 2 > _WINDOW_SHARE * count:
+        radius //= 2
+    return radius
+
+
+def _search_all(left: Pixels, planes: tuple[Points, ...], count: int, k: int, means: Distances, chosen: slice) -> None:
+    squares, kept = (scratch(name, count + 2 * LANES, np.float32) for name in ("squares", "kept"))
+    search_all(left[chosen], count, *planes, k, squares, kept, means)

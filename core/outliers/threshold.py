@@ -19,9 +19,15 @@ PRECISE_UNCERTAINTY = 1e-9
 _LEAST_M = 1e-12
 
 
-@kernel
-def below_threshold(means: Any, ratio: Any) -> Any:
+def below_threshold(means: npt.NDArray[np.float64], ratio: float) -> npt.NDArray[np.bool_]:
     """Tell which exact means are positive and below Open3D's threshold, summing in its order."""
+    inliers = np.empty(len(means), np.bool_)
+    _compare_exactly(means, ratio, inliers)
+    return inliers
+
+
+@kernel
+def _compare_exactly(means: Any, ratio: Any, inliers: Any) -> None:
     count = len(means)
     total = 0.0
     for value in means:
@@ -32,10 +38,8 @@ def below_threshold(means: Any, ratio: Any) -> Any:
         if value > 0:
             squares += (value - mean) * (value - mean)
     threshold = mean + ratio * np.sqrt(squares / (count - 1)) if count > 1 else np.nan
-    inliers = np.empty(count, np.bool_)
     for i in range(count):
         inliers[i] = means[i] > 0 and means[i] < threshold
-    return inliers
 
 
 def surely_below_threshold(

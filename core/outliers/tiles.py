@@ -14,8 +14,10 @@ from ..simd import (
     bits,
     count_ones,
     count_trailing_zeros,
+    double_scratch,
     doubles,
     flags,
+    float_scratch,
     floats,
     greater,
     ints,
@@ -48,6 +50,8 @@ _FEW_UNSETTLED = 3
 #: ... and a threshold is sought in so many steps, which leave about one lane in a hundred.
 _STEPS = 4
 _FIRST_RADIUS = 3
+
+_squares, _sums = float_scratch((2 * MOST_TILE_RADIUS + 1) ** 2 * LANES), double_scratch(LANES)
 
 
 @inline
@@ -150,8 +154,7 @@ def search_tiles(
     means : float64, shape (N,), written
         Metres, by the points' numbers.
     """
-    squares = np.empty((2 * MOST_TILE_RADIUS + 1) ** 2 * LANES, np.float32)
-    sums = np.empty(LANES, np.float64)
+    squares, sums = _squares(), _sums()
     radius = window if window > 0 else _FIRST_RADIUS
     seed = _ZERO
     one = ints(_SINGLE)
@@ -164,6 +167,10 @@ def search_tiles(
         mask = tiles[tile, MASK]
         number = tiles[tile, NUMBER]
         place = tiles[tile, PLACE]
+        if count_ones(mask) <= _FEW_UNSETTLED and window == 0 and not precise:
+            for i in range(count_ones(mask)):
+                means[number + i] = np.nan
+            continue
         x = load(xs, place)
         y = load(ys, place)
         z = load(zs, place)

@@ -48,7 +48,7 @@ _NORMAL_STEP: Final = 2e-6
 
 def compiled(function: _Kernel) -> _Kernel:
     """Compile a kernel: kept on disk, free of the interpreter lock, and the same bits every time."""
-    return cast(_Kernel, kernel(function, error_model="numpy"))
+    return cast(_Kernel, kernel(function, allocates=True, error_model="numpy"))
 
 
 @dataclass(frozen=True)
