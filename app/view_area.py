@@ -43,7 +43,7 @@ _COLOR_TIPS = {
 }
 #: The stages after the contact test: what drops points, and what to change where it drops too many.
 _DROPPED = {
-    Provenance.MASKED: ("the mask", "narrow its colour ranges, or switch it off"),
+    Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
     Provenance.OUTLIER: ("the outlier removal", "raise its ratio, or switch it off"),
     Provenance.SMALL_CLUSTER: ("the limit on small clusters", "lower the smallest cluster"),
 }

@@ -41,7 +41,7 @@ def test_cameras_are_found_by_serial_or_by_model(connected, cameras, expected):
 @pytest.mark.parametrize(
     ("connected", "cameras", "words"),
     [
-        ([], named(), "no RealSense camera is connected: plug both"),
+        ([], named(), "finds no RealSense camera connected: plug both"),
         ([L515], named(), r"no tactile camera, only L515 \(serial f1\) is connected; plug a D405"),
         ([D405], named(), r"no proximity camera, only D405 \(serial d1\) is connected; plug an L515"),
         ([L515, D405, D405_TOO], named(), r"D405 \(serial d1\) and D405 \(serial d2\) may each be the tactile camera"),

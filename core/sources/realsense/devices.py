@@ -145,7 +145,7 @@ def choose(devices: Sequence[DeviceInfo], cameras: CamerasSection, source: str) 
     if not devices:
         hint = f"; note that {l515_hint}" if l515_hint else ""
         raise SourceError(
-            f"{source} no RealSense camera is connected: plug both into USB 3 ports; "
+            f"{source} finds no RealSense camera connected: plug both into USB 3 ports; "
             f"tactune doctor says what else may be wrong{hint}"
         )
     named = {cameras.proximity.serial, cameras.tactile.serial} - {""}
