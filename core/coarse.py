@@ -23,13 +23,10 @@ from .simd import (
     count_trailing_zeros,
     counts,
     flags,
-    float_scratch,
     floats,
     floor,
-    gather,
     greater,
     greater_counts,
-    int_scratch,
     ints,
     largest_count,
     least_count,
@@ -42,6 +39,7 @@ from .simd import (
     to_ints,
     where,
 )
+from .simd_memory import float_scratch, gather, int_scratch
 
 #: So many neighbouring tiles are looked at together at first; a rectangle rarely spans more.
 _SPAN = 3

@@ -34,23 +34,17 @@ from .simd import (
     bits,
     count_ones,
     count_trailing_zeros,
-    float_scratch,
     floats,
     floor,
-    gather,
-    gather_colors,
-    int_scratch,
     ints,
     lane_numbers,
     load,
-    load_colors,
     store,
-    store_numbers,
-    store_points,
     to_floats,
     to_ints,
     where,
 )
+from .simd_memory import float_scratch, gather, gather_colors, int_scratch, load_colors, store_numbers, store_points
 
 _two_vectors, _three_vectors = float_scratch(2 * LANES), float_scratch(3 * LANES)
 _int_vector = int_scratch(LANES)

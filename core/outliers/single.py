@@ -16,7 +16,6 @@ from ..simd import (
     bits,
     count_trailing_zeros,
     doubles,
-    float_scratch,
     floats,
     ints,
     lesser,
@@ -28,6 +27,7 @@ from ..simd import (
     total,
     where,
 )
+from ..simd_memory import float_scratch
 from .grid import FAR, FARTHEST, MARGIN, MOST_SINGLE_RADIUS
 from .tiles import PLANE_SLACK, SQUARE_SLACK
 
