@@ -27,6 +27,7 @@ from ..core.rig_check import check_rig
 from ..core.sources import FrameSource
 from ..core.sources.folder import export_folder
 from ..core.sources.registry import open_source
+from ..core.warmup import warm_up_if_needed
 from .cli_method import FUSION, Step, make_step, read_reference
 from .cli_progress import CliProgress
 from .patch_record import finite_or_none
@@ -63,6 +64,9 @@ def run_frames(options: RunOptions) -> None:
     if options.out is not None and options.out.suffix != MCAP_SUFFIX:
         make_folder(options.out)
     with open_with_progress(options.source, preset.cameras) as source:
+        if options.method == FUSION:
+            with CliProgress() as progress:
+                warm_up_if_needed(progress.preparing)
         step = make_step(options.method, preset, source, reference)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)

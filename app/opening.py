@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from ..core.errors import TactuneError
 from ..core.sources.base import FrameSource, Progress
+from ..core.warmup import warm_up_if_needed
 
 _PROGRESS_INTERVAL_S = 0.05
 
@@ -31,7 +32,7 @@ class OpeningCancelledError(TactuneError):
 def open_requested(
     request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
 ) -> FrameSource:
-    """Open a source and report progress now and then.
+    """Compile the pipeline where that is still to do, open a source, and report progress now and then.
 
     Raises
     ------
@@ -51,6 +52,7 @@ def open_requested(
             report(fraction, text)
 
     report(0.0, "")
+    warm_up_if_needed(progress)
     source = request.open(progress)
     if not wanted():
         source.close()

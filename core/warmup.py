@@ -14,8 +14,10 @@ from .frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from .intrinsics import Intrinsics
 from .masking import colors_at, in_hsv_range
 from .outliers import mean_neighbour_distances
+from .outliers.single import search_single
 from .outliers.statistical import compare_with_all
 from .outliers.threshold import below_threshold
+from .outliers.tiles import search_tiles
 from .pipeline import ContactPipeline
 from .preset import Preset
 
@@ -29,7 +31,13 @@ _WIDTH, _HEIGHT = 96, 64
 
 def is_compiled() -> bool:
     """Tell, without compiling anything, whether the largest kernels lie ready on the disk."""
-    return is_kept(kernels.find_candidates) and is_kept(color_lookup)
+    return all(map(is_kept, (kernels.find_candidates, search_tiles, search_single, color_lookup)))
+
+
+def warm_up_if_needed(progress: Progress) -> None:
+    """Compile what the first frame would otherwise wait for; do nothing where that has been done."""
+    if not is_compiled():
+        warm_up(progress)
 
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
