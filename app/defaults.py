@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from pathlib import Path
 
 from ..core.errors import TactuneError
+from ..core.paths import user_path
 
 SOURCE = "sim"
 
@@ -16,7 +16,7 @@ def default_preset(source: str) -> str:
     A recording's own where it holds one; the simulator, played live or not, has its own; else ``default``.
     """
     plain = source.removeprefix("live:")
-    path = Path(plain.removeprefix("mcap:")).expanduser()
+    path = user_path(plain.removeprefix("mcap:"))
     if path.suffix == ".mcap" and path.is_file():
         from ..core.preset_file import recorded_preset
 
