@@ -65,7 +65,7 @@ class Candidates:
 NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
 
 #: So few tiles are not worth waking other threads for.
-_TILES_ALONE = 150
+_TILES_ALONE = 300
 
 
 @kernel

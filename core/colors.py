@@ -11,22 +11,18 @@ import numpy.typing as npt
 from .compiling import inline, kernel
 from .lenses import project
 from .preset import MaskSection
-from .simd import floats, floor, greater, ints, lesser, shift_right, to_floats, to_ints, where
+from .simd import LANES, bits, floats, floor, greater, ints, lesser, shift_right, to_floats, to_ints, where
+from .simd_memory import load_colors
 
 _HALF = np.float32(0.5)
 
-# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits.
+# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits. The entries are quotients to the nearest
+# whole number, which float32 gives exactly for each of the 255 divisors.
 _SHIFT = 12
-_ROUND = 1 << (_SHIFT - 1)
-_DIVISORS = np.maximum(np.arange(256), 1)
-_BY_VALUE = np.rint((255 << _SHIFT) / _DIVISORS).astype(np.int32) * (np.arange(256) > 0)
-_BY_CHROMA = np.rint((180 << _SHIFT) / (6.0 * _DIVISORS)).astype(np.int32) * (np.arange(256) > 0)
-_HUES = 180
-
 _ONE = np.float32(1.0)
 _NOTHING, _FOUR = np.int32(0), np.int32(4)
 _FULL, _SIXTH = np.float32(255 << _SHIFT), np.float32((180 << _SHIFT) // 6)
-_ROUND_LANES, _HUES_LANES = np.int32(_ROUND), np.int32(_HUES)
+_ROUND, _HUES = np.int32(1 << (_SHIFT - 1)), np.int32(180)
 
 
 def hsv_limits(section: MaskSection) -> npt.NDArray[np.int64]:
@@ -35,48 +31,25 @@ def hsv_limits(section: MaskSection) -> npt.NDArray[np.int64]:
 
 
 @inline
-def in_range(red: Any, green: Any, blue: Any, limits: Any) -> Any:
-    """Tell whether a colour lies in a range of OpenCV's 8-bit HSV; a low hue above the high wraps."""
-    r, g, b = np.int64(red), np.int64(green), np.int64(blue)
-    value = max(r, g, b)
-    chroma = value - min(r, g, b)
-    saturation = (chroma * _BY_VALUE[value] + _ROUND) >> _SHIFT
-    if value == r:
-        hue = g - b
-    elif value == g:
-        hue = b - r + 2 * chroma
-    else:
-        hue = r - g + 4 * chroma
-    hue = (hue * _BY_CHROMA[chroma] + _ROUND) >> _SHIFT
-    if hue < 0:
-        hue += _HUES
-    low, high = limits[0], limits[1]
-    hue_fits = (low <= hue <= high) if low <= high else (low <= hue or hue <= high)
-    return (
-        hue_fits and limits[2] <= saturation and saturation <= limits[3] and limits[4] <= value and value <= limits[5]
-    )
-
-
-@inline
 def _divided(dividend: Any, divisor: Any) -> Any:
-    """Return a table's entry for each lane: the quotient to the nearest whole number; for 0 that for 1."""
+    """Return the quotient to the nearest whole number; a divisor of 0 counts as 1."""
     quotient = floats(dividend) / greater(to_floats(divisor), floats(_ONE))
     return to_ints(floor(quotient + floats(_HALF)))
 
 
 @inline
 def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
-    """Tell the same of vectors of colours, computing the tables' entries."""
+    """Tell which colours (int32) lie in a range of OpenCV's 8-bit HSV; a low hue above the high wraps."""
     value = greater(r, greater(g, b))
     chroma = value - lesser(r, lesser(g, b))
-    saturation = shift_right(chroma * _divided(_FULL, value) + ints(_ROUND_LANES), _SHIFT)
+    saturation = shift_right(chroma * _divided(_FULL, value) + ints(_ROUND), _SHIFT)
     hue = where(
         value == r,
         g - b,
         where(value == g, b - r + chroma + chroma, r - g + ints(_FOUR) * chroma),
     )
-    hue = shift_right(hue * _divided(_SIXTH, chroma) + ints(_ROUND_LANES), _SHIFT)
-    hue = where(hue < ints(_NOTHING), hue + ints(_HUES_LANES), hue)
+    hue = shift_right(hue * _divided(_SIXTH, chroma) + ints(_ROUND), _SHIFT)
+    hue = where(hue < ints(_NOTHING), hue + ints(_HUES), hue)
     low, high = ints(np.int32(limits[0])), ints(np.int32(limits[1]))
     from_low, to_high = hue >= low, hue <= high
     fits = (from_low & to_high) if limits[0] <= limits[1] else (from_low | to_high)
@@ -85,10 +58,16 @@ def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
 
 
 @kernel
-def colors_in_range(colors: Any, limits: Any, inside: Any) -> None:
-    """Test colours (N, 3)."""
-    for i in range(colors.shape[0]):
-        inside[i] = in_range(colors[i, 0], colors[i, 1], colors[i, 2], limits)
+def colors_in_range(image: Any, limits: Any, inside: Any) -> None:
+    """Test colours, uint8, flat with at least `LANES` of them; the first of them for each element of ``inside``."""
+    count = inside.shape[0]
+    last = image.shape[0] // 3 - LANES
+    for start in range(0, count, LANES):
+        place = min(start, last)
+        red, green, blue = load_colors(image, place)
+        found = bits(lanes_in_range(red, green, blue, limits))
+        for i in range(start, min(start + LANES, count)):
+            inside[i] = (found >> (i - place)) & 1 == 1
 
 
 @kernel

@@ -5,10 +5,12 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from .clouds import flat
 from .colors import color_lookup, colors_in_range, hsv_limits
 from .frames import Rig
 from .lenses import lens_parameters
 from .preset import MaskSection
+from .simd import LANES
 
 Rgb = npt.NDArray[np.uint8]
 Bools = npt.NDArray[np.bool_]
@@ -27,7 +29,7 @@ def in_hsv_range(colors: Rgb, section: MaskSection) -> Bools:
     bool, shape (...)
     """
     inside = np.empty(colors.shape[:-1], bool)
-    colors_in_range(np.ascontiguousarray(colors).reshape(-1, 3), hsv_limits(section), inside.reshape(-1))
+    colors_in_range(flat(colors, 3 * LANES), hsv_limits(section), inside.reshape(-1))
     return inside
 
 

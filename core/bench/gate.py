@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from .cold_start import OURS, THEIRS, import_seconds
 from .engines.reference import candidate_points
 from .measure import bandwidth_bytes_per_s, time_in_turns
 from .registry import Job, engines, find_engine
@@ -16,6 +17,7 @@ Progress = Callable[[float, str], None]
 
 _WHOLE = ("cup-medium", "octopus-high", "noisy-51k")
 _FEW_DISAGREEING = 1e-3
+_IMPORT_SHARE = round(1 / 3, 2)
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ def run_gate(rounds: int = 15, progress: Progress = lambda share, words: None) -
     list of Check
     """
     checks: list[Check] = []
-    steps = (_whole_pipeline, _outlier_removal, _fast_variant, _empty_scene, _bandwidth)
+    steps = (_whole_pipeline, _outlier_removal, _fast_variant, _empty_scene, _bandwidth, _cold_start)
     for done, step in enumerate(steps):
         progress(done / len(steps), step.__name__.strip("_").replace("_", " "))
         checks += step(rounds)
@@ -125,6 +127,12 @@ def _bandwidth(rounds: int) -> list[Check]:
         )
         checks.append(Check(words, timing.median_ms / limit.limit_ms, 4, False))
     return checks
+
+
+def _cold_start(rounds: int) -> list[Check]:
+    ours, theirs = import_seconds((OURS, THEIRS), max(3, rounds // 3))
+    words = f"import of the pipeline ({ours:.2f} s), time over import open3d ({theirs:.2f} s)"
+    return [Check(words, ours / theirs, _IMPORT_SHARE, False)]
 
 
 def _ratio(scene: BenchScene, baseline: str, mine: str, rounds: int) -> tuple[float, int]:

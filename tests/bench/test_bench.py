@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import subprocess
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 
 from tactune.core.bench import gate, run
+from tactune.core.bench.cold_start import OURS, import_seconds
 from tactune.core.bench.gate import Check
 from tactune.core.bench.growth import GrowthRow, growth_as_text, growth_with_size
 from tactune.core.bench.long_run import LongRunReport
@@ -198,3 +201,15 @@ def test_the_page_holds_every_part(tmp_path: Path) -> None:
     assert "![growth](images/bench/growth.png)" in text
     assert "5 changes of parameters" in text
     assert "a machine" in text
+
+
+def test_imports_are_timed_in_processes_of_their_own() -> None:
+    slow, quick = import_seconds(("time.sleep(0.2)", "pass"), 3)
+    assert slow > 0.2 > quick
+
+
+def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:
+    large = {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}
+    program = f"import sys; {OURS}; print(sorted({large} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"
