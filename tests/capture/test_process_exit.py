@@ -13,7 +13,8 @@ import pytest
 
 HERE = Path(__file__).parent
 OPEN = f"""
-import sys, time
+import signal, sys, time
+signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it, as nohup does
 sys.path.append({str(HERE)!r})
 from functools import partial
 from pathlib import Path
