@@ -33,6 +33,10 @@ class Actions:
     calibrate: QAction
     recheck: QAction
     check_cameras: QAction
+    capture_reference: QAction
+    compare: QAction
+    scan_truth: QAction
+    strain: QAction
     open_folder: QAction
     open_recording: QAction
     cameras: QAction
@@ -104,6 +108,12 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
         ),
         check_cameras=action("C&heck cameras…", "Depth quality, skew and interference of both cameras", "F6"),
+        capture_reference=action(
+            "Capture re&ference…", "Keep the untouched membrane, with which some methods compare", "Ctrl+Shift+R"
+        ),
+        compare=action("&Compare methods…", "Every way to find the patch, side by side on the present frame", "F7"),
+        scan_truth=action("&Ground truth from a scan…", "Contact from a painted scan, laid over the patch", "F8"),
+        strain=action("Membrane &strain…", "Strain from a printed dot grid, on the present frame", "Ctrl+T"),
         cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
         camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
         record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
@@ -204,6 +214,10 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
     _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
+    analysis = _menu(bar, "&Analysis")
+    analysis.addActions([actions.compare, actions.scan_truth, actions.strain])
+    analysis.addSeparator()
+    analysis.addActions([actions.capture_reference])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 

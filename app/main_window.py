@@ -18,6 +18,7 @@ from ..widgets.image_strip import ImageStrip
 from ..widgets.parameter_panel import ParameterPanel
 from ..widgets.theme import ThemeChoice, apply_theme, theme_name
 from .actions import make_actions, make_menus
+from .analysis_controls import AnalysisControls
 from .calibration.launcher import CalibrationLauncher
 from .cameras.control import CAMERAS
 from .dialogs import Dialogs
@@ -116,6 +117,7 @@ class MainWindow(QMainWindow):
             self.worker, self.document, self.messages, data_folder / "calibration", self, native_dialogs, backend
         )
         self.live = LiveControls(self)
+        self.analysis = AnalysisControls(self)
         self._closing = False
         self._lay_out()
         self._connect()
@@ -147,15 +149,13 @@ class MainWindow(QMainWindow):
         self.across.addWidget(self.left)
         self.across.addWidget(self.panel)
         self.across.setStretchFactor(0, 1)
-        self.across.setStretchFactor(1, 0)
         self.across.setChildrenCollapsible(False)
         centre = QWidget()
         column = QVBoxLayout(centre)
         column.setContentsMargins(2, 2, 2, 0)
         column.setSpacing(2)
-        column.addWidget(self.messages)
-        column.addWidget(self.opening)
-        column.addWidget(self.recording_bar)
+        for bar_above in (self.messages, self.opening, self.recording_bar):
+            column.addWidget(bar_above)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
         self.setStatusBar(self.status)
@@ -274,8 +274,7 @@ class MainWindow(QMainWindow):
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
         self.file_flows.offer_preset(info.preset)
-        height, width = info.rig.proximity.intrinsics.shape
-        self.left.set_aspect(height / width)
+        self.left.set_aspect(info.rig.proximity.intrinsics.height / info.rig.proximity.intrinsics.width)
 
     def _open_failed(self, _name: str, sentence: str) -> None:
         self.opening.hide()
@@ -388,6 +387,7 @@ class MainWindow(QMainWindow):
             return
         remember_layout(self, self.settings)
         self.live.close()
+        self.analysis.close()
         self.calibration.close()
         self.worker.shut_down()
         self.autosave.close()

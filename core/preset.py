@@ -300,6 +300,24 @@ class CamerasSection(Section):
     ] = 0.0
 
 
+class ReferenceRecord(Section):
+    """The untouched membrane: averaged frames in a file beside the preset."""
+
+    file: Annotated[
+        str,
+        _field("File", "Name of the file in the preset's own folder.", hidden=True),
+        Field(min_length=1, max_length=255, pattern=r"^[^/\\]+$"),
+    ]
+    sha256: Annotated[
+        str,
+        _field("Hash", "SHA-256 of the images in it, so that no other file is taken for it.", hidden=True),
+        Field(pattern=r"^[0-9a-f]{64}$"),
+    ]
+    frames: Annotated[
+        int, _field("Frames", "How many frames were averaged.", unit="frames", hidden=True), Field(ge=1, le=100_000)
+    ]
+
+
 def now() -> datetime:
     """Return the present moment in UTC, to the second, as presets store it."""
     return datetime.now(UTC).replace(microsecond=0)
@@ -317,12 +335,28 @@ class Preset(Section):
     modified: datetime = Field(default_factory=now)
     rig: Rig | None = None
     alignment: AlignmentSection = AlignmentSection()
+    contact_test: Annotated[
+        Literal["tolerance", "calibrated"],
+        _field(
+            "Contact test",
+            "tolerance: a pixel is in contact where both distances agree within t, as published. calibrated: local "
+            "means of the difference tell much smaller gaps apart, and the rim that is only near is taken away.",
+        ),
+    ] = "tolerance"
     mask: MaskSection = MaskSection(enabled=False)
     tolerance: ToleranceSection = ToleranceSection()
     outliers: OutlierSection = OutlierSection()
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
     cameras: CamerasSection = CamerasSection()
+    reference: Annotated[
+        ReferenceRecord | None,
+        _field(
+            "Reference",
+            "The untouched membrane, which some methods and the drift check compare with. Empty: not captured.",
+            hidden=True,
+        ),
+    ] = None
 
     def with_value(self, path: str, value: Any) -> Preset:
         """Return a copy with one field changed, validated as a whole.

@@ -22,7 +22,7 @@ from .preset import Preset
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[3] = 3
+SCHEMA_VERSION: Literal[4] = 4
 
 #: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
 _MOST_TOLD = 9
@@ -42,15 +42,20 @@ def _add_cameras(document: Document) -> Document:
     return {"cameras": {"proximity": camera, "tactile": camera, "tactile_delay_s": 0.0}, **document}
 
 
+def _add_contact_test(document: Document) -> Document:
+    """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
+    return {"contact_test": "tolerance", "reference": None, **document}
+
+
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
-MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration, _add_cameras)
+MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration, _add_cameras, _add_contact_test)
 
 
 class PresetDocument(Preset):
     """A preset as it stands in a file: the preset and what identifies the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
-    schema_version: Literal[3] = SCHEMA_VERSION
+    schema_version: Literal[4] = SCHEMA_VERSION
     tool_version: str = ""
 
 
