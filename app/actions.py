@@ -214,10 +214,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
     _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
-    analysis = _menu(bar, "&Analysis")
-    analysis.addActions([actions.compare, actions.scan_truth, actions.strain])
-    analysis.addSeparator()
-    analysis.addActions([actions.capture_reference])
+    _menu(bar, "&Analysis").addActions([actions.compare, actions.scan_truth, actions.strain, actions.capture_reference])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 
