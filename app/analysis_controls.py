@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QObject
 
+from .analysis.launcher import AnalysisLauncher
+
 if TYPE_CHECKING:
     from .main_window import MainWindow
 
@@ -15,6 +17,8 @@ class AnalysisControls(QObject):
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__(window)
+        self.launcher = AnalysisLauncher(window)
 
     def close(self) -> None:
         """Close them."""
+        self.launcher.close()

@@ -1,0 +1,99 @@
+"""The window of the Analysis menu: opened by its actions, fed while it is looked at, closed with the main window."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from tactune.app.analysis import launcher
+from tactune.app.analysis.tab import AnalysisTab
+from tactune.app.main_window import MainWindow
+from tactune.app.results import Result
+
+
+class NotingTab(AnalysisTab):
+    """Remembers what it was told."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.sequences: list[int] = []
+        self.ended = False
+
+    def show_result(self, result: Result) -> None:
+        self.sequences.append(result.frame.sequence)
+
+    def shut_down(self) -> None:
+        self.ended = True
+
+
+@pytest.fixture(autouse=True)
+def tabs(monkeypatch) -> None:
+    made = {
+        "compare": ("&Compare", lambda window: NotingTab()),
+        "strain": ("&Strain", lambda window: NotingTab()),
+    }
+    monkeypatch.setattr(launcher, "TABS", made)
+
+
+def opened(qtbot, window: MainWindow):
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_F7)
+    analysis = window.analysis.launcher.window
+    assert analysis is not None
+    qtbot.waitExposed(analysis)
+    return analysis
+
+
+def test_a_key_opens_the_window_on_its_tab_with_the_present_frame(qtbot, window):
+    analysis = opened(qtbot, window)
+    assert analysis.isVisible() and not analysis.isModal()
+    assert list(analysis.made) == ["compare"]
+    assert analysis.made["compare"].sequences[-1] == 3
+
+
+def test_each_key_goes_to_its_tab_also_from_the_analysis_window(qtbot, window):
+    analysis = opened(qtbot, window)
+    analysis.activateWindow()
+    qtbot.waitUntil(analysis.isActiveWindow)
+    QTest.keyClick(analysis, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
+    assert analysis.tabs.currentIndex() == 1
+    assert analysis.made["strain"].sequences[-1] == 3
+
+
+def test_only_the_visible_tab_takes_frames_and_a_closed_window_none(qtbot, window):
+    analysis = opened(qtbot, window)
+    compare = analysis.made["compare"]
+    analysis.open_on("strain")
+    seen = len(compare.sequences)
+    window.worker.seek(5)
+    qtbot.waitUntil(lambda: analysis.made["strain"].sequences[-1] == 5)
+    assert len(compare.sequences) == seen
+    QTest.keyClick(analysis, Qt.Key.Key_Escape)
+    assert not analysis.isVisible()
+    strain = list(analysis.made["strain"].sequences)
+    window.worker.seek(6)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 6)
+    assert analysis.made["strain"].sequences == strain
+    opened(qtbot, window)
+    assert analysis.made["compare"].sequences[-1] == 6
+
+
+def test_the_space_bar_plays_and_a_comma_steps_back(qtbot, window):
+    analysis = opened(qtbot, window)
+    analysis.activateWindow()
+    qtbot.waitUntil(analysis.isActiveWindow)
+    QTest.keyClick(analysis, Qt.Key.Key_Comma)
+    qtbot.waitUntil(lambda: analysis.made["compare"].sequences[-1] == 2)
+    QTest.keyClick(analysis, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: window.transport.state.playing)
+
+
+def test_the_main_window_closes_it_and_ends_its_tabs(qtbot, window):
+    analysis = opened(qtbot, window)
+    window.close_without_asking()
+    assert analysis.made["compare"].ended
+    assert not analysis.isVisible()
+    QApplication.processEvents()
