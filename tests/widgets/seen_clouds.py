@@ -1,0 +1,103 @@
+"""Clouds that are easily told apart in a picture, views that show them, and a hand that steers."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QColor, QImage, QPalette
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from pytestqt.qtbot import QtBot
+
+from tactune.core.intrinsics import Intrinsics
+from tactune.widgets.cloud_data import DepthCloud
+from tactune.widgets.cloud_view import BackendChoice, CloudView, link_cameras
+from tactune.widgets.colormaps import depth_lut
+from tactune.widgets.view_camera import ViewCamera
+
+LENS = Intrinsics(width=64, height=48, fx=46.0, fy=46.0, cx=31.5, cy=23.5)
+RAYS = LENS.rays()
+RED, GREEN, BLUE = (255, 0, 0), (0, 255, 0), (0, 0, 255)
+FRONT = ViewCamera((0.0, 0.0, 0.3), 0.6, azimuth=0.0, elevation=0.0)
+
+
+def shown(qtbot: QtBot, widget: CloudView) -> CloudView:
+    palette = widget.palette()
+    palette.setColor(QPalette.ColorRole.Base, QColor("white"))
+    widget.setPalette(palette)
+    widget.resize(420, 360)
+    qtbot.addWidget(widget)
+    with qtbot.waitExposed(widget):
+        widget.show()
+    return widget
+
+
+def canvas_of(view: CloudView) -> QWidget:
+    canvas = view.findChild(QWidget, "canvas")
+    assert canvas is not None
+    return canvas
+
+
+def picture(view: CloudView) -> npt.NDArray[np.uint8]:
+    """What the canvas shows: uint8 (H, W, 3), RGB."""
+    image = canvas_of(view).grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    bits = image.constBits()
+    assert bits is not None
+    rows = np.frombuffer(bits.asstring(image.sizeInBytes()), np.uint8).reshape(image.height(), image.bytesPerLine())
+    return rows[:, : 3 * image.width()].reshape(image.height(), image.width(), 3).copy()
+
+
+def pixels_of(image: npt.NDArray[np.uint8], color: tuple[int, int, int]) -> npt.NDArray[np.intp]:
+    """``(u, v)`` of all pixels of exactly this colour."""
+    return np.argwhere((image == color).all(axis=2))[:, ::-1]
+
+
+def cloud_of(depth: npt.NDArray[np.uint16], **changes: object) -> DepthCloud:
+    given: dict[str, object] = {"depth_unit_m": 0.001, "rays": RAYS, "lut": depth_lut(), "pose": np.eye(4)} | changes
+    return DepthCloud(depth, **given)  # type: ignore[arg-type]
+
+
+def wall(counts: int = 300) -> npt.NDArray[np.uint16]:
+    return np.full((48, 64), counts, np.uint16)
+
+
+def colored(*colors: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+    """A table whose first rows are these colours and whose other rows are hidden."""
+    lut = np.zeros((256, 4), np.uint8)
+    for row, color in enumerate(colors):
+        lut[row] = (*color, 255)
+    return lut
+
+
+def red_wall() -> DepthCloud:
+    return cloud_of(wall(), index=np.zeros((48, 64), np.uint8), lut=colored(RED))
+
+
+def drag(view: CloudView, start: tuple[int, int], end: tuple[int, int], button: Qt.MouseButton, **keys: object) -> None:
+    """Press, move and release through the window system."""
+    window = view.window()
+    assert window is not None
+    handle = window.windowHandle()
+    assert handle is not None
+    modifier = keys.get("modifier", Qt.KeyboardModifier.NoModifier)
+    a, b = (canvas_of(view).mapTo(window, QPoint(*at)) for at in (start, end))
+    QTest.mousePress(handle, button, modifier, a)  # type: ignore[arg-type]
+    QTest.mouseMove(handle, (a + b) / 2)
+    QTest.mouseMove(handle, b)
+    QTest.mouseRelease(handle, button, modifier, b)  # type: ignore[arg-type]
+
+
+def three_linked(qtbot: QtBot, backend: BackendChoice) -> list[CloudView]:
+    window = QWidget()
+    layout = QHBoxLayout(window)
+    views = [CloudView(title, backend) for title in ("Proximity", "Tactile", "Contact patch")]
+    for view in views:
+        layout.addWidget(view)
+    link_cameras(views)
+    window.resize(900, 360)
+    qtbot.addWidget(window)
+    with qtbot.waitExposed(window):
+        window.show()
+    views[0]._keep_window = window  # type: ignore[attr-defined]
+    return views

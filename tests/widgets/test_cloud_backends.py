@@ -1,0 +1,121 @@
+"""Which back end a cloud view takes, and how it goes on when OpenGL is lost."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from pytestqt.qtbot import QtBot
+
+from tactune.widgets import gl_backend
+from tactune.widgets.cloud_view import BackendChoice, CloudView
+from tactune.widgets.gl_backend import GLCanvas, GLError, GLProbe, GLRenderer
+
+from .seen_clouds import FRONT, RED, canvas_of, drag, picture, pixels_of, red_wall, shown
+
+
+@pytest.mark.parametrize("choice", ["auto", "opengl"])
+def test_without_opengl_the_software_draws_and_says_why(
+    qtbot: QtBot, monkeypatch: pytest.MonkeyPatch, choice: BackendChoice
+) -> None:
+    monkeypatch.setattr(gl_backend, "probe_opengl", lambda: GLProbe(False, False, "", "no OpenGL on this display"))
+    view = shown(qtbot, CloudView("V", choice))
+    assert view.backend_name == "software"
+    assert view.backend_reason == "Software view: no OpenGL on this display"
+    assert view.backend_reason in view.toolTip()
+    view.set_camera(FRONT)
+    corner = picture(view)[-24:, 150:]
+    view._scene.note = ""
+    canvas_of(view).update()
+    assert (corner != picture(view)[-24:, 150:]).any(), "the reason is written on the view"
+
+
+def test_asking_for_software_needs_no_reason(qtbot: QtBot) -> None:
+    view = shown(qtbot, CloudView("V", "software"))
+    assert (view.backend_name, view.backend_reason) == ("software", "")
+
+
+def test_emulated_opengl_is_used_only_when_insisted_on(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    probe = GLProbe(True, True, "llvmpipe (LLVM 15)", "OpenGL is only emulated here (llvmpipe)")
+    monkeypatch.setattr(gl_backend, "probe_opengl", lambda: probe)
+    view = CloudView("V", "auto")
+    qtbot.addWidget(view)
+    assert view.backend_name == "software"
+    assert "only emulated here (llvmpipe)" in view.backend_reason
+    insisted = CloudView("V", "opengl")
+    qtbot.addWidget(insisted)
+    assert (insisted.backend_name, insisted.backend_reason) == ("opengl", "")
+
+
+def test_real_opengl_is_taken_by_itself(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(gl_backend, "probe_opengl", lambda: GLProbe(True, False, "A real one", ""))
+    view = CloudView("V", "auto")
+    qtbot.addWidget(view)
+    assert (view.backend_name, view.backend_reason) == ("opengl", "")
+
+
+def assert_it_falls_back(qtbot: QtBot, view: CloudView, words: str) -> None:
+    camera = view.camera()
+    qtbot.waitUntil(lambda: view.backend_name == "software")
+    assert words in view.backend_reason
+    assert view.camera() == camera
+    assert len(pixels_of(picture(view), RED)) > 1000
+    drag(view, (100, 100), (140, 120), Qt.MouseButton.LeftButton)
+    assert view.camera() != camera, "it can still be steered"
+    qtbot.waitUntil(lambda: view.findChildren(GLCanvas) == [])
+
+
+def test_it_goes_on_in_software_where_the_window_gets_no_context(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    if gl_backend.probe_opengl().usable:
+        pytest.skip("this display has OpenGL, so a context can be made")
+    monkeypatch.setattr(gl_backend, "probe_opengl", lambda: GLProbe(True, False, "A real one", ""))
+    view = CloudView("V", "auto")
+    view.set_cloud(red_wall())
+    view.set_camera(FRONT)
+    assert_it_falls_back(qtbot, shown(qtbot, view), "no OpenGL context could be made")
+
+
+@pytest.mark.gl
+@pytest.mark.parametrize("moment", ["__init__", "render"])
+def test_it_goes_on_in_software_when_opengl_fails(
+    qtbot: QtBot, opengl: BackendChoice, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    view = CloudView("V", opengl)
+    view.set_cloud(red_wall())
+    view.set_camera(FRONT)
+    if moment == "render":
+        shown(qtbot, view)
+        assert len(pixels_of(picture(view), RED)) > 1000
+
+    def fail(*_: object) -> None:
+        raise GLError("the graphics driver was reset")
+
+    monkeypatch.setattr(GLRenderer, moment, fail)
+    if moment == "__init__":
+        shown(qtbot, view)
+    else:
+        canvas_of(view).update()
+    assert view.isVisible()
+    assert_it_falls_back(qtbot, view, "the graphics driver was reset")
+
+
+def test_it_survives_moving_to_another_window(
+    view: CloudView, backend: BackendChoice, qtbot: QtBot, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    freed: list[GLRenderer] = []
+    destroy = GLRenderer.destroy
+    monkeypatch.setattr(GLRenderer, "destroy", lambda renderer: (freed.append(renderer), destroy(renderer)))
+    view.set_cloud(red_wall())
+    view.set_camera(FRONT)
+    before = len(pixels_of(picture(view), RED))
+    other = QWidget()
+    layout = QHBoxLayout(other)
+    layout.addWidget(view)
+    qtbot.addWidget(other)
+    other.resize(500, 420)
+    with qtbot.waitExposed(other):
+        other.show()
+    assert view.backend_name == backend
+    assert len(pixels_of(picture(view), RED)) > before / 2
+    assert len(freed) == (backend == "opengl"), "graphics memory of the former window is freed"
+    view.setParent(None)

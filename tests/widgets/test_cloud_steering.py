@@ -1,0 +1,201 @@
+"""A cloud view follows mouse and keys and frames what it shows, the same with both back ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from PyQt6.QtCore import QPoint, QPointF, Qt
+from PyQt6.QtGui import QPalette, QShortcut, QWheelEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+from pytestqt.qtbot import QtBot
+
+from tactune.widgets.cloud_view import BackendChoice, CloudView
+from tactune.widgets.view_camera import ViewCamera
+
+from .seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
+
+
+def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot, backend: BackendChoice) -> None:
+    views = three_linked(qtbot, backend)
+    for view in views:
+        view.set_cloud(cloud_of(wall()))
+    for dragged in views:
+        heard: list[list[ViewCamera]] = [[], [], []]
+        for view, cameras in zip(views, heard, strict=True):
+            view.cameraChanged.connect(cameras.append)
+        before = dragged.camera()
+        pictures = [picture(view) for view in views]
+        drag(dragged, (100, 100), (140, 120), Qt.MouseButton.LeftButton)
+        after = dragged.camera()
+        assert after.azimuth < before.azimuth, "the scene follows the hand to the right, so the eye goes left"
+        assert after.elevation > before.elevation
+        assert (after.distance, after.target) == (before.distance, before.target)
+        assert [view.camera() for view in views] == [after] * 3
+        assert heard[0] == heard[1] == heard[2]
+        assert 1 <= len(heard[0]) <= 2, "one signal for each movement of the mouse, and no echo"
+        for view, old in zip(views, pictures, strict=True):
+            assert (picture(view) != old).any()
+            view.cameraChanged.disconnect()
+
+
+@pytest.mark.parametrize("way", ["middle", "shift"])
+def test_panning_moves_the_scene_with_the_hand(view: CloudView, way: str) -> None:
+    view.set_camera(FRONT)
+    button = Qt.MouseButton.MiddleButton if way == "middle" else Qt.MouseButton.LeftButton
+    shift = Qt.KeyboardModifier.NoModifier if way == "middle" else Qt.KeyboardModifier.ShiftModifier
+    drag(view, (100, 100), (130, 90), button, modifier=shift)
+    canvas = canvas_of(view)
+    u, v, _ = view.camera().project([FRONT.target], canvas.width(), canvas.height())[0]
+    assert (u - canvas.width() / 2, v - canvas.height() / 2) == pytest.approx((30, -10), abs=0.01)
+    assert view.camera().azimuth == 0
+
+
+def test_moving_without_a_button_does_nothing(view: CloudView) -> None:
+    drag(view, (100, 100), (140, 100), Qt.MouseButton.LeftButton)
+    camera = view.camera()
+    drag(view, (100, 100), (140, 100), Qt.MouseButton.RightButton)
+    handle = view.windowHandle()
+    assert handle is not None
+    QTest.mouseMove(handle, QPoint(200, 150))
+    assert view.camera() == camera
+
+
+def turn_wheel(view: CloudView, at: QPointF, steps: float) -> None:
+    """Turn the wheel over a place of the canvas. Qt passes only the window system's own wheel events up."""
+    canvas = canvas_of(view)
+    event = QWheelEvent(
+        canvas.mapTo(view, at), canvas.mapToGlobal(at), QPoint(), QPoint(0, round(120 * steps)),
+        Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier, Qt.ScrollPhase.NoScrollPhase, False,
+    )  # fmt: skip
+    QApplication.sendEvent(view, event)
+
+
+def test_the_wheel_zooms_about_the_cursor(view: CloudView) -> None:
+    view.set_camera(FRONT)
+    canvas = canvas_of(view)
+    size = canvas.width(), canvas.height()
+    point = np.array([0.05, -0.04, 0.3])
+    u, v, _ = FRONT.project([point], *size)[0]
+    turn_wheel(view, QPointF(u, v), 2)
+    assert view.camera().distance < FRONT.distance
+    np.testing.assert_allclose(view.camera().project([point], *size)[0, :2], (u, v), atol=0.01)
+    turn_wheel(view, QPointF(u, v), -2)
+    assert view.camera().distance == pytest.approx(FRONT.distance)
+
+
+def test_keys_orbit_zoom_and_choose_viewpoints(view: CloudView) -> None:
+    view.set_cloud(cloud_of(wall()))
+    view.setFocus()
+    start = view.camera()
+
+    def after(key: Qt.Key) -> ViewCamera:
+        QTest.keyClick(view, key)
+        return view.camera()
+
+    assert after(Qt.Key.Key_Right).azimuth > start.azimuth
+    assert after(Qt.Key.Key_Left).azimuth == pytest.approx(start.azimuth)
+    assert after(Qt.Key.Key_Up).elevation > start.elevation
+    assert after(Qt.Key.Key_Down).elevation == pytest.approx(start.elevation)
+    assert after(Qt.Key.Key_Plus).distance < start.distance
+    assert after(Qt.Key.Key_Minus).distance == pytest.approx(start.distance)
+    assert after(Qt.Key.Key_T).elevation == pytest.approx(np.pi / 2)
+    assert after(Qt.Key.Key_S).azimuth == pytest.approx(np.pi / 2)
+    reset = after(Qt.Key.Key_R)
+    assert (reset.azimuth, reset.elevation) == (start.azimuth, start.elevation)
+    assert reset.target == pytest.approx(start.target)
+
+
+def test_focused_keys_win_over_shortcuts_of_the_application(qtbot: QtBot) -> None:
+    view = shown(qtbot, CloudView("Keys", "software"))
+    pressed: list[str] = []
+    for key in ("T", "Ctrl+T"):
+        shortcut = QShortcut(key, view)
+        shortcut.setContext(Qt.ShortcutContext.WindowShortcut)
+        shortcut.activated.connect(lambda key=key: pressed.append(key))
+    view.activateWindow()
+    view.setFocus()
+    QTest.keyClick(view, Qt.Key.Key_T)
+    assert view.camera().elevation == pytest.approx(np.pi / 2)
+    assert pressed == []
+    QTest.keyClick(view, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
+    assert pressed == ["Ctrl+T"]
+
+
+def test_a_double_click_resets(view: CloudView) -> None:
+    view.set_cloud(cloud_of(wall()))
+    framed = view.camera()
+    drag(view, (100, 100), (180, 140), Qt.MouseButton.LeftButton)
+    turn_wheel(view, QPointF(50, 50), 5)
+    assert view.camera() != framed
+    QTest.mouseDClick(canvas_of(view), Qt.MouseButton.LeftButton)
+    assert view.camera() == framed
+
+
+def test_the_focus_ring_is_seen(qtbot: QtBot) -> None:
+    view = shown(qtbot, CloudView("Focus", "software"))
+    view.clearFocus()
+    plain = view.grab().toImage()
+    drag(view, (60, 60), (60, 60), Qt.MouseButton.LeftButton)
+    assert view.hasFocus(), "a click gives focus"
+    ring = view.grab().toImage()
+    corner = canvas_of(view).geometry().topLeft() - QPoint(1, -40)
+    assert ring.pixelColor(corner) != plain.pixelColor(corner)
+    assert ring.pixelColor(corner) == view.palette().color(QPalette.ColorRole.Highlight)
+
+
+# Framing
+
+
+def extent(view: CloudView, color: tuple[int, int, int]) -> npt.NDArray[np.float64]:
+    """Left, top, right and bottom of a colour as shares of the canvas."""
+    image = picture(view)
+    pixels = pixels_of(image, color)
+    size = np.array(image.shape[1::-1])
+    return np.concatenate([pixels.min(axis=0), pixels.max(axis=0) + 1]) / np.tile(size, 2)
+
+
+def test_the_first_cloud_is_framed_and_stays_so_when_resized_until_somebody_steers(
+    view: CloudView, qtbot: QtBot
+) -> None:
+    view.set_cloud(cloud_of(wall(700), index=np.zeros((48, 64), np.uint8), lut=colored(RED)))
+    for width, height in ((420, 360), (300, 500), (700, 250)):
+        view.resize(width, height)
+        qtbot.wait(50)
+        left, top, right, bottom = extent(view, RED)
+        assert min(left, top) >= 0
+        assert max(right, bottom) <= 1
+        assert max(right - left, bottom - top) > 0.8
+    view.set_camera(FRONT)
+    view.resize(420, 360)
+    qtbot.wait(50)
+    view.set_cloud(None)
+    view.set_cloud(cloud_of(wall(500)))
+    assert view.camera() == FRONT
+
+
+def test_a_new_frame_does_not_move_the_camera(view: CloudView) -> None:
+    view.set_cloud(cloud_of(wall(300)))
+    camera = view.camera()
+    view.set_cloud(cloud_of(wall(500)))
+    assert view.camera() == camera
+    view.fit()
+    assert view.camera() != camera
+
+
+def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
+    views = three_linked(qtbot, "software")
+    left, right = wall(), wall()
+    left[:, 40:] = 0
+    right[:, :24] = 0
+    views[0].set_cloud(cloud_of(left))
+    alone = views[0].camera()
+    views[1].set_cloud(cloud_of(right))
+    assert views[0].camera() == views[1].camera() == views[2].camera()
+    assert views[0].camera().distance > alone.distance
+
+
+def test_an_unknown_viewpoint_is_refused(qtbot: QtBot) -> None:
+    with pytest.raises(ValueError, match="choose one of reset, top, side"):
+        shown(qtbot, CloudView("V", "software")).look_from("bottom")  # type: ignore[arg-type]
