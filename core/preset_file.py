@@ -44,7 +44,20 @@ def _add_cameras(document: Document) -> Document:
 
 def _add_contact_test(document: Document) -> Document:
     """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
-    return {"contact_test": "tolerance", "reference": None, **document}
+    calibrated = {
+        "gap_m": 0.0018,
+        "retreat": 0.9,
+        "window_px": 2.5,
+        "bias_m": 0.0012,
+        "least_area_mm2": 25.0,
+        "difference_m": 0.005,
+        "slope": True,
+        "core": 0.6,
+        "most_px": 16.0,
+        "smooth_px": 2.0,
+        "tactile_weight": 0.5,
+    }
+    return {"contact_test": "tolerance", "calibrated": calibrated, "reference": None, **document}
 
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
