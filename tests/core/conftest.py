@@ -1,12 +1,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
+from tactune.core.sources.folder import export_folder
+
+from . import folder_scenes
 
 
 def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:
@@ -62,3 +66,12 @@ def make_frame() -> Callable[..., SensorFrame]:
         )
 
     return make
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    """Two frames with everything that a recording can hold."""
+    frames = [folder_scenes.make_frame(seed) for seed in (0, 1, 9)]
+    path = tmp_path / "recording"
+    export_folder(folder_scenes.ListSource(frames[:2], reference=frames[2]), path)
+    return path

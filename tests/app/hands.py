@@ -1,0 +1,77 @@
+"""What a person's hands do to a window: real mouse and key events."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
+from PyQt6.QtGui import QDragEnterEvent, QDropEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox, QPushButton
+
+from tactune.app.message_bar import Message
+
+LEFT = Qt.MouseButton.LeftButton
+CONTROL = Qt.KeyboardModifier.ControlModifier
+CONTROL_SHIFT = CONTROL | Qt.KeyboardModifier.ShiftModifier
+
+
+def drag_slider(slider, *fractions):
+    """Press at the handle's place for the first fraction, move through the others, let go."""
+    start, length = slider.travel()
+    points = [QPoint(round(start + fraction * length), slider.height() // 2) for fraction in fractions]
+    QTest.mousePress(slider, LEFT, pos=points[0])
+    for point in points[1:]:
+        QTest.mouseMove(slider, point)
+    QTest.mouseRelease(slider, LEFT, pos=points[-1])
+
+
+def tolerance_slider(window):
+    slider = window.panel.rows["tolerance.t"].widget.slider
+    window.panel.ensureWidgetVisible(slider)
+    return slider
+
+
+def shows_preset_of_document(window):
+    return window.result is not None and window.result.preset is window.document.preset
+
+
+def answer_question(qtbot, key):
+    """Answer the question that is open, by its keyboard shortcut."""
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QMessageBox))
+    box = QApplication.activeModalWidget()
+    button = {
+        "save": QMessageBox.StandardButton.Save,
+        "discard": QMessageBox.StandardButton.Discard,
+    }.get(key)
+    if button is None:
+        QTest.keyClick(box, Qt.Key.Key_Escape)
+    else:
+        QTest.mouseClick(box.button(button), LEFT)
+
+
+def type_path(qtbot, path):
+    """Paste a path into the file dialog that is open and press Enter."""
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
+    dialog = QApplication.activeModalWidget()
+    entry = dialog.findChild(QLineEdit, "fileNameEdit")
+    entry.selectAll()
+    QApplication.clipboard().setText(str(path))
+    QTest.keyClick(entry, Qt.Key.Key_V, CONTROL)
+    suggestions = entry.completer().popup()
+    if suggestions.isVisible():
+        QTest.keyClick(suggestions, Qt.Key.Key_Escape)
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+
+
+def drop(window, path):
+    data = QMimeData()
+    data.setUrls([QUrl.fromLocalFile(str(path))])
+    place, action, none = QPointF(200, 200), Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
+    enter = QDragEnterEvent(place.toPoint(), action, data, LEFT, none)
+    QApplication.sendEvent(window, enter)
+    assert enter.isAccepted()
+    QApplication.sendEvent(window, QDropEvent(place, action, data, LEFT, none))
+
+
+def press(message: Message, text: str) -> None:
+    [button] = [button for button in message.findChildren(QPushButton) if button.text() == text]
+    QTest.mouseClick(button, LEFT)
