@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
@@ -13,7 +14,7 @@ from .colormaps import palette_theme
 from .stale_badge import paint_badge
 from .view_camera import ViewCamera
 
-_AXIS_COLORS = {
+AXIS_COLORS = {
     "light": (QColor(200, 40, 40), QColor(25, 135, 60), QColor(40, 90, 210)),
     "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),
 }
@@ -27,7 +28,8 @@ class CloudScene:
     """The state that a view shares with the canvas that draws it.
 
     ``point_size`` is in device-independent pixels; ``message`` is painted when not empty, ``note``
-    is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it.
+    is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it;
+    ``ornament`` paints what a view adds, such as marks, on the canvas.
     """
 
     cloud: DepthCloud | None = None
@@ -36,6 +38,7 @@ class CloudScene:
     message: str = ""
     note: str = ""
     badge: str = ""
+    ornament: Callable[[QPainter, QWidget], None] | None = None
 
     @staticmethod
     def background(widget: QWidget) -> tuple[int, int, int]:
@@ -50,6 +53,8 @@ def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None
         paint_badge(painter, QRectF(widget.rect()), widget.palette(), widget.font(), scene.badge)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     _paint_axes(painter, widget, scene.camera)
+    if scene.ornament is not None:
+        scene.ornament(painter, widget)
     if scene.note:
         _paint_note(painter, widget, scene.note)
     if scene.message:
@@ -60,7 +65,7 @@ def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
     """Paint x, y, z of the proximity frame as seen by the camera, the farthest axis first."""
     origin = QPointF(_AXIS_MARGIN, widget.height() - _AXIS_MARGIN)
     right, up, back = camera.axes()
-    colors = _AXIS_COLORS[palette_theme(widget.palette())]
+    colors = AXIS_COLORS[palette_theme(widget.palette())]
     painter.setFont(_small_font(widget, bold=True))
     for axis in sorted(range(3), key=lambda axis: float(back[axis])):
         direction = QPointF(float(right[axis]), -float(up[axis]))

@@ -1,0 +1,70 @@
+"""Points without an image: where they are drawn, in which colour, and which one a click takes."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtGui import QColor, QImage, QPalette
+from PyQt6.QtWidgets import QWidget
+from pytestqt.qtbot import QtBot
+
+from tactune.core.errors import FrameError
+from tactune.widgets import gl_backend
+from tactune.widgets.cloud_view import CloudView
+from tactune.widgets.free_points import free_cloud
+from tactune.widgets.view_camera import ViewCamera
+
+COLORS = [(255, 0, 0), (0, 160, 0), (0, 0, 255), (200, 0, 200)]
+POINTS = np.array([(0.02, -0.03, -0.05), (-0.04, 0.01, 0.3), (0.0, 0.0, 0.0), (0.05, 0.04, 0.1)])
+
+
+def lut() -> np.ndarray:
+    table = np.zeros((256, 4), np.uint8)
+    for row, color in enumerate(COLORS):
+        table[row] = (*color, 255)
+    return table
+
+
+@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
+@pytest.mark.parametrize("azimuth", [0.0, 2.5])
+def test_free_points_are_drawn_where_they_lie(qtbot: QtBot, backend: str, azimuth: float) -> None:
+    if backend == "opengl" and not gl_backend.probe_opengl().usable:
+        pytest.skip("no OpenGL context")
+    view = CloudView("Scan", backend)  # type: ignore[arg-type]
+    palette = view.palette()
+    palette.setColor(QPalette.ColorRole.Base, QColor("white"))
+    view.setPalette(palette)
+    view.resize(420, 360)
+    qtbot.addWidget(view)
+    with qtbot.waitExposed(view):
+        view.show()
+    view.set_cloud(free_cloud(POINTS, np.arange(4, dtype=np.uint8), lut()))
+    view.set_point_size(3)
+    view.set_camera(ViewCamera((0.0, 0.0, 0.1), 0.9, azimuth, 0.3))
+    canvas = view.findChild(QWidget, "canvas")
+    assert canvas is not None
+    image = canvas.grab().toImage().convertToFormat(QImage.Format.Format_RGB888)
+    places = view.camera().project(POINTS, canvas.width(), canvas.height())
+    for (u, v, _), color in zip(places, COLORS, strict=True):
+        assert image.pixelColor(int(u), int(v)).getRgb()[:3] == color
+    assert view.point_count() == 4
+
+
+def test_points_survive_the_image() -> None:
+    rng = np.random.default_rng(4)
+    points = rng.uniform(-0.15, 0.15, (5000, 3)) + np.array([0.3, -0.1, 0.0])
+    cloud = free_cloud(points, np.zeros(5000, np.uint8), lut())
+    np.testing.assert_allclose(cloud.points(), points, atol=3e-6)
+
+
+@pytest.mark.parametrize("points", [np.empty((0, 3)), np.full((1, 3), 0.2), np.full((7, 3), -0.2)])
+def test_few_and_flat_points(points: np.ndarray) -> None:
+    cloud = free_cloud(points, np.zeros(len(points), np.uint8), lut())
+    np.testing.assert_allclose(cloud.points(), points, atol=3e-6)
+
+
+def test_what_cannot_be_shown_is_said() -> None:
+    with pytest.raises(FrameError, match="4 points but 3 rows"):
+        free_cloud(POINTS, np.zeros(3, np.uint8), lut())
+    with pytest.raises(FrameError, match="not finite"):
+        free_cloud(np.full((1, 3), np.nan), np.zeros(1, np.uint8), lut())
