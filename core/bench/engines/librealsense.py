@@ -84,9 +84,8 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
                 found.keep()
                 break
         playback.pause()
-        for sensor in sensors:
+        for sensor in sensors:  # never closed: the driver would free what its frames still refer to
             sensor.stop()
-            sensor.close()
     if found is None or found.size() != 2:
         raise TactuneError("librealsense's software device gave no pair of frames; leave its engines out")
     return found, (context, playback, syncer, sensors)
