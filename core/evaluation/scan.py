@@ -169,6 +169,7 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: npt.NDArray[np.int64
     """Cut a mesh until its vertices are as close as its texture's detail matters, and colour them."""
     import trimesh
 
+    remesh: Any = trimesh.remesh
     material = mesh.visual.material
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
     if image is None or mesh.visual.uv is None:
@@ -180,7 +181,7 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: npt.NDArray[np.int64
         _TEXTURE_EDGE_M, math.sqrt(triangle_areas(vertices, triangles).sum() / (_CUT_SHAPE * _TEXTURE_TRIANGLES))
     )
     # It cuts by the length of the first three columns and halves all of them.
-    cut, finer = trimesh.remesh.subdivide_to_size(
+    cut, finer = remesh.subdivide_to_size(
         np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MOST_CUTS
     )
     colors = trimesh.visual.color.uv_to_color(np.nan_to_num(cut[:, 3:]), image)

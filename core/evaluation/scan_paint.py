@@ -84,12 +84,10 @@ def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
     """
     contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
     least_m2 = 1e-6 * paint.least_area_mm2
-    shares = np.bincount(scan.triangles.ravel(), np.repeat(scan.areas_m2 / 3, 3), minlength=len(contact))
+    shares = _vertex_areas(scan)
     contact = contact | _small(scan, ~contact, shares, least_m2)
-    contact &= ~_small(scan, contact, shares, least_m2)
-    if paint.largest:
-        contact &= _among_largest(scan, contact, shares, paint.largest)
-    return contact
+    contact = contact & ~_small(scan, contact, shares, least_m2)
+    return _among_largest(scan, contact, shares, paint.largest) if paint.largest else contact
 
 
 def contact_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> npt.NDArray[np.float32]:
@@ -152,6 +150,12 @@ def _spread_weights(count: int) -> Float64Array:
     folded = s + t > 1.0
     s, t = np.where(folded, 1 - s, s), np.where(folded, 1 - t, t)
     return np.column_stack([1 - s - t, s, t])
+
+
+def _vertex_areas(scan: Scan) -> Float64Array:
+    """Return a third of the area of each vertex's triangles, m^2."""
+    thirds = np.repeat(scan.areas_m2 / 3, 3)
+    return np.asarray(np.bincount(scan.triangles.ravel(), thirds, minlength=len(scan.vertices_m)), np.float64)
 
 
 def _spots(scan: Scan, marked: BoolArray) -> tuple[int, npt.NDArray[Any]]:

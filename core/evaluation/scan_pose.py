@@ -166,7 +166,8 @@ def _nearest(
     tree: cKDTree, points: Float64Array, overlap: float, farthest_m: float
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.bool_], float]:
     """Return for each point the nearest of the tree, whether that pair is used, and the RMSE of those used."""
-    distances, nearest = tree.query(points, distance_upper_bound=farthest_m)
+    found = tree.query(points, distance_upper_bound=farthest_m)
+    distances, nearest = np.asarray(found[0], np.float64), np.asarray(found[1], np.intp)
     reached = np.flatnonzero(np.isfinite(distances))
     best = reached[np.argsort(distances[reached], kind="stable")][: max(math.ceil(overlap * len(reached)), 1)]
     if len(best) < _LEAST_PAIRS:
