@@ -47,6 +47,14 @@ class RecordingEnd:
     reason: str = ""
 
 
+@dataclass(frozen=True)
+class _Watcher:
+    """Somebody who is shown every frame."""
+
+    see: Callable[[SensorFrame], object]
+    failed: Callable[[str], object]
+
+
 def open_writer(request: RecordingRequest) -> Writer:
     """Begin a file."""
     return SessionWriter(
@@ -77,7 +85,7 @@ class Recorder:
         self._lock = Lock()
         self._writer: Writer | None = None
         self._refused = 0
-        self._watcher: Callable[[SensorFrame], object] | None = None
+        self._watcher: _Watcher | None = None
         self._finishing: list[Thread] = []
 
     @property
@@ -109,9 +117,16 @@ class Recorder:
                     f"{request.path} cannot be recorded: {error.strerror or error}; choose another folder"
                 ) from error
 
-    def watch(self, watcher: Callable[[SensorFrame], object] | None) -> None:
-        """Show every frame to somebody else, too, on the thread that reads it; None: to nobody any more."""
-        self._watcher = watcher
+    def watch(self, see: Callable[[SensorFrame], object], failed: Callable[[str], object]) -> None:
+        """Show every frame to somebody else, too, on the thread that reads it.
+
+        Whoever cannot take a frame is told why through ``failed``, on that thread, and is shown no more.
+        """
+        self._watcher = _Watcher(see, failed)
+
+    def unwatch(self) -> None:
+        """Show frames to nobody else any more."""
+        self._watcher = None
 
     def put(self, frame: SensorFrame, *, wait: bool = False) -> None:
         """Record a frame, if there is a recording; one that does not fit its rig counts as dropped.
@@ -122,9 +137,7 @@ class Recorder:
         wait : bool
             Wait while the disk is behind. Live frames do not wait: what finds no room is counted.
         """
-        watcher = self._watcher
-        if watcher is not None:
-            watcher(frame)
+        self._show(frame)
         if self._writer is None:
             return
         problem = ""
@@ -155,6 +168,17 @@ class Recorder:
         for thread in self._finishing:
             thread.join()
         self._finishing.clear()
+
+    def _show(self, frame: SensorFrame) -> None:
+        watcher = self._watcher
+        if watcher is None:
+            return
+        try:
+            watcher.see(frame)
+        except Exception as error:  # the thread that reads must go on
+            if self._watcher is watcher:
+                self._watcher = None
+            watcher.failed(explain(error, f"frame {frame.sequence} could not be watched"))
 
     def _finish(self, writer: Writer, reason: str) -> None:
         try:

@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtCore import QEvent, Qt, QTimer
+from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.diagnostics.motion import MotionSeries, Sample
@@ -41,6 +41,8 @@ _TACTILE_HUE = "#d9730d"
 class SkewTab(QWidget):
     """Gathers frames of the main window for some seconds, measures on another thread, shows curve and result."""
 
+    _watchingFailed = pyqtSignal(str)
+
     def __init__(self, worker: Worker, document: Document) -> None:
         super().__init__()
         self._worker, self._document = worker, document
@@ -71,6 +73,7 @@ class SkewTab(QWidget):
         )
         self._job.done.connect(self._done)
         self._job.failed.connect(self._fail)
+        self._watchingFailed.connect(self._give_up)
         self._show_busy(False)
         self._recolor()
         self._draw()
@@ -83,9 +86,8 @@ class SkewTab(QWidget):
     def show_result(self, result: Result) -> None:
         """Take a frame of the main window, which tells the source; the worker hands over all of its frames."""
         self._result = result
-        if self._gathering and result.source is not self._info:
-            self.stop()
-            self._fail("Another source was opened meanwhile: measure again.")
+        if result.source is not self._info:
+            self._give_up("Another source was opened meanwhile: measure again.")
 
     def begin(self) -> None:
         """Gather frames from now on."""
@@ -104,7 +106,7 @@ class SkewTab(QWidget):
         self._forget()
         self._show_busy(True)
         # Frames that the window is too slow to show count as well.
-        self._worker.recorder.watch(lambda frame: samples.append(Sample.of(frame)))
+        self._worker.recorder.watch(lambda frame: samples.append(Sample.of(frame)), self._watchingFailed.emit)
         self._gathering = True
         self._timer.start()
         if not self._result.playback.running:
@@ -127,7 +129,12 @@ class SkewTab(QWidget):
         if self._gathering:
             self._gathering = False
             self._timer.stop()
-            self._worker.recorder.watch(None)
+            self._worker.recorder.unwatch()
+
+    def _give_up(self, sentence: str) -> None:
+        if self._gathering:
+            self.stop()
+            self._fail(sentence)
 
     def _look(self) -> None:
         """See how far it is."""
@@ -137,8 +144,7 @@ class SkewTab(QWidget):
         share = min(watched_s(self._samples) / self.seconds.value(), 1.0)
         self._show_progress(_GATHERING_SHARE * share, f"Press in and pull out now: {self._heard} frames")
         if now - self._heard_s > PATIENCE_S:
-            self.stop()
-            self._fail(_NO_MORE_FRAMES)
+            self._give_up(_NO_MORE_FRAMES)
         elif share == 1.0:
             self._measure()
 

@@ -134,6 +134,23 @@ def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tm
     assert ends[0].status.frames == 1
 
 
+def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(recorder, made, tmp_path):
+    seen, told = [], []
+
+    def see(shown):
+        seen.append(shown.sequence)
+        if shown.sequence == 1:
+            raise RuntimeError("broken")
+
+    recorder.start(request(tmp_path))
+    recorder.watch(see, told.append)
+    for index in range(3):
+        recorder.put(frame(index))
+    assert seen == [0, 1]
+    assert told == ["Frame 1 could not be watched (RuntimeError: broken)."]
+    assert [sequence for sequence, _ in made[0].frames] == [0, 1, 2]
+
+
 def test_a_file_that_cannot_be_begun_is_a_sentence(ends, tmp_path):
     def refuse(_):
         raise OSError(28, "No space left on device")

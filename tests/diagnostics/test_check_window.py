@@ -18,7 +18,7 @@ from tactune.app.diagnostics import interference_flow, skew_tab
 from tactune.app.main_window import MainWindow
 from tactune.app.settings import Settings
 from tactune.app.worker import SourceRequest
-from tactune.core.errors import SourceError
+from tactune.core.errors import FrameError, SourceError
 from tactune.core.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.sources.base import CameraOption, FrameSource, Health, SeekableSource
@@ -238,6 +238,21 @@ def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monke
     cameras.silent.set()
     wait(qtbot, lambda: not tab.busy)
     assert "No frames come any more" in tab.sentence.text()
+
+
+def test_a_frame_that_cannot_be_used_ends_the_measurement_and_the_cameras_go_on(open_checks, rig, qtbot, monkeypatch):
+    main = open_checks(Cameras(rig))
+    tab = main.live.checks.window.skew
+
+    def refuse(_):
+        raise FrameError("this frame has no depth")
+
+    monkeypatch.setattr(skew_tab.Sample, "of", refuse)
+    tab.start.click()
+    wait(qtbot, lambda: not tab.busy)
+    assert tab.sentence.text() == "This frame has no depth"
+    shown = main.result.frame.sequence
+    wait(qtbot, lambda: main.result.frame.sequence > shown + 3)
 
 
 def test_interference_is_found_and_the_laser_is_put_back(open_checks, rig, qtbot, monkeypatch):
