@@ -7,9 +7,10 @@ from dataclasses import replace
 from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
-from PyQt6.QtGui import QUndoCommand, QUndoStack
+from PyQt6.QtGui import QUndoStack
 
 from ...core.frames import Rig
+from ..state_step import StateStep
 from .state import PointPair, SessionState, Side, Snapshot
 
 DepthReader = Callable[[Snapshot, float, float], float | None]
@@ -59,7 +60,7 @@ class Session(QObject):
     def edit(self, text: str, after: SessionState, gesture: int = 0) -> None:
         """Make a state the present one, as one step; steps of one gesture become one."""
         if after != self._state:
-            self.undo_stack.push(_Step(self, text, self._state, after, gesture))
+            self.undo_stack.push(StateStep(text, self.show, self._state, after, gesture))
 
     def show(self, state: SessionState) -> None:
         """Make a state the present one without a step: for undo, and for taking up kept work."""
@@ -163,30 +164,6 @@ class Session(QObject):
             snapshot = self._state.snapshot_of(pair)
             values["tactile_depth_m"] = self._read_depth(snapshot, u, v) if snapshot is not None else None
         return pair.model_copy(update=values)
-
-
-class _Step(QUndoCommand):
-    """From one state to another; steps of one gesture merge."""
-
-    def __init__(self, session: Session, text: str, before: SessionState, after: SessionState, gesture: int) -> None:
-        super().__init__(text)
-        self._session, self._before, self._after, self._gesture = session, before, after, gesture
-
-    def redo(self) -> None:
-        self._session.show(self._after)
-
-    def undo(self) -> None:
-        self._session.show(self._before)
-
-    def id(self) -> int:
-        return 1 if self._gesture else -1
-
-    def mergeWith(self, other: QUndoCommand | None) -> bool:
-        if not isinstance(other, _Step) or other._gesture != self._gesture:
-            return False
-        self._after = other._after
-        self.setObsolete(self._after == self._before)
-        return True
 
 
 def _count(number: int) -> str:
