@@ -39,8 +39,8 @@ def test_options_are_read():
         ("teapot", Variant(), "no scene 'teapot'; choose one of cube, cup"),
         ("stiff", Variant(object="teapot"), "no object 'teapot'"),
         ("cube", Variant(object="octopus"), "leave object out"),
-        ("cube", Variant(press="hard"), "press is 'hard'; choose low, medium or high"),
-        ("slide", Variant(press="low"), "leave it out"),
+        ("cube", Variant(press="hard"), "press is 'hard'; choose none, low, medium or high"),
+        ("slide", Variant(press="low"), "choose none, or leave it out"),
         ("cube", Variant(gap_mm=3.0), "gap is for the scene hover"),
         ("hover", Variant(gap_mm=0.0), "gap is 0"),
         ("hover", Variant(gap_mm=float("nan")), "gap is nan"),
@@ -69,6 +69,18 @@ def test_still_presses_grow_and_only_their_noise_changes():
             strains.append(source.facts(0).strain_length)
     assert 0 < areas[0] < areas[1]
     assert strains[0] < strains[1]
+
+
+def test_without_a_press_nothing_touches_the_same_membrane_and_the_noise_is_another():
+    with open_coarse("cube", noise=1.0, press="medium") as pressed, pressed.untouched() as away:
+        first, frame = pressed.read(0), away.read(0)
+        assert "press=none" in away.name
+        assert away.scene.design == pressed.scene.design
+        assert away.facts(0).force_n == 0.0
+    assert not frame.truth.contact.any()
+    free = (first.truth.depth_m > 0.0) & (np.abs(first.truth.depth_m - frame.truth.depth_m) < 0.0002)
+    assert free.any()
+    assert not np.array_equal(first.tactile_color, frame.tactile_color)
 
 
 def test_high_presses_stretch_to_twice_the_length_and_sides_are_turned_images():

@@ -18,7 +18,7 @@ from .mesh import MembraneDesign
 from .objects import OBJECTS, PressedObject
 from .sheet import Print
 
-Press = Literal["", "low", "medium", "high"]
+Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]
 Light = Literal["normal", "bright", "dim"]
 
@@ -53,6 +53,8 @@ _HIGH: Final = {
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
+#: Where an object neither touches the membrane nor comes near it, metres.
+_AWAY_M: Final = 0.060
 _SLIDE_M: Final = 0.045
 _SLIDE_STEP_M: Final = 0.003
 #: Cells of a mesh that resolves the folds, and their height.
@@ -66,8 +68,8 @@ class Variant:
 
     Attributes
     ----------
-    press : {"", "low", "medium", "high"}
-        A still press instead of the scene's own motion.
+    press : {"", "none", "low", "medium", "high"}
+        A still press instead of the scene's own motion; "none" shows the untouched membrane.
     side : {"right", "left"}
         On which side of the middle, seen by the cameras, the high press is: nearer to the tactile or
         to the proximity camera. The left one is the right one turned by 180 degrees about the middle.
@@ -158,7 +160,9 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
         design = replace(design, cells=cells)
     press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
     pressed = OBJECTS[shape]
-    if press:
+    if press == "none":
+        way, drawn, frames = _still(-_AWAY_M)
+    elif press:
         pressed, depth = still_press(shape, press, variant.side)
         way, drawn, frames = _still(depth)
     elif name == "hover":
@@ -198,9 +202,9 @@ def _check(name: str, variant: Variant) -> None:
     if variant.object != Variant.object and name not in SPECIAL_SCENES:
         raise SourceError(f"sim:{name}: only {', '.join(SPECIAL_SCENES)} take another object; leave object out")
     if variant.press not in get_args(Press):
-        raise SourceError(f"sim:{name}: press is {variant.press!r}; choose low, medium or high, or leave it out")
-    if variant.press and name in ("hover", "slide"):
-        raise SourceError(f"sim:{name}: press is for scenes with a still press; leave it out")
+        raise SourceError(f"sim:{name}: press is {variant.press!r}; choose none, low, medium or high, or leave it out")
+    if variant.press not in ("", "none") and name in ("hover", "slide"):
+        raise SourceError(f"sim:{name}: press is for scenes with a still press; choose none, or leave it out")
     if variant.side not in get_args(Side) or (variant.side != "right" and variant.press != "high"):
         raise SourceError(f"sim:{name}: side is {variant.side!r}; choose left or right, with press=high only")
     if variant.gap_mm != Variant.gap_mm and name != "hover":

@@ -25,6 +25,9 @@ from .scenes import Light, Scene, Variant, light_table, resolve_scene
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
 
+#: Added to the seed of frames that must not have the noise of those that are judged.
+_OTHER_SEEDS: Final = 1_000_000
+
 #: Scenes that a source in this process has open, shared because each takes some 200 MB.
 _open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
 
@@ -82,11 +85,18 @@ class SimulatorSource(SeekableSource):
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
         self._noise = NoiseModel(self.rig, seed, noise)
         self._light = light_table(light)
+        self._made_of = (scene, seed, noise, cells, variant, light)
 
     @property
     def held_out(self) -> bool:
         """Whether methods must not be developed on this scene, only judged."""
         return self.scene.pressed.held_out
+
+    def untouched(self, progress: Progress | None = None) -> SimulatorSource:
+        """Return the same membrane with the object far away; its noise is none that a frame of this source has."""
+        scene, seed, noise, cells, variant, light = self._made_of
+        away = Variant(press="none", object=variant.object, grid=variant.grid)
+        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light)
 
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain, force and true object pose of a frame."""
