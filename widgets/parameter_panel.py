@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
+from PyQt6.QtGui import QKeySequence, QPalette, QShortcut
 from PyQt6.QtWidgets import (
     QFrame,
     QGridLayout,
@@ -26,6 +26,7 @@ from .collapsible import CollapsibleSection
 from .fields import section_fields
 from .gestures import new_gesture
 from .histogram import DifferenceHistogram
+from .hsv_colors import groove_colors
 from .parameter_row import ParameterRow
 from .range_row import RangeEditor
 
@@ -305,16 +306,7 @@ class ParameterPanel(QScrollArea):
     def _paint_mask_colors(self) -> None:
         """Show on the mask's sliders the colours that their positions mean."""
         ranges = {name: self.rows[f"mask.{name}"].editor.value() for name in ("hue", "saturation", "value")}
-        hue_low, hue_high = ranges["hue"]
-        hue = (hue_low + ((hue_high - hue_low) % 180) // 2) % 180
-        saturation, value = (sum(ranges[name]) // 2 for name in ("saturation", "value"))
-        colors = {
-            "hue": [QColor.fromHsv(2 * (h % 180), 230, 230) for h in range(0, 180, 15)]
-            + [QColor.fromHsv(358, 230, 230)],
-            "saturation": [QColor.fromHsv(2 * hue, s, max(value, 120)) for s in range(0, 256, 51)],
-            "value": [QColor.fromHsv(2 * hue, saturation, v) for v in range(0, 256, 51)],
-        }
-        for name, stops in colors.items():
+        for name, stops in groove_colors(**ranges).items():
             widget = self.rows[f"mask.{name}"].widget
             if isinstance(widget, RangeEditor):
                 widget.set_colors(stops)

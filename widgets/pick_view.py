@@ -84,6 +84,7 @@ class PickView(CloudView):
         self._last: tuple[float, float] = (0.0, 0.0)
         self._pressed: QPointF | None = None
         self._clock = GestureClock()
+        self._pickable: int | None = None
         self._scene.ornament = self._paint_ornament
         self.setMouseTracking(True)
         self._canvas.setMouseTracking(True)
@@ -107,12 +108,19 @@ class PickView(CloudView):
         """Return the handles that are shown."""
         return self._handles
 
+    def set_pickable(self, pixels: int | None) -> None:
+        """Let clicks take only the first so many pixels of the cloud; None: all."""
+        self._pickable = pixels
+
     def pick(self, at: QPointF) -> tuple[int, tuple[float, float, float]] | None:
         """Return the flat pixel and the place of the point that is seen at a place of the canvas, if there is one."""
         cloud = self.cloud()
         if cloud is None:
             return None
-        points = cloud.points()
+        pixels, points = np.flatnonzero(cloud.drawn()), cloud.points()
+        if self._pickable is not None:
+            allowed = pixels < self._pickable
+            pixels, points = pixels[allowed], points[allowed]
         places = self.camera().project(points, *self._size())
         off = np.abs(places[:, :2] - (at.x(), at.y())).max(axis=1)
         off[places[:, 2] <= 0] = np.inf
@@ -121,7 +129,7 @@ class PickView(CloudView):
             return None
         under = np.flatnonzero(off <= max(nearest, _UNDER_PX))
         chosen = under[np.argmin(places[under, 2])]
-        return int(np.flatnonzero(cloud.drawn())[chosen]), as_place(points[chosen])
+        return int(pixels[chosen]), as_place(points[chosen])
 
     def _fall_back(self, reason: str) -> None:
         super()._fall_back(reason)

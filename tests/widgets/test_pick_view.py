@@ -105,6 +105,10 @@ def test_the_nearer_of_two_points_under_the_cursor_is_taken(view: PickView) -> N
     view.set_camera(ViewCamera(CENTRE, 0.6, np.pi, 0.0))
     click(view, on_screen(view, (0, 0, 0.3)))
     assert clicks == [1, 0]
+    view.set_camera(ViewCamera(CENTRE, 0.6, 0.0, 0.0))
+    view.set_pickable(1)
+    click(view, on_screen(view, (0, 0, 0.3)))
+    assert clicks == [1, 0, 0], "what may not be taken is looked through"
 
 
 def test_a_click_beside_everything_takes_nothing(view: PickView, qtbot: QtBot) -> None:
