@@ -26,7 +26,9 @@ from .cli_doctor import doctor
 from .cli_evaluate import evaluate_commands
 from .cli_preset import preset_commands
 from .cli_record import convert, record
+from .cli_scan import export_scan
 from .cli_strain import strain
+from .cli_sweep import sweep
 from .cli_warmup import warmup
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
@@ -48,9 +50,11 @@ commands.add_typer(evaluate_commands, name="evaluate")
 commands.command()(calibrate)
 commands.command()(devices)
 commands.command()(doctor)
+commands.command("export-scan")(export_scan)
 commands.command()(record)
 commands.command()(convert)
 commands.command()(strain)
+commands.command()(sweep)
 commands.command()(warmup)
 
 Source = Annotated[

@@ -1,4 +1,4 @@
-"""The commands ``tactune evaluate table`` and ``tactune evaluate patch``: methods and patches against the truth."""
+"""The commands ``tactune evaluate``: methods and patches against the truth."""
 
 from __future__ import annotations
 
@@ -11,16 +11,20 @@ import typer
 
 from ..core.errors import TactuneError
 from .cli_progress import CliProgress
+from .cli_scan import evaluate_recording
 
 if TYPE_CHECKING:
     from ..core.evaluation.table import Table, TablePlan
 
 evaluate_commands = typer.Typer(
-    help="Compare with the truth: every method on scenes with known truth, or one patch with another cloud.",
+    help="Compare with the truth: every method on scenes with known truth, one patch with another cloud, or "
+    "recordings with the object's painted scan.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
 )
+
+evaluate_commands.command("recording")(evaluate_recording)
 
 _PAPER = "the paper's"
 
