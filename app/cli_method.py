@@ -46,8 +46,27 @@ def read_reference(method: str, name: str | None) -> SensorFrame | None:
     return frame
 
 
-def make_step(method: str, preset: Preset, source: FrameSource, reference: SensorFrame | None) -> Step:
+def make_step(
+    method: str,
+    preset: Preset,
+    preset_origin: str,
+    source: FrameSource,
+    reference: SensorFrame | None,
+    warn: Callable[[str], None],
+) -> Step:
     """Build what is done with each frame of a source.
+
+    Parameters
+    ----------
+    method : str
+    preset : Preset
+    preset_origin : str
+        As `load_preset` took it.
+    source : FrameSource
+    reference : SensorFrame or None
+        From ``--reference``; without it the preset's own is taken, else the source's.
+    warn : callable
+        Told why the preset's own was not taken.
 
     Raises
     ------
@@ -57,13 +76,17 @@ def make_step(method: str, preset: Preset, source: FrameSource, reference: Senso
     if method == FUSION:
         return _fusion_step(ContactPipeline(preset, source.rig))
     if needs_reference(method) and reference is None:
-        from ..core.evaluation.untouched import untouched_frame  # the simulator, which other sources need not wait for
+        from ..core.membrane_reference import find_reference  # what the pipeline alone need not wait for
 
-        reference = untouched_frame(source)
+        found_reference = find_reference(preset, preset_origin, source)
+        for sentence in found_reference.warnings:
+            warn(sentence)
+        reference = found_reference.frame
         if reference is None:
             raise TactuneError(
-                f"{method} compares with the untouched membrane, but {source.name} keeps no reference; "
-                "give --reference a source or path whose first frame shows the membrane while nothing touches it"
+                f"{method} compares with the untouched membrane, but neither the preset nor {source.name} keeps a "
+                "reference; make one with tactune preset capture-reference, or give --reference a source or path "
+                "whose first frame shows the membrane while nothing touches it"
             )
     found = make_method(method, preset, source.rig, reference)
 

@@ -1,4 +1,4 @@
-"""The commands ``tactune preset new | show | validate | schema``."""
+"""The commands ``tactune preset new | show | validate | schema | capture-reference``."""
 
 from __future__ import annotations
 
@@ -83,6 +83,24 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
             typer.echo(f"{origin}: good, {_describe(preset)}")
     if bad:
         raise typer.Exit(2)
+
+
+@preset_commands.command("capture-reference")
+def capture_reference(
+    *,
+    source: Annotated[
+        str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
+    ],
+    preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
+    frames: Annotated[int, typer.Option("--frames", "-n", min=1, max=1000, help="How many frames to average.")] = 15,
+) -> None:
+    """Average frames of the untouched membrane into a preset's reference, for methods and checks that compare with it.
+
+    The simulator takes its object away meanwhile. The reference is a file beside the preset.
+    """
+    from .cli_reference import capture_into
+
+    capture_into(preset, source, frames)
 
 
 @preset_commands.command()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from itertools import islice
 from typing import Final
 
 from ..calibration.snapshots import take_snapshot
@@ -27,5 +30,20 @@ def untouched_frame(source: FrameSource, progress: Progress | None = None) -> Se
     reference = source.reference()
     if reference is not None or not isinstance(source, SimulatorSource):
         return reference
+    with frames_to_average(source, REFERENCE_FRAMES, progress) as frames:
+        return take_snapshot(frames).frame
+
+
+@contextmanager
+def frames_to_average(
+    source: FrameSource, count: int, progress: Progress | None = None
+) -> Iterator[Iterable[SensorFrame]]:
+    """Yield what a reference is made of: the source's next frames, at most ``count``, while nothing touches.
+
+    The simulator takes its object away for them, and plays its untouched membrane as often as is needed.
+    """
+    if not isinstance(source, SimulatorSource):
+        yield islice(source, count)
+        return
     with source.untouched(progress) as away:
-        return take_snapshot(away.read(index) for index in range(REFERENCE_FRAMES)).frame
+        yield (away.read(number % away.length) for number in range(count))

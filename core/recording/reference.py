@@ -1,8 +1,9 @@
-"""The frame of the untouched membrane, kept inside a recording as a NumPy archive."""
+"""The frame of the untouched membrane as a NumPy archive: in a recording, or beside a preset."""
 
 from __future__ import annotations
 
 import io
+import tokenize
 import zipfile
 import zlib
 
@@ -12,8 +13,14 @@ from ..errors import FrameError, SourceError
 from ..frames import GroundTruth, SensorFrame
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
-_DAMAGE = (OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, zipfile.BadZipFile, zlib.error)
+#: What NumPy and zipfile raise for files that are none of theirs, broken, encrypted or packed in unknown ways.
+_DAMAGE = (
+    *(OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, SyntaxError),
+    *(OverflowError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+)
 _NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
+#: Unpacked; 1280 x 720 pixels with colour and truth take 20 MB. A few packed kilobytes can claim gigabytes.
+_LARGEST_BYTES = 200_000_000
 
 
 def reference_bytes(frame: SensorFrame) -> bytes:
@@ -26,9 +33,13 @@ def reference_bytes(frame: SensorFrame) -> bytes:
     return buffer.getvalue()
 
 
-def parse_reference(data: bytes, origin: str) -> SensorFrame:
-    """Return the frame; `SourceError` where the bytes are none."""
+def frame_from_bytes(data: bytes) -> SensorFrame:
+    """Return the frame in the bytes of an ``.npz``; `FrameError` says what is wrong with them."""
     try:
+        with zipfile.ZipFile(io.BytesIO(data)) as archive:
+            unpacked = sum(entry.file_size for entry in archive.infolist())
+        if unpacked > _LARGEST_BYTES:
+            raise FrameError(f"it unpacks to {unpacked / 1e6:.0f} MB, which no frame has")
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = dict(archive)
         truth = None
@@ -44,6 +55,13 @@ def parse_reference(data: bytes, origin: str) -> SensorFrame:
             tactile_time_s=float(arrays["tactile_time_s"]),
             truth=truth,
         )
-    except (*_DAMAGE, FrameError) as error:
-        detail = " ".join(str(error).split())
-        raise SourceError(f"{origin}: its reference frame is damaged ({detail}); copy or record it again") from error
+    except _DAMAGE as error:
+        raise FrameError(" ".join(str(error).split()) or type(error).__name__) from error
+
+
+def parse_reference(data: bytes, origin: str) -> SensorFrame:
+    """Return the frame; `SourceError` where the bytes are none."""
+    try:
+        return frame_from_bytes(data)
+    except FrameError as error:
+        raise SourceError(f"{origin}: its reference frame is damaged ({error}); copy or record it again") from error

@@ -1,0 +1,55 @@
+"""What ``tactune preset capture-reference`` does."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+import typer
+
+from ..core.errors import PresetError
+from ..core.evaluation.untouched import frames_to_average
+from ..core.frames import SensorFrame
+from ..core.membrane_reference import CapturedReference, average_untouched, save_reference
+from ..core.preset import now
+from ..core.preset_file import load_preset, save_preset
+from ..core.rig_check import check_rig
+from .cli_progress import CliProgress
+from .cli_run import counted, open_with_progress, warn
+
+
+def capture_into(path: Path, source_name: str, frames: int) -> None:
+    """Average frames of a source into a preset's reference; first the reference is written, then the preset."""
+    if not path.is_file() or path.suffix == ".mcap":
+        raise PresetError(
+            f"{path} is no preset file that could keep a reference; make one with tactune preset new, "
+            "or copy a shipped one with tactune preset show NAME > FILE"
+        )
+    preset = load_preset(path)
+    with open_with_progress(source_name, preset.cameras) as source:
+        for sentence in check_rig(preset, source.rig):
+            warn(sentence)
+        with frames_to_average(source, frames) as shown, CliProgress() as progress:
+            captured = average_untouched(_counted_out(shown, frames, progress))
+        unit_m = source.rig.tactile.depth_unit_m
+    record = save_reference(captured.frame, captured.frames, path)
+    save_preset(preset.model_copy(update={"reference": record, "modified": now()}), path)
+    if captured.frames < frames:
+        warn(f"{source.name} ended after {captured.frames} of the {frames} frames asked for")
+    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {source.name}{noise_words(captured, unit_m)}")
+    typer.echo(f"wrote {path.parent / record.file}, named in {path}")
+
+
+def noise_words(captured: CapturedReference, unit_m: float) -> str:
+    """Say how much averaging helped, where that is known."""
+    single, averaged = (1e3 * unit_m * counts for counts in captured.noise_counts)
+    if math.isnan(single):
+        return ""
+    return f": noise of the tactile depth {single:.2f} mm in one frame, {averaged:.2f} mm in the reference"
+
+
+def _counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:
+    for number, frame in enumerate(frames, start=1):
+        yield frame
+        progress.frames(number, total)
