@@ -67,7 +67,7 @@ def run_frames(options: RunOptions) -> None:
         if options.method == FUSION:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing)
-        step = make_step(options.method, preset, source, reference)
+        step = make_step(options.method, preset, options.preset, source, reference, warn)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         lost_before = source.health().dropped
