@@ -184,7 +184,7 @@ class CellFolder:
 
     def __init__(self, folder: Path, preset: Preset) -> None:
         self.folder = folder
-        self._settings = f"{preset.model_dump_json()} {STRAIGHT_T} {FRAMES_A_CELL} {_code_version()}"
+        self._settings = f"{preset.model_dump_json()} {STRAIGHT_T} {FRAMES_A_CELL} {code_version()}"
 
     def load(self, method: str, scene: PlannedScene, seed: int) -> Cell | None:
         """Return a cell, or None where it is not kept or its file is damaged."""
@@ -231,7 +231,7 @@ def cell_from_json(found: Any) -> Cell:
 
 
 @cache
-def _code_version() -> str:
+def code_version() -> str:
     """Return a hash of everything that can change a result: the source code of the core."""
     digest = hashlib.sha256()
     core = Path(__file__).parents[1]

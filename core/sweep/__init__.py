@@ -1,0 +1,1 @@
+"""Runs with many presets over many recordings and scenes, and which of them was best."""

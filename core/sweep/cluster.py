@@ -1,0 +1,146 @@
+"""Batches of a sweep on a Dask cluster."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from types import ModuleType
+from typing import Any, Final
+
+from ..errors import MissingExtraError, TactuneError
+from .plan import Batch
+from .results import Result
+from .run import run_batch
+from .values import SweepError
+
+#: Seconds to wait for the scheduler, and between looks at the workers while nothing comes.
+_CONNECT_S: Final = 10.0
+_LOOK_S: Final = 2.0
+
+#: Batches that wait on the cluster for each of its threads, so that none is idle.
+_AHEAD: Final = 2
+
+
+class Cluster:
+    """A connection to a Dask scheduler.
+
+    Parameters
+    ----------
+    client : distributed.Client
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    @property
+    def threads(self) -> int:
+        """How many batches the workers can do at once."""
+        return sum(worker["nthreads"] for worker in self._client.scheduler_info(n_workers=-1)["workers"].values())
+
+    def run(self, batches: Iterable[Batch], waiting: Callable[[], None] = lambda: None) -> Iterator[list[Result]]:
+        """Yield the results of each batch as it is done, in any order and each once.
+
+        What a worker had begun when it died is begun anew on another one. To cancel, close the iterator.
+
+        Parameters
+        ----------
+        batches : iterable of Batch
+        waiting : callable
+            Told from time to time while there is no worker.
+
+        Raises
+        ------
+        TactuneError
+            A batch cannot be done, the scheduler is gone, or a batch killed one worker after another.
+        """
+        distributed = _distributed()
+        left = iter(batches)
+        running: set[Any] = set()
+        try:
+            while True:
+                room = _AHEAD * max(1, self.threads) - len(running)
+                running |= {self._submit(batch) for batch in itertools.islice(left, max(0, room))}
+                if not running:
+                    return
+                try:
+                    done = distributed.wait(list(running), timeout=_LOOK_S, return_when="FIRST_COMPLETED").done
+                except TimeoutError:
+                    self._look(waiting)
+                    continue
+                running -= done
+                for future in done:
+                    yield _result_of(future)
+        finally:
+            if running and self._client.status == "running":
+                self._client.cancel(list(running))
+
+    def _submit(self, batch: Batch) -> Any:
+        return self._client.submit(run_batch, batch, key=f"tactune-sweep-{batch.name}", pure=True)
+
+    def _look(self, waiting: Callable[[], None]) -> None:
+        if self._client.status != "running":
+            raise _gone()
+        if not self.threads:
+            waiting()
+
+
+@contextmanager
+def connect(address: str) -> Iterator[Cluster]:
+    """Connect to a Dask scheduler.
+
+    Raises
+    ------
+    MissingExtraError
+        dask or distributed is not installed.
+    SweepError
+        No scheduler answers at that address, or it has no worker.
+    """
+    distributed = _distributed()
+    try:
+        client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise SweepError(
+            f"no Dask scheduler answers at {address} ({_first_line(error)}); start one with dask scheduler "
+            "and give the address that it prints, such as tcp://192.168.0.5:8786"
+        ) from error
+    with client:
+        try:
+            client.wait_for_workers(1, timeout=_CONNECT_S)
+        except TimeoutError as error:
+            raise SweepError(
+                f"the scheduler at {address} has no worker; start some with dask worker {address}"
+            ) from error
+        yield Cluster(client)
+
+
+def _result_of(future: Any) -> list[Result]:
+    """Return what a batch gave, or say why it gave nothing."""
+    if future.status == "finished":
+        results: list[Result] = future.result()
+        return results
+    if future.status != "error":
+        raise _gone()
+    error = future.exception()
+    if isinstance(error, TactuneError):
+        raise error
+    raise SweepError(
+        f"a worker of the cluster could not go on ({type(error).__name__}: {_first_line(error)}); see that each has "
+        "this version of Tactune and enough memory, and give the same command again"
+    )
+
+
+def _gone() -> SweepError:
+    return SweepError("the Dask scheduler is gone; start it again, and the same command goes on")
+
+
+def _first_line(error: BaseException) -> str:
+    return str(error).strip().partition("\n")[0][:200]
+
+
+def _distributed() -> ModuleType:
+    try:
+        import distributed
+    except ImportError as error:
+        raise MissingExtraError("--scheduler needs dask: install it with pip install 'tactune[cluster]'") from error
+    return distributed

@@ -1,0 +1,246 @@
+"""A sweep before it runs: which presets, over which frames, in which order and pieces."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+from ..baselines.registry import method_names, needs_reference
+from ..evaluation.cells import check_methods, code_version
+from ..preset import Preset
+from ..sources.registry import open_source
+from .takes import FrameRange, OpenSource, Take, inspect_takes
+from .values import (
+    MOST_RUNS,
+    Axis,
+    Choice,
+    SweepError,
+    check_switched_on,
+    checked_axis,
+    grid,
+    grid_size,
+    plain_value,
+    result_paths,
+    sample,
+)
+
+#: The preset's own pipeline.
+FUSION: Final = "fusion"
+
+_ALL_FRAMES: Final = FrameRange()
+
+#: Frames that one piece of work processes at most, over all of its runs: some ten seconds.
+_FRAMES_A_BATCH: Final = 500
+#: Pieces that each worker gets at least, so that all are busy to the end.
+_BATCHES_A_WORKER: Final = 4
+
+#: Beginnings of the fields of stages that come late in the pipeline, the last first. They vary fastest.
+_LATE: Final = ("outliers.min_cluster_area_mm2", "outliers.")
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a person asks of a sweep; as `make_plan` takes it.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+    sources : tuple of str
+    methods : tuple of str
+        ``fusion`` or names of `baselines.registry.method_names`.
+    frames : FrameRange
+    seeds : int
+        Choices of noise for each simulated source.
+    sample : int or None
+        Take so many combinations instead of all.
+    sample_seed : int
+    """
+
+    axes: tuple[Axis, ...]
+    sources: tuple[str, ...]
+    methods: tuple[str, ...] = (FUSION,)
+    frames: FrameRange = _ALL_FRAMES
+    seeds: int = 1
+    sample: int | None = None
+    sample_seed: int = 0
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One choice of method and parameters.
+
+    Attributes
+    ----------
+    values : dict
+        Path and plain value of each swept field.
+    parameters : dict
+        Path and plain value of every field that results depend on.
+    """
+
+    method: str
+    values: dict[str, Any]
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One setting on one take; the key stands for all that its result depends on."""
+
+    key: str
+    setting: Setting
+    take: Take
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Runs over one take that a worker does together."""
+
+    base: Preset
+    take: Take
+    code: str
+    runs: tuple[tuple[str, str, dict[str, Any]], ...]
+
+    @property
+    def name(self) -> str:
+        """Stands for the runs in it."""
+        return hashlib.sha256("".join(key for key, _, _ in self.runs).encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a sweep will run.
+
+    Attributes
+    ----------
+    base : Preset
+    paths : tuple of str
+        The swept fields.
+    settings : tuple of Setting
+    takes : tuple of Take
+    code : str
+        Version of the program's code.
+    """
+
+    base: Preset
+    paths: tuple[str, ...]
+    settings: tuple[Setting, ...]
+    takes: tuple[Take, ...]
+    code: str
+
+    @cached_property
+    def runs(self) -> tuple[Run, ...]:
+        """All runs: take by take, with the parameters of late stages varying fastest."""
+        return tuple(Run(self._key(setting, take), setting, take) for take in self.takes for setting in self.settings)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether every source knows its truth."""
+        return all(take.has_truth for take in self.takes)
+
+    def batches(self, done: Callable[[str], bool], workers: int) -> Iterator[Batch]:
+        """Part the runs that are not done into pieces of work, each over one take."""
+        for number, take in enumerate(self.takes):
+            of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
+            waiting = [run for run in of_take if not done(run.key)]
+            share = -(-len(waiting) // (_BATCHES_A_WORKER * workers))
+            size = max(1, min(_FRAMES_A_BATCH // len(take.frames), share))
+            for start in range(0, len(waiting), size):
+                part = waiting[start : start + size]
+                yield Batch(
+                    self.base, take, self.code, tuple((run.key, run.setting.method, run.setting.values) for run in part)
+                )
+
+    def _key(self, setting: Setting, take: Take) -> str:
+        reference = take.reference if needs_reference(setting.method) else ""
+        frames = take.frames
+        text = json.dumps(
+            [setting.method, setting.parameters, take.source, take.seed, frames.start, frames.stop, frames.step,
+             take.identity, reference, self.code],
+            sort_keys=True,
+        )  # fmt: skip
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def make_plan(
+    base: Preset,
+    request: Request,
+    opener: OpenSource = open_source,
+    progress: Callable[[str], None] = lambda source: None,
+) -> Plan:
+    """Check everything that is asked for, and list the runs; nothing is computed yet but hashes.
+
+    Parameters
+    ----------
+    base : Preset
+        Gives the parameters that are not swept.
+    request : Request
+    opener : callable
+        Opens sources.
+    progress : callable
+        Told the name of each source that is read.
+
+    Raises
+    ------
+    TactuneError
+        An unknown field, value, method or source, too many runs, or nothing to run over.
+    """
+    check_methods(request.methods, (FUSION, *method_names()))
+    paths = [axis.path for axis in request.axes]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise SweepError(f"{path} is given twice; give all its values at once, separated by commas")
+    if not request.sources:
+        raise SweepError("there is nothing to run over; give --source, such as --source 'sim:cup?press=medium'")
+    axes = [checked_axis(axis, base) for axis in request.axes]
+    check_switched_on(axes, base)
+    settings = _settings(base, axes, request)
+    takes = inspect_takes(
+        request.sources, request.seeds, request.frames, [base], any(map(needs_reference, request.methods)), opener,
+        progress,
+    )  # fmt: skip
+    count = len(settings) * len(takes)
+    _check_size(count, request)
+    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version())
+
+
+def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Setting]:
+    if request.sample is None:
+        _check_size(grid_size(axes) * len(request.methods) * len(request.sources) * request.seeds, request)
+        combinations = grid(axes, base)
+    else:
+        _check_size(request.sample * len(request.methods) * len(request.sources), request)
+        if not axes:
+            raise SweepError("there is nothing to sample; give --set FIELD=LOW:HIGH")
+        combinations = sample(axes, base, request.sample, request.sample_seed)
+    fixed = {path: plain_value(base, path) for path in result_paths()}
+    found = [
+        Setting(method, values, fixed | values)
+        for values in combinations
+        for method in dict.fromkeys(request.methods)
+    ]  # fmt: skip
+    numbers = {axis.path: axis.values for axis in axes if isinstance(axis, Choice)}
+
+    def order(setting: Setting) -> list[Any]:
+        """Early stages first; within a field as it was listed."""
+        ranks = sorted(setting.values, key=_lateness)
+        return [setting.method, *(
+            numbers[path].index(setting.values[path]) if path in numbers else setting.values[path] for path in ranks
+        )]  # fmt: skip
+
+    return list({json.dumps([setting.method, setting.parameters]): setting for setting in sorted(found, key=order)}
+                .values())  # fmt: skip
+
+
+def _lateness(path: str) -> tuple[int, str]:
+    late = next((place for place, start in enumerate(_LATE) if path.startswith(start)), len(_LATE))
+    return -late, path
+
+
+def _check_size(count: int, request: Request) -> None:
+    if count > MOST_RUNS:
+        remedy = "sample fewer" if request.sample is not None else "take some of them with --sample N, or fewer values"
+        raise SweepError(f"these are {count} runs, and at most {MOST_RUNS} make sense; {remedy}")
