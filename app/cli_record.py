@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 import math
-import signal
-import threading
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from ..core.errors import ExportError
+from .cli_stop import WAIT_S, stop_on_signals
 
 if TYPE_CHECKING:
     from ..core.recording import RecordingStatus, SessionWriter
     from ..core.sources import FrameSource
-
-#: How long a live source may keep a person waiting who pressed Ctrl+C.
-_WAIT_S = 0.2
 
 #: Formats that can be read only, and would otherwise become folders of that name.
 _READ_ONLY_SUFFIXES = (".bag", ".db3")
@@ -124,11 +118,11 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
         total = math.ceil(min(total, seconds * source.frame_rate_hz))
     said = ""
     done = 0
-    with CliProgress() as progress, _interrupt() as interrupted:
-        while done != total and time.monotonic() < end_s and not interrupted.is_set():
+    with CliProgress() as progress, stop_on_signals() as stopped:
+        while done != total and time.monotonic() < end_s and not stopped.is_set():
             if source.health().message != said and (said := source.health().message):
                 warn(said)
-            if not source.wait(_WAIT_S):
+            if not source.wait(WAIT_S):
                 continue
             frame = source.next_frame()
             if frame is None:
@@ -162,25 +156,3 @@ def _refuse_existing(path: Path, force: bool) -> None:
         raise ExportError(
             f"{path} is already there; choose another name" + (" or give --force" if path.is_file() else "")
         )
-
-
-@contextmanager
-def _interrupt() -> Iterator[threading.Event]:
-    """Yield what is set at the first Ctrl+C or SIGTERM; the second ends the program as usual."""
-    pressed = threading.Event()
-    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-
-    def restore() -> None:
-        for number, handler in usual.items():
-            signal.signal(number, handler)
-
-    def press(*_: object) -> None:
-        pressed.set()
-        restore()
-
-    for number in usual:
-        signal.signal(number, press)
-    try:
-        yield pressed
-    finally:
-        restore()

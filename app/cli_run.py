@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import json
 import sys
 from collections.abc import Callable, Iterator
@@ -10,6 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
+from threading import Event
 from typing import Any
 
 import typer
@@ -30,15 +30,19 @@ from ..core.sources.registry import open_source
 from ..core.warmup import warm_up_if_needed
 from .cli_method import FUSION, Step, make_step, read_reference
 from .cli_progress import CliProgress
+from .cli_stop import WAIT_S, stop_on_signals
 from .patch_record import finite_or_none
 
 Record = dict[str, Any]
 SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
 
+#: Exit status of what was interrupted, as shells have it for Ctrl+C.
+INTERRUPTED_STATUS = 130
+
 #: Recordings and bags of patches are named so.
 MCAP_SUFFIX = ".mcap"
 
-#: What ``--truth`` adds to a record, and its unit.
+#: What ``--truth`` adds to a record beside ``touched``, and its unit.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
 
 
@@ -71,15 +75,17 @@ def run_frames(options: RunOptions) -> None:
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         lost_before = source.health().dropped
-        with patch_output(options, source, preset) as save:
-            records = process_frames(source, step, options, save)
-        if not records:
+        with stop_on_signals() as stopped, patch_output(options, source, preset) as save:
+            records = process_frames(source, step, options, save, stopped)
+        if not records and not stopped.is_set():
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
             warn(source.health().message)
         warn_of_lost_frames(source, lost_before)
-        if not options.json_lines:
-            typer.echo(summary(records, source.name, preset.name, options))
+        if records and not options.json_lines:
+            typer.echo(summary(records, source.name, preset.name, options, stopped=stopped.is_set()))
+        if stopped.is_set():
+            tell_of_stop(source, len(records), options.frames)
 
 
 @contextmanager
@@ -110,12 +116,32 @@ def warn_of_lost_frames(source: FrameSource, before: int) -> None:
         warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
 
 
-def process_frames(source: FrameSource, step: Step, options: RunOptions, save: SavePatch) -> list[Record]:
-    """Do what is asked for with each frame; return what can be said of it."""
+def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
+    """Say what a person's Ctrl+C left undone, and end as interrupted; a live source has no end to reach."""
+    total = number_of_frames(source, asked)
+    if done and total in (None, done):
+        return
+    warn(
+        f"stopped after {counted(done, 'frame')}"
+        if total is None
+        else f"stopped after {done} of {counted(total, 'frame')}"
+    )
+    raise typer.Exit(INTERRUPTED_STATUS)
+
+
+def process_frames(
+    source: FrameSource, step: Step, options: RunOptions, save: SavePatch, stopped: Event
+) -> list[Record]:
+    """Do what is asked for with each frame until ``stopped`` is set; return what can be said of it."""
     records: list[Record] = []
     total = number_of_frames(source, options.frames)
     with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
-        for frame in itertools.islice(source, total):
+        while len(records) != total and not stopped.is_set():
+            if not source.wait(WAIT_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                break
             record, patch = step(frame)
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
@@ -124,7 +150,7 @@ def process_frames(source: FrameSource, step: Step, options: RunOptions, save: S
                 typer.echo(json.dumps(record, allow_nan=False))
             records.append(record)
             progress.frames(len(records), total)
-    if options.truth and all(record["iou"] is None for record in records):
+    if options.truth and records and all(record["iou"] is None for record in records):
         warn(f"{source.name} knows no truth; iou, precision, recall and rmse_mm are empty")
     return records
 
@@ -170,12 +196,12 @@ def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
 def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Compare with the truth; every value is None where the source has none."""
     if truth is None:
-        return dict.fromkeys(TRUTH_KEYS)
+        return dict.fromkeys(("touched", *TRUTH_KEYS))
     scores = compare_with_truth(patch, truth, rig)
-    return {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
+    return {"touched": bool(truth.contact.any())} | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
 
 
-def summary(records: list[Record], source: str, preset: str, options: RunOptions) -> str:
+def summary(records: list[Record], source: str, preset: str, options: RunOptions, *, stopped: bool) -> str:
     """Return a few lines for a person."""
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
@@ -192,18 +218,30 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
         lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
     lines.append(f"{sum(stages.values()):.1f} ms a frame ({details})")
-    for key, unit in TRUTH_KEYS.items():
-        known = [record[key] for record in records if record.get(key) is not None]
-        if known:
-            lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')}")
+    lines += truth_lines(records)
     if options.out is not None and options.out.suffix == MCAP_SUFFIX:
         lines.append(f"wrote {options.out}")
     elif options.out is not None:
         first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
         lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
-    if options.frames is not None and len(records) < options.frames:
+    if options.frames is not None and len(records) < options.frames and not stopped:
         lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
     return "\n".join(lines)
+
+
+def truth_lines(records: list[Record]) -> list[str]:
+    """Return the scores of the frames with touch, and how many of the others have points; [] without a truth."""
+    with_touch = [record for record in records if record.get("touched")]
+    without = [record for record in records if record.get("touched") is False]
+    lines = []
+    for key, unit in TRUTH_KEYS.items():
+        known = [record[key] for record in with_touch if record[key] is not None]
+        if known:
+            lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with touch")
+    if without:
+        false = sum(bool(record["points"]) for record in without)
+        lines.append(f"{counted(len(without), 'frame')} without touch, {false} of them with false points")
+    return lines
 
 
 def _by(method: str) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mcap.reader import make_reader
 
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
@@ -94,6 +96,7 @@ def test_truth_is_compared_where_it_is_known(
     save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.03}), everything)
     labelled = tactune("run", "-s", make_recording(), "-p", everything, "--json", "--truth")
     lines = json_lines(labelled.out)
+    assert [line["touched"] for line in lines] == [False, True, True, True]
     assert [line["iou"] for line in lines] == [1, 1, 1, 1]
     assert [line["precision"] for line in lines] == [1, 1, 1, 1]
     assert [line["recall"] for line in lines] == [1, 1, 1, 1]
@@ -110,10 +113,22 @@ def test_the_summary_is_for_people(tactune: Tactune, recording: Path, tmp_path: 
     assert "4 frames of folder:" in finished.out
     assert "contact in 3 of them" in finished.out
     assert "ms a frame" in finished.out
-    assert "iou: median" in finished.out
+    assert re.search(r"^iou: median 0\.\d+ over 3 frames with touch$", finished.out, re.MULTILINE)
+    assert "1 frame without touch, 0 of them with false points\n" in finished.out
     assert "ended after 4 of the 9 frames asked for" in finished.out
     assert "patch_000000.npz to patch_000003.npz" in finished.out
     assert finished.err == ""
+
+
+def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_are_told(
+    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    loose = tmp_path / "loose.json"
+    save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.25}), loose)
+    finished = tactune("run", "-s", make_recording(), "-p", loose, "--truth")
+    shares = [8 * 8 / (64 * 48), 16 * 16 / (64 * 48), 24 * 24 / (64 * 48)]  # everything is taken for contact
+    assert f"iou: median {shares[1]:.3f} over 3 frames with touch\n" in finished.out
+    assert "1 frame without touch, 1 of them with false points\n" in finished.out
 
 
 def test_frames_limits_the_number_of_frames(tactune: Tactune, recording: Path) -> None:
@@ -243,7 +258,7 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
     slow = (
         "import sys, time; from tactune.core.pipeline import ContactPipeline as P; from tactune.app.cli import main\n"
         "process = P.process\n"
-        "P.process = lambda self, frame: (time.sleep(60 * (frame.sequence == 2)), process(self, frame))[1]\n"
+        "P.process = lambda self, frame: (time.sleep(2 * (frame.sequence == 2)), process(self, frame))[1]\n"
         "sys.exit(main())"
     )
     command = [sys.executable, "-c", slow, "run", "--source", str(recording), "--out", str(out)]
@@ -251,12 +266,32 @@ def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path)
         while not (out / "patch_000001.npz").exists() and process.poll() is None:
             time.sleep(0.01)
         process.send_signal(signal.SIGINT)
-        _, complaints = process.communicate()
+        printed, complaints = process.communicate()
     assert process.returncode == 130
-    assert "Traceback" not in complaints
-    assert names(out) == ["patch_000000.npz", "patch_000001.npz"]
+    assert complaints == "tactune: stopped after 3 of 4 frames\n"
+    assert printed.startswith("3 frames of folder:")
+    assert names(out) == ["patch_000000.npz", "patch_000001.npz", "patch_000002.npz"]
     with np.load(out / "patch_000001.npz") as saved:
         assert len(saved["points"]) > 0
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_patches_of_a_live_source_with_a_whole_file_and_a_summary(
+    recording: Path, tmp_path: Path, sent: signal.Signals
+) -> None:
+    out = tmp_path / "patches.mcap"
+    command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        end = time.monotonic() + 60
+        while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
+            time.sleep(0.05)
+        process.send_signal(sent)
+        printed, complaints = process.communicate(timeout=60)
+    assert process.returncode == 0, complaints
+    with out.open("rb") as file:
+        counted = make_reader(file).get_summary().statistics.message_count
+    assert printed.startswith(f"{counted} frames of live:folder:")
+    assert f"wrote {out}" in printed
 
 
 def test_standard_output_holds_json_only_while_a_bar_is_drawn_on_a_terminal(recording: Path) -> None:
