@@ -18,6 +18,7 @@ from ..core.preset import Preset
 from ..core.provenance import Provenance
 from ..core.sources.base import FrameSource, Health
 from .playback import PlaybackState
+from .reference_finding import FindReference, no_reference, reference_finder
 
 if TYPE_CHECKING:
     from ..widgets.cloud_data import DepthCloud
@@ -96,6 +97,7 @@ class SourceInfo:
     length: int | None
     frame_rate_hz: float
     preset: Preset | None = None
+    find_reference: FindReference = no_reference
 
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
@@ -104,7 +106,14 @@ class SourceInfo:
             preset = source.preset()
         except PresetError:
             preset = None
-        return cls(source.name, source.rig, source.length, source.frame_rate_hz, preset)
+        return cls(
+            source.name,
+            source.rig,
+            source.length,
+            source.frame_rate_hz,
+            preset,
+            find_reference=reference_finder(source),
+        )
 
 
 @dataclass(frozen=True)

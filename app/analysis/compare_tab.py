@@ -2,17 +2,256 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QImage
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSplitter, QVBoxLayout
+
+from ...core.baselines.registry import method_names
+from ...widgets.elided_label import ElidedLabel
+from ...widgets.theme import theme_name
+from ..calibration.jobs import Job
+from ..message_bar import MessageBar, Severity
+from ..results import CloudName, RateMeter, Result
+from .compare_export import write_comparison
+from .compare_grid import TileGrid
+from .compare_reference import Reference
+from .compare_table import CompareTable
+from .compare_thread import CompareThread
+from .comparer import Comparison, Task
+from .method_looks import TRUTH
 from .tab import AnalysisTab
 
 if TYPE_CHECKING:
     from ..main_window import MainWindow
 
+_CHOSEN = "compare/methods"
+_AT_FIRST = ("fusion-rigid", "fusion-calibrated", "proximity-only", "tactile-only", "mechanics")
+_WAITING = "Waiting for a frame: open a source in the main window."
+#: Setting up is worth saying when it takes longer than this.
+_PATIENCE_MS = 300
+
 
 class CompareTab(AnalysisTab):
-    """One view per method, in one grid."""
+    """One linked view per method and one of the truth, all on the same frame, and a table of their numbers.
+
+    Signals
+    -------
+    shown(Comparison)
+    """
+
+    shown = pyqtSignal(object)
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__()
-        self._main = window
+        self._settings, self._document = window.settings, window.document
+        self._dialogs = window.dialogs.over(self)
+        self._result: Result | None = None
+        self.comparison: Comparison | None = None
+        self._rate = RateMeter()
+        self._setting_up = ""
+        methods = method_names()
+        remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
+        view = window.views.views[CloudName.PATCH]
+        self.grid = TileGrid("opengl" if view.backend_name == "opengl" else "software")
+        self.table = CompareTable(methods, remembered)
+        self.reference = Reference(self)
+        self.thread_ = CompareThread(self)
+        self._writing = Job(self)
+        self._late = QTimer(self)
+        self._late.setSingleShot(True)
+        self._late.setInterval(_PATIENCE_MS)
+        self.status = ElidedLabel(_WAITING)
+        self.messages = MessageBar()
+        self.color_by = QComboBox()
+        self.export = QPushButton("&Export…")
+        self.progress = QProgressBar()
+        self.give_up = QPushButton("Cancel")
+        self._lay_out()
+        self._connect()
+        self._show_tiles()
+
+    # What the window calls
+
+    def show_result(self, result: Result) -> None:
+        """Compare this frame as soon as there is time for it."""
+        self._result = result
+        self.reference.look(result, self._document.path)
+        self._send()
+
+    def shut_down(self) -> None:
+        """Stop all threads, for good."""
+        self._late.stop()
+        self.reference.shut_down()
+        self._writing.stop()
+        self.thread_.shut_down()
+
+    # Building
+
+    def _lay_out(self) -> None:
+        self.color_by.addItems(["Method", "Agreement with the truth"])
+        self.color_by.setToolTip(
+            "Each method in its colour, or what is right, false and missed where the truth is known"
+        )
+        self.color_by.setAccessibleName("Colour by")
+        self.color_by.setEnabled(False)
+        self.export.setToolTip("Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E)")
+        self.export.setShortcut("Ctrl+E")
+        self.export.setAutoDefault(False)
+        self.export.setEnabled(False)
+        self.progress.setRange(0, 100)
+        self.progress.setFormat("Preparing the untouched membrane: %p %")
+        self.progress.setToolTip("Methods marked so compare with it; the others go on meanwhile")
+        self.give_up.setAutoDefault(False)
+        self.give_up.setToolTip("Do without the untouched membrane, or look for it once more")
+        for widget in (self.progress, self.give_up):
+            widget.hide()
+        row = QHBoxLayout()
+        label = QLabel("Colour &by")
+        label.setBuddy(self.color_by)
+        row.addWidget(self.status, 1)
+        for part in (self.progress, self.give_up, label, self.color_by, self.export):
+            row.addWidget(part)
+        self.sheet = QSplitter(Qt.Orientation.Vertical)
+        self.sheet.setChildrenCollapsible(False)
+        self.sheet.addWidget(self.grid)
+        self.sheet.addWidget(self.table)
+        self.sheet.setStretchFactor(0, 1)
+        self.sheet.setSizes([520, self.table.full_height()])
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(row)
+        layout.addWidget(self.messages)
+        layout.addWidget(self.sheet, 1)
+
+    def _connect(self) -> None:
+        self.thread_.compared.connect(self._show_newest)
+        self.thread_.settingUp.connect(self._note_setting_up)
+        self.thread_.failed.connect(self._complain)
+        self._late.timeout.connect(self._show_setting_up)
+        self.table.chosenChanged.connect(self._choose)
+        self.table.copied.connect(lambda rows: self._say(f"{rows} row{'' if rows == 1 else 's'} copied as text."))
+        self.color_by.currentIndexChanged.connect(self._send)
+        self.grid.stepChanged.connect(self._send)
+        self.reference.changed.connect(self._reference_changed)
+        self.reference.progress.connect(self._show_progress)
+        self.give_up.clicked.connect(self._cancel_or_retry)
+        self.export.clicked.connect(self._ask_where)
+        self._writing.done.connect(self._say)
+        self._writing.failed.connect(self._complain)
+
+    # Frames
+
+    def _choose(self) -> None:
+        self._settings.set(_CHOSEN, ",".join(self.table.chosen()))
+        self._show_tiles()
+        self._send()
+
+    def _show_tiles(self) -> None:
+        truth = self._result is not None and self._result.frame.truth is not None
+        self.grid.show_tiles([*([TRUTH] if truth else []), *self.table.chosen()])
+
+    def _send(self) -> None:
+        """Have the newest frame compared, the way things are chosen now."""
+        result = self._result
+        if result is None:
+            return
+        if not self.thread_.isRunning():
+            self.thread_.start()
+        self.thread_.compare(
+            Task(
+                result,
+                self.table.chosen(),
+                self.reference.frame,
+                self.reference.sentence,
+                theme_name(),
+                by_truth=self.color_by.currentIndex() == 1 and result.frame.truth is not None,
+                step=self.grid.step,
+            )
+        )
+
+    def _show_newest(self) -> None:
+        comparison = self.thread_.take()
+        if comparison is None:
+            return
+        self._late.stop()
+        if self.comparison is None or self.comparison.task.result.frame is not comparison.task.result.frame:
+            self._rate.tick()
+        self.comparison = comparison
+        task = comparison.task
+        truth = task.result.frame.truth is not None
+        self.color_by.setEnabled(truth)
+        self.export.setEnabled(True)
+        self._show_tiles()
+        self.table.set_theme(task.theme)
+        self.table.show_outcomes({outcome.name: outcome for outcome in comparison.outcomes})
+        for outcome in comparison.outcomes:
+            if outcome.name in self.grid.shown():
+                self.grid.tiles[outcome.name].show_outcome(outcome, truth, task.by_truth, task.theme)
+        self._show_status(task, truth)
+        self.shown.emit(comparison)
+
+    def _show_status(self, task: Task, truth: bool) -> None:
+        result = task.result
+        parts = [f"Frame {result.frame.sequence} of {result.source.name}"]
+        rate = self._rate.rate()
+        if result.playback.running and rate:
+            parts.append(f"{rate:.1f} compared per second, {self.thread_.skipped} skipped")
+        if not truth:
+            parts.append("no truth known, so no RMSE and IoU")
+        if self.reference.warning:
+            parts.append(self.reference.warning)
+        self.status.setText(" · ".join(parts))
+
+    def _note_setting_up(self, name: str) -> None:
+        self._setting_up = name
+        if not self._late.isActive():
+            self._late.start()
+
+    def _show_setting_up(self) -> None:
+        if self._setting_up in self.grid.shown():
+            self.grid.tiles[self._setting_up].show_setting_up()
+
+    def _show_progress(self, share: float) -> None:
+        """Show how preparing the reference goes, once that has something to say."""
+        self.progress.setValue(round(100 * share))
+        if self.reference.searching:
+            self.progress.show()
+            self.give_up.show()
+
+    def _reference_changed(self) -> None:
+        searching = self.reference.searching
+        self.progress.setVisible(searching and self.progress.isVisible())
+        self.give_up.setVisible(self.progress.isVisible() or self.reference.cancelled)
+        self.give_up.setText("Cancel" if searching else "Try again")
+        self._send()
+
+    def _cancel_or_retry(self) -> None:
+        (self.reference.cancel if self.reference.searching else self.reference.retry)()
+
+    # Taking things out
+
+    def _ask_where(self) -> None:
+        if self.comparison is None:
+            return
+        name = f"comparison_{self.comparison.task.result.frame.sequence:06d}.png"
+        folder = Path(self._settings.text("folder/export") or Path.home())
+        self._dialogs.save_file("Save comparison", folder / name, ["PNG picture, CSV beside it (*.png)"], self.save_to)
+
+    def save_to(self, path: Path) -> None:
+        """Write views and table as a picture, and the numbers as CSV beside it."""
+        comparison = self.comparison
+        if comparison is None:
+            return
+        self._settings.set("folder/export", str(path.parent))
+        picture: QImage = self.sheet.grab().toImage()
+        self._writing.start(lambda _: write_comparison(picture, comparison, path))
+
+    def _say(self, sentence: str) -> None:
+        self.messages.show_message("done", Severity.INFO, sentence)
+
+    def _complain(self, sentence: str) -> None:
+        if sentence:
+            self.messages.show_message("failed", Severity.ERROR, sentence)

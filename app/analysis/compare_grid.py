@@ -1,0 +1,142 @@
+"""The grid of linked views, one a method, each with its numbers beneath."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QResizeEvent
+from PyQt6.QtWidgets import QGridLayout, QLabel, QVBoxLayout, QWidget
+
+from ...widgets.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.colormaps import Theme
+from .compare_text import caption
+from .comparer import Outcome
+from .method_looks import TIPS, agreement_legend, method_color
+
+#: Width over height that a view looks best at.
+_ASPECT = 1.25
+#: Views narrower than this show every other row and column.
+_FINE_WIDTH = 480
+_CHOOSE = "Tick a method in the table to see its patch here."
+
+
+class Tile(QWidget):
+    """One method's patch."""
+
+    def __init__(self, name: str, backend: BackendChoice) -> None:
+        super().__init__()
+        self.name = name
+        self.view = CloudView(name, backend)
+        self.caption = QLabel("\n")
+        self.caption.setTextFormat(Qt.TextFormat.PlainText)
+        self.caption.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.caption.setToolTip(TIPS.get(name, ""))
+        self.caption.setAccessibleName(f"Numbers of {name}")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(1)
+        layout.addWidget(self.view, 1)
+        layout.addWidget(self.caption)
+
+    def show_outcome(self, outcome: Outcome, truth: bool, by_truth: bool, theme: Theme) -> None:
+        """Show patch and numbers; with truth, also how the patch agrees with it."""
+        self.view.set_cloud(outcome.cloud)
+        legend = agreement_legend() if by_truth else [("contact", method_color(self.name, theme))]
+        if legend != self.view.legend():
+            self.view.set_legend(legend)
+        self.view.set_message(outcome.note)
+        self.caption.setText(caption(outcome, truth))
+
+    def show_setting_up(self) -> None:
+        """Say that the method is being made ready."""
+        self.caption.setText(f"Setting up {self.name}…")
+        self.view.set_message(f"Setting up {self.name}…")
+
+
+class TileGrid(QWidget):
+    """As many tiles as methods are chosen, as large as they can be; orbit one and all follow.
+
+    Signals
+    -------
+    stepChanged()
+        Another `step` is enough at the present size.
+    """
+
+    stepChanged = pyqtSignal()
+
+    def __init__(self, backend: BackendChoice) -> None:
+        super().__init__()
+        self._backend: BackendChoice = backend
+        self._columns = 0
+        #: Every how many rows and columns are worth drawing.
+        self.step = 1
+        self.tiles: dict[str, Tile] = {}
+        self._shown: list[Tile] = []
+        self._layout = QGridLayout(self)
+        self._layout.setContentsMargins(0, 0, 0, 0)
+        self._layout.setSpacing(4)
+        self._empty = QLabel(_CHOOSE)
+        self._empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self._layout.addWidget(self._empty, 0, 0)
+
+    def shown(self) -> list[str]:
+        """Return the names of the tiles that are to be seen, in their order."""
+        return [tile.name for tile in self._shown]
+
+    def show_tiles(self, names: Sequence[str]) -> None:
+        """Show these tiles and no others; those that come take over the camera of those that stay."""
+        if list(names) == self.shown():
+            return
+        stay = [tile for tile in self._shown if tile.name in names]
+        for name in names:
+            if name not in self.tiles:
+                self.tiles[name] = Tile(name, self._backend)
+        for tile in self._shown:
+            tile.hide()
+            link_cameras([tile.view])
+        self._shown = [self.tiles[name] for name in names]
+        link_cameras([tile.view for tile in (*stay, *(tile for tile in self._shown if tile not in stay))])
+        self._place()
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Choose another number of columns where that makes the views larger."""
+        super().resizeEvent(event)
+        if best_columns(len(self._shown), self.width(), self.height()) != self._columns:
+            self._place()
+        self._choose_step()
+
+    def _place(self) -> None:
+        columns = self._columns = best_columns(len(self._shown), self.width(), self.height())
+        while self._layout.count():
+            self._layout.takeAt(0)
+        for line in range(max(self._layout.rowCount(), self._layout.columnCount())):
+            self._layout.setRowStretch(line, 0)
+            self._layout.setColumnStretch(line, 0)
+        self._empty.setVisible(not self._shown)
+        if not self._shown:
+            self._layout.addWidget(self._empty, 0, 0)
+        for place, tile in enumerate(self._shown):
+            row, column = divmod(place, columns)
+            self._layout.addWidget(tile, row, column)
+            self._layout.setRowStretch(row, 1)
+            self._layout.setColumnStretch(column, 1)
+            tile.show()
+        self._choose_step()
+
+    def _choose_step(self) -> None:
+        """Draw every other row and column where views are small: nobody sees more, and it is much faster."""
+        step = 1 if self.width() >= _FINE_WIDTH * max(1, self._columns) else 2
+        if step != self.step:
+            self.step = step
+            self.stepChanged.emit()
+
+
+def best_columns(count: int, width: int, height: int) -> int:
+    """Return the number of columns with which ``count`` views are the largest in a room of this size."""
+
+    def size(columns: int) -> float:
+        rows = -(-count // columns)
+        return min(width / columns, _ASPECT * height / rows)
+
+    return max(range(1, count + 1), key=size, default=1)

@@ -1,0 +1,77 @@
+"""Compares methods beside the window and its worker: always the newest frame, never in their way."""
+
+from __future__ import annotations
+
+from threading import Event
+
+from PyQt6.QtCore import QObject, QThread, pyqtSignal
+
+from ..cores import leave_room_for_the_window
+from ..explain import explain
+from ..mailbox import Mailbox
+from .comparer import Comparer, Comparison, Task
+
+
+class CompareThread(QThread):
+    """Takes tasks through a one-slot mailbox and gives comparisons back through another.
+
+    Signals
+    -------
+    compared()
+        `take` has something new.
+    settingUp(name: str)
+        A method is made ready, which may take a while.
+    failed(sentence: str)
+        A frame could not be compared.
+    """
+
+    compared = pyqtSignal()
+    settingUp = pyqtSignal(str)
+    failed = pyqtSignal(str)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._tasks: Mailbox[Task] = Mailbox(lambda old, new: old.result.frame is new.result.frame)
+        self._comparisons: Mailbox[Comparison] = Mailbox()
+        self._wake = Event()
+        self._stopping = False
+
+    @property
+    def skipped(self) -> int:
+        """Frames that were not compared because a newer one came first."""
+        return self._tasks.dropped
+
+    def compare(self, task: Task) -> None:
+        """Compare this frame next; one that still waits is skipped."""
+        self._tasks.put(task)
+        self._wake.set()
+
+    def take(self) -> Comparison | None:
+        """Take the newest comparison, or None."""
+        return self._comparisons.take()
+
+    def shut_down(self) -> None:
+        """Stop after the present frame and wait for that."""
+        self._stopping = True
+        self._wake.set()
+        self.wait()
+
+    def run(self) -> None:
+        """Compare frame after frame until told to stop."""
+        leave_room_for_the_window()
+        comparer = Comparer(self.settingUp.emit)
+        while True:
+            self._wake.wait()
+            self._wake.clear()
+            if self._stopping:
+                return
+            task = self._tasks.take()
+            if task is None:
+                continue
+            try:
+                comparison = comparer.compare(task)
+            except Exception as error:
+                self.failed.emit(explain(error, f"frame {task.result.frame.sequence} could not be compared"))
+                continue
+            if self._comparisons.put(comparison):
+                self.compared.emit()

@@ -1,0 +1,210 @@
+"""Every chosen method on one frame: patches, times, and how far they are from the truth."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from statistics import median
+from typing import Any
+
+import numpy as np
+
+from ...core.baselines.method import ContactMethod, MethodPatch, failed
+from ...core.baselines.registry import make_method, needs_reference
+from ...core.evaluation.metrics import compare_with_truth, method_area_mm2, truth_cloud
+from ...core.frames import GroundTruth, Rig, SensorFrame
+from ...widgets.cloud_data import DepthCloud
+from ...widgets.colormaps import Theme
+from ..explain import explain
+from ..results import Result
+from .compare_drawing import Drawing
+from .method_looks import TRUTH
+
+#: Over how many frames the median of the times goes.
+TIMED_FRAMES = 15
+
+NO_CONTACT = "No contact found in this frame"
+
+
+@dataclass(frozen=True, eq=False)
+class Task:
+    """What to compare.
+
+    Attributes
+    ----------
+    result : Result
+        The frame, its source and the preset.
+    methods : tuple of str
+    reference : SensorFrame or None
+    no_reference : str
+        Why there is no reference, as a sentence with the next step.
+    by_truth : bool
+        Colour points by their agreement with the truth.
+    step : int
+        Every how many rows and columns a point is drawn.
+    """
+
+    result: Result
+    methods: tuple[str, ...]
+    reference: SensorFrame | None = None
+    no_reference: str = ""
+    theme: Theme = "light"
+    by_truth: bool = False
+    step: int = 1
+
+
+@dataclass(frozen=True)
+class Scores:
+    """What can be said of a patch; None where there is no patch, no truth, or no distance to it."""
+
+    points: int | None = None
+    area_mm2: float | None = None
+    rmse_mm: float | None = None
+    iou: float | None = None
+    precision: float | None = None
+    recall: float | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """One method on one frame; ``note`` says why there is no patch, ``ms`` is the median of the last frames."""
+
+    name: str
+    scores: Scores
+    cloud: DepthCloud
+    ms: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """All chosen methods on one and the same frame; the truth first, where it is known."""
+
+    task: Task
+    outcomes: tuple[Outcome, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """What a method found in a frame."""
+
+    frame: SensorFrame
+    patch: MethodPatch
+    scores: Scores
+    note: str
+
+
+@dataclass(eq=False)
+class _Entrant:
+    """A method that is ready, or the reason why it cannot be; and its last frame."""
+
+    key: tuple[Any, ...]
+    method: ContactMethod | None
+    problem: str = ""
+    warm: bool = False
+    times_ms: deque[float] = field(default_factory=lambda: deque(maxlen=TIMED_FRAMES))
+    found: _Found | None = None
+
+
+class Comparer:
+    """Keeps every method ready from frame to frame; belongs to one thread.
+
+    Parameters
+    ----------
+    tell : callable
+        Told the name of a method that is being set up, which may take a while.
+    """
+
+    def __init__(self, tell: Callable[[str], None] = lambda _name: None) -> None:
+        self._tell = tell
+        self._entrants: dict[str, _Entrant] = {}
+
+    def compare(self, task: Task) -> Comparison:
+        """Run the chosen methods on a frame; those that have seen it already are not run again.
+
+        A method that fails, in whatever way, has an empty patch and a note.
+        """
+        drawing = Drawing(task.result, task.theme, task.by_truth, task.step)
+        outcomes = []
+        if (truth := task.result.frame.truth) is not None:
+            outcomes.append(_truth_outcome(truth, task.result.source.rig, drawing))
+        for name in task.methods:
+            entrant = self._entrant(name, task)
+            found = self._find(name, entrant, task)
+            ms = median(entrant.times_ms) if entrant.times_ms else None
+            outcomes.append(Outcome(name, found.scores, drawing.cloud(name, found.patch), ms, found.note))
+        return Comparison(task, tuple(outcomes))
+
+    def _entrant(self, name: str, task: Task) -> _Entrant:
+        """Return a method that fits the task, set up anew where its preset, rig or reference have changed."""
+        preset, source = task.result.preset, task.result.source
+        against = needs_reference(name)
+        setting = (preset.alignment, task.reference, task.no_reference) if against else (preset,)
+        key = (source.name, source.rig, *setting)
+        entrant = self._entrants.get(name)
+        if entrant is not None and entrant.key == key:
+            return entrant
+        self._tell(name)
+        method, problem = None, ""
+        if against and task.reference is None and task.no_reference:
+            problem = task.no_reference
+        else:
+            try:
+                method = make_method(name, preset, source.rig, task.reference)
+            except Exception as error:
+                problem = explain(error, f"{name} cannot be set up")
+        entrant = self._entrants[name] = _Entrant(key, method, problem)
+        return entrant
+
+    def _find(self, name: str, entrant: _Entrant, task: Task) -> _Found:
+        frame, rig = task.result.frame, task.result.source.rig
+        if entrant.found is not None and entrant.found.frame is frame:
+            return entrant.found
+        patch = failed(rig.proximity.intrinsics.shape, entrant.problem)
+        scores = Scores()
+        if entrant.method is not None:
+            try:
+                patch = self._timed(name, entrant, entrant.method, frame)
+                scores = _scores(patch, frame.truth, rig)
+            except Exception as error:
+                patch = failed(
+                    rig.proximity.intrinsics.shape, explain(error, f"{name} failed on frame {frame.sequence}")
+                )
+        note = patch.failure or ("" if len(patch.points) else NO_CONTACT)
+        entrant.found = _Found(frame, patch, scores, note)
+        return entrant.found
+
+    def _timed(self, name: str, entrant: _Entrant, method: ContactMethod, frame: SensorFrame) -> MethodPatch:
+        """Run a method and note how long that took, without what it loads at its first run."""
+        if not entrant.warm:
+            self._tell(name)
+            method.find(replace(frame))
+            entrant.warm = True
+        started = time.perf_counter_ns()
+        patch = method.find(frame)
+        entrant.times_ms.append((time.perf_counter_ns() - started) / 1e6)
+        return patch
+
+
+def _truth_outcome(truth: GroundTruth, rig: Rig, drawing: Drawing) -> Outcome:
+    patch = MethodPatch(truth_cloud(truth, rig).points, lambda: truth.contact)
+    known_depth = truth.depth_m is not None
+    count = len(patch.points) if known_depth else int(np.count_nonzero(truth.contact))
+    scores = Scores(count, method_area_mm2(patch, rig) if known_depth else None)
+    note = "" if count else "Nothing touches the membrane in this frame"
+    return Outcome(TRUTH, scores, drawing.cloud(TRUTH, patch), note=note)
+
+
+def _scores(patch: MethodPatch, truth: GroundTruth | None, rig: Rig) -> Scores:
+    """Return size and agreement of a patch; a method that failed has none."""
+    if patch.failure:
+        return Scores()
+    size = len(patch.points), float(method_area_mm2(patch, rig))
+    if truth is None:
+        return Scores(*size)
+    known = compare_with_truth(patch, truth, rig)
+    rmse_mm = known["rmse_mm"] if math.isfinite(known["rmse_mm"]) else None
+    return Scores(*size, rmse_mm, known["iou"], known["precision"], known["recall"])

@@ -1,0 +1,82 @@
+"""How each method looks: one colour everywhere, chosen so that colour-blind persons tell them apart."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtGui import QColor
+
+from ...widgets.colormaps import Theme, patch_lut
+
+TRUTH: Final = "truth"
+
+#: Okabe and Ito's colours, the last two darker, since they stand on pale gray.
+_RGB: dict[str, tuple[int, int, int]] = {
+    "fusion-rigid": (213, 94, 0),
+    "fusion-homography": (230, 159, 0),
+    "fusion-calibrated": (0, 158, 115),
+    "proximity-only": (0, 114, 178),
+    "tactile-only": (86, 180, 233),
+    "tactile-threshold": (204, 121, 167),
+    "mechanics": (148, 128, 0),
+}
+_UNKNOWN_RGB = (128, 96, 160)
+_TRUTH_RGB: dict[Theme, tuple[int, int, int]] = {"light": (20, 20, 20), "dark": (250, 250, 250)}
+
+#: Pixels that a method and the truth share, that only the method has, and that only the truth has.
+RIGHT_RGB: Final = (0, 158, 115)
+FALSE_RGB: Final = (213, 94, 0)
+MISSED_RGB: Final = (0, 114, 178)
+
+#: Rows of `method_lut` after those of the context; the farthest shade is hidden.
+CONTACT_ROW, FALSE_ROW, MISSED_ROW, HIDDEN_ROW = 255, 254, 253, 252
+
+TIPS: dict[str, str] = {
+    TRUTH: "The contact as it really is: from the simulator's contact solver, or kept by the recording",
+    "fusion-rigid": "Contact where both cameras measure the same distance, aligned by the tactile camera's pose",
+    "fusion-homography": "Contact where both cameras measure the same distance, aligned by a homography as published",
+    "fusion-calibrated": "Both cameras, with local means of their difference in place of one tolerance",
+    "proximity-only": "Proximity camera: points that are nearer than the untouched membrane was",
+    "tactile-only": "Tactile camera: the 60 % of the deformed membrane that moved most",
+    "tactile-threshold": "Tactile camera: what moved by more than 5 mm",
+    "mechanics": "Tactile camera: where something must press for an elastic membrane to look as it does",
+}
+
+
+def method_rgb(name: str, theme: Theme) -> tuple[int, int, int]:
+    """Return the colour of a method, or of the truth."""
+    return _TRUTH_RGB[theme] if name == TRUTH else _RGB.get(name, _UNKNOWN_RGB)
+
+
+def method_color(name: str, theme: Theme) -> QColor:
+    """Return the colour of a method, or of the truth."""
+    return QColor(*method_rgb(name, theme))
+
+
+@cache
+def method_lut(name: str, theme: Theme) -> npt.NDArray[np.uint8]:
+    """Return the colours of one method's patch over the relief of the scene: uint8 (256, 4)."""
+    return _lut(theme, method_rgb(name, theme))
+
+
+@cache
+def agreement_lut(theme: Theme) -> npt.NDArray[np.uint8]:
+    """Return the colours of a patch that is compared with the truth: uint8 (256, 4)."""
+    return _lut(theme, RIGHT_RGB)
+
+
+def agreement_legend() -> list[tuple[str, QColor]]:
+    """Return what the colours of `agreement_lut` mean."""
+    return [("right", QColor(*RIGHT_RGB)), ("false", QColor(*FALSE_RGB)), ("missed", QColor(*MISSED_RGB))]
+
+
+def _lut(theme: Theme, contact: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+    lut = patch_lut(theme).copy()
+    for row, rgb in ((CONTACT_ROW, contact), (FALSE_ROW, FALSE_RGB), (MISSED_ROW, MISSED_RGB)):
+        lut[row] = (*rgb, 255)
+    lut[HIDDEN_ROW] = 0
+    lut.flags.writeable = False
+    return lut
