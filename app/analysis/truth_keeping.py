@@ -139,7 +139,9 @@ def _state_of(content: dict[str, Any], folder: Path) -> tuple[TruthState, str]:
     """Return what was kept, and why its patch is missing where it is."""
     if content["version"] != _VERSION:
         raise ValueError(f"version {content['version']} is not known here")
-    paint = {name: tuple(value) if isinstance(value, list) else value for name, value in content["paint"].items()}
+    paint: dict[str, Any] = {
+        name: tuple(value) if isinstance(value, list) else value for name, value in content["paint"].items()
+    }
     pose, patch, lost = content["pose"], None, ""
     if content["patch"] is not None:
         try:

@@ -34,7 +34,7 @@ class FrozenPatch:
     frame : int
         Number of the frame within the source, from 0.
     preset : str
-        File of the preset, or its name where it is not saved.
+        File or name of the preset, as ``load_preset`` takes it; empty where it was not saved.
     """
 
     points: Float32Array
@@ -45,7 +45,7 @@ class FrozenPatch:
     preset: str
 
     @classmethod
-    def of(cls, result: Result, preset: str) -> FrozenPatch:
+    def of(cls, result: Result, preset: str = "") -> FrozenPatch:
         """Take the patch of a frame of the main window."""
         patch = result.patch
         points = np.empty((0, 3), np.float32) if patch is None else patch.points
@@ -81,6 +81,6 @@ def _around(result: Result, points: Float32Array) -> Float32Array:
     around = deproject(counts, camera, np.flatnonzero(chosen))
     if len(points):
         low, high = points.min(axis=0) - _CONTEXT_MARGIN_M, points.max(axis=0) + _CONTEXT_MARGIN_M
-        return around[((around >= low) & (around <= high)).all(axis=1)]
+        return np.asarray(around[((around >= low) & (around <= high)).all(axis=1)])
     near, far = result.rendered.depth_range_m
-    return around[(around[:, 2] >= near) & (around[:, 2] <= far)]
+    return np.asarray(around[(around[:, 2] >= near) & (around[:, 2] <= far)])

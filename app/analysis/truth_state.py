@@ -62,9 +62,10 @@ class TruthState:
         return self == TruthState()
 
     @property
-    def complete_pairs(self) -> tuple[PickedPair, ...]:
-        """The pairs that have both sides."""
-        return tuple(pair for pair in self.pairs if pair.complete)
+    def matched(self) -> tuple[list[Place], list[Place]]:
+        """Both sides of the complete pairs: on the scan, on the patch."""
+        both = [(pair.scan, pair.patch) for pair in self.pairs if pair.scan is not None and pair.patch is not None]
+        return [scan for scan, _ in both], [patch for _, patch in both]
 
     @property
     def pending(self) -> PickedPair | None:
@@ -165,10 +166,10 @@ class TruthSession(QObject):
 
     def _edit_pairs(self, text: str, after: TruthState) -> None:
         """Take other pairs; where there are enough of them, they say the pose."""
-        pairs, sentence = after.complete_pairs, ""
-        if len(pairs) >= LEAST_PAIRS and pairs != self._state.complete_pairs:
+        matched, sentence = after.matched, ""
+        if len(matched[0]) >= LEAST_PAIRS and matched != self._state.matched:
             try:
-                pose = pose_from_pairs([pair.scan for pair in pairs], [pair.patch for pair in pairs])
+                pose = pose_from_pairs(*matched)
                 after = replace(after, pose=pose, origin="pairs")
             except CalibrationError as error:
                 sentence = f"No pose from these pairs: {error}."

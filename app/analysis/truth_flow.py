@@ -1,0 +1,332 @@
+"""What happens to a scan in the ground-truth tab: threads, undo and keeping; knows no widget."""
+
+from __future__ import annotations
+
+import shlex
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+
+from ...core.errors import TactuneError
+from ...core.evaluation.scan import UNITS_M
+from ...core.evaluation.scan_paint import PaintSettings
+from ...core.evaluation.scan_pose import load_transform, pair_errors_m, save_transform
+from ...core.frames import Matrix4
+from ..calibration.jobs import Job
+from ..message_bar import Severity
+from ..results import Result
+from .truth_keeping import TruthKeeper
+from .truth_patch import FrozenPatch
+from .truth_state import Place, Side, TruthSession, TruthState
+from .truth_work import (
+    LoadedScan,
+    Refinement,
+    ScanContact,
+    Scores,
+    laid_on,
+    loading,
+    pivot_of,
+    refining,
+    scoring,
+    touching,
+)
+
+_SCORE_DELAY_MS = 250
+
+
+class TruthFlow(QObject):
+    """One scan at a time: read, searched for paint, aligned and scored.
+
+    Signals
+    -------
+    scanChanged()
+        Another scan, or another contact on it.
+    patchChanged()
+        Another patch is shown.
+    scoresChanged()
+        `scores` or what they lack changed.
+    refinedChanged()
+        `refinement` changed.
+    said(key: str, severity: Severity, sentence: str)
+        About one matter; an empty sentence takes the last one back.
+    loadProgress(share: float, words: str), refineProgress(share: float, words: str)
+        A share of 1 or more, or less than 0: it has ended.
+    """
+
+    scanChanged = pyqtSignal()
+    patchChanged = pyqtSignal()
+    scoresChanged = pyqtSignal()
+    refinedChanged = pyqtSignal()
+    said = pyqtSignal(str, object, str)
+    loadProgress = pyqtSignal(float, str)
+    refineProgress = pyqtSignal(float, str)
+
+    def __init__(self, folder: Path, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.session = TruthSession(self)
+        self.keeper = TruthKeeper(self.session, folder, self)
+        self.loaded: LoadedScan | None = None
+        self.contact: ScanContact | None = None
+        self.refinement: Refinement | None = None
+        self.scores: Scores | None = None
+        self._live: FrozenPatch | None = None
+        self._result: Result | None = None
+        self._shown: FrozenPatch | None = None
+        self._wanted_paint: PaintSettings | None = None
+        self._filed: tuple[Path, Matrix4] | None = None
+        self._loading, self._finding, self._refining, self._scoring = Job(self), Job(self), Job(self), Job(self)
+        self._score_timer = QTimer(self)
+        self._score_timer.setSingleShot(True)
+        self._score_timer.setInterval(_SCORE_DELAY_MS)
+        self._score_timer.timeout.connect(self._score)
+        self._connect()
+
+    def _connect(self) -> None:
+        self.session.changed.connect(self._state_changed)
+        self.session.refused.connect(lambda sentence: self.said.emit("pose", Severity.WARNING, sentence))
+        self.keeper.failed.connect(lambda sentence: self.said.emit("keeping", Severity.WARNING, sentence))
+        self._loading.progress.connect(self.loadProgress)
+        self._loading.done.connect(self._scan_read)
+        self._loading.failed.connect(self._scan_failed)
+        self._finding.done.connect(self._contact_found)
+        self._finding.failed.connect(lambda sentence: self.said.emit("paint", Severity.ERROR, sentence))
+        self._refining.progress.connect(self.refineProgress)
+        self._refining.done.connect(self._refined)
+        self._refining.failed.connect(self._refining_failed)
+        self._scoring.done.connect(self._scored)
+        self._scoring.failed.connect(lambda sentence: self.said.emit("scores", Severity.WARNING, sentence))
+
+    @property
+    def state(self) -> TruthState:
+        """What was done to the present scan."""
+        return self.session.state
+
+    @property
+    def patch(self) -> FrozenPatch | None:
+        """The patch that is shown: the one held fast, or else the main window's."""
+        return self.state.patch or self._live
+
+    @property
+    def busy_loading(self) -> bool:
+        """Whether a scan is being read."""
+        return self._loading.busy
+
+    @property
+    def busy_refining(self) -> bool:
+        """Whether ICP is going on."""
+        return self._refining.busy
+
+    # The scan
+
+    def open_scan(self, path: Path, unit: str) -> None:
+        """Read a scan whose numbers are in a unit of `UNITS_M`; the present one stays until that has succeeded."""
+        self.said.emit("scan", Severity.ERROR, "")
+        self.loadProgress.emit(0.0, f"Reading {path.name}")
+        self._loading.start(loading(path, UNITS_M[unit]))
+
+    def cancel_loading(self) -> None:
+        """Keep the present scan."""
+        self._loading.cancel()
+
+    def _scan_read(self, loaded: LoadedScan) -> None:
+        self._refining.cancel()
+        self.loaded, self.contact = loaded, None
+        self._wanted_paint = None
+        self._forget_refinement()
+        kept_at = self.keeper.turn_to(loaded.key)
+        self.loadProgress.emit(1.0, "")
+        taken_up = f"Your work on this scan of {kept_at:%d %B %Y, %H:%M} was taken up again." if kept_at else ""
+        self.said.emit("kept", Severity.INFO, taken_up)
+        self.scanChanged.emit()
+
+    def _scan_failed(self, sentence: str) -> None:
+        self.loadProgress.emit(1.0, "")
+        self.said.emit("scan", Severity.ERROR, sentence)
+
+    def _contact_found(self, contact: ScanContact) -> None:
+        if contact.loaded is not self.loaded:
+            return
+        self.contact = contact
+        self.said.emit("paint", Severity.ERROR, "")
+        self.scanChanged.emit()
+        self._score_timer.start()
+
+    # The patch
+
+    def show_result(self, result: Result) -> None:
+        """Take a frame of the main window; it is shown until alignment begins."""
+        self._result = result
+        if self.state.patch is None:
+            self._live = FrozenPatch.of(result)
+            self._show_patch()
+
+    def hold(self, preset: str) -> FrozenPatch | None:
+        """Return the patch to align to from now on: the one held fast, or the present one with its preset's name."""
+        return self.state.patch or (None if self._live is None else replace(self._live, preset=preset))
+
+    def take_present(self, preset: str) -> None:
+        """Hold the main window's present frame fast instead of an earlier one."""
+        if self._result is not None:
+            self._live = FrozenPatch.of(self._result)
+            self.session.freeze(replace(self._live, preset=preset))
+
+    @property
+    def result(self) -> Result | None:
+        """The main window's newest frame."""
+        return self._result
+
+    def _show_patch(self) -> None:
+        if self.patch is not self._shown:
+            self._shown = self.patch
+            self.patchChanged.emit()
+
+    # Alignment
+
+    def click(self, side: Side, place: Place, preset: str) -> None:
+        """Take a clicked point; both in their own frame."""
+        self.session.click(side, place, self.hold(preset))
+
+    def residuals_mm(self) -> list[float]:
+        """Return how far each complete pair lies apart, in their order; none without a pose."""
+        pose = self.state.pose
+        return [] if pose is None else [1e3 * float(apart) for apart in pair_errors_m(pose, *self.state.matched)]
+
+    def lay_on(self, preset: str) -> None:
+        """Lay the scan's contact on the patch, unturned, to go on by hand."""
+        patch = self.hold(preset)
+        if self.contact is None or patch is None or not len(self.contact.points) or not len(patch.points):
+            self.said.emit("pose", Severity.WARNING, "Both the scan and the patch need contact before one lies on it.")
+            return
+        self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Lay the scan on the patch", patch)
+
+    def pivot(self) -> npt.NDArray[np.float64] | None:
+        """Return what the scan turns about, in the proximity frame; None without a pose."""
+        if self.contact is None or self.state.pose is None:
+            return None
+        pose = np.asarray(self.state.pose)
+        middle: npt.NDArray[np.float64] = pose[:3, :3] @ pivot_of(self.contact) + pose[:3, 3]
+        return middle
+
+    def refine(self, reach_m: float) -> None:
+        """Refine the pose by ICP."""
+        state, contact = self.state, self.contact
+        if state.pose is None or contact is None or self.patch is None or self.busy_refining:
+            return
+        self.said.emit("refine", Severity.WARNING, "")
+        self.refineProgress.emit(0.0, "Refining")
+        self._refining.start(refining(contact, self.patch.points, state.pose, reach_m))
+
+    def cancel_refining(self) -> None:
+        """Leave the pose as it is."""
+        self._refining.cancel()
+
+    def _refined(self, refinement: Refinement) -> None:
+        self.refineProgress.emit(1.0, "")
+        if refinement.start != self.state.pose:
+            self.said.emit("refine", Severity.INFO, "The scan was moved meanwhile, so that refinement was dropped.")
+            return
+        self.session.set_pose(refinement.found.T_proximity_scan, "ICP", "Refine by ICP")
+        self.refinement = refinement
+        self.refinedChanged.emit()
+
+    def _refining_failed(self, sentence: str) -> None:
+        self.refineProgress.emit(1.0, "")
+        self.said.emit("refine", Severity.WARNING, sentence and f"{sentence[0].upper()}{sentence[1:]}.")
+
+    def _forget_refinement(self) -> None:
+        if self.refinement is not None:
+            self.refinement = None
+            self.refinedChanged.emit()
+
+    # Files
+
+    def save_transform(self, path: Path) -> None:
+        """Write the pose as ``tactune evaluate recording --transform`` reads it."""
+        if self.state.pose is None:
+            return
+        try:
+            save_transform(path, self.state.pose)
+        except TactuneError as error:
+            self.said.emit("file", Severity.ERROR, str(error))
+            return
+        self._filed = path, self.state.pose
+        self.said.emit("file", Severity.INFO, f"The transform is in {path}.")
+        self.scoresChanged.emit()
+
+    def load_transform(self, path: Path, preset: str) -> None:
+        """Take a pose from a file."""
+        try:
+            pose = load_transform(path)
+        except TactuneError as error:
+            self.said.emit("file", Severity.ERROR, str(error))
+            return
+        self.said.emit("file", Severity.ERROR, "")
+        self.session.set_pose(pose, "file", f"Load {path.name}", self.hold(preset))
+
+    def command(self) -> str:
+        """Return the command line that repeats the scores; empty before there are any."""
+        loaded, patch = self.loaded, self.state.patch
+        if loaded is None or patch is None or self.state.pose is None:
+            return ""
+        path, pose = self._filed or (self.keeper.transform_file, self.state.pose)
+        transform = path if pose == self.state.pose else self.keeper.transform_file
+        unit = next(name for name, metres in UNITS_M.items() if metres == loaded.unit_m)
+        words = ["tactune", "evaluate", "recording", "--source", patch.source, "--frame", str(patch.frame)]
+        words += ["--scan", str(loaded.path), "--unit", unit, "--transform", str(transform)]
+        words += ["--preset", patch.preset] if patch.preset else []
+        return shlex.join(words + _paint_words(self.state.paint))
+
+    # Following the state
+
+    def _state_changed(self, state: TruthState) -> None:
+        if state.patch is None and self._result is not None and self._shown is not self._live:
+            self._live = FrozenPatch.of(self._result)
+        self._show_patch()
+        if self.loaded is not None and state.paint != self._wanted_paint:
+            self._wanted_paint = state.paint
+            self._finding.start(touching(self.loaded, state.paint))
+        if self.refinement is not None and state.pose != self.refinement.found.T_proximity_scan:
+            self._forget_refinement()
+        if self.scores is not None and state.pose != self.scores.pose:
+            self.scores = None
+            self.scoresChanged.emit()
+        self._score_timer.start()
+
+    def _score(self) -> None:
+        state = self.state
+        if state.pose is None or self.contact is None or state.patch is None:
+            if self.scores is not None:
+                self.scores = None
+                self.scoresChanged.emit()
+            return
+        self._scoring.start(scoring(self.contact, state.patch.points, state.patch.area_mm2, state.pose))
+
+    def _scored(self, scores: Scores) -> None:
+        self.said.emit("scores", Severity.WARNING, "")
+        self.scores = scores if scores.pose == self.state.pose else None
+        self.scoresChanged.emit()
+
+    def shut_down(self) -> None:
+        """Stop all threads and keep the last state."""
+        for job in (self._loading, self._finding, self._refining, self._scoring):
+            job.stop()
+        self._score_timer.stop()
+        self.keeper.close()
+        self.session.close()
+
+
+def _paint_words(paint: PaintSettings) -> list[str]:
+    """Return the options for what differs from the default paint."""
+    usual, words = PaintSettings(), []
+    for name in ("hue", "saturation", "value"):
+        low, high = getattr(paint, name)
+        if (low, high) != getattr(usual, name):
+            words += ["--paint", f"{name}={low}:{high}"]
+    if paint.least_area_mm2 != usual.least_area_mm2:
+        words += ["--paint", f"least_area_mm2={paint.least_area_mm2:g}"]
+    if paint.largest != usual.largest:
+        words += ["--paint", f"largest={paint.largest}"]
+    return words

@@ -1,0 +1,345 @@
+"""The tab Ground truth: a painted scan's contact, laid over the patch."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QAction, QDragEnterEvent, QDropEvent, QKeySequence, QUndoStack
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QMenu,
+    QProgressBar,
+    QPushButton,
+    QScrollArea,
+    QSplitter,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.errors import TactuneError
+from ...core.evaluation.scan import SUFFIXES, UNITS_M
+from ...core.preset_file import load_preset, shipped_presets
+from ..diagnostics.parts import make_verdict
+from ..file_flows import local_files
+from ..message_bar import MessageBar, Severity
+from ..results import CloudName, Result
+from .tab import AnalysisTab
+from .truth_align_panel import AlignPanel
+from .truth_flow import TruthFlow
+from .truth_guide import next_step
+from .truth_paint_panel import PaintPanel
+from .truth_result_panel import ResultPanel
+from .truth_state import TruthState
+from .truth_views import TruthViews
+
+if TYPE_CHECKING:
+    from ..main_window import MainWindow
+
+_SCAN_FILTER = f"Painted scans ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
+_TRANSFORM_FILTERS = ["Transforms (*.json)"]
+_UNIT, _RECENT, _FOLDER = "scan/unit", "scans", "folder/scan"
+_PANEL_WIDTH = 372
+#: An eyedropper takes the vertices nearest to the click, so many.
+_DROP = 25
+
+
+class TruthTab(AnalysisTab):
+    """Both views, the panels, and who hears whom; `TruthFlow` does the work."""
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__()
+        self._document, self._settings, self._dialogs = window.document, window.settings, window.dialogs
+        self.flow = TruthFlow(window.data_folder / "scans", self)
+        painted = window.views.views[CloudName.PATCH].backend_name
+        self.views = TruthViews(self.flow, "opengl" if painted == "opengl" else "software")
+        self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
+        self.messages = MessageBar()
+        self.open_button, self.recent, self.unit = QPushButton("&Open scan…"), QToolButton(), QComboBox()
+        self.progress, self.cancel = QProgressBar(), QPushButton("Cancel")
+        self.guide = QLabel()
+        self._framed: object = None
+        self._lay_out()
+        self._connect()
+        self._show_load_progress(1.0, "")
+        self._show_state(self.flow.state)
+        self.setAcceptDrops(True)
+
+    def show_result(self, result: Result) -> None:
+        """Take a frame of the main window; it is shown until alignment begins."""
+        self.flow.show_result(result)
+
+    def shut_down(self) -> None:
+        """Keep the work and stop all threads."""
+        self.flow.shut_down()
+
+    # Building
+
+    def _lay_out(self) -> None:
+        make_verdict(self.guide)
+        self.guide.setWordWrap(True)
+        panels = QWidget()
+        column = QVBoxLayout(panels)
+        column.setContentsMargins(0, 0, 4, 0)
+        for panel in (self.paint, self.align, self.result):
+            column.addWidget(panel)
+        column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(panels)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setMinimumWidth(_PANEL_WIDTH)
+        across = QSplitter(Qt.Orientation.Horizontal)
+        across.setChildrenCollapsible(False)
+        across.addWidget(self.views)
+        across.addWidget(scroll)
+        across.setStretchFactor(0, 1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(self._top())
+        layout.addWidget(self.messages)
+        layout.addWidget(self.guide)
+        layout.addWidget(across, 1)
+
+    def _top(self) -> QHBoxLayout:
+        self.open_button.setToolTip("Open the object's painted scan: PLY or OBJ with colours (or drop it here)")
+        self.open_button.setAutoDefault(False)
+        self.cancel.setToolTip("Give up reading the scan")
+        self.cancel.setAutoDefault(False)
+        self.recent.setText("Recent")
+        self.recent.setToolTip("Scans that were opened lately")
+        self.recent.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
+        self.recent.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.recent.setMenu(QMenu(self.recent))
+        self.unit.addItems(list(UNITS_M))
+        self.unit.setCurrentText(self._settings.text(_UNIT, "m"))
+        self.unit.setToolTip("The length unit of the scan's numbers; a scan that is open is read again")
+        unit = QLabel("&Unit")
+        unit.setBuddy(self.unit)
+        self.progress.setRange(0, 100)
+        self.progress.setMaximumWidth(320)
+        row = QHBoxLayout()
+        for widget in (self.open_button, self.recent, unit, self.unit, self.progress, self.cancel):
+            row.addWidget(widget)
+        row.addStretch(1)
+        for action in self._undo_actions(self.flow.session.undo_stack):
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            row.addWidget(button)
+        return row
+
+    def _undo_actions(self, stack: QUndoStack) -> list[QAction]:
+        made = []
+        for create, keys, word in (
+            (stack.createUndoAction, QKeySequence.StandardKey.Undo, "Undo"),
+            (stack.createRedoAction, QKeySequence.StandardKey.Redo, "Redo"),
+        ):
+            action = create(self, word)
+            assert action is not None
+            action.setShortcut(QKeySequence(keys))
+            action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
+            self.addAction(action)
+            made.append(action)
+        return made
+
+    def _connect(self) -> None:
+        flow, session, views = self.flow, self.flow.session, self.views
+        session.changed.connect(self._show_state)
+        flow.scanChanged.connect(self._show_scan)
+        flow.patchChanged.connect(self._show_patch)
+        flow.scoresChanged.connect(self._show_scores)
+        flow.refinedChanged.connect(lambda: self.align.show_refinement(flow.refinement))
+        flow.said.connect(self.messages.state)
+        flow.loadProgress.connect(self._show_load_progress)
+        flow.refineProgress.connect(self._show_refine_progress)
+        self.open_button.clicked.connect(self._ask_scan)
+        self.cancel.clicked.connect(flow.cancel_loading)
+        self.unit.activated.connect(self._unit_chosen)
+        menu = self.recent.menu()
+        assert menu is not None
+        menu.aboutToShow.connect(self._fill_recent)
+        views.scanClicked.connect(self._scan_clicked)
+        views.patchClicked.connect(lambda _, place: flow.click("patch", place, self._preset()))
+        views.patch.nudged.connect(session.nudge)
+        views.presentRequested.connect(lambda: flow.take_present(self._preset()))
+        views.followRequested.connect(lambda: session.freeze(None))
+        self.paint.edited.connect(session.set_paint)
+        self.paint.highlightChanged.connect(views.set_highlight)
+        self._connect_panels()
+
+    def _connect_panels(self) -> None:
+        flow, session, align = self.flow, self.flow.session, self.align
+        align.selectionChanged.connect(self.views.set_selected)
+        align.removeRequested.connect(session.remove)
+        align.clearRequested.connect(session.remove_all)
+        align.layRequested.connect(lambda: flow.lay_on(self._preset()))
+        align.poseEdited.connect(
+            lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's place", None, gesture)
+        )
+        align.refineRequested.connect(flow.refine)
+        align.cancelRequested.connect(flow.cancel_refining)
+        self.result.saveRequested.connect(self._ask_save)
+        self.result.loadRequested.connect(self._ask_load)
+        self.result.copied.connect(flow.keeper.flush)
+
+    # Opening
+
+    def open_scan(self, path: Path) -> None:
+        """Read a scan in the chosen unit."""
+        self._settings.add_recent(_RECENT, str(path))
+        self._settings.set(_FOLDER, str(path.parent))
+        self.flow.open_scan(path, self.unit.currentText())
+        self._show_guide()
+
+    def _ask_scan(self) -> None:
+        self._dialogs.over(self.window() or self).open_file(
+            "Open a painted scan", self._folder(), _SCAN_FILTER, self.open_scan
+        )
+
+    def _folder(self) -> Path:
+        remembered = Path(self._settings.text(_FOLDER, str(Path.home())))
+        return remembered if remembered.is_dir() else Path.home()
+
+    def _unit_chosen(self) -> None:
+        self._settings.set(_UNIT, self.unit.currentText())
+        if self.flow.loaded is not None:
+            self.open_scan(self.flow.loaded.path)
+
+    def _fill_recent(self) -> None:
+        menu = self.recent.menu()
+        assert menu is not None
+        menu.clear()
+        paths = self._settings.recent(_RECENT)
+        for text in paths:
+            action = menu.addAction(text)
+            assert action is not None
+            action.triggered.connect(lambda _, path=Path(text): self.open_scan(path))
+        if not paths:
+            nothing = menu.addAction("No scan was opened yet")
+            assert nothing is not None
+            nothing.setEnabled(False)
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
+        """Take one scan."""
+        if event is not None and any(_is_scan(path) for path in local_files(event.mimeData())):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:
+        """Open the scan that is dropped."""
+        if event is not None:
+            path = next(path for path in local_files(event.mimeData()) if _is_scan(path))
+            event.acceptProposedAction()
+            self.open_scan(path)
+
+    # Doing
+
+    def _scan_clicked(self, pixel: int, place: tuple[float, float, float]) -> None:
+        loaded = self.flow.loaded
+        if loaded is None:
+            return
+        if self.paint.eyedropper == "off":
+            self.flow.click("scan", place, self._preset())
+            return
+        apart = np.linalg.norm(loaded.scan.vertices_m - np.array(place), axis=1)
+        nearest = np.argpartition(apart, min(_DROP, len(apart) - 1))[:_DROP]
+        try:
+            self.paint.pick(loaded.scan.colors[nearest])
+        except TactuneError as error:
+            self.messages.show_message("paint", Severity.WARNING, f"{error}.")
+
+    def _preset(self) -> str:
+        """Return how ``--preset`` names what the shown patch was found with; empty where it is not saved."""
+        document = self._document
+        if document.path is not None:
+            return "" if document.dirty else str(document.path)
+        present = document.preset
+        own = {"name": present.name, "created": present.created, "modified": present.modified}
+        return next((name for name in shipped_presets() if load_preset(name).model_copy(update=own) == present), "")
+
+    def _ask_save(self) -> None:
+        loaded = self.flow.loaded
+        if loaded is not None:
+            suggestion = loaded.path.with_suffix(".transform.json")
+            self._dialogs.over(self.window() or self).save_file(
+                "Save the transform", suggestion, _TRANSFORM_FILTERS, self.flow.save_transform
+            )
+
+    def _ask_load(self) -> None:
+        self._dialogs.over(self.window() or self).open_file(
+            "Load a transform",
+            self._folder(),
+            _TRANSFORM_FILTERS[0],
+            lambda path: self.flow.load_transform(path, self._preset()),
+        )
+
+    # Showing
+
+    def _show_scan(self) -> None:
+        flow = self.flow
+        another = flow.loaded is not self._framed
+        self._framed = flow.loaded
+        self.views.show_scan(another)
+        if flow.contact is not None:
+            count = int(np.count_nonzero(flow.contact.vertices))
+            self.paint.show_readout(count, flow.contact.area_mm2, len(flow.contact.vertices))
+        self._show_state(flow.state)
+
+    def _show_patch(self) -> None:
+        self.views.show_patch()
+        self._show_guide()
+
+    def _show_state(self, state: TruthState) -> None:
+        self.paint.show_paint(state.paint)
+        self.paint.setEnabled(self.flow.loaded is not None)
+        self.align.setEnabled(self.flow.loaded is not None)
+        self.align.show_pairs(state.pairs, self.flow.residuals_mm())
+        self.align.show_pose(state.pose, self.flow.pivot())
+        self.views.show_patch()
+        self.views.show_marks()
+        if self.flow.loaded is None:
+            self.paint.show_text("Open a scan first.")
+        self._show_scores()
+        self._show_guide()
+
+    def _show_scores(self) -> None:
+        flow = self.flow
+        self.result.show_scores(flow.scores)
+        self.result.load.setEnabled(flow.loaded is not None)
+        self.result.show_command(flow.command(), _note(flow) if flow.state.pose is not None else "")
+
+    def _show_guide(self) -> None:
+        self.guide.setText(next_step(self.flow))
+
+    def _show_load_progress(self, share: float, words: str) -> None:
+        busy = share < 1
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.progress.setValue(round(100 * share))
+        self.progress.setFormat(words)
+        self._show_guide()
+
+    def _show_refine_progress(self, share: float, words: str) -> None:
+        self.align.show_progress(share, words)
+        self._show_guide()
+
+
+def _note(flow: TruthFlow) -> str:
+    """Say why the command line may give other numbers."""
+    patch, result = flow.state.patch, flow.result
+    if patch is None:
+        return ""
+    if result is not None and result.source.name == patch.source and result.source.length is None:
+        return "The source is live: record it, and put the recording after --source, to repeat this."
+    return "" if patch.preset else "The preset is not saved: save it and add --preset, to repeat this."
+
+
+def _is_scan(path: Path) -> bool:
+    return path.suffix.lower() in SUFFIXES

@@ -1,0 +1,208 @@
+"""What takes long about a scan, for a thread of its own: reading, finding the contact, refining, scoring."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ...core.evaluation.scan import Scan, load_scan
+from ...core.evaluation.scan_paint import BoolArray, PaintSettings, contact_points, painted_contact
+from ...core.evaluation.scan_pose import RefinedPose, refine_pose, transformed
+from ...core.evaluation.scan_scores import scan_truth, score_against_scan
+from ...core.frames import Matrix4
+from ..calibration.jobs import Progress
+
+Float32Array = npt.NDArray[np.float32]
+
+#: How many colours a scan is shown in, and how many of its vertices.
+PALETTE = 127
+_MOST_SHOWN = 500_000
+#: Where the light comes from that shows a scan's shape, in the scan's frame, and how dark its other side is.
+_LIGHT = np.array([-0.4, -0.7, -0.6]) / np.linalg.norm([0.4, 0.7, 0.6])
+_DARKEST = 0.5
+_SPACINGS_M = (0.0005, 0.001, 0.002, 0.004)
+_MOST_POINTS = 60_000
+
+
+@dataclass(frozen=True, eq=False)
+class LoadedScan:
+    """A scan with what is needed to show it.
+
+    Attributes
+    ----------
+    key : str
+        Tells scans apart by their content.
+    shown : int, shape (K,)
+        The vertices that are shown: all, or an even choice of a large scan's.
+    palette : uint8, shape (P, 3), P <= PALETTE
+        RGB of the shaded scan.
+    rows : uint8, shape (K,)
+        Row of the palette for each shown vertex.
+    """
+
+    path: Path
+    unit_m: float
+    scan: Scan
+    key: str
+    shown: npt.NDArray[np.intp]
+    palette: npt.NDArray[np.uint8]
+    rows: npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class ScanContact:
+    """The painted contact of a scan.
+
+    Attributes
+    ----------
+    vertices : bool, shape (N,)
+    points : float32, shape (K, 3)
+        Evenly spread over it, metres, the scan's frame.
+    area_mm2 : float
+        Along the surface, not projected.
+    """
+
+    loaded: LoadedScan
+    paint: PaintSettings
+    vertices: BoolArray
+    points: Float32Array
+    area_mm2: float
+
+
+@dataclass(frozen=True)
+class Refinement:
+    """A pose that ICP found, with the RMSE that it started from, metres."""
+
+    start: Matrix4
+    before_m: float
+    found: RefinedPose
+
+
+@dataclass(frozen=True)
+class Scores:
+    """How the patch agrees with the scan in a pose; ``values`` as `score_against_scan` returns them."""
+
+    pose: Matrix4
+    scan_area_mm2: float
+    patch_area_mm2: float
+    values: dict[str, float]
+
+
+def loading(path: Path, unit_m: float) -> Callable[[Progress], LoadedScan]:
+    """Return work that reads a scan; raises as `load_scan` does."""
+
+    def load(progress: Progress) -> LoadedScan:
+        progress(0.05, f"Reading {path.name}")
+        scan = load_scan(path, unit_m)
+        progress(0.7, "Preparing the view")
+        count = len(scan.vertices_m)
+        shown = np.arange(count)
+        if count > _MOST_SHOWN:
+            shown = np.sort(np.random.default_rng(0).choice(count, _MOST_SHOWN, replace=False))
+        palette, rows = _palette(_shaded(scan)[shown])
+        progress(1.0, "Done")
+        return LoadedScan(path, unit_m, scan, _key(scan), shown, palette, rows)
+
+    return load
+
+
+def touching(loaded: LoadedScan, paint: PaintSettings) -> Callable[[Progress], ScanContact]:
+    """Return work that finds a scan's contact."""
+
+    def find(progress: Progress) -> ScanContact:
+        progress(0.1, "Finding the paint")
+        scan = loaded.scan
+        vertices = painted_contact(scan, paint)
+        shares = vertices[scan.triangles].mean(axis=1)
+        area_m2 = float((scan.areas_m2 * shares).sum())
+        fine = next((step for step in _SPACINGS_M if area_m2 <= _MOST_POINTS * step**2), _SPACINGS_M[-1])
+        progress(0.6, "Spreading points")
+        return ScanContact(loaded, paint, vertices, contact_points(scan, vertices, fine), 1e6 * area_m2)
+
+    return find
+
+
+def refining(
+    contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float, rounds: int = 300
+) -> Callable[[Progress], Refinement]:
+    """Return work that refines a pose by ICP; raises as `refine_pose` does."""
+
+    def refine(progress: Progress) -> Refinement:
+        before: list[float] = []
+
+        def go_on(done: int, rmse_m: float) -> bool:
+            before.append(rmse_m)
+            progress(done / rounds, f"Refining: {1e3 * rmse_m:.2f} mm")
+            return True
+
+        found = refine_pose(contact.points, patch, start, farthest_m=reach_m, most_iterations=rounds, go_on=go_on)
+        return Refinement(start, before[0], found)
+
+    return refine
+
+
+def scoring(contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4) -> Callable[[Progress], Scores]:
+    """Return work that compares the patch with the scan, as ``tactune evaluate recording`` does."""
+
+    def score(progress: Progress) -> Scores:
+        progress(0.1, "Comparing")
+        truth = scan_truth(contact.loaded.scan, contact.vertices, pose)
+        progress(0.5, "Comparing")
+        return Scores(pose, truth.area_mm2, area_mm2, score_against_scan(patch, area_mm2, truth))
+
+    return score
+
+
+def laid_on(contact: ScanContact, patch: Float32Array) -> npt.NDArray[np.float64]:
+    """Return a pose to start by hand from: the scan unturned, its contact's middle on the patch's: float64 (4, 4)."""
+    pose = np.eye(4)
+    pose[:3, 3] = patch.mean(axis=0, dtype=np.float64) - contact.points.mean(axis=0, dtype=np.float64)
+    return pose
+
+
+def pivot_of(contact: ScanContact) -> npt.NDArray[np.float64]:
+    """Return what the scan is turned about, in its own frame: the middle of its contact, or of all of it."""
+    points: npt.NDArray[Any] = contact.points if len(contact.points) else contact.loaded.scan.vertices_m
+    middle: npt.NDArray[np.float64] = points.mean(axis=0, dtype=np.float64)
+    return middle
+
+
+def posed(contact: ScanContact, pose: Matrix4) -> npt.NDArray[np.float64]:
+    """Return the contact's points in the proximity frame."""
+    return transformed(pose, contact.points)
+
+
+def _key(scan: Scan) -> str:
+    told = hashlib.blake2b(digest_size=12)
+    for array in (scan.vertices_m, scan.triangles, scan.colors):
+        told.update(np.ascontiguousarray(array).tobytes())
+    return told.hexdigest()
+
+
+def _shaded(scan: Scan) -> npt.NDArray[np.float64]:
+    """Return the colours darkened on the side away from the light, which shows the shape: (N, 3)."""
+    a, b, c = (scan.vertices_m[scan.triangles[:, corner]] for corner in range(3))
+    across = np.cross(b - a, c - a)
+    normals = np.empty_like(scan.vertices_m)
+    corners = scan.triangles.ravel()
+    for axis in range(3):
+        normals[:, axis] = np.bincount(corners, np.repeat(across[:, axis], 3), minlength=len(normals))
+    lit = normals @ -_LIGHT / np.maximum(np.linalg.norm(normals, axis=1), 1e-30)
+    shade = _DARKEST + (1.0 - _DARKEST) * (0.5 + 0.5 * lit)
+    return np.asarray(scan.colors * shade[:, None])
+
+
+def _palette(colors: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+    """Choose the colours that show others best: the palette, uint8 (P, 3), and each one's row, uint8 (K,)."""
+    from PIL import Image
+
+    image = Image.fromarray(np.rint(colors).astype(np.uint8)[None])
+    few = image.quantize(PALETTE, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE)
+    palette = np.array(few.getpalette(), np.uint8).reshape(-1, 3)[:PALETTE]
+    return palette, np.asarray(few, np.uint8)[0]
