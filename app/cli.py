@@ -25,6 +25,7 @@ from .cli_devices import devices
 from .cli_doctor import doctor
 from .cli_evaluate import evaluate_commands
 from .cli_preset import preset_commands
+from .cli_recheck import recheck
 from .cli_record import convert, record
 from .cli_scan import export_scan
 from .cli_strain import strain
@@ -51,6 +52,7 @@ commands.command()(calibrate)
 commands.command()(devices)
 commands.command()(doctor)
 commands.command("export-scan")(export_scan)
+commands.command()(recheck)
 commands.command()(record)
 commands.command()(convert)
 commands.command()(strain)

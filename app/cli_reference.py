@@ -15,6 +15,7 @@ from ..core.membrane_reference import CapturedReference, average_untouched, save
 from ..core.preset import now
 from ..core.preset_file import load_preset, save_preset
 from ..core.rig_check import check_rig
+from ..core.sources.base import FrameSource
 from .cli_progress import CliProgress
 from .cli_run import counted, open_with_progress, warn
 
@@ -30,8 +31,7 @@ def capture_into(path: Path, source_name: str, frames: int) -> None:
     with open_with_progress(source_name, preset.cameras) as source:
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
-        with frames_to_average(source, frames) as shown, CliProgress() as progress:
-            captured = average_untouched(_counted_out(shown, frames, progress))
+        captured = average(source, frames)
         unit_m = source.rig.tactile.depth_unit_m
     record = save_reference(captured.frame, captured.frames, path)
     save_preset(preset.model_copy(update={"reference": record, "modified": now()}), path)
@@ -39,6 +39,12 @@ def capture_into(path: Path, source_name: str, frames: int) -> None:
         warn(f"{source.name} ended after {captured.frames} of the {frames} frames asked for")
     typer.echo(f"averaged {counted(captured.frames, 'frame')} of {source.name}{noise_words(captured, unit_m)}")
     typer.echo(f"wrote {path.parent / record.file}, named in {path}")
+
+
+def average(source: FrameSource, frames: int) -> CapturedReference:
+    """Average the next frames of a source, showing how far it is; the simulator takes its object away."""
+    with frames_to_average(source, frames) as shown, CliProgress() as progress:
+        return average_untouched(_counted_out(shown, frames, progress))
 
 
 def noise_words(captured: CapturedReference, unit_m: float) -> str:

@@ -1,4 +1,4 @@
-"""Is the untouched membrane still where the reference has it? The depth change of both cameras, in words."""
+"""Whether the untouched membrane is still where the reference has it: the depth change of both cameras, in words."""
 
 from __future__ import annotations
 
