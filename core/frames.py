@@ -116,6 +116,27 @@ class Rig(_Frozen):
         return camera.shape
 
 
+@dataclass(frozen=True)
+class TrueStrain:
+    """Largest in-plane strain of the membrane, which has 0 where it is flat and clamped.
+
+    Attributes
+    ----------
+    largest : float
+        In any direction at any place; it grows where the solver's mesh is finer.
+    length, width : float
+        Along the membrane's length and width between neighbours of a grid of 10 mm.
+    length_seen, width_seen : float
+        The same over those that the tactile camera sees.
+    """
+
+    largest: float
+    length: float
+    width: float
+    length_seen: float
+    width_seen: float
+
+
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
     """What a simulator or a labelled recording knows about a frame, in proximity pixels.
@@ -126,10 +147,13 @@ class GroundTruth:
         Where the membrane touches an object.
     depth_m : float32, shape (H, W), or None
         True depth of the membrane in the proximity depth frame, metres; nan where unknown.
+    strain : TrueStrain or None
+        Recordings do not keep it.
     """
 
     contact: npt.NDArray[np.bool_]
     depth_m: npt.NDArray[np.float32] | None = None
+    strain: TrueStrain | None = None
 
 
 @dataclass(frozen=True, eq=False)

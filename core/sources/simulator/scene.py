@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...intrinsics import Intrinsics
+from .grid_strain import grid_strain
 from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, object_pose
 from .mesh import MembraneDesign
 from .objects import NO_OBJECT, PressedObject, distance
@@ -27,7 +28,7 @@ from .render import (
     shade,
 )
 from .scenes import Scene
-from .sheet import DOT_SPACING_M, TEXEL_M, dot_counts, dot_grid, paint_sheet
+from .sheet import TEXEL_M, paint_sheet
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -131,6 +132,8 @@ class PressFacts:
     strain_length, strain_width : float
         Largest strain along the membrane's length and width between neighbours of the printed grid's
         dots, measured straight from dot to dot; the flat, clamped sheet has 0.
+    strain_length_seen, strain_width_seen : float
+        The same over the pairs of which the tactile camera sees both dots.
     force_n : float
         Sum of the contact reactions' magnitudes.
     gauge_pressure_pa : float
@@ -145,6 +148,8 @@ class PressFacts:
     max_strain: float
     strain_length: float
     strain_width: float
+    strain_length_seen: float
+    strain_width_seen: float
     force_n: float
     gauge_pressure_pa: float
     residual: float
@@ -212,14 +217,16 @@ class Press:
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         """Sum up one state."""
-        along, across = grid_strain(self.membrane, state.nodes)
+        grid = grid_strain(self.membrane, state.nodes, self._cameras[1])
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
         return PressFacts(
             depth_m=depth_m,
             max_strain=float(self.membrane.stretches(state.nodes).max()) - 1.0,
-            strain_length=along,
-            strain_width=across,
+            strain_length=grid.length,
+            strain_width=grid.width,
+            strain_length_seen=grid.length_seen,
+            strain_width_seen=grid.width_seen,
             force_n=float(state.reaction_n.sum()),
             gauge_pressure_pa=state.pressure_pa - ATMOSPHERE_PA,
             residual=state.residual,
@@ -287,15 +294,6 @@ def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Floa
         if state.residual < membrane.tolerance:
             break
     return state
-
-
-def grid_strain(membrane: Membrane, nodes: Float64Array) -> tuple[float, float]:
-    """Return the largest strain between neighbours of the printed grid's dots along the length and the width."""
-    design = membrane.design
-    columns, rows = dot_counts(design.width_m, design.height_m)
-    dots = membrane.at(dot_grid(design.width_m, design.height_m), nodes).reshape(rows, columns, 3)
-    along, across = (np.linalg.norm(np.diff(dots, axis=axis), axis=2).max() for axis in (1, 0))
-    return float(along / DOT_SPACING_M - 1.0), float(across / DOT_SPACING_M - 1.0)
 
 
 def contact_share(membrane: Membrane, state: MembraneState) -> Float64Array:

@@ -18,7 +18,7 @@ Print = Literal["droplets", "dots"]
 TEXEL_M: Final = 0.0004
 #: Distance between the dots of the grid, and their radius, metres.
 DOT_SPACING_M: Final = 0.010
-_DOT_RADIUS_M: Final = 0.0014
+DOT_RADIUS_M: Final = 0.0014
 _DROPLET_SPACING_M: Final = 0.0105
 #: Middles of the patches that reflect infrared, metres.
 _OPAQUE_PLACES: Final = ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084))
@@ -33,7 +33,7 @@ def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "dropl
     sheet = np.zeros((round(height_m / TEXEL_M) + 1, round(width_m / TEXEL_M) + 1, 2), dtype=np.uint8)
     if kind == "dots":
         for x, y in dot_grid(width_m, height_m):
-            _paint_spot(sheet, x, y, _DOT_RADIUS_M, 0.0, 0.0)
+            _paint_spot(sheet, x, y, DOT_RADIUS_M, 0.0, 0.0)
         return sheet
     for j in range(-10, 11):
         for i in range(-17, 18):

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ...errors import ExportError, SourceError
-from ...frames import GroundTruth, SensorFrame
+from ...frames import GroundTruth, SensorFrame, TrueStrain
 from ..base import Health, Progress, SeekableSource
 from .cache import SolvedScene, cache_file, load_scene, save_scene
 from .membrane import Membrane
@@ -121,7 +121,7 @@ class SimulatorSource(SeekableSource):
             tactile_color=noise.colour(index, 1, self._lit(state.tactile_color)),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=GroundTruth(contact=(state.flags & CONTACT_FLAG) != 0, depth_m=depth),
+            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(self.facts(index))),
         )
 
     def _lit(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
@@ -160,6 +160,16 @@ class SimulatorSource(SeekableSource):
             return SolvedScene([future.result() for future in drawn], facts)
         finally:
             pool.shutdown(cancel_futures=True)
+
+
+def _true_strain(facts: PressFacts) -> TrueStrain:
+    return TrueStrain(
+        largest=facts.max_strain,
+        length=facts.strain_length,
+        width=facts.strain_width,
+        length_seen=facts.strain_length_seen,
+        width_seen=facts.strain_width_seen,
+    )
 
 
 def _title(scene: Scene) -> str:
