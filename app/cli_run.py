@@ -44,6 +44,12 @@ MCAP_SUFFIX = ".mcap"
 
 #: What ``--truth`` adds to a record beside ``touched``, and its unit.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
+#: The membrane's largest in-plane strain, where the simulator's solver knows it.
+STRAIN_KEYS = {
+    "true_strain_length_percent": "along the length",
+    "true_strain_width_percent": "along the width",
+    "true_max_strain_percent": "in any direction",
+}
 
 
 @dataclass(frozen=True)
@@ -196,9 +202,16 @@ def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
 def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Compare with the truth; every value is None where the source has none."""
     if truth is None:
-        return dict.fromkeys(("touched", *TRUTH_KEYS))
+        return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
     scores = compare_with_truth(patch, truth, rig)
-    return {"touched": bool(truth.contact.any())} | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
+    known = truth.strain
+    strains = (known.length, known.width, known.largest) if known is not None else (None, None, None)
+    percent = [None if strain is None else round(100 * strain, 2) for strain in strains]
+    return (
+        {"touched": bool(truth.contact.any())}
+        | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
+        | dict(zip(STRAIN_KEYS, percent, strict=True))
+    )
 
 
 def summary(records: list[Record], source: str, preset: str, options: RunOptions, *, stopped: bool) -> str:
@@ -238,6 +251,12 @@ def truth_lines(records: list[Record]) -> list[str]:
         known = [record[key] for record in with_touch if record[key] is not None]
         if known:
             lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with touch")
+    strains = {
+        words: max((record[key] for record in records if record.get(key) is not None), default=None)
+        for key, words in STRAIN_KEYS.items()
+    }
+    if None not in strains.values():
+        lines.append("true strain up to " + ", ".join(f"{strain:.1f} % {words}" for words, strain in strains.items()))
     if without:
         false = sum(bool(record["points"]) for record in without)
         lines.append(f"{counted(len(without), 'frame')} without touch, {false} of them with false points")

@@ -53,6 +53,8 @@ class Cell:
         As in `area_error_mm2` and `boundary_distance_px`.
     points : int
         Of the patch; where nothing touches, each is false.
+    max_strain, strain_length, strain_width : float or None
+        Largest in-plane strain of the scene, as in `TrueStrain`; None where nobody knows.
     contacts, true_contacts : int
         Separate contacts in the patch and in truth.
     ms : float or None
@@ -82,6 +84,9 @@ class Cell:
     contacts: int = 0
     true_contacts: int = 0
     ms: float | None = None
+    max_strain: float | None = None
+    strain_length: float | None = None
+    strain_width: float | None = None
     failure: str = ""
 
 
@@ -130,6 +135,7 @@ def measure_cell(
         The scene knows no truth.
     """
     where = (name, scene.row, scene.object, scene.press, scene.side, scene.group, scene.source, seed)
+    strain = _strain(frames[-1])
     try:
         method = build()
         times_ms, patch = [], None
@@ -138,10 +144,17 @@ def measure_cell(
             patch = method.find(frame)
             times_ms.append((time.perf_counter_ns() - started) / 1e6)
     except TactuneError as error:
-        return Cell(*where, failure=str(error))
+        return Cell(*where, **strain, failure=str(error))
     assert patch is not None
     scores = _scores(patch, frames[-1], rig)
-    return Cell(*where, **scores, ms=median(times_ms[1:] or times_ms))
+    return Cell(*where, **scores, **strain, ms=median(times_ms[1:] or times_ms))
+
+
+def _strain(frame: SensorFrame) -> dict[str, float]:
+    known = frame.truth.strain if frame.truth is not None else None
+    if known is None:
+        return {}
+    return {"max_strain": known.largest, "strain_length": known.length, "strain_width": known.width}
 
 
 def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:

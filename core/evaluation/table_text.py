@@ -36,7 +36,7 @@ _NOTE = (
 def table_as_text(table: Table) -> str:
     """Return the whole table for a person."""
     parts = [_averages(table), _rmse(table, "main"), _other_measures(table)]
-    parts += [_rmse(table, "extra"), _false_points(table), _failures(table)]
+    parts += [_rmse(table, "extra"), _false_points(table), _strains(table), _failures(table)]
     seeds = f"{len(table.seeds)} seeds" if len(table.seeds) != 1 else "1 seed"
     return "\n\n".join([part for part in parts if part] + [f"{seeds}. {_NOTE}"])
 
@@ -52,6 +52,7 @@ def table_as_json(table: Table) -> dict[str, Any]:
         },
         "averages": [line for method in table.methods for line in _average_records(table, method)],
         "ms": {method: _none(table.median_ms(method)) for method in table.methods},
+        "strain": scene_strains(table),
         "cells": [asdict(cell) for cell in table.cells],
     }
 
@@ -130,6 +131,29 @@ def _false_points(table: Table) -> str:
         averages = [average(table.pick(method, "hover", press=gap), "points") for _, gap in rows]
         lines.append([method, *(_shown(it, 0) for it in averages)])
     return "An object that hovers\n" + _aligned(lines)
+
+
+def _strains(table: Table) -> str:
+    """The largest in-plane strain of each scene."""
+    scenes = scene_strains(table)
+    if not scenes:
+        return ""
+    lines = [["largest in-plane strain, %", "along length", "along width", "any direction"]]
+    for it in scenes:
+        name = " ".join(filter(None, (it["scene"], it["press"], it["side"])))
+        lines.append([name, *(f"{100 * it[key]:.0f}" for key in ("length", "width", "largest"))])
+    return "Strain: between neighbours of a 10 mm grid, and of any triangle of the solver's mesh\n" + _aligned(lines)
+
+
+def scene_strains(table: Table) -> list[dict[str, Any]]:
+    """Return the solver's largest in-plane strain of each scene with contact where it is known, 0.1 for 10 %."""
+    found: dict[tuple[str, str, str], dict[str, Any]] = {}
+    for cell in table.cells:
+        if cell.group != "hover" and cell.max_strain is not None:
+            values = {"largest": cell.max_strain, "length": cell.strain_length, "width": cell.strain_width}
+            scene = {"scene": cell.row, "press": cell.press, "side": cell.side}
+            found.setdefault((cell.row, cell.press, cell.side), scene | values)
+    return list(found.values())
 
 
 def _failures(table: Table) -> str:

@@ -1,0 +1,104 @@
+"""The strain that the solver knows: what frames, the table and ``tactune run --truth`` say of it."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.app.cli import main
+from tactune.core.evaluation.cells import Cell
+from tactune.core.evaluation.table import Table
+from tactune.core.evaluation.table_text import scene_strains, table_as_json, table_as_text, write_csv
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.grid_strain import grid_strain
+from tactune.core.sources.simulator.membrane import Membrane
+from tactune.core.sources.simulator.mesh import MembraneDesign
+from tactune.core.sources.simulator.scene import cameras, simulator_rig
+
+LOW = "sim:cup?press=low&grid=dots"
+
+
+@pytest.fixture(scope="module")
+def flat():
+    """A membrane that has not been inflated, and the tactile camera before it."""
+    membrane = Membrane(MembraneDesign(cells=(60, 36)))
+    return membrane, cameras(simulator_rig(), membrane.design)[1]
+
+
+def test_a_stretched_sheet_has_the_strain_of_its_stretch(flat):
+    membrane, camera = flat
+    nodes = membrane.mesh.flat * (1.5, 1.25, 1.0)
+    strain = grid_strain(membrane, nodes, camera)
+    assert (strain.length, strain.width) == pytest.approx((0.5, 0.25))
+
+
+def test_only_pairs_of_which_both_dots_are_seen_count_as_seen(flat):
+    """A fold towards the camera hides a strip behind it in which the sheet is stretched most."""
+    membrane, camera = flat
+    nodes = membrane.mesh.flat.copy()
+    assert grid_strain(membrane, nodes, camera).length_seen == pytest.approx(0.0)
+    x = nodes[:, 0]
+    nodes[:, 0] += 0.5 * np.clip(x - 0.02, 0.0, 0.03)  # 50 % from 20 to 50 mm
+    shifted = replace(camera, pose=camera.pose.copy())
+    assert grid_strain(membrane, nodes, shifted).length_seen == pytest.approx(0.5)
+    hood = np.abs(nodes[:, 0] - 0.07) < 0.012
+    nodes[hood] = nodes[hood] * (0.0, 1.0, 0.0) + (0.035, 0.0, -0.15)  # a strip nearer to the cameras covers them
+    covered = grid_strain(membrane, nodes, camera)
+    assert covered.length > 0.5
+    assert covered.length_seen < covered.length
+
+
+def test_a_simulated_frame_tells_its_strain():
+    with open_source(LOW) as source:
+        facts, strain = source.facts(0), source.next_frame().truth.strain
+    assert (strain.largest, strain.length, strain.width) == (facts.max_strain, facts.strain_length, facts.strain_width)
+    assert 0.0 < strain.length_seen <= strain.length < strain.largest
+
+
+def cell(press, side="", group="main", **strain):
+    return Cell("straight", "cup", "cup", press, side, group, f"sim:cup?press={press}", 0, rmse_mm=1.0, **strain)
+
+
+def test_the_table_reports_the_strain_of_each_scene_once(tmp_path):
+    known = {"max_strain": 0.284, "strain_length": 0.2, "strain_width": 0.227}
+    table = Table(
+        [
+            cell("medium", **known),
+            replace(cell("medium", **known), method="fusion-rigid"),
+            cell("high", "left", max_strain=1.27, strain_length=0.86, strain_width=0.7),
+            cell("2", group="hover", max_strain=0.3, strain_length=0.1, strain_width=0.1),
+            cell("low"),
+        ]
+    )
+    scenes = [(it["scene"], it["press"], it["side"], it["largest"]) for it in scene_strains(table)]
+    assert scenes == [("cup", "medium", "", 0.284), ("cup", "high", "left", 1.27)]
+    assert table_as_json(table)["strain"] == scene_strains(table)
+    lines = table_as_text(table).splitlines()
+    start = next(number for number, line in enumerate(lines) if line.startswith("largest in-plane strain"))
+    assert [line.split() for line in lines[start + 1 : start + 3]] == [
+        ["cup", "medium", "20", "23", "28"],
+        ["cup", "high", "left", "86", "70", "127"],
+    ]
+    write_csv(table, tmp_path / "table.csv")
+    rows = list(csv.DictReader((tmp_path / "table.csv").read_text().splitlines()))
+    assert rows[0]["max_strain"] == "0.284"
+    assert rows[-1]["max_strain"] == ""
+    assert "largest in-plane strain" not in table_as_text(Table([cell("low")]))
+
+
+def test_run_reports_the_true_strain(capsys, monkeypatch):
+    def run(*words):
+        monkeypatch.setattr("sys.argv", ["tactune", "run", "-s", LOW, "-p", "simulator", "-n", "1", "--truth", *words])
+        assert main() == 0
+        return capsys.readouterr().out
+
+    with open_source(LOW) as source:
+        strain = source.next_frame().truth.strain
+    record = json.loads(run("--json"))
+    assert record["true_strain_length_percent"] == pytest.approx(100 * strain.length, abs=0.01)
+    assert record["true_max_strain_percent"] == pytest.approx(100 * strain.largest, abs=0.01)
+    assert f"true strain up to {100 * strain.length:.1f} % along the length" in run()
