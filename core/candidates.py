@@ -80,8 +80,14 @@ def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: 
             count += 1
 
 
-class CandidateFinder:
-    """The per-pixel chain for one preset and rig, with its tables and buffers. For one thread at a time."""
+class PixelTests:
+    """What a preset and rig say of single pixels, with tables and buffers. For one thread at a time.
+
+    Attributes
+    ----------
+    limits : float32
+        Nearest and farthest depth and the tolerance, as `kernels.classify_rows` takes them.
+    """
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
         self.alignment = alignment
@@ -91,6 +97,27 @@ class CandidateFinder:
         self._rays = ray_planes(rig.proximity.intrinsics)
         self._color = color_model(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
+
+    def aligned(self, frame: SensorFrame) -> AlignedDepth:
+        """Return both sides of the tolerance test."""
+        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
+
+    def classify(self, frame: SensorFrame) -> npt.NDArray[np.uint8]:
+        """Return each pixel's verdict of depth, region, range and tolerance; candidates have CONTACT."""
+        provenance = np.empty(frame.proximity_depth.shape, np.uint8)
+        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
+        by_rows(
+            lambda first, last: kernels.classify_rows(
+                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, first, last,
+                provenance.reshape(-1),
+            ),
+            len(provenance),
+        )  # fmt: skip
+        return provenance
+
+
+class CandidateFinder(PixelTests):
+    """The per-pixel chain of the tolerance test."""
 
     def find(self, frame: SensorFrame, buffers: CandidateBuffers) -> Candidates:
         """Return the pixels that pass the tolerance test and the colour mask."""
@@ -114,23 +141,6 @@ class CandidateFinder:
             by_rows(find_rows, height)
         return buffers.collect(counts)
 
-    def aligned(self, frame: SensorFrame) -> AlignedDepth:
-        """Return both sides of the tolerance test."""
-        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
-
-    def classify(self, frame: SensorFrame) -> npt.NDArray[np.uint8]:
-        """Return each pixel's verdict of depth, region, range and tolerance; candidates have CONTACT."""
-        provenance = np.empty(frame.proximity_depth.shape, np.uint8)
-        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-        by_rows(
-            lambda first, last: kernels.classify_rows(
-                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, first, last,
-                provenance.reshape(-1),
-            ),
-            len(provenance),
-        )  # fmt: skip
-        return provenance
-
 
 class CandidateBuffers:
     """Room for every pixel of an image, used again for each frame."""
@@ -150,6 +160,24 @@ class CandidateBuffers:
         )
 
 
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a contact test has found in a frame.
+
+    Attributes
+    ----------
+    contact : Candidates
+    make_provenance : callable
+        Makes the verdict on each pixel, uint8 (H, W), when it is asked for.
+    skipped : tuple of str
+        As in `patch.ContactPatch`.
+    """
+
+    contact: Candidates
+    make_provenance: Callable[[], npt.NDArray[np.uint8]]
+    skipped: tuple[str, ...] = ()
+
+
 def drop_outliers(
     candidates: Candidates, rig: Rig, section: OutlierSection, inliers: Inliers, memory: NeighbourMemory
 ) -> Candidates:
@@ -163,7 +191,7 @@ def drop_outliers(
 def drop_small_clusters(candidates: Candidates, rig: Rig, section: OutlierSection) -> Candidates:
     """Drop connected groups that are smaller than the preset's smallest cluster."""
     large = in_large_cluster(
-        candidates.points, candidates.pixels, rig.proximity.intrinsics, section.min_cluster_area_mm2
+        candidates.points[:, 2], candidates.pixels, rig.proximity.intrinsics, section.min_cluster_area_mm2
     )
     return candidates.keep(large)
 
@@ -178,7 +206,7 @@ def contact_mask(shape: tuple[int, int], contact: Candidates) -> npt.NDArray[np.
 def full_provenance(
     verdicts: npt.NDArray[np.uint8], unmasked: Candidates, inliers: Candidates, contact: Candidates
 ) -> npt.NDArray[np.uint8]:
-    """Write the verdicts of the later stages over those of `CandidateFinder.classify`."""
+    """Write the verdicts of the later stages over those of `PixelTests.classify`."""
     pixels = verdicts.reshape(-1)
     pixels[pixels == Provenance.CONTACT] = Provenance.MASKED
     pixels[unmasked.pixels] = Provenance.OUTLIER

@@ -91,7 +91,11 @@ class CoarseTest:
         self._tiles = np.empty(self.shape, np.bool_)
 
     def tiles(
-        self, proximity: npt.NDArray[np.uint16], tactile: npt.NDArray[np.uint16], limits: npt.NDArray[np.float32]
+        self,
+        proximity: npt.NDArray[np.uint16],
+        tactile: npt.NDArray[np.uint16],
+        limits: npt.NDArray[np.float32],
+        margin_m: float = 0.0,
     ) -> tuple[npt.NDArray[np.bool_], int]:
         """Return which tiles may hold contact, and how many; the array is used again next time.
 
@@ -100,12 +104,14 @@ class CoarseTest:
         proximity, tactile : uint16, flat
         limits : float32
             As in `kernels.classify_rows`.
+        margin_m : float
+            By how much both depths may differ beyond the tolerance.
         """
         if not self.possible:
             return self._all, self._all.size
         count = _mark_tiles(
-            proximity, tactile, self._model.size, self._model.tables, self._tables, limits, self._ranges, self._cells,
-            self._wide, self._tiles,
+            proximity, tactile, self._model.size, self._model.tables, self._tables, limits, np.float32(margin_m),
+            self._ranges, self._cells, self._wide, self._tiles,
         )  # fmt: skip
         return self._tiles, count
 
@@ -212,8 +218,8 @@ def _cell(pixel: Any, step: Any, count: Any) -> Any:
 
 @kernel
 def _mark_tiles(
-    proximity: Any, tactile: Any, size: Any, model: Any, tables: Any, limits: Any, ranges: Any, cells: Any, wide: Any,
-    tiles: Any
+    proximity: Any, tactile: Any, size: Any, model: Any, tables: Any, limits: Any, margin: Any, ranges: Any,
+    cells: Any, wide: Any, tiles: Any
 ) -> Any:  # fmt: skip
     width, height, tactile_width, tactile_height = size
     rigid, units, _, _, _, camera = model
@@ -278,7 +284,7 @@ def _mark_tiles(
         sees = sees & (bottom >= floats(-_HALF)) & (top < floats(np.float32(tactile_height) - _HALF))
 
         tolerance = floats(limits[2])
-        slack = floats(_SLACK) * greater(absolute(expected_low), absolute(expected_high))
+        slack = floats(_SLACK) * greater(absolute(expected_low), absolute(expected_high)) + floats(margin)
         lowest = lesser(
             expected_low - tolerance * absolute(expected_low), expected_high - tolerance * absolute(expected_high)
         ) - slack  # fmt: skip

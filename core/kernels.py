@@ -34,6 +34,7 @@ from .simd import (
     bits,
     count_ones,
     count_trailing_zeros,
+    flags,
     floats,
     floor,
     ints,
@@ -68,7 +69,7 @@ _CONTACT = np.int32(Provenance.CONTACT)
 
 
 @inline
-def _place(v: Any, u: Any, width: Any, size: Any) -> Any:
+def vector_place(v: Any, u: Any, width: Any, size: Any) -> Any:
     """Return where to load the pixels from (v, u) on, and how many lanes lie before u.
 
     At the very end of an image the vector begins a few pixels earlier, so as not to reach beyond.
@@ -79,23 +80,25 @@ def _place(v: Any, u: Any, width: Any, size: Any) -> Any:
 
 
 @inline
-def _columns(u: Any, before: Any) -> Any:
+def lane_columns(u: Any, before: Any) -> Any:
     """Return each lane's column; of lanes before ``u`` it is below ``u``."""
     return lane_numbers() + ints(np.int32(u - before))
 
 
 @inline
-def _within(u: Any, low: Any, high: Any) -> Any:
+def within(u: Any, low: Any, high: Any) -> Any:
+    """Return in which lanes integers lie from ``low`` to ``high - 1``."""
     return (u >= ints(np.int32(low))) & (u < ints(np.int32(high)))
 
 
 @inline
-def _has_depth(counts: Any) -> Any:
+def is_depth(counts: Any) -> Any:
+    """Return in which lanes counts are a depth: neither 0 nor 65535."""
     return (counts != ints(_NONE)) & (counts != ints(_SATURATED))
 
 
 @inline
-def _nearest(u: Any, v: Any, width: Any, height: Any) -> Any:
+def nearest_pixel(u: Any, v: Any, width: Any, height: Any) -> Any:
     """Return whether pixel coordinates lie in an image, and the flat pixel; 0 where they do not."""
     half = floats(_HALF)
     inside = (u >= floats(-_HALF)) & (u < floats(np.float32(width) - _HALF))
@@ -106,7 +109,7 @@ def _nearest(u: Any, v: Any, width: Any, height: Any) -> Any:
 
 
 @inline
-def _both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, size: Any, model: Any) -> Any:
+def both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, size: Any, model: Any) -> Any:
     """Return dp and dt of the tolerance test, and in which lanes there is each; ``pixels`` is the image's size."""
     rigid, units, planes, table, lens, camera = model
     if rigid:
@@ -115,7 +118,7 @@ def _both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, 
         x = load(planes, place) * depth + floats(units[3])
         y = load(planes, pixels + place) * depth + floats(units[4])
         u, v = project_lanes(x, y, z, lens, camera)
-        inside, partner = _nearest(u, v, size[2], size[3])
+        inside, partner = nearest_pixel(u, v, size[2], size[3])
         inside = inside & has_expected
         expected = z
     else:
@@ -125,7 +128,31 @@ def _both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, 
         expected = depth
     seen = gather(tactile, where(inside, partner, ints(_NONE)))
     measured = to_floats(seen) * floats(units[1]) + floats(units[2])
-    return expected, has_expected, measured, inside & _has_depth(seen)
+    return expected, has_expected, measured, inside & is_depth(seen)
+
+
+@inline
+def colors_seen(x: Any, y: Any, depth: Any, place: Any, image: Any, color: Any) -> Any:
+    """Return red, green and blue at which the colour camera sees points, and in which lanes it does.
+
+    ``place`` is the first lane's depth pixel; ``image`` and ``color`` are those of `find_candidates`.
+    """
+    own, transform, lens, camera, width, height = color
+    if own:
+        cx = floats(transform[0]) * x + floats(transform[1]) * y
+        cx = cx + floats(transform[2]) * depth + floats(transform[9])
+        cy = floats(transform[3]) * x + floats(transform[4]) * y
+        cy = cy + floats(transform[5]) * depth + floats(transform[10])
+        cz = floats(transform[6]) * x + floats(transform[7]) * y
+        cz = cz + floats(transform[8]) * depth + floats(transform[11])
+        cu, cv = project_lanes(cx, cy, cz, lens, camera)
+        inside, there = nearest_pixel(cu, cv, width, height)
+        red, green, blue = gather_colors(image, where(inside, there, ints(_NONE)))
+        seen = inside & (cz > floats(_ZERO))
+    else:
+        red, green, blue = load_colors(image, place)
+        seen = flags(_ALL_LANES)
+    return red, green, blue, seen
 
 
 @kernel
@@ -141,14 +168,14 @@ def align_rows(
     buffer = _two_vectors()
     for v in range(first, last):
         for u in range(0, width, LANES):
-            place, before = _place(v, u, width, pixels)
+            place, before = vector_place(v, u, width, pixels)
             count = load(counts, place)
             depth = to_floats(count) * floats(model[1][0])
-            column = _columns(u, before)
-            valid = _has_depth(count) & _within(column, max(u, region[0]), region[2])
+            column = lane_columns(u, before)
+            valid = is_depth(count) & within(column, max(u, region[0]), region[2])
             if v < region[1] or v >= region[3]:
                 valid = valid & (column < ints(_NONE))
-            dp, has_dp, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            dp, has_dp, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
             dp, dt = where(has_dp, dp, floats(_NAN)), where(has_dt, dt, floats(_NAN))
             if u + LANES <= width:
                 store(expected, place, dp)
@@ -175,16 +202,16 @@ def classify_rows(
     for v in range(first, last):
         row_in_region = v >= region[1] and v < region[3]
         for u in range(0, width, LANES):
-            place, before = _place(v, u, width, pixels)
+            place, before = vector_place(v, u, width, pixels)
             count = load(counts, place)
             depth = to_floats(count) * floats(model[1][0])
-            column = _columns(u, before)
-            has_depth = _has_depth(count)
-            in_region = _within(column, region[0], region[2])
+            column = lane_columns(u, before)
+            has_depth = is_depth(count)
+            in_region = within(column, region[0], region[2])
             if not row_in_region:
                 in_region = column < ints(_NONE)
             valid = has_depth & in_region & (column >= ints(np.int32(u)))
-            dp, has_dp, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            dp, has_dp, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
             agrees = absolute(dp - dt) <= floats(limits[2]) * absolute(dp)
             verdict = where(agrees, ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
             verdict = where(has_dp & has_dt, verdict, ints(_NO_TACTILE_DEPTH))
@@ -209,7 +236,7 @@ def count_changed(before: Any, after: Any, noise: Any) -> Any:
     for start in range(0, before.shape[0], LANES):
         place = min(start, last)
         old, new = load(before, place), load(after, place)
-        had, has = _has_depth(old), _has_depth(new)
+        had, has = is_depth(old), is_depth(new)
         moved = ((new - old) > high) | ((new - old) < low)
         is_new = lane_numbers() >= ints(np.int32(start - place))
         changed += count_ones(bits(is_new & ((had ^ has) | (had & has & moved))))
@@ -248,42 +275,29 @@ def find_candidates(
     width, height = size[0], size[1]
     pixels = max(width * height, LANES)
     point = _three_vectors()
-    own, transform, color_lens, color_camera, color_width, color_height = color
     has_mask = hsv.shape[0] > 0
     kept = first * width
     for v in range(max(first, region[1]), min(last, region[3])):
         for u in range(region[0] // LANES * LANES, region[2], LANES):
             if not tiles[v // TILE_ROWS, u // LANES]:
                 continue
-            place, before = _place(v, u, width, pixels)
+            place, before = vector_place(v, u, width, pixels)
             count = load(counts, place)
             depth = to_floats(count) * floats(model[1][0])
-            column = _columns(u, before)
-            valid = _has_depth(count) & _within(column, max(u, region[0]), region[2])
+            column = lane_columns(u, before)
+            valid = is_depth(count) & within(column, max(u, region[0]), region[2])
             valid = valid & (depth >= floats(limits[0])) & (depth <= floats(limits[1]))
             if bits(valid) == 0:
                 continue
-            dp, _, dt, has_dt = _both_depths(place, pixels, depth, valid, tactile, size, model)
+            dp, _, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
             passes = has_dt & (absolute(dp - dt) <= floats(limits[2]) * absolute(dp))
             if bits(passes) == 0:
                 continue
             x = load(rays, place) * depth
             y = load(rays, pixels + place) * depth
-            if has_mask and own:
-                cx = floats(transform[0]) * x + floats(transform[1]) * y
-                cx = cx + floats(transform[2]) * depth + floats(transform[9])
-                cy = floats(transform[3]) * x + floats(transform[4]) * y
-                cy = cy + floats(transform[5]) * depth + floats(transform[10])
-                cz = floats(transform[6]) * x + floats(transform[7]) * y
-                cz = cz + floats(transform[8]) * depth + floats(transform[11])
-                cu, cv = project_lanes(cx, cy, cz, color_lens, color_camera)
-                inside, there = _nearest(cu, cv, color_width, color_height)
-                red, green, blue = gather_colors(image, where(inside, there, ints(_NONE)))
-                masked = lanes_in_range(red, green, blue, hsv)
-                passes = passes & ~(masked & inside & (cz > floats(_ZERO)))
-            elif has_mask:
-                red, green, blue = load_colors(image, place)
-                passes = passes & ~lanes_in_range(red, green, blue, hsv)
+            if has_mask:
+                red, green, blue, seen = colors_seen(x, y, depth, place, image, color)
+                passes = passes & ~(lanes_in_range(red, green, blue, hsv) & seen)
             remaining = bits(passes)
             if remaining == _ALL_LANES:
                 store_points(points_out, 3 * kept, x, y, depth)

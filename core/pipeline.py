@@ -8,11 +8,13 @@ from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
 from . import kernels
-from .alignment import make_alignment
+from .alignment import AlignmentModel, make_alignment
+from .calibrated import stages as calibrated_stages
+from .calibrated.differences import DifferenceFinder
 from .candidates import (
     CandidateBuffers,
     CandidateFinder,
-    Candidates,
+    Found,
     Inliers,
     contact_mask,
     drop_outliers,
@@ -26,10 +28,12 @@ from .patch import ContactPatch, Once
 from .preset import Preset
 from .rig_check import check_rig
 
-__all__ = ["STAGES", "ContactPatch", "ContactPipeline", "Still"]
+__all__ = ["CALIBRATED_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "Still"]
 
-#: The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
+#: Of the tolerance test. The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
 STAGES = ("fusion", "outliers", "clusters")
+#: Of the calibrated test. Here the fusion aligns and tests difference and colour.
+CALIBRATED_STAGES = ("fusion", "gaps", "edge", "clusters", "points")
 
 #: Reasons in `ContactPatch.skipped`.
 UNCHANGED = "nothing changed"
@@ -88,7 +92,7 @@ class ContactPipeline:
         self._inliers = inliers
         self.warnings = check_rig(preset, rig)
         self._preset = preset
-        self._finder = CandidateFinder(preset, rig, make_alignment(preset.alignment, rig))
+        self._finder = _make_finder(preset, rig, make_alignment(preset.alignment, rig))
         self._buffers = CandidateBuffers(rig)
         self._neighbours = NeighbourMemory()
         self._memory = _Memory()
@@ -111,7 +115,7 @@ class ContactPipeline:
         if preset.alignment.geometry != self._preset.alignment.geometry:
             alignment = make_alignment(preset.alignment, self.rig)
         if _fusion_key(preset) != _fusion_key(self._preset):
-            self._finder = CandidateFinder(preset, self.rig, alignment)
+            self._finder = _make_finder(preset, self.rig, alignment)
         self.warnings = warnings
         self._preset = preset
 
@@ -127,24 +131,60 @@ class ContactPipeline:
             frame.check_against(self.rig)
             started = time.perf_counter_ns()
             if self._shows_the_same(frame):
-                ms = dict.fromkeys(STAGES, 0.0) | {"fusion": (time.perf_counter_ns() - started) / 1e6}
+                ms = dict.fromkeys(stages_of(self._preset), 0.0) | {"fusion": (time.perf_counter_ns() - started) / 1e6}
                 assert self._memory.patch is not None
                 return self._memory.patch.again(frame.sequence, ms, (STILL,))
             self._memory = _Memory(frame)
-        memory, finder, outliers = self._memory, self._finder, self._preset.outliers
-        stage = _StageRunner(memory)
-        memory.preset = self._preset
+        stage = _StageRunner(self._memory, stages_of(self._preset))
+        self._memory.preset = self._preset
+        if isinstance(self._finder, DifferenceFinder):
+            found = self._calibrated_test(frame, self._finder, stage)
+        else:
+            found = self._tolerance_test(frame, self._finder, stage)
+        return self._memory.patch_of(frame, self.rig, self._finder, found, stage)
 
+    def _tolerance_test(self, frame: SensorFrame, finder: CandidateFinder, stage: _StageRunner) -> Found:
+        outliers = self._preset.outliers
         unmasked = stage("fusion", _fusion_key(self._preset), finder.find, frame, self._buffers)
         if len(unmasked) == 0:
-            return memory.patch_of(frame, self.rig, finder, (unmasked, unmasked, unmasked), stage, (NO_CANDIDATES,))
+            return Found(unmasked, lambda: full_provenance(finder.classify(frame), *[unmasked] * 3), (NO_CANDIDATES,))
         inliers = stage(
             "outliers", (outliers.enabled, outliers.k, outliers.ratio),
             drop_outliers, unmasked, self.rig, outliers, self._inliers, self._neighbours,
         )  # fmt: skip
         contact = stage("clusters", outliers.min_cluster_area_mm2, drop_small_clusters, inliers, self.rig, outliers)
+        return Found(contact, lambda: full_provenance(finder.classify(frame), unmasked, inliers, contact))
 
-        return memory.patch_of(frame, self.rig, finder, (unmasked, inliers, contact), stage, ())
+    def _calibrated_test(self, frame: SensorFrame, finder: DifferenceFinder, stage: _StageRunner) -> Found:
+        section = self._preset.calibrated
+        differences = stage("fusion", _fusion_key(self._preset), finder.find, frame)
+        if differences is None:
+            return Found(self._buffers.collect({}), lambda: finder.classify(frame), (NO_CANDIDATES,))
+        gaps = stage(
+            "gaps", (section.window_px, section.bias_m, section.slope),
+            calibrated_stages.mean_gaps, differences, section, self.rig,
+        )  # fmt: skip
+        if gaps is None:
+            early = differences
+            return Found(
+                self._buffers.collect({}),
+                lambda: calibrated_stages.early_provenance(finder.classify(frame), early),
+                (NO_CANDIDATES,),
+            )
+        within = stage(
+            "edge", (section.gap_m, section.retreat, section.core, section.most_px),
+            calibrated_stages.within_edge, gaps, section,
+        )  # fmt: skip
+        large = stage(
+            "clusters", section.least_area_mm2,
+            calibrated_stages.large_contacts, within, gaps, section, self.rig,
+        )  # fmt: skip
+        contact = stage(
+            "points", (section.smooth_px, section.tactile_weight),
+            calibrated_stages.surface_points, large, gaps, section, self.rig, self._buffers,
+        )  # fmt: skip
+        steps = differences, gaps, section, within, large, contact
+        return Found(contact, lambda: calibrated_stages.full_provenance(finder.classify(frame), *steps))
 
     def _shows_the_same(self, frame: SensorFrame) -> bool:
         """Tell whether the patch in memory, made with the present preset, may stand for a new frame."""
@@ -162,8 +202,23 @@ class ContactPipeline:
         return True
 
 
+def stages_of(preset: Preset) -> tuple[str, ...]:
+    """Return the names of the stages of a preset's contact test, in their order."""
+    return CALIBRATED_STAGES if preset.contact_test == "calibrated" else STAGES
+
+
+def _make_finder(preset: Preset, rig: Rig, alignment: AlignmentModel) -> CandidateFinder | DifferenceFinder:
+    make = DifferenceFinder if preset.contact_test == "calibrated" else CandidateFinder
+    return make(preset, rig, alignment)
+
+
 def _fusion_key(preset: Preset) -> tuple[Any, ...]:
-    return preset.alignment.geometry, preset.region, preset.range, preset.tolerance, preset.mask
+    """Return all that decides what the first stage gives."""
+    common = preset.contact_test, preset.alignment.geometry, preset.region, preset.range, preset.mask
+    if preset.contact_test == "calibrated":
+        section = preset.calibrated
+        return *common, section.difference_m, max(section.window_px, section.smooth_px)
+    return *common, preset.tolerance
 
 
 @dataclass
@@ -179,24 +234,22 @@ class _Memory:
         self,
         frame: SensorFrame,
         rig: Rig,
-        finder: CandidateFinder,
-        kept: tuple[Candidates, Candidates, Candidates],
+        finder: CandidateFinder | DifferenceFinder,
+        found: Found,
         stages: _StageRunner,
-        skipped: tuple[str, ...],
     ) -> ContactPatch:
-        """Assemble the patch from what the colour mask, the outlier removal and the clusters have kept."""
+        """Assemble the patch from what the contact test has found."""
         if self.patch is not None and not stages.stale:
             return self.patch.again(frame.sequence, stages.ms, (UNCHANGED,))
-        contact = kept[-1]
         self.patch = ContactPatch(
             frame.sequence,
-            contact.points,
-            Once(lambda: full_provenance(finder.classify(frame), *kept)),
+            found.contact.points,
+            Once(found.make_provenance),
             Once(lambda: finder.aligned(frame)),
             rig,
             stages.ms,
-            skipped,
-            mask=Once(lambda: contact_mask(frame.proximity_depth.shape, contact)),
+            found.skipped,
+            mask=Once(lambda: contact_mask(frame.proximity_depth.shape, found.contact)),
         )
         return self.patch
 
@@ -204,10 +257,10 @@ class _Memory:
 class _StageRunner:
     """Runs stages in order, skipping those whose frame, key and predecessors are unchanged."""
 
-    def __init__(self, memory: _Memory) -> None:
+    def __init__(self, memory: _Memory, names: tuple[str, ...]) -> None:
         self._memory = memory
         self.stale = False
-        self.ms = dict.fromkeys(STAGES, 0.0)
+        self.ms = dict.fromkeys(names, 0.0)
 
     def __call__(self, name: str, key: Any, compute: Callable[P, R], *args: P.args, **kwargs: P.kwargs) -> R:
         remembered_key, result = self._memory.results.get(name, (None, None))

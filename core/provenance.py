@@ -6,7 +6,7 @@ from enum import IntEnum
 
 
 class Provenance(IntEnum):
-    """The verdict on one proximity pixel, in the order in which the tests are made."""
+    """The verdict on one proximity pixel, in the order in which the tests are made; RIM came last to the list."""
 
     NO_PROXIMITY_DEPTH = 0
     OUTSIDE_REGION = 1
@@ -17,6 +17,7 @@ class Provenance(IntEnum):
     OUTLIER = 6
     SMALL_CLUSTER = 7
     CONTACT = 8
+    RIM = 9
 
     @property
     def label(self) -> str:
@@ -34,9 +35,10 @@ _EXPLANATIONS = {
     Provenance.OUTSIDE_REGION: "Dropped: outside the region of interest.",
     Provenance.OUTSIDE_RANGE: "Dropped: the proximity depth is outside the working range.",
     Provenance.NO_TACTILE_DEPTH: "Dropped: the tactile camera has no depth where this point would be.",
-    Provenance.OUTSIDE_TOLERANCE: "Dropped: the two distances differ by more than the tolerance.",
+    Provenance.OUTSIDE_TOLERANCE: "Dropped: the two distances differ by more than the contact test allows.",
     Provenance.MASKED: "Dropped: the colour is the bare membrane's, which reflects infrared.",
-    Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours.",
+    Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
+    Provenance.RIM: "Dropped: near the object, but the membrane is leaving it here; contact ends further in.",
 }

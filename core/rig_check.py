@@ -11,7 +11,7 @@ from .preset import Preset
 
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
-    """Return sentences on what differs between the preset's rig and the one at hand.
+    """Return sentences on what differs between the preset's rig and the one at hand, and what does not go together.
 
     Raises
     ------
@@ -25,6 +25,11 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
             warnings += _compare(preset.name, role, getattr(preset.rig, role), getattr(rig, role))
         warnings += _compare_color(preset.name, preset.rig.proximity_color, rig.proximity_color)
     _check_region(preset, rig)
+    if preset.contact_test == "calibrated" and preset.alignment.model == "homography":
+        warnings.append(
+            f"Preset {preset.name!r} tests contact by gaps of a millimetre, which a homography tells on one plane "
+            "only; choose the rigid alignment, or the tolerance test."
+        )
     return warnings
 
 

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from . import kernels
+from .calibrated.kernels import find_differences
 from .colors import color_lookup
 from .compiling import Compiled, compiled_so_far, is_kept
 from .frames import ColorCamera, DepthCamera, Rig, SensorFrame
@@ -31,7 +32,7 @@ _WIDTH, _HEIGHT = 96, 64
 
 def is_compiled() -> bool:
     """Tell, without compiling anything, whether the largest kernels lie ready on the disk."""
-    return all(map(is_kept, (kernels.find_candidates, search_tiles, search_single, color_lookup)))
+    return all(map(is_kept, (kernels.find_candidates, search_tiles, search_single, color_lookup, find_differences)))
 
 
 def warm_up_if_needed(progress: Progress) -> None:
@@ -64,6 +65,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     few = np.arange(min(4, len(points)))
     means = np.empty(len(points))
     lens = rig.proximity.intrinsics
+    calibrated = preset.with_values({"contact_test": "calibrated", "calibrated.difference_m": 0.1})
     steps: list[Callable[[], object]] = [
         lambda: patch.provenance,
         lambda: patch.aligned,
@@ -72,6 +74,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
         lambda: compare_with_all(few, points, 2, means),
         lambda: colors_at(points, pixels, frame.proximity_color, rig),
         lambda: in_hsv_range(frame.proximity_color, preset.mask),
+        lambda: ContactPipeline(calibrated, rig).process(frame).provenance,
     ]
     for done, step in enumerate(steps):
         progress((done + 1) / (len(steps) + 1), COMPILING)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from typing import Literal
+from typing import Any
 
 from ..errors import TactuneError
 from ..frames import Rig, SensorFrame
 from ..pipeline import ContactPipeline
 from ..preset import Preset
-from .calibrated import CalibratedFusion
 from .membrane_mechanics import MembraneMechanics
 from .method import ContactMethod, MethodPatch
 from .proximity_only import ProximityOnly
@@ -18,13 +17,15 @@ from .tactile_only import TactileOnly
 
 
 class Fusion(ContactMethod):
-    """The contact pipeline with one of its alignment models, whichever the preset names.
+    """The contact pipeline with some of the preset's fields set, which make it one method among others.
 
     Parameters
     ----------
     preset : Preset
     rig : Rig
-    model : {"rigid", "homography"}
+    name : str
+    values : dict of str to object
+        Fields of the preset by their paths.
 
     Raises
     ------
@@ -32,9 +33,9 @@ class Fusion(ContactMethod):
         As `ContactPipeline` does.
     """
 
-    def __init__(self, preset: Preset, rig: Rig, model: Literal["rigid", "homography"]) -> None:
-        self.name = f"fusion-{model}"
-        self._pipeline = ContactPipeline(preset.with_values({"alignment.model": model}), rig)
+    def __init__(self, preset: Preset, rig: Rig, name: str, values: dict[str, Any]) -> None:
+        self.name = name
+        self._pipeline = ContactPipeline(preset.with_values(values), rig)
 
     def find(self, frame: SensorFrame) -> MethodPatch:
         """Return the pipeline's patch."""
@@ -70,7 +71,7 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
         There is no such method, the reference is missing, or the method cannot work with these.
     """
     if name in _FUSION:
-        return _FUSION[name](preset, rig)
+        return Fusion(preset, rig, name, _FUSION[name])
     if name not in _AGAINST_REFERENCE:
         raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
     if reference is None:
@@ -81,10 +82,11 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
     return _AGAINST_REFERENCE[name](preset, rig, reference)
 
 
-_FUSION: dict[str, Callable[[Preset, Rig], ContactMethod]] = {
-    "fusion-rigid": partial(Fusion, model="rigid"),
-    "fusion-homography": partial(Fusion, model="homography"),
-    "fusion-calibrated": CalibratedFusion,
+#: Which of the preset's fields each way of fusion sets.
+_FUSION: dict[str, dict[str, Any]] = {
+    "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
+    "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
+    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid"},
 }
 _AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,

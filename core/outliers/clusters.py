@@ -18,24 +18,23 @@ def pixel_areas_m2(depth_m: npt.NDArray[np.float32], intrinsics: Intrinsics) -> 
 
 
 def in_large_cluster(
-    points: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, min_area_mm2: float
+    depth_m: npt.NDArray[np.float32], pixels: npt.NDArray[np.intp], intrinsics: Intrinsics, min_area_mm2: float
 ) -> npt.NDArray[np.bool_]:
-    """Tell which points belong to an 8-connected group of pixels of at least the given area.
+    """Tell which pixels belong to an 8-connected group of at least the given area.
 
     Parameters
     ----------
-    points : float32, shape (N, 3)
-        Metres, in row-major pixel order.
+    depth_m : float32, shape (N,)
     pixels : int, shape (N,)
-        Flat pixel of each point, ascending.
+        Flat pixel numbers, ascending.
     """
-    if min_area_mm2 <= 0 or len(points) == 0:
-        return np.ones(len(points), bool)
-    large = np.empty(len(points), np.bool_)
-    starts, parents = scratch("starts", len(points) + 1, np.int64), scratch("parents", len(points), np.int64)
-    areas = scratch("areas", len(points), np.float64)
+    if min_area_mm2 <= 0 or len(depth_m) == 0:
+        return np.ones(len(depth_m), bool)
+    large = np.empty(len(depth_m), np.bool_)
+    starts, parents = scratch("starts", len(depth_m) + 1, np.int64), scratch("parents", len(depth_m), np.int64)
+    areas = scratch("areas", len(depth_m), np.float64)
     focal_product = intrinsics.fx * intrinsics.fy
-    _mark_large(pixels, points[:, 2], intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
+    _mark_large(pixels, depth_m, intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
     return large
 
 

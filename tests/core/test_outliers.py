@@ -158,7 +158,7 @@ def test_clusters_are_kept_by_their_area():
     points = np.zeros((len(pixels), 3), np.float32)
     points[:, 2] = 0.3
     for smallest, survivors in ((0.0, 18), (199.0, 18), (201.0, 16), (1599.0, 16), (1601.0, 0)):
-        assert in_large_cluster(points, pixels, lens, smallest).sum() == survivors
+        assert in_large_cluster(points[:, 2], pixels, lens, smallest).sum() == survivors
 
 
 @settings(max_examples=60, deadline=None)
@@ -172,4 +172,4 @@ def test_groups_are_opencvs_components(seed, share, width, height):
     _, labels, stats, _ = cv2.connectedComponentsWithStats(mask.astype(np.uint8), connectivity=8)
     for pixels_needed in (1, 2, 5, 20):
         expected = stats[labels[mask], cv2.CC_STAT_AREA] >= pixels_needed
-        assert np.array_equal(in_large_cluster(points, pixels, lens, 100.0 * (pixels_needed - 0.5)), expected)
+        assert np.array_equal(in_large_cluster(points[:, 2], pixels, lens, 100.0 * (pixels_needed - 0.5)), expected)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tactune.core import preset_file
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset import CamerasSection, Preset
+from tactune.core.preset import CalibratedSection, CamerasSection, Preset
 from tactune.core.preset_file import (
     json_schema,
     load_preset,
@@ -39,6 +39,10 @@ presets = st.fixed_dictionaries(
         "alignment.depth_scale": st.floats(0.8, 1.25),
         "alignment.depth_offset_m": st.floats(-0.1, 0.1),
         "region.rectangle": st.tuples(*[st.integers(1, 400)] * 4),
+        "contact_test": st.sampled_from(["tolerance", "calibrated"]),
+        "calibrated.gap_m": st.floats(0, 0.02),
+        "calibrated.window_px": st.floats(0, 20),
+        "calibrated.core": st.floats(0, 1),
     }
 ).map(lambda values: Preset().with_values(values))
 
@@ -86,6 +90,9 @@ def test_the_default_preset_holds_the_papers_values():
         ("outliers.ratio", 0, ["outliers.ratio is 0", "above 0 to 100"]),
         ("range.limits_m", [0.4, 0.1], ["0.4", "0.1", "swap"]),
         ("region.rectangle", [0, 0, 0, 5], ["region.rectangle", "empty"]),
+        ("contact_test", "magic", ["contact_test is 'magic'", "calibrated"]),
+        ("calibrated.gap_m", 1.8, ["calibrated.gap_m is 1.8", "0 to 0.02"]),
+        ("calibrated.difference_m", 0, ["calibrated.difference_m is 0", "above 0"]),
         ("alignment.model", "affine", ["alignment.model is 'affine'", "rigid"]),
         ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
         ("alignment.rigid.T_proximity_tactile", np.diag([2.0, 1, 1, 1]), ["no rotation"]),
@@ -182,6 +189,20 @@ def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
         read.with_value("cameras.proximity.options", {"laser_power": "much"})
     with pytest.raises(PresetError, match=r"cameras.tactile_delay_s is 3.0.*allowed: -2 to 2"):
         read.with_value("cameras.tactile_delay_s", 3.0)
+
+
+@pytest.mark.parametrize("found", [1, 2, 3])
+def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
+    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
+    for part in ("contact_test", "calibrated", "reference"):
+        del old[part]
+    migrated = preset_file.migrate(old | {"schema_version": found}, "old.json")
+    assert set(migrated["calibrated"]) == set(CalibratedSection.model_fields)
+    read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
+    assert (read.contact_test, read.tolerance.t, read.reference) == ("tolerance", 0.0123, None)
+    assert read.calibrated == CalibratedSection()
+    kept = read.with_values({"contact_test": "calibrated", "calibrated.gap_m": 0.0011, "calibrated.slope": False})
+    assert preset_from_text(preset_json(kept), "new.json") == kept
 
 
 def test_a_preset_of_a_newer_version_is_not_overwritten(tmp_path):

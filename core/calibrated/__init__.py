@@ -1,0 +1,1 @@
+"""The calibrated contact test: contact from local means of the difference of both depths."""
