@@ -13,17 +13,17 @@ from ...widgets.colormaps import Theme, patch_lut
 
 TRUTH: Final = "truth"
 
-#: Okabe and Ito's colours, the last two darker, since they stand on pale gray.
+#: Okabe and Ito's colours, with brown in place of a purple that is gray to some.
 _RGB: dict[str, tuple[int, int, int]] = {
     "fusion-rigid": (213, 94, 0),
     "fusion-homography": (230, 159, 0),
     "fusion-calibrated": (0, 158, 115),
     "proximity-only": (0, 114, 178),
     "tactile-only": (86, 180, 233),
-    "tactile-threshold": (204, 121, 167),
-    "mechanics": (148, 128, 0),
+    "tactile-threshold": (240, 228, 66),
+    "mechanics": (110, 40, 0),
 }
-_UNKNOWN_RGB = (128, 96, 160)
+_UNKNOWN_RGB = (130, 80, 220)
 _TRUTH_RGB: dict[Theme, tuple[int, int, int]] = {"light": (20, 20, 20), "dark": (250, 250, 250)}
 
 #: Pixels that a method and the truth share, that only the method has, and that only the truth has.
