@@ -122,13 +122,14 @@ def evaluate_recording(
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
     names = _methods(method or [], reference)
-    chosen = load_preset(preset or defaults.default_preset(source))
+    origin = preset or defaults.default_preset(source)
+    chosen = load_preset(origin)
     loaded = load_scan(scan, unit_m)
     contact = _contact(loaded, settings, scan)
     refined, truth = None, scan_truth(loaded, contact, pose)
     records: list[Record] = []
     with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
-        steps = _steps(names, opened, chosen, reference)
+        steps = _steps(names, opened, chosen, origin, reference)
         total = number_of_frames(opened, None if last is None else last + 1)
         for each in _frames(opened, first, last):
             if refine and refined is None:
@@ -268,13 +269,16 @@ def _methods(asked: list[str], reference: str | None) -> list[str]:
     return names
 
 
-def _steps(names: list[str], source: FrameSource, preset: Preset, reference: str | None) -> dict[str, Step]:
+def _steps(
+    names: list[str], source: FrameSource, preset: Preset, origin: str, reference: str | None
+) -> dict[str, Step]:
     from ..core.baselines.registry import needs_reference
     from .cli_method import make_step, read_reference
+    from .cli_run import warn
 
     needing = [name for name in names if needs_reference(name)]
     untouched = read_reference(needing[0], reference) if needing else None
-    return {name: make_step(name, preset, source, untouched) for name in names}
+    return {name: make_step(name, preset, origin, source, untouched, warn) for name in names}
 
 
 def _frames(source: FrameSource, first: int, last: int | None) -> Iterator[SensorFrame]:

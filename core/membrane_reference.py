@@ -14,7 +14,7 @@ import numpy.typing as npt
 from .atomic import atomic_path
 from .calibration.snapshots import content_hash, take_snapshot
 from .clouds import valid_depth
-from .errors import CalibrationError, FrameError, PresetError, SourceError
+from .errors import CalibrationError, ExportError, FrameError, PresetError, SourceError
 from .frames import SensorFrame
 from .preset import Preset, ReferenceRecord
 from .recording.reference import frame_from_bytes, reference_bytes
@@ -162,6 +162,38 @@ def load_reference(record: ReferenceRecord, preset_path: Path) -> SensorFrame:
     except FrameError as error:
         raise PresetError(f"the reference {path} is damaged ({error}); {_ANEW}") from error
     return _checked(frame, record, f"the reference {path}")
+
+
+def copy_reference(record: ReferenceRecord, preset_path: Path, to: Path) -> None:
+    """Put a preset's reference beside another preset file, unless it is there already.
+
+    Parameters
+    ----------
+    record : ReferenceRecord
+    preset_path : Path
+        Where it is now, as `load_reference` takes it.
+    to : Path
+        The other preset's file.
+
+    Raises
+    ------
+    PresetError
+        The reference is missing, damaged or another.
+    ExportError
+        It cannot be written there, or another file of its name is in the way.
+    """
+    target = to.parent / record.file
+    if target.is_file():
+        try:
+            load_reference(record, to)
+        except PresetError as error:
+            raise ExportError(f"the reference cannot go beside {to}, {target} is in the way; remove it") from error
+        return
+    frame = load_reference(record, preset_path)
+    packed = preset_path.suffix != ".mcap"
+    data = (preset_path.parent / record.file).read_bytes() if packed else reference_bytes(frame)
+    with atomic_path(target) as temporary:
+        temporary.write_bytes(data)
 
 
 def find_reference(

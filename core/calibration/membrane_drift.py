@@ -148,20 +148,20 @@ def _changes(
     """Return the changes of depth in metres where both have one, the pixels' rays x and y, and the depth before."""
     pixels = np.flatnonzero(valid_depth(now) & valid_depth(then))
     pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
-    before = then.reshape(-1)[pixels] * camera.depth_unit_m
+    before, after = (image.reshape(-1)[pixels].astype(np.float64) * camera.depth_unit_m for image in (then, now))
     rays = ray_table(camera.intrinsics).reshape(-1, 2)[pixels].astype(np.float64)
-    return now.reshape(-1)[pixels] * camera.depth_unit_m - before, rays[:, 0], rays[:, 1], before
+    return after - before, rays[:, 0], rays[:, 1], before
 
 
 def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
     """Return the least-squares coefficients over the pixels that agree with each other."""
     kept = np.abs(change - np.median(change)) <= 3 * _spread(change) + LIMIT_M
-    fitted = np.zeros(columns.shape[1])
+    fitted: Float64Array = np.zeros(columns.shape[1])
     for _ in range(_ROUNDS):
-        fitted = np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0]
+        fitted = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
         left = change - columns @ fitted
         kept = np.abs(left) <= 3 * _spread(left) + LIMIT_M / 2
-    return np.asarray(fitted, np.float64)
+    return fitted
 
 
 def _spread(values: Float64Array) -> float:
