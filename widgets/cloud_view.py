@@ -36,10 +36,6 @@ _RING = 2
 #: Every how many rows and columns a cloud is sampled to frame it.
 _FRAMING_STEP = 8
 
-_HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
-<b>double click</b> to reset.</p>
-<p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
-
 _ORBIT_KEYS: dict[int, tuple[float, float]] = {
     Qt.Key.Key_Left: (-1, 0),
     Qt.Key.Key_Right: (1, 0),
@@ -68,6 +64,11 @@ class CloudView(QWidget):
     backend : "auto", "opengl" or "software"
         "opengl" insists even on emulated OpenGL, yet falls back where there is none.
     """
+
+    #: What mouse and keys do, for the tooltip.
+    HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
+    <b>double click</b> to reset.</p>
+    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
 
     #: The camera moved, by hand, by call or by a linked view; carries the `ViewCamera`.
     cameraChanged = pyqtSignal(object)
@@ -226,7 +227,7 @@ class CloudView(QWidget):
     def _note_backend(self, name: str, reason: str) -> None:
         self.backend_name, self.backend_reason = name, reason
         self._scene.note = reason
-        self.setToolTip(_HELP + (f"<p>{reason}.</p>" if reason else ""))
+        self.setToolTip(self.HELP + (f"<p>{reason}.</p>" if reason else ""))
 
     def _fall_back(self, reason: str) -> None:
         """Go on in software when OpenGL fails while running."""

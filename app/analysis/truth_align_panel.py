@@ -35,7 +35,7 @@ from .truth_work import Refinement
 _AXES: Final = ("x", "y", "z")
 _TURNS: Final = ("Roll", "Pitch", "Yaw")
 #: So many pairs are seen at once.
-_ROWS = 4
+_ROWS = 3
 _REACH = FieldSpec(
     path="reach",
     title="ICP reach",
@@ -205,6 +205,8 @@ class AlignPanel(CollapsibleSection):
         for entry in (*self.places, *self.turns, self.reach):
             entry.refused.connect(self.refusal.show_sentence)
             entry.edited.connect(lambda *_: self.refusal.show_sentence(""))
+        for entry in (*self.places, *self.turns):
+            entry.setValue(0.0)
         self.reach.setValue(_REACH.default)
 
     def selected(self) -> int:

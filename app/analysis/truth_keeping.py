@@ -75,7 +75,7 @@ class TruthKeeper(QObject):
             content = json.loads(file.read_text(encoding="utf-8"))
             state, lost = _state_of(content, self._folder)
             kept_at = datetime.fromisoformat(content["kept"])
-        except FileNotFoundError:
+        except (FileNotFoundError, NotADirectoryError):
             return None
         except (OSError, ValueError, KeyError, TypeError, TactuneError) as error:
             with suppress(OSError):

@@ -140,8 +140,7 @@ class PaintPanel(CollapsibleSection):
 
     def put_away(self) -> None:
         """Put the eyedropper away."""
-        if self.eyedropper != "off":
-            self._take_up("off")
+        self._take_up("off")
 
     def pick(self, rgb: npt.NDArray[np.uint8]) -> None:
         """Change the ranges by colours around a click, uint8 (K, 3); raises `EyedropperError` where none are left."""

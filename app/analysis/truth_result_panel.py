@@ -39,7 +39,7 @@ class ResultPanel(CollapsibleSection):
         super().__init__("Result")
         self.values = {name: QLabel("–") for name, _, _ in _LINES}
         self.save = QPushButton("&Save transform…")
-        self.load = QPushButton("L&oad transform…")
+        self.load = QPushButton("Load &transform…")
         self.command = QLineEdit()
         self.copy = QPushButton("Cop&y")
         self.note = QLabel()

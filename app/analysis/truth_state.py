@@ -145,11 +145,8 @@ class TruthSession(QObject):
         self, pose: npt.ArrayLike, origin: Origin, text: str, patch: FrozenPatch | None = None, gesture: int = 0
     ) -> None:
         """Take another pose; ``patch`` is held fast where none is yet."""
-        matrix = np.asarray(pose, np.float64).copy()
-        left, _, right = np.linalg.svd(matrix[:3, :3])
-        matrix[:3, :3] = left @ right  # many small turns must not add up to something that is no rotation
         try:
-            rigid = rigid_transform(matrix)
+            rigid = rigid_transform(pose)
         except ValueError as error:
             self.refused.emit(f"The scan stays where it is: {error}.")
             return
@@ -158,8 +155,12 @@ class TruthSession(QObject):
 
     def nudge(self, change: npt.NDArray[np.float64], gesture: int) -> None:
         """Move and turn the scan by a transform of the proximity frame."""
-        if self._state.pose is not None:
-            self.set_pose(change @ np.asarray(self._state.pose), "hand", "Nudge the scan", None, gesture)
+        if self._state.pose is None:
+            return
+        pose = change @ np.asarray(self._state.pose)
+        left, _, right = np.linalg.svd(pose[:3, :3])
+        pose[:3, :3] = left @ right  # many small turns must not add up to something that is no rotation
+        self.set_pose(pose, "hand", "Nudge the scan", None, gesture)
 
     def _held(self, patch: FrozenPatch | None) -> TruthState:
         return self._state if self._state.patch is not None else replace(self._state, patch=patch)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QAction, QDragEnterEvent, QDropEvent, QKeySequence, QUndoStack
+from PyQt6.QtGui import QAction, QDragEnterEvent, QDropEvent, QKeyEvent, QKeySequence, QUndoStack
 from PyQt6.QtWidgets import (
     QComboBox,
     QFrame,
@@ -45,7 +45,12 @@ if TYPE_CHECKING:
 _SCAN_FILTER = f"Painted scans ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _TRANSFORM_FILTERS = ["Transforms (*.json)"]
 _UNIT, _RECENT, _FOLDER = "scan/unit", "scans", "folder/scan"
-_PANEL_WIDTH = 372
+_PANEL_WIDTH = 380
+_DROPPING = {
+    "set": "Eyedropper: click paint on the scan that was touched; Pick again puts it away.",
+    "expand": "Eyedropper: click touched paint that is missed; + again puts it away.",
+    "shrink": "Eyedropper: click what is no touched paint; − again puts it away.",
+}
 #: An eyedropper takes the vertices nearest to the click, so many.
 _DROP = 25
 
@@ -95,7 +100,9 @@ class TruthTab(AnalysisTab):
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        scroll.setMinimumWidth(_PANEL_WIDTH)
+        bar = scroll.verticalScrollBar()
+        assert bar is not None
+        scroll.setMinimumWidth(max(_PANEL_WIDTH, panels.minimumSizeHint().width() + bar.sizeHint().width()))
         across = QSplitter(Qt.Orientation.Horizontal)
         across.setChildrenCollapsible(False)
         across.addWidget(self.views)
@@ -144,7 +151,7 @@ class TruthTab(AnalysisTab):
         ):
             action = create(self, word)
             assert action is not None
-            action.setShortcut(QKeySequence(keys))
+            action.setShortcuts(keys)
             action.setShortcutContext(Qt.ShortcutContext.WidgetWithChildrenShortcut)
             self.addAction(action)
             made.append(action)
@@ -173,6 +180,8 @@ class TruthTab(AnalysisTab):
         views.followRequested.connect(lambda: session.freeze(None))
         self.paint.edited.connect(session.set_paint)
         self.paint.highlightChanged.connect(views.set_highlight)
+        self.paint.eyedropperChanged.connect(lambda mode: views.set_dropper(mode != "off"))
+        self.paint.eyedropperChanged.connect(self._show_guide)
         self._connect_panels()
 
     def _connect_panels(self) -> None:
@@ -240,6 +249,17 @@ class TruthTab(AnalysisTab):
             self.open_scan(path)
 
     # Doing
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Put the eyedropper away on Esc, or take back the click that waits for its partner."""
+        pending = self.flow.state.pending is not None
+        if event is not None and event.key() == Qt.Key.Key_Escape and (pending or self.paint.eyedropper != "off"):
+            if self.paint.eyedropper != "off":
+                self.paint.put_away()
+            else:
+                self.flow.session.remove(len(self.flow.state.pairs) - 1)
+            return
+        super().keyPressEvent(event)
 
     def _scan_clicked(self, pixel: int, place: tuple[float, float, float]) -> None:
         loaded = self.flow.loaded
@@ -316,7 +336,8 @@ class TruthTab(AnalysisTab):
         self.result.show_command(flow.command(), _note(flow) if flow.state.pose is not None else "")
 
     def _show_guide(self) -> None:
-        self.guide.setText(next_step(self.flow))
+        dropper = self.paint.eyedropper
+        self.guide.setText(_DROPPING[dropper] if dropper in _DROPPING else next_step(self.flow))
 
     def _show_load_progress(self, share: float, words: str) -> None:
         busy = share < 1

@@ -14,6 +14,8 @@ from .truth_flow import TruthFlow
 from .truth_pictures import highlighted, patch_cloud, patch_legend, scan_cloud, scan_legend, spots
 from .truth_work import posed
 
+#: Vertices of a scan lie farther apart than pixels of a depth camera.
+_SCAN_POINT_PX = 3.0
 _NO_SCAN = "No scan yet: open a painted PLY or OBJ, or drop it here"
 _NO_PATCH = "No patch yet: open a source in the main window and show a frame with contact"
 
@@ -43,7 +45,7 @@ class TruthViews(QSplitter):
         self.patch = PickView("Patch", backend)
         self.scan_name = ElidedLabel("no scan")
         self.patch_name = ElidedLabel("no frame")
-        self.present = QPushButton("Take present frame")
+        self.present = QPushButton("Take present")
         self.present.setToolTip("Align to the frame that the main window shows now; pairs and pose stay")
         self.follow = QPushButton("Follow")
         self.follow.setToolTip("Let the patch follow the main window again, until the next edit of the alignment")
@@ -52,6 +54,7 @@ class TruthViews(QSplitter):
         self.patch.pointClicked.connect(self.patchClicked)
         self.present.clicked.connect(self.presentRequested)
         self.follow.clicked.connect(self.followRequested)
+        self.scan.set_point_size(_SCAN_POINT_PX)
         self.scan.set_message(_NO_SCAN)
         self.patch.set_message(_NO_PATCH)
         self.show_patch()
@@ -86,6 +89,10 @@ class TruthViews(QSplitter):
             self.scan.set_cloud(highlighted(cloud, loaded, on))
         self.scan.set_legend(scan_legend(on) if loaded is not None else [])
 
+    def set_dropper(self, in_hand: bool) -> None:
+        """Show over the scan that a click takes a colour."""
+        self.scan.setCursor(Qt.CursorShape.CrossCursor if in_hand else Qt.CursorShape.ArrowCursor)
+
     def set_selected(self, number: int) -> None:
         """Mark a pair, from 0; -1: none."""
         self._selected = number
@@ -114,7 +121,7 @@ class TruthViews(QSplitter):
             self.patch.set_cloud(None)
             self.patch_name.setText("no frame")
             return
-        self.patch_name.setText(f"{patch.title}, {'held fast' if held else 'live'}")
+        self.patch_name.setText(f"{'Held' if held else 'Live'}: {patch.title}")
         over = posed(contact, pose) if pose is not None and contact is not None else None
         theme = palette_theme(self.palette())
         self.patch.set_cloud(patch_cloud(patch, over, theme))

@@ -22,7 +22,7 @@ Float32Array = npt.NDArray[np.float32]
 
 #: How many colours a scan is shown in, and how many of its vertices.
 PALETTE = 127
-_MOST_SHOWN = 500_000
+_MOST_SHOWN = 300_000
 #: Where the light comes from that shows a scan's shape, in the scan's frame, and how dark its other side is.
 _LIGHT = np.array([-0.4, -0.7, -0.6]) / np.linalg.norm([0.4, 0.7, 0.6])
 _DARKEST = 0.5

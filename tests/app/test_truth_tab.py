@@ -1,0 +1,366 @@
+"""From a painted scan to its place on the patch, by real mouse and key events."""
+
+from __future__ import annotations
+
+import json
+import shlex
+import time
+from pathlib import Path
+from threading import Event
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from tactune.app.analysis import truth_flow
+from tactune.app.cli_scan import parse_paint
+from tactune.core.evaluation.scan_pose import load_transform
+from tactune.widgets.pick_view import STEP_M
+
+from .hands import CONTROL, CONTROL_SHIFT, LEFT, drop, type_path
+from .truth_scene import (
+    DISC_M,
+    HALF_M,
+    click_at,
+    click_pair,
+    click_three_pairs,
+    corners,
+    drag,
+    open_plate,
+    open_tab,
+    pixel_of,
+    settle,
+    true_pose,
+    write_plate,
+)
+
+pytest.importorskip("trimesh")
+
+
+@pytest.fixture
+def tab(qtbot, window):
+    return open_tab(qtbot, window)
+
+
+@pytest.fixture
+def plate(tmp_path):
+    return write_plate(tmp_path / "plate.ply")
+
+
+@pytest.fixture
+def ready(qtbot, tab, plate):
+    open_plate(qtbot, tab, plate)
+    return tab
+
+
+def pose_of(tab) -> np.ndarray:
+    return np.array(tab.flow.state.pose)
+
+
+def corner_errors_mm(tab) -> np.ndarray:
+    """How far the corners of the plate lie from their true places."""
+    plate = np.array([(x, y, 0.0, 1.0) for x in (-HALF_M, HALF_M) for y in (-HALF_M, HALF_M)])
+    return 1e3 * np.linalg.norm((plate @ (pose_of(tab) - true_pose()).T)[:, :3], axis=1)
+
+
+# Opening
+
+
+def test_a_scan_is_dropped_and_its_contact_shown(qtbot, tab, plate):
+    assert "Open the object's painted scan" in tab.guide.text()
+    drop(tab, plate)
+    settle(qtbot, tab)
+    assert tab.views.scan.point_count() == 61 * 61
+    expected = np.pi * DISC_M**2 * 1e6
+    assert tab.flow.contact.area_mm2 == pytest.approx(expected, rel=0.03)
+    assert f"{tab.flow.contact.area_mm2:,.0f} mm²" in tab.paint.readout.text()
+    assert "Click a point on the scan" in tab.guide.text()
+
+
+def test_a_scan_is_opened_by_its_path_and_offered_again(qtbot, tab, plate):
+    QTest.mouseClick(tab.open_button, LEFT)
+    type_path(qtbot, plate)
+    settle(qtbot, tab)
+    tab.recent.menu().aboutToShow.emit()
+    assert [action.text() for action in tab.recent.menu().actions()] == [str(plate)]
+
+
+def test_another_unit_reads_the_scan_again(qtbot, tab, tmp_path):
+    tab.open_scan(write_plate(tmp_path / "mm.ply", unit_m=0.001))
+    qtbot.waitUntil(lambda: any("set the unit" in sentence for sentence in tab.messages.sentences()))
+    assert tab.flow.loaded is None
+    QTest.keyClick(tab.unit, Qt.Key.Key_Down)
+    QTest.keyClick(tab.unit, Qt.Key.Key_Down)
+    assert tab.unit.currentText() == "mm"
+    tab.open_scan(tmp_path / "mm.ply")
+    settle(qtbot, tab)
+    assert np.ptp(tab.flow.loaded.scan.vertices_m[:, 0]) == pytest.approx(2 * HALF_M)
+    assert not tab.messages.sentences()
+
+
+def test_what_is_no_scan_is_said_and_the_present_one_stays(qtbot, ready, tmp_path):
+    loaded = ready.flow.loaded
+    broken = tmp_path / "broken.ply"
+    broken.write_text("no scan", encoding="ascii")
+    ready.open_scan(broken)
+    qtbot.waitUntil(lambda: any("broken.ply" in sentence for sentence in ready.messages.sentences()))
+    assert ready.flow.loaded is loaded
+    assert not ready.progress.isVisible()
+
+
+def test_reading_can_be_given_up(qtbot, ready, plate, monkeypatch):
+    began = Event()
+
+    def endless(path, unit_m):
+        def work(progress):
+            while True:
+                progress(0.2, "Reading")
+                began.set()
+                time.sleep(0.002)
+
+        return work
+
+    loaded = ready.flow.loaded
+    monkeypatch.setattr(truth_flow, "loading", endless)
+    ready.open_scan(plate)
+    assert ready.cancel.isVisible() and ready.progress.isVisible()
+    qtbot.waitUntil(began.is_set)
+    QTest.mouseClick(ready.cancel, LEFT)
+    qtbot.waitUntil(lambda: not ready.flow.busy_loading)
+    assert ready.flow.loaded is loaded
+    assert not ready.progress.isVisible() and not ready.messages.sentences()
+
+
+# Paint
+
+
+def test_the_eyedropper_and_the_entries_choose_the_paint(qtbot, ready):
+    before = ready.flow.state.paint
+    QTest.mouseClick(ready.paint.droppers["set"], LEFT)
+    click_at(ready.views.scan, (0.05, 0.05, 0.0))
+    settle(qtbot, ready)
+    assert not ready.flow.state.pairs, "an eyedropper picks a colour and no point"
+    purple = ready.flow.contact.vertices
+    assert 0.5 < purple.mean() < 1, "now the purple counts"
+    QTest.keyClick(ready.views.scan, Qt.Key.Key_Escape)
+    assert ready.paint.eyedropper == "off"
+    assert ready.isVisible(), "Esc put the eyedropper away and did not close the window"
+    QTest.keyClick(ready.views.scan, Qt.Key.Key_Z, CONTROL)
+    settle(qtbot, ready)
+    assert ready.flow.state.paint == before
+    entry = ready.paint.rows["least_area_mm2"].widget.entry
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, "5000")
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    settle(qtbot, ready)
+    assert not ready.flow.contact.vertices.any(), "the disc is smaller than that"
+    assert "eyedropper" in ready.guide.text()
+
+
+def test_the_highlight_can_be_put_off(ready):
+    pictures = []
+    for _ in range(2):
+        pictures.append(ready.views.scan.cloud().lut.copy())
+        QTest.mouseClick(ready.paint.highlight, LEFT, pos=QPoint(8, ready.paint.highlight.height() // 2))
+    assert (pictures[0] != pictures[1]).any()
+
+
+# Pairs
+
+
+def test_three_clicked_pairs_align_the_scan(qtbot, ready):
+    first, second, third = corners(ready)
+    click_pair(ready, first)
+    assert "frame 3 of tiny" in ready.views.patch_name.text()
+    assert ready.views.patch_name.text().startswith("Held")
+    assert "2 more pairs" in ready.guide.text()
+    click_pair(ready, second)
+    assert ready.flow.state.pose is None
+    click_pair(ready, third)
+    assert corner_errors_mm(ready).max() < 4, "vertices lie 2 mm apart"
+    shown = [ready.align.table.item(row, 1).text() for row in range(3)]
+    assert all(0 <= float(text.removesuffix(" mm")) < 2 for text in shown)
+    assert "Fitted" in ready.guide.text()
+    assert [spot.label for spot in ready.views.patch.spots()] == ["1", "2", "3"]
+    qtbot.waitUntil(lambda: ready.flow.scores is not None)
+    assert float(ready.result.values["symmetric_rmse_mm"].text().removesuffix(" mm")) < 2.5
+
+
+def test_pairs_are_undone_moved_deleted_and_taken_back(ready):
+    first, second, third = corners(ready)
+    click_pair(ready, first)
+    click_at(ready.views.scan, (0.02, 0.02, 0.0))
+    click_at(ready.views.scan, (-0.02, 0.02, 0.0))
+    assert len(ready.flow.state.pairs) == 2, "a click on the same side moves the one that waits"
+    assert "now click the same point on the patch" in ready.guide.text()
+    QTest.keyClick(ready.views.scan, Qt.Key.Key_Escape)
+    assert len(ready.flow.state.pairs) == 1
+    click_pair(ready, second)
+    click_pair(ready, third)
+    pose = pose_of(ready)
+    ready.align.table.setFocus()
+    ready.align.table.selectRow(1)
+    assert ready.views.scan.spots()[1].selected
+    QTest.keyClick(ready.align.table, Qt.Key.Key_Delete)
+    assert len(ready.flow.state.pairs) == 2
+    np.testing.assert_array_equal(pose_of(ready), pose)
+    QTest.keyClick(ready.align.table, Qt.Key.Key_Z, CONTROL)
+    assert len(ready.flow.state.pairs) == 3
+    while ready.flow.session.undo_stack.canUndo():
+        QTest.keyClick(ready.views.patch, Qt.Key.Key_Z, CONTROL)
+    assert ready.flow.state.empty
+    assert ready.views.patch_name.text().startswith("Live")
+    QTest.keyClick(ready.views.patch, Qt.Key.Key_Z, CONTROL_SHIFT)
+    assert len(ready.flow.state.pairs) == 1
+
+
+def test_pairs_on_a_line_are_told_and_give_no_pose(ready):
+    points = ready.flow.patch.points
+    row = points[np.abs(points[:, 1] - points[len(points) // 2, 1]) < 1e-4]
+    for point in row[:: len(row) // 2][:3]:
+        click_pair(ready, point)
+    assert ready.flow.state.pose is None
+    assert any("on one line" in sentence for sentence in ready.messages.sentences())
+
+
+def test_the_patch_follows_until_alignment_begins(qtbot, ready, window):
+    window.worker.seek(5)
+    qtbot.waitUntil(lambda: "frame 5" in ready.views.patch_name.text())
+    click_pair(ready, corners(ready)[0])
+    window.worker.seek(6)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 6)
+    assert "frame 5" in ready.views.patch_name.text()
+    QTest.mouseClick(ready.views.present, LEFT)
+    assert ready.flow.state.patch.frame == 6
+    assert len(ready.flow.state.pairs) == 1
+
+
+# Nudging
+
+
+def test_handles_keys_and_numbers_move_the_scan_and_are_undone(ready):
+    QTest.mouseClick(ready.align.lay, LEFT)
+    laid = pose_of(ready)
+    np.testing.assert_allclose(ready.flow.pivot(), ready.flow.patch.points.mean(axis=0), atol=1e-6)
+    view = ready.views.patch
+    start = pixel_of(view, DISC_CENTRE_BESIDE)
+    drag(view, start, start + QPoint(40, 0), CONTROL)
+    moved = pose_of(ready)
+    right = view.camera().axes()[0]
+    assert (moved - laid)[:3, 3] @ right > 0.005
+    view.setFocus()
+    QTest.keyClick(view, Qt.Key.Key_Right, CONTROL)
+    np.testing.assert_allclose((pose_of(ready) - moved)[:3, 3], STEP_M * right, atol=1e-9)
+    QTest.keyClick(view, Qt.Key.Key_Z, CONTROL)
+    np.testing.assert_allclose(pose_of(ready), moved, atol=1e-12)
+    QTest.keyClick(view, Qt.Key.Key_Z, CONTROL)
+    np.testing.assert_allclose(pose_of(ready), laid, atol=1e-12)
+    yaw = ready.align.turns[2]
+    yaw.setFocus()
+    yaw.selectAll()
+    QTest.keyClicks(yaw, "22.9")
+    QTest.keyClick(yaw, Qt.Key.Key_Return)
+    np.testing.assert_allclose(pose_of(ready)[:3, :3], true_pose()[:3, :3], atol=2e-3)
+    np.testing.assert_allclose(ready.flow.pivot(), ready.flow.patch.points.mean(axis=0), atol=1e-6)
+    QTest.keyClick(yaw, Qt.Key.Key_Up)
+    assert yaw.value() == pytest.approx(23.0)
+
+
+DISC_CENTRE_BESIDE = (-0.04, 0.03, 0.2522)
+
+
+# ICP, files and the command line
+
+
+def test_icp_brings_the_scan_nearer_and_can_be_undone(qtbot, ready):
+    click_three_pairs(ready)
+    x = ready.align.places[0]
+    x.setFocus()
+    QTest.keyClick(x, Qt.Key.Key_PageUp)
+    QTest.keyClick(x, Qt.Key.Key_PageUp)
+    QTest.keyClick(x, Qt.Key.Key_PageUp)
+    start = pose_of(ready)
+    QTest.mouseClick(ready.align.refine, LEFT)
+    assert ready.align.cancel.isVisible()
+    qtbot.waitUntil(lambda: ready.flow.refinement is not None)
+    refinement = ready.flow.refinement
+    assert refinement.found.rmse_m < refinement.before_m
+    assert f"{1e3 * refinement.before_m:.2f} mm before" in ready.align.outcome.text()
+    assert "Refined" in ready.guide.text()
+    QTest.keyClick(ready.views.patch, Qt.Key.Key_Z, CONTROL)
+    np.testing.assert_array_equal(pose_of(ready), start)
+    assert not ready.align.outcome.text()
+
+
+def test_icp_can_be_given_up(qtbot, ready, monkeypatch):
+    began = Event()
+
+    def endless(*_):
+        def work(progress):
+            while True:
+                progress(0.2, "Refining")
+                began.set()
+                time.sleep(0.002)
+
+        return work
+
+    click_three_pairs(ready)
+    pose = pose_of(ready)
+    monkeypatch.setattr(truth_flow, "refining", endless)
+    QTest.mouseClick(ready.align.refine, LEFT)
+    qtbot.waitUntil(began.is_set)
+    QTest.mouseClick(ready.align.cancel, LEFT)
+    qtbot.waitUntil(lambda: not ready.flow.busy_refining)
+    np.testing.assert_array_equal(pose_of(ready), pose)
+    assert ready.align.refine.isEnabled() and not ready.align.cancel.isVisible()
+
+
+def test_icp_out_of_reach_is_told(qtbot, ready):
+    click_three_pairs(ready)
+    z = ready.align.places[2]
+    z.setFocus()
+    z.selectAll()
+    QTest.keyClicks(z, "400")
+    QTest.keyClick(z, Qt.Key.Key_Return)
+    QTest.mouseClick(ready.align.refine, LEFT)
+    qtbot.waitUntil(lambda: any("nowhere within 10 mm" in sentence for sentence in ready.messages.sentences()))
+    assert ready.align.refine.isEnabled()
+
+
+def test_the_command_line_repeats_what_is_shown(qtbot, ready, plate):
+    click_three_pairs(ready)
+    qtbot.waitUntil(lambda: ready.flow.scores is not None)
+    low = ready.paint.rows["hue"].widget.entries[0]
+    low.setFocus()
+    low.selectAll()
+    QTest.keyClicks(low, "140")
+    QTest.keyClick(low, Qt.Key.Key_Return)
+    settle(qtbot, ready)
+    QTest.mouseClick(ready.result.copy, LEFT)
+    words = shlex.split(QApplication.clipboard().text())
+    assert words[:3] == ["tactune", "evaluate", "recording"]
+    options = dict(zip(words[3::2], words[4::2], strict=True))
+    assert (options["--source"], options["--frame"], options["--scan"]) == ("tiny", "3", str(plate))
+    assert parse_paint([options["--paint"]]) == ready.flow.state.paint
+    qtbot.waitUntil(Path(options["--transform"]).exists)
+    np.testing.assert_array_equal(load_transform(options["--transform"]), pose_of(ready))
+    assert "preset" in ready.result.note.text(), "this preset was never saved"
+
+
+def test_a_transform_is_saved_and_loaded_again(qtbot, ready, tmp_path):
+    click_three_pairs(ready)
+    pose = pose_of(ready)
+    QTest.mouseClick(ready.result.save, LEFT)
+    type_path(qtbot, tmp_path / "plate.json")
+    qtbot.waitUntil((tmp_path / "plate.json").exists)
+    assert set(json.loads((tmp_path / "plate.json").read_text())) == {"T_proximity_scan"}
+    assert str(tmp_path / "plate.json") in ready.result.command.text()
+    QTest.mouseClick(ready.align.lay, LEFT)
+    assert (pose_of(ready) != pose).any()
+    QTest.mouseClick(ready.result.load, LEFT)
+    type_path(qtbot, tmp_path / "plate.json")
+    qtbot.waitUntil(lambda: ready.flow.state.origin == "file")
+    np.testing.assert_array_equal(pose_of(ready), pose)
