@@ -17,6 +17,7 @@ membrane. A frame is::
 
 from __future__ import annotations
 
+import io
 import itertools
 import math
 import os
@@ -351,9 +352,9 @@ def _write_truth(folder: Path, truth: GroundTruth, unit_m: float) -> None:
     counts = _counts(truth.depth_m, unit_m)
     _write_image(folder / "truth_depth.png", counts)
     if not np.array_equal(_metres(counts, unit_m), truth.depth_m, equal_nan=True):
-        path = folder / "truth_depth.npy"
-        np.save(path, truth.depth_m)
-        _flush(path)
+        array = io.BytesIO()
+        np.save(array, truth.depth_m)  # np.save to a full disk does not say so
+        _write_file(folder / "truth_depth.npy", array.getvalue())
 
 
 def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
@@ -364,11 +365,7 @@ def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
 
 
 def _write_file(path: Path, data: bytes | str) -> None:
+    """Write a file and have the disk hold it before the folder gets its final name."""
     path.write_bytes(data.encode() if isinstance(data, str) else data)
-    _flush(path)
-
-
-def _flush(path: Path) -> None:
-    """Have the disk hold the file before the folder gets its final name."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())

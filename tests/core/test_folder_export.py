@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from tactune.core.errors import ExportError, FrameError, SourceError
 from tactune.core.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.sources.folder import FolderSource, export_folder
 
-from .folder_scenes import RIG, ListSource, LiveSource, make_frame
+from .folder_scenes import RIG, ListSource, LiveSource, lens, make_frame
 
 
 def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: Path) -> None:
@@ -52,6 +53,23 @@ def test_a_broken_export_leaves_nothing(tmp_path: Path, error: BaseException) ->
     expected = ExportError if isinstance(error, OSError) else type(error)
     with pytest.raises(expected):
         export_folder(Breaking([make_frame(0), make_frame(1)]), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_whatever_file_it_stops(tmp_path: Path) -> None:
+    """The disk takes all files but the truth in float32, the largest one."""
+    rig = Rig(proximity=RIG.proximity.model_copy(update={"intrinsics": lens(200, 150)}), tactile=RIG.tactile)
+    shape = rig.proximity.intrinsics.shape
+    depth_m = np.random.default_rng(0).uniform(0.1, 0.4, shape).astype(np.float32)
+    plain = {"proximity_depth": np.full(shape, 1000, np.uint16), "proximity_color": np.full((*shape, 3), 90, np.uint8)}
+    frame = make_frame(0, rig, truth=GroundTruth(np.ones(shape, bool), depth_m), **plain)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (depth_m.nbytes // 2, hard))
+    try:
+        with pytest.raises(ExportError, match=r"cannot write .*out: File too large; choose another place"):
+            export_folder(ListSource([frame], rig), tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert list(tmp_path.iterdir()) == []
 
 
