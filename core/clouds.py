@@ -13,7 +13,6 @@ from .errors import SourceError
 from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
 from .intrinsics import Intrinsics
 from .preset import Preset
-from .simd import LANES
 
 Float32Array = npt.NDArray[np.float32]
 
@@ -70,8 +69,12 @@ def planes_of(table: Float32Array) -> Float32Array:
     return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
 
 
-def flat(image: npt.NDArray[Any], least: int = LANES) -> npt.NDArray[Any]:
-    """Return an image's elements in a row, filled up with zeros to what kernels load at least."""
+def flat(image: npt.NDArray[Any], least: int | None = None) -> npt.NDArray[Any]:
+    """Return an image's elements in a row, filled up with zeros to ``least``, or else to a vector of the kernels."""
+    if least is None:
+        from .simd import LANES  # not above: whoever only reads depth needs no compiler
+
+        least = LANES
     pixels = np.ascontiguousarray(image).reshape(-1)
     return pixels if len(pixels) >= least else np.pad(pixels, (0, least - len(pixels)))
 

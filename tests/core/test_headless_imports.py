@@ -27,6 +27,16 @@ def test_importing_all_of_the_core_imports_nothing_of_the_window() -> None:
     assert upwards == "[]"
 
 
+def test_reading_and_recording_frames_load_no_compiler() -> None:
+    program = """
+import sys
+import tactune.core.recording.convert, tactune.core.sources.folder, tactune.core.sources.mcap
+print("numba" in sys.modules)
+"""
+    done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)
+    assert done.stdout == "False\n", done.stderr
+
+
 def test_the_commands_that_need_no_window_import_none() -> None:
     program = """
 import sys
