@@ -16,11 +16,11 @@ import statistics
 from tactune.core import ContactPipeline, load_preset
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.mesh import MembraneDesign
-from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.scenes import Press, Variant, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
 OBJECTS = ("cube", "cup", "octopus")
+PRESSES: tuple[Press, ...] = ("low", "medium", "high")
 BANDS_MM = ((0, 5), (5, 15), (15, 30), (30, 60))
 
 
@@ -55,7 +55,7 @@ def measure(scene: str, seed: int, noise: float) -> None:
 
 
 STILL = [f"sim:{scene}?press={press}" for scene in OBJECTS for press in ("low", "medium", "high", "high&side=left")]
-STILL += [f"sim:{scene}?press={press}" for scene in ("two", "mug", "hand") for press in ("low", "medium", "high")]
+STILL += [f"sim:{scene}?press={press}" for scene in ("two", "mug", "hand") for press in PRESSES]
 STILL += [f"sim:{scene}?object={shape}" for scene in ("stiff", "wrinkled") for shape in OBJECTS]
 
 
@@ -82,19 +82,20 @@ def measure_scenes(seed: int, noise: float) -> None:
 
 
 def measure_mesh() -> None:
-    """Print the area of the true patch of the medium presses on the default mesh and on one with cells half as long."""
-    cells = MembraneDesign().cells
+    """Print the area of the true patch of the still presses, and with the membrane's cells half as long."""
     for scene in OBJECTS:
-        areas = []
-        for times in (1, 2):
-            with SimulatorSource(
-                scene, noise=0.0, cells=(times * cells[0], times * cells[1]), variant=Variant(press="medium")
-            ) as source:
-                areas.append(1e4 * true_area_m2(source))
-        print(
-            f"{scene}, medium press: {areas[0]:.2f} cm2, cells halved {areas[1]:.2f} cm2, "
-            f"{100 * (areas[0] / areas[1] - 1):+.1f} %"
-        )
+        for press in PRESSES:
+            variant = Variant(press=press)
+            cells = resolve_scene(scene, variant).design.cells
+            areas_cm2 = []
+            for times in (1, 2):
+                halved = (times * cells[0], times * cells[1])
+                with SimulatorSource(scene, noise=0.0, cells=halved, variant=variant) as source:
+                    areas_cm2.append(1e4 * true_area_m2(source))
+            print(
+                f"{scene}, {press} press: {areas_cm2[0]:.2f} cm2, cells halved {areas_cm2[1]:.2f} cm2, "
+                f"{100 * (areas_cm2[0] / areas_cm2[1] - 1):+.1f} %"
+            )
 
 
 def true_area_m2(source: SimulatorSource) -> float:

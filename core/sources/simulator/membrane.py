@@ -352,6 +352,13 @@ class Membrane:
                 amounts.append(amounts[-1] - errors[-1] / slope)
         return state
 
+    def gradient(self, nodes: Float64Array) -> Float64Array:
+        """Return the gradient of the total energy at any nodes: float64, shape (N, 3), newtons."""
+        mesh, gradient = self.mesh, np.empty_like(nodes)
+        body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, self.design.stiffening, self._air)
+        _gradient(nodes, *body, np.empty_like(nodes), gradient)
+        return gradient
+
     def surface(self, nodes: Float64Array) -> Float64Array:
         """Return the places of the surface that is seen and touched, folds included: float64, shape (N, 3)."""
         surface = nodes.copy()

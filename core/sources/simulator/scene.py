@@ -6,12 +6,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...intrinsics import Intrinsics
+from .contact_edge import contact_share
 from .grid_strain import grid_strain
 from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, object_pose
 from .mesh import MembraneDesign
@@ -237,7 +237,7 @@ class Press:
         """Draw one state in all cameras."""
         mesh, kind = self.membrane.mesh, self.pressed.kind
         surface = self.membrane.surface(state.nodes)
-        touching = contact_share(self.membrane, state)
+        touching = contact_share(self.membrane, state, kind, pose)
         normals = node_normals(surface, mesh.triangles)
         values = np.column_stack([mesh.flat[:, :2], touching, normals])
         near, tactile, colour = self._cameras
@@ -294,21 +294,3 @@ def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Floa
         if state.residual < membrane.tolerance:
             break
     return state
-
-
-def contact_share(membrane: Membrane, state: MembraneState) -> Float64Array:
-    """Return how much of each node's share of the sheet is in contact, 0 to 1, shape (N,).
-
-    A node at the edge of contact carries the reaction of that part of its share that touches. Held
-    against that of its neighbours well inside, it puts the edge, where this falls through one half,
-    between the nodes; where nodes simply count as touching or not, the patch is a third of a cell too wide.
-    """
-    columns, rows = membrane.design.cells[0] + 1, membrane.design.cells[1] + 1
-    reaction = state.reaction_n.reshape(rows, columns)
-    touching = (reaction > 0.0).astype(np.uint8)
-    inside = cv2.erode(touching, np.ones((3, 3), np.uint8))
-    count = cv2.boxFilter(inside.astype(np.float64), -1, (3, 3), normalize=False)
-    whole = cv2.boxFilter(reaction * inside, -1, (3, 3), normalize=False) / np.maximum(count, 1.0)
-    edge = (inside == 0) & (count > 0.5)
-    share = np.where(edge, np.minimum(reaction / np.where(whole > 0.0, whole, 1.0), 1.0), touching)
-    return np.asarray(share, dtype=np.float64).ravel()

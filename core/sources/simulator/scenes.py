@@ -57,8 +57,9 @@ _HIGH: Final = {
 _AWAY_M: Final = 0.060
 _SLIDE_M: Final = 0.045
 _SLIDE_STEP_M: Final = 0.003
-#: Cells of a mesh that resolves the folds, and their height.
-_FOLD_CELLS: Final = (236, 136)
+#: Cells of the mesh of a still press, which is ground truth, and of one that resolves the folds.
+_FINE_CELLS: Final = (236, 136)
+#: Height of the folds, metres.
 _FOLD_M: Final = 0.0012
 
 
@@ -154,11 +155,11 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     special = name in SPECIAL_SCENES
     shape = variant.object if special else name
     design = MembraneDesign(stiff_regions=name == "stiff", fold_m=_FOLD_M if name == "wrinkled" else 0.0)
-    if name == "wrinkled":
-        design = replace(design, cells=_FOLD_CELLS)
+    press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
+    if press not in ("", "none") or name == "wrinkled":
+        design = replace(design, cells=_FINE_CELLS)
     if cells:
         design = replace(design, cells=cells)
-    press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
     pressed = OBJECTS[shape]
     if press == "none":
         way, drawn, frames = _still(-_AWAY_M)
