@@ -139,7 +139,7 @@ def _meshes(path: Path) -> list[Any]:
         ) from error
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
     scene = trimesh.load_scene(path, process=False)
-    meshes = [mesh for mesh in scene.dump() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise SourceError(f"{path} has no triangles; export the scan as a mesh, not as points")
     if sum(len(mesh.faces) for mesh in meshes) > _MOST_TRIANGLES:
@@ -172,10 +172,10 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: npt.NDArray[np.int64
     remesh: Any = trimesh.remesh
     material = mesh.visual.material
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
-    if image is None or mesh.visual.uv is None:
+    if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's stand-in comes from no file
         raise SourceError(
-            f"{path} has no vertex colours, and its texture is missing or cannot be read; "
-            "put the image (and an .obj's .mtl) into the same folder"
+            f"{path} has a texture that is missing or cannot be read; "
+            "put its image (and an .obj's .mtl) into the same folder"
         )
     edge = max(
         _TEXTURE_EDGE_M, math.sqrt(triangle_areas(vertices, triangles).sum() / (_CUT_SHAPE * _TEXTURE_TRIANGLES))
