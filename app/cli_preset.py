@@ -38,7 +38,8 @@ def new(
             "--set",
             metavar="FIELD=VALUE",
             help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
-            "Setting a field of mask, outliers, range or region turns that section on.",
+            "Setting a field of mask, outliers, range or region turns that section on, one of calibrated chooses "
+            "that contact test.",
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(help="Default: the file's name.")] = None,
@@ -123,11 +124,14 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
-    """Add ``section.enabled`` for every section that a value is set in, unless it is set as well."""
+    """Add ``section.enabled`` for every section that a value is set in, or its contact test, unless set as well."""
     from ..core.preset_file import preset_paths
 
-    switches = [f"{path.partition('.')[0]}.enabled" for path in values]
-    return {switch: True for switch in switches if switch in preset_paths()} | values
+    sections = {path.partition(".")[0] for path in values}
+    switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
+    if "calibrated" in sections:
+        switches["contact_test"] = "calibrated"
+    return switches | values
 
 
 def find_rig(name: str) -> Rig:

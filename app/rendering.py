@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, lru_cache
 
 import cv2
@@ -55,6 +55,11 @@ class Scene:
     theme: Theme
     depth_range_m: tuple[float, float]
 
+    @property
+    def accepted(self) -> float:
+        """See `accepted_difference`."""
+        return accepted_difference(self.preset, self.depth_range_m)
+
 
 class Renderer:
     """Draws frame after frame; keeps the depth colours steady within one source."""
@@ -77,14 +82,20 @@ class Renderer:
                 _ = cloud.point_count  # counted here, so that the window need not
         strip = None
         if wanted.strip:
-            strip = draw_strip(frame, patch, preset, rig, depth_range_m, width_hint=wanted.strip_width)
+            strip = draw_strip(
+                frame, patch, preset, rig, depth_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
+            )
+        by_tolerance = preset.contact_test == "tolerance"
         return Rendered(
             clouds=clouds,
             strip=strip,
-            histogram=difference_histogram(patch, preset.tolerance.t) if wanted.histogram and patch else None,
+            histogram=difference_histogram(patch, preset.tolerance.t)
+            if wanted.histogram and patch and by_tolerance
+            else None,
             median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
+            accepted=scene.accepted,
         )
 
     def _steady_depth_range(self, rig: Rig, sample_m: npt.NDArray[np.float32]) -> tuple[float, float]:
@@ -100,6 +111,17 @@ class Renderer:
             near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
         self._depth_range_m = near, far
         return near, far
+
+
+def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
+    """Return the relative difference up to which the contact test takes both depths for equal.
+
+    The calibrated test has a gap in metres instead, here as a share of the scene's middle depth.
+    """
+    if preset.contact_test == "tolerance":
+        return preset.tolerance.t
+    middle_m = sum(depth_range_m) / 2
+    return float(f"{preset.calibrated.gap_m / middle_m:.2g}") if middle_m > 0 else 0.0
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> npt.NDArray[np.float32]:
@@ -120,7 +142,7 @@ def proximity_view(scene: Scene) -> DepthCloud:
     """Return the proximity cloud, coloured by depth, relative difference or provenance."""
     patch, index, lut = scene.patch, None, depth_lut()
     if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
-        index, lut = difference_index(patch.relative_difference), difference_lut(scene.preset.tolerance.t)
+        index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
     elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
         index, lut = patch.provenance, provenance_lut(scene.theme)
     return _proximity_cloud(scene, index, lut)
@@ -155,12 +177,12 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     elif scene.color_by is ColorBy.PROVENANCE:
         index, lut = patch.provenance, provenance_lut(scene.theme)
     elif scene.color_by is ColorBy.DIFFERENCE:
-        limit = patch_difference_limit(scene.preset.tolerance.t)
+        limit = patch_difference_limit(scene.accepted)
         index = _over_relief(scene, difference_index(patch.relative_difference, limit), patch.mask)
         lut = patch_difference_lut(limit, scene.theme)
     else:
         index, lut = _over_relief(scene, _depth_rows(scene), patch.mask), patch_depth_lut(scene.theme)
-    return _proximity_cloud(scene, index, lut, count=len(patch.points))
+    return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
 
 
 _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {
@@ -185,6 +207,15 @@ def _proximity_cloud(
         count=count,
         framed=False,
     )
+
+
+def _depth_with_patch(scene: Scene, patch: ContactPatch) -> npt.NDArray[np.uint16]:
+    """Return the proximity counts, those of a patch at its own points, which the calibrated test takes from both."""
+    counts = scene.frame.proximity_depth
+    if scene.preset.contact_test == "calibrated":
+        counts = counts.copy()
+        counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
+    return counts
 
 
 def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:

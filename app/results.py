@@ -77,7 +77,8 @@ class Histogram:
 class Rendered:
     """The pictures of one frame; what nobody wanted is missing.
 
-    ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them.
+    ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them; ``accepted`` is the
+    relative difference up to which the contact test takes depths for equal.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -86,6 +87,7 @@ class Rendered:
     median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)
     verdicts: frozenset[Provenance] = frozenset()
+    accepted: float = 0.0
 
 
 @dataclass(frozen=True)

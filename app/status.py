@@ -32,7 +32,8 @@ class FrameStatus(QStatusBar):
             "Unmatched: images without a partner from the other camera in time",
         )
         self._stages = self._number(
-            "fusion 00.0  outliers 00.0  clusters 00.0 ms", "Milliseconds per stage; 0 is cached or skipped"
+            "fusion 00.0  gaps 0.0  edge 0.0  clusters 0.0  points 0.0 ms",
+            "Milliseconds per stage; 0 is cached or skipped",
         )
         self._skew = self._number("skew 00.0 ms", "Skew: tactile minus proximity time stamp, in milliseconds")
         self._points = self._number("000000 points", "Points of the patch")

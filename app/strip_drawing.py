@@ -24,11 +24,13 @@ def draw_strip(
     rig: Rig,
     depth_range_m: tuple[float, float],
     *,
+    accepted: float,
     width_hint: int,
 ) -> RenderedStrip:
     """Return the four panes, with both sides of the tolerance test as depths, so that they compare.
 
-    ``width_hint`` is how many screen pixels an image takes across; 0 draws all pixels.
+    ``accepted`` is the relative difference that counts as none, ``width_hint`` is how many screen pixels an
+    image takes across; 0 draws all pixels.
     """
     typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
@@ -45,7 +47,7 @@ def draw_strip(
         proximity_m=np.where(valid, depth_m, nothing) if patch is None else patch.aligned.expected_m[every],
         tactile_m=nothing if patch is None else patch.aligned.measured_m[every],
         relative=nothing if patch is None else patch.relative_difference[every],
-        tolerance=preset.tolerance.t,
+        tolerance=accepted,
         contact=None if patch is None else patch.mask[every],
         depth_range_m=depth_range_m,
     )

@@ -4,25 +4,24 @@
 
 Without a name: table and ablation. Settings were chosen on cube, cup and octopus with the seeds 0 to 2; ``heldout``
 takes the shapes mug and hand, and the other scenes with seeds from 100 on. Each number is the mean over the
-seeds of one frame each: average symmetric RMSE in millimetres, IoU, median milliseconds. Every method but the
-two ``simulator`` ones gets the preset ``default`` (t = 0.03) with the simulator's mask; these get the preset made
-for the simulator (t = 0.008). The straight method is fusion-homography.
+seeds of one frame each: average symmetric RMSE in millimetres, IoU; times are medians of runs in turns. Every
+method but the two ``simulator`` ones gets the preset ``default`` (t = 0.03) with the simulator's mask; these get
+the preset made for the simulator (t = 0.008). The straight method is fusion-homography.
 """
 
 from __future__ import annotations
 
 import statistics
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 
 import numpy as np
 
-from tactune.core.baselines.calibrated import CalibratedFusion, CalibratedSettings
-from tactune.core.baselines.method import ContactMethod
+from tactune.core.baselines.method import ContactMethod, MethodPatch
 from tactune.core.baselines.registry import make_method, method_names
+from tactune.core.bench.measure import time_in_turns
 from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
 from tactune.core.frames import Rig, SensorFrame
 from tactune.core.preset_file import load_preset
@@ -36,19 +35,23 @@ DEVELOPED = tuple((name, press) for press in PRESSES for name in ("cube", "cup",
 SPECIAL = (("stiff", ""), ("wrinkled", ""))
 NEW_SHAPES = tuple((name, press) for press in PRESSES for name in ("mug", "hand"))
 HELD_OUT_SEEDS = (100, 101, 102)
+OURS = "fusion-calibrated"
+#: How often each method's time is taken on each cell.
+ROUNDS = 9
 
-PARTS = {
-    "all parts": CalibratedSettings(),
-    "no local mean": CalibratedSettings(window_px=0.0),
-    "no bias correction": CalibratedSettings(bias_m=0.0),
-    "no slope": CalibratedSettings(slope=False),
-    "no retreat": CalibratedSettings(retreat=0.0),
-    "no retreat, gap 1 mm": CalibratedSettings(retreat=0.0, gap_m=0.001),
-    "no protected core": CalibratedSettings(core=1.0),
-    "no cluster rule": CalibratedSettings(least_area_mm2=0.0),
-    "no smooth points": CalibratedSettings(smooth_px=0.0),
-    "points of proximity": CalibratedSettings(tactile_weight=0.0),
-    "points of tactile": CalibratedSettings(tactile_weight=1.0),
+#: What is changed in the preset to leave out one part of the calibrated test, or to replace it.
+PARTS: dict[str, dict[str, float | bool]] = {
+    "all parts": {},
+    "no local mean": {"calibrated.window_px": 0.0},
+    "no bias correction": {"calibrated.bias_m": 0.0},
+    "no slope": {"calibrated.slope": False},
+    "no retreat": {"calibrated.retreat": 0.0},
+    "no retreat, gap 1 mm": {"calibrated.retreat": 0.0, "calibrated.gap_m": 0.001},
+    "no protected core": {"calibrated.core": 1.0},
+    "no cluster rule": {"calibrated.least_area_mm2": 0.0},
+    "no smooth points": {"calibrated.smooth_px": 0.0},
+    "points of proximity": {"calibrated.tactile_weight": 0.0},
+    "points of tactile": {"calibrated.tactile_weight": 1.0},
 }
 
 Cell = tuple[str, str]
@@ -77,44 +80,58 @@ def untouched() -> SensorFrame:
     return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0)).read(0)
 
 
-def measure(build: Build, cell: Cell, seeds: Sequence[int]) -> Result:
-    """Run a method on one frame of each seed, without the truth, and compare."""
-    method = build(source(cell, seeds[0]).rig, untouched())
-    rmse, iou, ms = [], [], []
+def measure(builds: dict[str, Build], cell: Cell, seeds: Sequence[int]) -> dict[str, Result]:
+    """Run methods on one frame of each seed, without the truth, and compare; times are taken in turns."""
+    rig = source(cell, seeds[0]).rig
+    methods = {label: build(rig, untouched()) for label, build in builds.items()}
+    rmse: dict[str, list[float]] = {label: [] for label in builds}
+    iou: dict[str, list[float]] = {label: [] for label in builds}
     for seed in seeds:
-        frame = source(cell, seed).read(5 + 7 * (seed % 3))
-        start = time.perf_counter()
-        patch = method.find(replace(frame, truth=None))
-        _ = patch.points
-        ms.append(1e3 * (time.perf_counter() - start))
-        rmse.append(1e3 * symmetric_rmse_m(patch.points, truth_cloud(frame.truth, source(cell, seed).rig).points))
-        iou.append(pixel_scores(patch.mask, frame.truth.contact).iou)
-    return Result(float(np.mean(rmse)), float(np.mean(iou)), statistics.median(ms))
+        frame = frame_of(cell, seed)
+        truth = truth_cloud(frame.truth, rig).points
+        for label, method in methods.items():
+            patch = method.find(replace(frame, truth=None))
+            rmse[label].append(1e3 * symmetric_rmse_m(patch.points, truth))
+            iou[label].append(pixel_scores(patch.mask, frame.truth.contact).iou)
+    timed = frame_of(cell, seeds[0])
+    runs = {label: partial(_run, method, timed) for label, method in methods.items()}
+    ms = {label: timing.median_ms for label, timing in time_in_turns(runs, ROUNDS).items()}
+    return {label: Result(float(np.mean(rmse[label])), float(np.mean(iou[label])), ms[label]) for label in builds}
+
+
+def frame_of(cell: Cell, seed: int) -> SensorFrame:
+    """Return the frame of a seed that is measured."""
+    return source(cell, seed).read(5 + 7 * (seed % 3))
+
+
+def _run(method: ContactMethod, frame: SensorFrame) -> MethodPatch:
+    """Find the patch of a frame as if it were new."""
+    return method.find(replace(frame, truth=None))
 
 
 def show(builds: dict[str, Build], cells: Sequence[Cell], seeds: Sequence[int]) -> None:
     """Print a line per method: RMSE per cell, then mean RMSE, mean IoU, median time; and which is the best."""
-    print(f"\nRMSE in mm, seeds {', '.join(map(str, seeds))}")
+    print(f"\nRMSE in mm, seeds {', '.join(map(str, seeds))}; ms: median over the cells, measured in turns")
     print(f"{'':26s}" + "".join(f"{name[:7]:>9s}" for name, _ in cells) + "     mean     IoU      ms")
     print(f"{'':26s}" + "".join(f"{press:>9s}" for _, press in cells))
-    rows: dict[str, list[Result]] = {}
-    for label, build in builds.items():
-        rows[label] = [measure(build, cell, seeds) for cell in cells]
-        found = [result.rmse_mm for result in rows[label]]
+    by_cell = [measure(builds, cell, seeds) for cell in cells]
+    rows = {label: [results[label] for results in by_cell] for label in builds}
+    for label, row in rows.items():
+        found = [result.rmse_mm for result in row]
         print(
             f"{label:26s}" + "".join(f"{value:9.2f}" for value in found) + f"{np.mean(found):9.2f}"
-            f"{np.mean([result.iou for result in rows[label]]):8.2f}"
-            f"{statistics.median(result.ms for result in rows[label]):8.1f}",
+            f"{np.mean([result.iou for result in row]):8.2f}"
+            f"{statistics.median(result.ms for result in row):8.2f}",
             flush=True,
         )
     if "fusion-homography" in rows:
-        ours, straight = rows["fusion-calibrated"], rows["fusion-homography"]
+        ours, straight = rows[OURS], rows["fusion-homography"]
         print(f"{'of the straight method':26s}" + "".join(
             f"{a.rmse_mm / b.rmse_mm:9.2f}" for a, b in zip(ours, straight, strict=True)))  # fmt: skip
         best = [
             min(rows, key=lambda label: np.nan_to_num(rows[label][i].rmse_mm, nan=np.inf)) for i in range(len(cells))
         ]
-        print(f"lowest: fusion-calibrated in {best.count('fusion-calibrated')} of {len(cells)} cells")
+        print(f"lowest: {OURS} in {best.count(OURS)} of {len(cells)} cells")
 
 
 def methods() -> dict[str, Build]:
@@ -130,8 +147,8 @@ def methods() -> dict[str, Build]:
 def parts() -> dict[str, Build]:
     """Return fusion-calibrated with one part after another left out."""
     return {
-        label: (lambda rig, reference, settings=settings: CalibratedFusion(STRAIGHT, rig, settings))
-        for label, settings in PARTS.items()
+        label: (lambda rig, reference, values=values: make_method(OURS, STRAIGHT.with_values(values), rig))
+        for label, values in PARTS.items()
     }
 
 
@@ -142,7 +159,7 @@ def hover() -> None:
         found = []
         for gap_mm in (1.0, 2.0, 3.0, 4.0, 5.0, 10.0):
             still = SimulatorSource("hover", seed=100, variant=Variant(object=shape, gap_mm=gap_mm))
-            method = CalibratedFusion(STRAIGHT, still.rig)
+            method = make_method(OURS, STRAIGHT, still.rig)
             most = max(len(method.find(still.read(index)).points) for index in (0, 7, 14))
             found.append(f"{gap_mm:g} mm: {most}")
         print(f"{shape:8s} " + "   ".join(found), flush=True)

@@ -45,6 +45,7 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.MASKED: (190, 95, 165),
     Provenance.OUTLIER: (205, 160, 0),
     Provenance.SMALL_CLUSTER: (0, 150, 115),
+    Provenance.RIM: (150, 80, 50),
     Provenance.CONTACT: CONTACT_RGB,
 }
 _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
@@ -65,6 +66,7 @@ _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
 _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.CONTACT: "contact",
+    Provenance.RIM: "rim",
     Provenance.OUTSIDE_TOLERANCE: "not touching",
     Provenance.MASKED: "masked",
     Provenance.OUTLIER: "outlier",

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from pydantic import BaseModel
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QPalette, QShortcut
 from PyQt6.QtWidgets import (
@@ -23,7 +24,7 @@ from PyQt6.QtWidgets import (
 
 from ..core.preset import Preset
 from .collapsible import CollapsibleSection
-from .fields import section_fields
+from .fields import FieldSpec, field_spec, section_fields
 from .gestures import new_gesture
 from .histogram import DifferenceHistogram
 from .hsv_colors import groove_colors
@@ -34,11 +35,19 @@ from .range_row import RangeEditor
 SECTIONS = (
     ("alignment", "Alignment"),
     ("mask", "Mask"),
+    ("contact_test", "Contact"),
     ("tolerance", "Tolerance"),
     ("outliers", "Outliers"),
+    ("calibrated", "Calibrated test"),
     ("range", "Range"),
     ("region", "Region"),
 )
+
+#: The sections that have a say in each contact test only, and what else there is to say of it.
+_OF_TEST = {
+    "tolerance": (("tolerance", "outliers"), "Each pixel by itself, as published."),
+    "calibrated": (("calibrated",), "By local means of the gap; tolerance and outliers have no say."),
+}
 
 _EYEDROPPERS = {
     "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc leaves."),
@@ -76,6 +85,7 @@ class ParameterPanel(QScrollArea):
         self._section_resets: dict[str, QToolButton] = {}
         self._eyedroppers: dict[str, QToolButton] = {}
         self._info = _note()
+        self._test_note = _note()
         self._tolerance_mm = _note()
         self.histogram = DifferenceHistogram()
         self.histogram.toleranceEdited.connect(self._histogram_dragged)
@@ -178,7 +188,7 @@ class ParameterPanel(QScrollArea):
         grid.setHorizontalSpacing(6)
         grid.setVerticalSpacing(3)
         grid.setColumnStretch(1, 1)
-        for spec in section_fields(type(getattr(Preset(), name)), name):
+        for spec in fields_of(name):
             row = ParameterRow(spec, section)
             row.edited.connect(self._row_edited)
             self.rows[spec.path] = row
@@ -189,6 +199,8 @@ class ParameterPanel(QScrollArea):
                 row.add_to(grid)
             if spec.path == "alignment.model":
                 grid.addWidget(self._info, grid.rowCount(), 0, 1, 3)
+        if name == "contact_test":
+            grid.addWidget(self._test_note, grid.rowCount(), 0, 1, 3)
         if name == "mask":
             grid.addWidget(self._make_eyedropper_bar(), grid.rowCount(), 0, 1, 3)
         if name == "tolerance":
@@ -287,9 +299,18 @@ class ParameterPanel(QScrollArea):
         self.rows["alignment.homography.plane_distance_m"].set_editable(
             self.rows["alignment.homography.H_p_t"].editor.value() is None
         )
+        self._show_contact_test(str(self.rows["contact_test"].editor.value()))
         self.histogram.set_tolerance(float(self.rows["tolerance.t"].editor.value()))
         self._show_tolerance_mm()
         self._paint_mask_colors()
+
+    def _show_contact_test(self, chosen: str) -> None:
+        for test, (sections, note) in _OF_TEST.items():
+            for name in sections:
+                self.sections[name].setVisible(test == chosen)
+            if test == chosen:
+                self._test_note.setText(note)
+        self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:
         for button in self._eyedroppers.values():
@@ -310,6 +331,14 @@ class ParameterPanel(QScrollArea):
             widget = self.rows[f"mask.{name}"].widget
             if isinstance(widget, RangeEditor):
                 widget.set_colors(stops)
+
+
+def fields_of(section: str) -> list[FieldSpec]:
+    """Return the fields that a section of the panel edits."""
+    model = Preset.model_fields[section].annotation
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(section_fields(model, section))
+    return [field_spec(Preset, section)]
 
 
 def _note() -> QLabel:

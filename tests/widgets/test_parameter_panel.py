@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pytest
@@ -14,6 +14,7 @@ from pyqtgraph import setConfigOptions
 
 from tactune.core.preset import (
     AlignmentSection,
+    CalibratedSection,
     HomographyAlignment,
     MaskSection,
     OutlierSection,
@@ -23,8 +24,7 @@ from tactune.core.preset import (
     RigidAlignment,
     ToleranceSection,
 )
-from tactune.widgets.fields import section_fields
-from tactune.widgets.parameter_panel import SECTIONS, ParameterPanel
+from tactune.widgets.parameter_panel import SECTIONS, ParameterPanel, fields_of
 
 LEFT = Qt.MouseButton.LeftButton
 EYE4 = ((1.0, 0.0, 0.0, 0.04), (0.0, 1.0, 0.0, -0.00123), (0.0, 0.0, 1.0, 0.003), (0.0, 0.0, 0.0, 1.0))
@@ -93,7 +93,11 @@ presets = st.builds(
         depth_offset_m=st.floats(-0.1, 0.1),
     ),
     mask=st.builds(MaskSection, enabled=st.booleans(), hue=hues, saturation=spans, value=spans),
+    contact_test=st.sampled_from(["tolerance", "calibrated"]),
     tolerance=st.builds(ToleranceSection, t=st.floats(0.0, 1.0)),
+    calibrated=st.builds(
+        CalibratedSection, gap_m=st.floats(0.0, 0.02), window_px=st.floats(0.0, 20.0), retreat=st.floats(0.0, 2.0)
+    ),
     outliers=st.builds(
         OutlierSection,
         enabled=st.booleans(),
@@ -120,15 +124,21 @@ def test_every_preset_is_shown_exactly_and_silently(panel: ParameterPanel, seen:
 
 
 def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
-    expected = [spec.path for name, _ in SECTIONS for spec in section_fields(type(getattr(Preset(), name)), name)]
+    expected = [spec.path for name, _ in SECTIONS for spec in fields_of(name)]
     assert list(panel.rows) == expected
+    assert {"contact_test", "calibrated.gap_m"} < set(expected)
+    assert "calibrated.core" not in expected, "seldom changed; in the preset's file only"
     assert "alignment.rigid.T_proximity_tactile" in expected
-    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras"}
+    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "reference"}
     assert {name for name, _ in SECTIONS} == tuned
 
 
-def test_visiting_every_widget_by_tab_changes_nothing(panel: ParameterPanel, seen: Recorder) -> None:
+@pytest.mark.parametrize("contact_test", ["tolerance", "calibrated"])
+def test_visiting_every_widget_by_tab_changes_nothing(
+    panel: ParameterPanel, seen: Recorder, contact_test: Literal["tolerance", "calibrated"]
+) -> None:
     preset = Preset(
+        contact_test=contact_test,
         mask=MaskSection(enabled=True),
         tolerance=ToleranceSection(t=0.0123456789),
         alignment=AlignmentSection(depth_offset_m=-0.01234567),
@@ -152,7 +162,7 @@ def test_visiting_every_widget_by_tab_changes_nothing(panel: ParameterPanel, see
         for entry in getattr(row.widget, "entries", []):
             assert entry in visited, path
     assert all(button in visited for button in panel._eyedroppers.values())
-    assert all(section.button in visited for section in panel.sections.values())
+    assert all(section.button in visited for section in panel.sections.values() if section.isVisible())
 
 
 def test_tab_goes_down_the_panel(panel: ParameterPanel) -> None:
@@ -304,6 +314,27 @@ def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorde
     assert "-1.23 mm" in pose.text()
 
 
+def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:
+    def shown() -> set[str]:
+        return {name for name in ("tolerance", "outliers", "calibrated") if panel.sections[name].isVisible()}
+
+    assert shown() == {"tolerance", "outliers"}
+    assert panel.histogram.isVisible()
+    box = panel.rows["contact_test"].widget
+    assert isinstance(box, QComboBox)
+    assert "as published" in box.toolTip()
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Down)
+    assert seen.edits[-1][:2] == ("contact_test", "calibrated")
+    assert shown() == {"calibrated"}
+    assert not panel.histogram.isVisible()
+    assert "no say" in panel._test_note.text()
+    type_into(panel.rows["calibrated.gap_m"].widget.entry, "1.1")
+    assert seen.edits[-1][:2] == ("calibrated.gap_m", 0.0011)
+    panel.set_preset(Preset())
+    assert shown() == {"tolerance", "outliers"}
+
+
 def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(mask=MaskSection(enabled=True)))
     for mode in ("set", "expand", "shrink"):
@@ -351,7 +382,14 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
 
 
 def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
-    panel.set_preset(Preset(alignment=AlignmentSection(model="homography"), region=RegionSection(enabled=True)))
-    QApplication.processEvents()
-    assert panel.viewport().width() <= 340
-    assert panel.widget().width() <= panel.viewport().width()
+    for contact_test in ("tolerance", "calibrated"):
+        panel.set_preset(
+            Preset(
+                alignment=AlignmentSection(model="homography"),
+                region=RegionSection(enabled=True),
+                contact_test=contact_test,
+            )
+        )
+        QApplication.processEvents()
+        assert panel.viewport().width() <= 340
+        assert panel.widget().width() <= panel.viewport().width()
