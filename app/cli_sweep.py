@@ -227,11 +227,12 @@ def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progres
     from ..core.sweep.sweep import measure_sweep
     from .cli_run import counted, warn
 
-    done = 0
     try:
         for done in measure_sweep(plan, journal, engine, workers):
             progress.frames(done, len(plan.runs), "runs")
     except KeyboardInterrupt:
+        journal.read()
+        done = sum(run.key in journal for run in plan.runs)
         warn(
             f"{done} of {counted(len(plan.runs), 'run')} are kept in {journal.path}; "
             "the same command goes on from there"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from types import ModuleType
@@ -17,6 +18,8 @@ from .values import SweepError
 #: Seconds to wait for the scheduler, and between looks at the workers while nothing comes.
 _CONNECT_S: Final = 10.0
 _LOOK_S: Final = 2.0
+
+_ADDRESS: Final = re.compile(r"([a-z]+://)?[^/\s]+:[0-9]{1,5}")
 
 #: Batches that wait on the cluster for each of its threads, so that none is idle.
 _AHEAD: Final = 2
@@ -97,6 +100,8 @@ def connect(address: str) -> Iterator[Cluster]:
         No scheduler answers at that address, or it has no worker.
     """
     distributed = _distributed()
+    if not _ADDRESS.fullmatch(address):
+        raise SweepError(f"{address!r} is no scheduler's address; write it as tcp://192.168.0.5:8786")
     try:
         client = distributed.Client(address, timeout=_CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
@@ -104,7 +109,7 @@ def connect(address: str) -> Iterator[Cluster]:
             f"no Dask scheduler answers at {address} ({_first_line(error)}); start one with dask scheduler "
             "and give the address that it prints, such as tcp://192.168.0.5:8786"
         ) from error
-    with client:
+    with client, client.as_current():
         try:
             client.wait_for_workers(1, timeout=_CONNECT_S)
         except TimeoutError as error:

@@ -50,7 +50,7 @@ class Journal:
             raise self._cannot_write(error) from error
         try:
             _lock(self._file, self.path)
-            self._read()
+            self.read()
         except BaseException:
             self._file.close()
             raise
@@ -75,7 +75,10 @@ class Journal:
         ExportError
             The disk is full or refuses.
         """
-        fresh = {result.key: result for result in results if result.key not in self._results}
+        fresh: dict[str, Result] = {}
+        for result in results:
+            if result.key not in self._results:
+                fresh.setdefault(result.key, result)
         lines = "".join(json.dumps(asdict(result), allow_nan=False) + "\n" for result in fresh.values())
         try:
             self._write(lines.encode())
@@ -83,7 +86,14 @@ class Journal:
             raise self._cannot_write(error) from error
         self._results |= fresh
 
-    def _read(self) -> None:
+    def read(self) -> None:
+        """Read the file anew, such as after an interrupted `add`.
+
+        Raises
+        ------
+        SweepError
+            It is no journal.
+        """
         self._file.seek(0)
         data = self._file.read()
         if not data:

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
+import os
 import signal
+import sys
+import threading
+import time
+import warnings
 from collections.abc import Iterable, Iterator
 from types import ModuleType
+from typing import Final
 
 from ..errors import MissingExtraError
 from .plan import Batch
 from .results import Result
 from .run import run_batch
 from .values import SweepError
+
+#: Seconds between a worker's looks at its parent.
+_WATCH_S: Final = 0.5
 
 
 def run_locally(batches: Iterable[Batch], jobs: int) -> Iterator[list[Result]]:
@@ -35,7 +44,9 @@ def run_locally(batches: Iterable[Batch], jobs: int) -> Iterator[list[Result]]:
     joblib = check_joblib()
     from joblib.externals.loky.process_executor import BrokenProcessPool
 
-    with joblib.parallel_config(backend="loky", inner_max_num_threads=1, initializer=_leave_ctrl_c_to_the_parent):
+    with joblib.parallel_config(
+        backend="loky", inner_max_num_threads=1, initializer=_begin_worker, initargs=(os.getpid(),)
+    ):
         parallel = joblib.Parallel(
             n_jobs=jobs, return_as="generator_unordered", batch_size=1, pre_dispatch="2*n_jobs", max_nbytes=None
         )
@@ -48,7 +59,9 @@ def run_locally(batches: Iterable[Batch], jobs: int) -> Iterator[list[Result]]:
                 "and the same command goes on"
             ) from error
         finally:
-            results.close()
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "[0-9]+ tasks which were still being processed", UserWarning)
+                results.close()
 
 
 def check_joblib() -> ModuleType:
@@ -66,6 +79,14 @@ def check_joblib() -> ModuleType:
     return joblib  # type: ignore[no-any-return]
 
 
-def _leave_ctrl_c_to_the_parent() -> None:
-    """The terminal sends Ctrl-C to all processes; the parent alone decides what becomes of it."""
+def _begin_worker(parent: int) -> None:
+    """Leave Ctrl-C, which a terminal sends to all processes, to the parent, and end when that has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(_WATCH_S)
+        os._exit(1)
+
+    if sys.platform != "win32":  # there a parent keeps its number when it has ended
+        threading.Thread(target=watch, daemon=True).start()
