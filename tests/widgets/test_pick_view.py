@@ -211,7 +211,11 @@ def test_ctrl_and_keys_move_by_steps(view: PickView, key: Qt.Key, moved: tuple[f
     assert view.camera() == CAMERA
 
 
-def test_marks_stand_where_they_were_set(view: PickView) -> None:
+@pytest.mark.parametrize("backend", ["software", pytest.param("opengl", marks=pytest.mark.gl)])
+def test_marks_stand_where_they_were_set(qtbot: QtBot, backend: str) -> None:
+    if backend == "opengl" and not gl_backend.probe_opengl().usable:
+        pytest.skip("no OpenGL context")
+    view = shown(qtbot, backend)
     before = canvas_of(view).grab().toImage()
     view.set_spots([Spot((0.04, 0.0, 0.35), "7")])
     at = on_screen(view, (0.04, 0.0, 0.35)) - canvas_of(view).pos()
