@@ -289,7 +289,9 @@ def _frames(source: FrameSource, first: int, last: int | None) -> Iterator[Senso
     SourceError
         The source ends before.
     """
-    if source.length is not None and source.length > 0:
+    if source.length is not None and max(first, last or 0) >= source.length:
+        raise SourceError(f"{source.name} has no frame {max(first, last or 0)}; it has {source.length} of them")
+    if source.length is not None:
         source.seek(first)
     else:
         for _ in itertools.islice(source, first):

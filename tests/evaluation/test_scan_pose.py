@@ -112,7 +112,7 @@ def test_icp_finds_the_pose_where_clouds_overlap_in_part(seed):
     random = np.random.default_rng(seed)
     true, scan, patch = random_pose(random), corner(random, 3000), corner(random, 3000)
     scan, patch = scan[scan[:, 0] < 0.025], patch[patch[:, 1] < 0.026]
-    false_contact = random.uniform(0, 0.03, (150, 3)) + [0, 0, 0.004]
+    false_contact = random.uniform(0, 0.03, (150, 3)) + np.array([0, 0, 0.004])
     patch = transformed(true, np.concatenate([patch, false_contact]))
     start = true @ random_pose(random, 0.05, 0.003)
 
