@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from dataclasses import replace
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -40,6 +40,13 @@ _SCORE_DELAY_MS = 250
 class TruthFlow(QObject):
     """One scan at a time: read, searched for paint, aligned and scored.
 
+    Parameters
+    ----------
+    folder : Path
+        Where work on scans is kept.
+    preset_name : callable
+        Returns how ``--preset`` names the main window's preset; empty where it is not saved.
+
     Signals
     -------
     scanChanged()
@@ -64,8 +71,9 @@ class TruthFlow(QObject):
     loadProgress = pyqtSignal(float, str)
     refineProgress = pyqtSignal(float, str)
 
-    def __init__(self, folder: Path, parent: QObject | None = None) -> None:
+    def __init__(self, folder: Path, preset_name: Callable[[], str], parent: QObject | None = None) -> None:
         super().__init__(parent)
+        self._preset_name = preset_name
         self.session = TruthSession(self)
         self.keeper = TruthKeeper(self.session, folder, self)
         self.loaded: LoadedScan | None = None
@@ -73,9 +81,11 @@ class TruthFlow(QObject):
         self.refinement: Refinement | None = None
         self.scores: Scores | None = None
         self._live: FrozenPatch | None = None
+        self._live_result: Result | None = None
         self._result: Result | None = None
         self._shown: FrozenPatch | None = None
         self._wanted_paint: PaintSettings | None = None
+        self._refined_on: FrozenPatch | None = None
         self._filed: tuple[Path, Matrix4] | None = None
         self._loading, self._finding, self._refining, self._scoring = Job(self), Job(self), Job(self), Job(self)
         self._score_timer = QTimer(self)
@@ -157,21 +167,23 @@ class TruthFlow(QObject):
     # The patch
 
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window; it is shown until alignment begins."""
+        """Take a frame of the main window; it is shown, and scored, while no patch is held fast."""
         self._result = result
         if self.state.patch is None:
-            self._live = FrozenPatch.of(result)
+            self._refresh_live()
             self._show_patch()
+            if not self._score_timer.isActive():
+                self._score_timer.start()
 
-    def hold(self, preset: str) -> FrozenPatch | None:
-        """Return the patch to align to from now on: the one held fast, or the present one with its preset's name."""
-        return self.state.patch or (None if self._live is None else replace(self._live, preset=preset))
-
-    def take_present(self, preset: str) -> None:
+    def take_present(self) -> None:
         """Hold the main window's present frame fast instead of an earlier one."""
-        if self._result is not None:
-            self._live = FrozenPatch.of(self._result)
-            self.session.freeze(replace(self._live, preset=preset))
+        self._refresh_live()
+        if self._live is not None:
+            self.session.freeze(self._live)
+
+    def _refresh_live(self) -> None:
+        if self._result is not None and self._result is not self._live_result:
+            self._live, self._live_result = FrozenPatch.of(self._result, self._preset_name()), self._result
 
     @property
     def result(self) -> Result | None:
@@ -185,18 +197,18 @@ class TruthFlow(QObject):
 
     # Alignment
 
-    def click(self, side: Side, place: Place, preset: str) -> None:
-        """Take a clicked point; both in their own frame."""
-        self.session.click(side, place, self.hold(preset))
+    def click(self, side: Side, place: Place) -> None:
+        """Take a clicked point, in the scan's or the proximity frame."""
+        self.session.click(side, place, self.patch)
 
     def residuals_mm(self) -> list[float]:
         """Return how far each complete pair lies apart, in their order; none without a pose."""
         pose = self.state.pose
         return [] if pose is None else [1e3 * float(apart) for apart in pair_errors_m(pose, *self.state.matched)]
 
-    def lay_on(self, preset: str) -> None:
+    def lay_on(self) -> None:
         """Lay the scan's contact on the patch, unturned, to go on by hand."""
-        patch = self.hold(preset)
+        patch = self.patch
         if self.contact is None or patch is None or not len(self.contact.points) or not len(patch.points):
             self.said.emit("pose", Severity.WARNING, "Both the scan and the patch need contact before one lies on it.")
             return
@@ -217,6 +229,7 @@ class TruthFlow(QObject):
             return
         self.said.emit("refine", Severity.WARNING, "")
         self.refineProgress.emit(0.0, "Refining")
+        self._refined_on = self.patch
         self._refining.start(refining(contact, self.patch.points, state.pose, reach_m))
 
     def cancel_refining(self) -> None:
@@ -228,7 +241,7 @@ class TruthFlow(QObject):
         if refinement.start != self.state.pose:
             self.said.emit("refine", Severity.INFO, "The scan was moved meanwhile, so that refinement was dropped.")
             return
-        self.session.set_pose(refinement.found.T_proximity_scan, "ICP", "Refine by ICP")
+        self.session.set_pose(refinement.found.T_proximity_scan, "ICP", "Refine by ICP", self._refined_on)
         self.refinement = refinement
         self.refinedChanged.emit()
 
@@ -256,7 +269,7 @@ class TruthFlow(QObject):
         self.said.emit("file", Severity.INFO, f"The transform is in {path}.")
         self.scoresChanged.emit()
 
-    def load_transform(self, path: Path, preset: str) -> None:
+    def load_transform(self, path: Path) -> None:
         """Take a pose from a file."""
         try:
             pose = load_transform(path)
@@ -264,11 +277,11 @@ class TruthFlow(QObject):
             self.said.emit("file", Severity.ERROR, str(error))
             return
         self.said.emit("file", Severity.ERROR, "")
-        self.session.set_pose(pose, "file", f"Load {path.name}", self.hold(preset))
+        self.session.set_pose(pose, "file", f"Load {path.name}", self.patch)
 
     def command(self) -> str:
         """Return the command line that repeats the scores; empty before there are any."""
-        loaded, patch = self.loaded, self.state.patch
+        loaded, patch = self.loaded, self.patch
         if loaded is None or patch is None or self.state.pose is None:
             return ""
         path, pose = self._filed or (self.keeper.transform_file, self.state.pose)
@@ -282,8 +295,8 @@ class TruthFlow(QObject):
     # Following the state
 
     def _state_changed(self, state: TruthState) -> None:
-        if state.patch is None and self._result is not None and self._shown is not self._live:
-            self._live = FrozenPatch.of(self._result)
+        if state.patch is None:
+            self._refresh_live()
         self._show_patch()
         if self.loaded is not None and state.paint != self._wanted_paint:
             self._wanted_paint = state.paint
@@ -296,13 +309,13 @@ class TruthFlow(QObject):
         self._score_timer.start()
 
     def _score(self) -> None:
-        state = self.state
-        if state.pose is None or self.contact is None or state.patch is None:
+        pose, contact, patch = self.state.pose, self.contact, self.patch
+        if pose is None or contact is None or patch is None:
             if self.scores is not None:
                 self.scores = None
                 self.scoresChanged.emit()
             return
-        self._scoring.start(scoring(self.contact, state.patch.points, state.patch.area_mm2, state.pose))
+        self._scoring.start(scoring(contact, patch.points, patch.area_mm2, pose))
 
     def _scored(self, scores: Scores) -> None:
         self.said.emit("scores", Severity.WARNING, "")

@@ -45,7 +45,7 @@ class FrozenPatch:
     preset: str
 
     @classmethod
-    def of(cls, result: Result, preset: str = "") -> FrozenPatch:
+    def of(cls, result: Result, preset: str) -> FrozenPatch:
         """Take the patch of a frame of the main window."""
         patch = result.patch
         points = np.empty((0, 3), np.float32) if patch is None else patch.points

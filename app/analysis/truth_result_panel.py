@@ -106,7 +106,6 @@ class ResultPanel(CollapsibleSection):
         self.command.setCursorPosition(0)
         self.command.setToolTip(command or "Align the scan first")
         self.copy.setEnabled(bool(command))
-        self.save.setEnabled(bool(command))
         self.note.setText(note)
         self.note.setVisible(bool(note))
 

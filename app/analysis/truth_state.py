@@ -142,7 +142,7 @@ class TruthSession(QObject):
         self.edit("Delete all pairs", replace(self._state, pairs=()))
 
     def set_pose(
-        self, pose: npt.ArrayLike, origin: Origin, text: str, patch: FrozenPatch | None = None, gesture: int = 0
+        self, pose: npt.ArrayLike, origin: Origin, text: str, patch: FrozenPatch | None, gesture: int = 0
     ) -> None:
         """Take another pose; ``patch`` is held fast where none is yet."""
         try:
@@ -153,14 +153,14 @@ class TruthSession(QObject):
         self.refused.emit("")
         self.edit(text, replace(self._held(patch), pose=rigid, origin=origin), gesture)
 
-    def nudge(self, change: npt.NDArray[np.float64], gesture: int) -> None:
-        """Move and turn the scan by a transform of the proximity frame."""
+    def nudge(self, change: npt.NDArray[np.float64], patch: FrozenPatch | None, gesture: int) -> None:
+        """Move and turn the scan by a transform of the proximity frame; ``patch`` as for `set_pose`."""
         if self._state.pose is None:
             return
         pose = change @ np.asarray(self._state.pose)
         left, _, right = np.linalg.svd(pose[:3, :3])
         pose[:3, :3] = left @ right  # many small turns must not add up to something that is no rotation
-        self.set_pose(pose, "hand", "Nudge the scan", None, gesture)
+        self.set_pose(pose, "hand", "Nudge the scan", patch, gesture)
 
     def _held(self, patch: FrozenPatch | None) -> TruthState:
         return self._state if self._state.patch is not None else replace(self._state, patch=patch)

@@ -25,6 +25,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.errors import TactuneError
 from ...core.evaluation.scan import SUFFIXES, UNITS_M
+from ...core.preset import Preset
 from ...core.preset_file import load_preset, shipped_presets
 from ..diagnostics.parts import make_verdict
 from ..file_flows import local_files
@@ -61,7 +62,8 @@ class TruthTab(AnalysisTab):
     def __init__(self, window: MainWindow) -> None:
         super().__init__()
         self._document, self._settings, self._dialogs = window.document, window.settings, window.dialogs
-        self.flow = TruthFlow(window.data_folder / "scans", self)
+        self._named: tuple[Preset | None, str] = None, ""
+        self.flow = TruthFlow(window.data_folder / "scans", self._preset_name, self)
         painted = window.views.views[CloudName.PATCH].backend_name
         self.views = TruthViews(self.flow, "opengl" if painted == "opengl" else "software")
         self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
@@ -174,9 +176,9 @@ class TruthTab(AnalysisTab):
         assert menu is not None
         menu.aboutToShow.connect(self._fill_recent)
         views.scanClicked.connect(self._scan_clicked)
-        views.patchClicked.connect(lambda _, place: flow.click("patch", place, self._preset()))
-        views.patch.nudged.connect(session.nudge)
-        views.presentRequested.connect(lambda: flow.take_present(self._preset()))
+        views.patchClicked.connect(lambda _, place: flow.click("patch", place))
+        views.patch.nudged.connect(lambda change, gesture: session.nudge(change, flow.patch, gesture))
+        views.presentRequested.connect(flow.take_present)
         views.followRequested.connect(lambda: session.freeze(None))
         self.paint.edited.connect(session.set_paint)
         self.paint.highlightChanged.connect(views.set_highlight)
@@ -189,9 +191,9 @@ class TruthTab(AnalysisTab):
         align.selectionChanged.connect(self.views.set_selected)
         align.removeRequested.connect(session.remove)
         align.clearRequested.connect(session.remove_all)
-        align.layRequested.connect(lambda: flow.lay_on(self._preset()))
+        align.layRequested.connect(flow.lay_on)
         align.poseEdited.connect(
-            lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's place", None, gesture)
+            lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's place", flow.patch, gesture)
         )
         align.refineRequested.connect(flow.refine)
         align.cancelRequested.connect(flow.cancel_refining)
@@ -266,7 +268,7 @@ class TruthTab(AnalysisTab):
         if loaded is None:
             return
         if self.paint.eyedropper == "off":
-            self.flow.click("scan", place, self._preset())
+            self.flow.click("scan", place)
             return
         apart = np.linalg.norm(loaded.scan.vertices_m - np.array(place), axis=1)
         nearest = np.argpartition(apart, min(_DROP, len(apart) - 1))[:_DROP]
@@ -275,14 +277,14 @@ class TruthTab(AnalysisTab):
         except TactuneError as error:
             self.messages.show_message("paint", Severity.WARNING, f"{error}.")
 
-    def _preset(self) -> str:
-        """Return how ``--preset`` names what the shown patch was found with; empty where it is not saved."""
+    def _preset_name(self) -> str:
+        """Return how ``--preset`` names the preset; empty where it is not saved."""
         document = self._document
         if document.path is not None:
             return "" if document.dirty else str(document.path)
-        present = document.preset
-        own = {"name": present.name, "created": present.created, "modified": present.modified}
-        return next((name for name in shipped_presets() if load_preset(name).model_copy(update=own) == present), "")
+        if document.preset is not self._named[0]:
+            self._named = document.preset, shipped_name(document.preset)
+        return self._named[1]
 
     def _ask_save(self) -> None:
         loaded = self.flow.loaded
@@ -294,10 +296,7 @@ class TruthTab(AnalysisTab):
 
     def _ask_load(self) -> None:
         self._dialogs.over(self.window() or self).open_file(
-            "Load a transform",
-            self._folder(),
-            _TRANSFORM_FILTERS[0],
-            lambda path: self.flow.load_transform(path, self._preset()),
+            "Load a transform", self._folder(), _TRANSFORM_FILTERS[0], self.flow.load_transform
         )
 
     # Showing
@@ -333,7 +332,8 @@ class TruthTab(AnalysisTab):
         flow = self.flow
         self.result.show_scores(flow.scores)
         self.result.load.setEnabled(flow.loaded is not None)
-        self.result.show_command(flow.command(), _note(flow) if flow.state.pose is not None else "")
+        self.result.show_command(flow.command(), _note(flow))
+        self.result.save.setEnabled(flow.state.pose is not None)
 
     def _show_guide(self) -> None:
         dropper = self.paint.eyedropper
@@ -352,10 +352,16 @@ class TruthTab(AnalysisTab):
         self._show_guide()
 
 
+def shipped_name(preset: Preset) -> str:
+    """Return the shipped preset that this one equals but for its name and dates; empty where it equals none."""
+    own = {"name": preset.name, "created": preset.created, "modified": preset.modified}
+    return next((name for name in shipped_presets() if load_preset(name).model_copy(update=own) == preset), "")
+
+
 def _note(flow: TruthFlow) -> str:
     """Say why the command line may give other numbers."""
-    patch, result = flow.state.patch, flow.result
-    if patch is None:
+    patch, result = flow.patch, flow.result
+    if patch is None or flow.state.pose is None:
         return ""
     if result is not None and result.source.name == patch.source and result.source.length is None:
         return "The source is live: record it, and put the recording after --source, to repeat this."

@@ -238,6 +238,20 @@ def test_the_patch_follows_until_alignment_begins(qtbot, ready, window):
     assert len(ready.flow.state.pairs) == 1
 
 
+def test_an_aligned_scan_is_scored_against_each_frame_while_it_follows(qtbot, ready, window):
+    click_three_pairs(ready)
+    qtbot.waitUntil(lambda: ready.flow.scores is not None)
+    QTest.mouseClick(ready.views.follow, LEFT)
+    window.worker.seek(7)
+    qtbot.waitUntil(lambda: "Live: frame 7" in ready.views.patch_name.text())
+    larger = ready.flow.patch.area_mm2
+    qtbot.waitUntil(lambda: ready.flow.scores is not None and ready.flow.scores.patch_area_mm2 == larger)
+    assert ready.result.values["patch_area"].text() == f"{larger:,.0f} mm²"
+    assert "--frame 7" in ready.result.command.text()
+    QTest.keyClick(ready.views.patch, Qt.Key.Key_Right, CONTROL)
+    assert ready.flow.state.patch.frame == 7, "an edit holds the frame fast"
+
+
 # Nudging
 
 
