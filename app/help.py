@@ -34,6 +34,9 @@ def show_shortcuts(parent: QWidget, actions: Actions) -> None:
     scroll = QScrollArea()
     scroll.setWidget(label)
     scroll.setWidgetResizable(True)
+    bar = scroll.verticalScrollBar()
+    if bar is not None:  # the table is as wide as its longest row; it scrolls downwards only
+        scroll.setMinimumWidth(label.sizeHint().width() + bar.sizeHint().width() + 2 * scroll.frameWidth())
     buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
     buttons.rejected.connect(dialog.close)
     layout = QVBoxLayout(dialog)

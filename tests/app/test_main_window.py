@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton
+from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea
 
 from tactune.app.results import CloudName, ColorBy
 from tactune.app.view_area import why_no_contact
@@ -290,6 +290,7 @@ def test_help_lists_every_shortcut(window, qtbot):
         for shortcut in action.shortcuts():
             assert shortcut.toString() in words
     assert "Space" in words
+    assert dialog.findChild(QScrollArea).horizontalScrollBar().maximum() == 0, "nothing is cut off at the side"
     QTest.keyClick(dialog, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
 
