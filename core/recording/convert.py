@@ -53,15 +53,22 @@ def export_mcap(
     left = None if source.length is None else source.length - source.position
     total = min(count for count in (left, frames) if count is not None)
     with atomic_path(path) as temporary:
-        with SessionWriter(
-            temporary, source.rig, preset=preset, frame_rate_hz=source.frame_rate_hz, reference=source.reference()
-        ) as writer:
-            for count, frame in enumerate(itertools.islice(source, total), start=1):
-                if not writer.put(frame, wait=True):
-                    break
-                if progress is not None:
-                    progress(count / total, f"frame {count} of {total}")
-        status = writer.close()
-        if status.error:  # which knows the temporary name only
-            raise ExportError(status.error.replace(str(temporary), str(path)))
+        try:
+            return _write(source, temporary, total, preset, progress)
+        except ExportError as error:  # which knows the temporary name only
+            raise ExportError(str(error).replace(str(temporary), str(path))) from error
+
+
+def _write(source: FrameSource, path: Path, total: int, preset: Preset | None, progress: Progress | None) -> int:
+    with SessionWriter(
+        path, source.rig, preset=preset, frame_rate_hz=source.frame_rate_hz, reference=source.reference()
+    ) as writer:
+        for count, frame in enumerate(itertools.islice(source, total), start=1):
+            if not writer.put(frame, wait=True):
+                break
+            if progress is not None:
+                progress(count / total, f"frame {count} of {total}")
+    status = writer.close()
+    if status.error:
+        raise ExportError(status.error)
     return status.frames

@@ -225,6 +225,15 @@ def test_a_full_disk_is_told_with_what_was_kept(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "recording"]
 
 
+def test_a_file_that_cannot_be_begun_is_named_as_the_person_named_it(
+    tmp_path: Path, recording: Path, tactune: Run
+) -> None:
+    """The temporary file's name is a little longer, and so too long."""
+    target = tmp_path / f"{'x' * 245}.mcap"
+    sentence = tactune("convert", recording, target).sentence
+    assert sentence == f"tactune: cannot write {target}: File name too long; choose another place\n"
+
+
 def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Path, tactune: Run) -> None:
     assert tactune("convert", recording, tmp_path / "a.mcap", "--preset", "simulator").status == 0
     done = tactune("convert", tmp_path / "a.mcap", tmp_path / "back")
