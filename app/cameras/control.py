@@ -129,6 +129,7 @@ class CameraControl(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._source = info.name
+        self.panel.set_health(())
         self._messages.clear("cameras")
         self._messages.clear("camera option")
 

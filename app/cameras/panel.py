@@ -25,9 +25,13 @@ from ...widgets.parameter_row import ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
-_NOTHING = (
-    "No camera is open, or it is not connected: its settings appear here once it is. "
+_NOT_CONNECTED = (
+    "This camera is not connected, or has nothing to set: its settings appear here once it is. "
     "What the preset holds for it is used then."
+)
+_NO_CAMERAS = (
+    "The present source has no cameras to set: it is a recording or the simulator. Connect cameras (F3), and their "
+    "settings appear here. What the preset holds for them is used then."
 )
 #: A range that spans more than this is easier to set on a logarithmic slider, such as exposure times.
 _LOG_SPAN = 500.0
@@ -125,6 +129,7 @@ class CameraPanel(QDialog):
         self.rows: dict[tuple[CameraRole, str], OptionRow] = {}
         self.delay = ParameterRow(field_spec(Preset, DELAY_PATH))
         self._options: tuple[CameraOption, ...] = ()
+        self._cameras: dict[CameraRole, CameraHealth] = {}
         self._sections: dict[CameraRole, CollapsibleSection] = {}
         self._bodies: dict[CameraRole, QWidget] = {}
         column_widget = QWidget()
@@ -133,7 +138,7 @@ class CameraPanel(QDialog):
         for role, title in _TITLES.items():
             self._sections[role] = _section(title)
             self._column.addWidget(self._sections[role])
-            self._replace_body(role, _note(_NOTHING))
+            self._replace_body(role, _note(_NO_CAMERAS))
         timing = _section("Timing")
         grid_widget = QWidget()
         grid = QGridLayout(grid_widget)
@@ -173,15 +178,18 @@ class CameraPanel(QDialog):
         self.set_cameras(cameras)
 
     def set_health(self, cameras: tuple[CameraHealth, ...]) -> None:
-        """Name the devices behind the two roles."""
-        for camera in cameras:
-            words = [_TITLES[camera.role], camera.model, f"(serial {camera.serial})" if camera.serial else ""]
-            self._sections[camera.role].button.setText(" ".join(word for word in words if word))
+        """Name the devices behind the two roles; a source without cameras has none."""
+        self._cameras = {camera.role: camera for camera in cameras}
+        for role, title in _TITLES.items():
+            self._sections[role].button.setText(" ".join([title, *_device_words(self._cameras.get(role))]))
+            body = self._bodies[role]
+            if isinstance(body, QLabel):
+                body.setText(self._why_nothing(role))
 
     def _rebuild(self, role: CameraRole, options: list[CameraOption]) -> None:
         self.rows = {key: row for key, row in self.rows.items() if key[0] != role}
         if not options:
-            self._replace_body(role, _note(_NOTHING))
+            self._replace_body(role, _note(self._why_nothing(role)))
             return
         body = QWidget()
         grid = QGridLayout(body)
@@ -195,6 +203,9 @@ class CameraPanel(QDialog):
             self.rows[role, option.name] = row
         self._replace_body(role, body)
 
+    def _why_nothing(self, role: CameraRole) -> str:
+        return _NOT_CONNECTED if role in self._cameras else _NO_CAMERAS
+
     def _replace_body(self, role: CameraRole, body: QWidget) -> None:
         old = self._bodies.get(role)
         if old is not None:
@@ -202,6 +213,12 @@ class CameraPanel(QDialog):
             old.deleteLater()
         self._bodies[role] = body
         _fill(self._sections[role], body)
+
+
+def _device_words(camera: CameraHealth | None) -> list[str]:
+    if camera is None:
+        return []
+    return [word for word in (camera.model, f"(serial {camera.serial})" if camera.serial else "") if word]
 
 
 def _shape(options: tuple[CameraOption, ...]) -> dict[CameraRole, list[object]]:

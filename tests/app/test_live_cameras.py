@@ -13,7 +13,9 @@ from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QPushButt
 from tactune.app.cameras import search as search_module
 from tactune.app.cameras.search import CameraSearch, FoundCamera
 from tactune.app.worker import SourceRequest
+from tactune.core.sources.base import CameraHealth
 
+from .conftest import TinySource
 from .fake_cameras import FakeCameras
 
 LEFT = Qt.MouseButton.LeftButton
@@ -282,6 +284,21 @@ def test_without_cameras_the_panel_says_so(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
     panel = window.live.cameras.panel
     qtbot.waitUntil(panel.isVisible)
-    assert "No camera is open" in panel._bodies["proximity"].text()
+    assert "no cameras to set: it is a recording or the simulator" in panel._bodies["proximity"].text()
     panel.close()
+
+
+def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
+    assert "L515" in panel._sections["proximity"].button.text()
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    qtbot.waitUntil(lambda: panel.rows == {})
+    assert panel._sections["proximity"].button.text() == "Proximity camera"
+    assert "no cameras to set" in panel._bodies["proximity"].text()
+
+
+def test_a_camera_that_is_not_connected_is_no_recording(window, qtbot):
+    panel = window.live.cameras.panel
+    panel.set_health((CameraHealth("proximity", "missing", "L515", "f001"),))
+    assert "This camera is not connected" in panel._bodies["proximity"].text()
+    assert "no cameras to set" in panel._bodies["tactile"].text()
     QApplication.processEvents()
