@@ -59,6 +59,11 @@ class InterferenceFlow(QObject):
         return self._switch is not None or self._job.busy
 
     @property
+    def has_proximity_camera(self) -> bool:
+        """Whether the present source has a proximity camera that can be set at all."""
+        return any(option.camera == "proximity" for option in self._options)
+
+    @property
     def switch(self) -> CameraOption | None:
         """The option that switches the emitter of the present source; None where there is none."""
         return emitter_switch(self._options)

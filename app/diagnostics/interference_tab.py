@@ -19,7 +19,10 @@ _INTRO = (
     "and the tactile camera's fill rate and temporal noise are compared. Then the laser is as it was."
 )
 _NO_FRAME = "There is no frame yet: open the cameras in the main window first."
-_RECORDING = "This source is a recording: its cameras cannot be switched. Open the live cameras in the main window."
+_NO_CAMERAS = (
+    "This source has no camera that can be switched: it is a recording or the simulator, or the camera is not "
+    "connected. Open the live cameras in the main window (F3)."
+)
 _NO_SWITCH = (
     "The proximity camera has neither the option emitter_enabled nor a laser_power that goes down to 0, so its laser "
     "cannot be switched off from here. Cover it by hand and compare the readings of the Quality tab instead."
@@ -91,8 +94,8 @@ class InterferenceTab(QWidget):
         self._clear()
         if self._result is None:
             self._fail(_NO_FRAME)
-        elif self._result.source.length is not None:
-            self._fail(_RECORDING)
+        elif not self.flow.has_proximity_camera:
+            self._fail(_NO_CAMERAS)
         elif self.flow.switch is None:
             self._fail(_NO_SWITCH)
         else:

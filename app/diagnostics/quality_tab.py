@@ -252,7 +252,7 @@ class QualityTab(QWidget):
 
     def _fail(self, sentence: str) -> None:
         if sentence:
-            self.status.setText(f"{sentence[0].upper()}{sentence[1:]}.")
+            self.status.setText(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
 
     def _copy(self) -> None:
         clipboard = QGuiApplication.clipboard()
@@ -293,9 +293,12 @@ def _table(readings: tuple[Reading, ...]) -> str:
         limit = f" <span style='color:{colors.muted}'>({escape(reading.limit_words)})</span>" if reading.limit else ""
         step = f"<br><span style='color:{colors.muted}'>{escape(reading.step)}</span>" if reading.step else ""
         hue = hues[reading.verdict]
+        value = escape(reading.value)
+        if reading.verdict is not Verdict.UNKNOWN:  # what cannot be relied on is not put first
+            value = f"<b>{value}</b>"
         rows.append(
             f"<p style='margin:2px 0'><span style='color:{hue}'>{_MARKS[reading.verdict]}</span> "
-            f"{escape(reading.title)} <b>{escape(reading.value)}</b> – "
+            f"{escape(reading.title)} {value} – "
             f"<span style='color:{hue}'>{reading.verdict}</span>{limit}{step}</p>"
         )
     return "".join(rows)

@@ -40,6 +40,14 @@ class Wall(SeekableSource):
         return frame(index, self.rig, 0.300 + noise[0], 0.294 + noise[1], index / 30, index / 30)
 
 
+class Stairs(Wall):
+    """Steps that the tactile camera does not see: both cameras have no surface in common."""
+
+    def read(self, index):
+        steps = 0.300 + 0.04 * (np.arange(WIDTH) // 16 % 2) + np.zeros((HEIGHT, 1))
+        return frame(index, self.rig, steps, np.full((HEIGHT, WIDTH), 0.3), index / 30, index / 30)
+
+
 class Press(SeekableSource):
     """A board that presses irregularly; the tactile camera's stamps are late."""
 
@@ -170,6 +178,15 @@ def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot, tmp_p
     (tmp_path / "file").write_text("")
     tab.save_to(tmp_path / "file" / "quality.json")
     assert "cannot write" in tab.status.text().lower()
+
+
+def test_a_bias_that_says_nothing_is_not_printed_bold(open_checks, rig, qtbot):
+    tab = open_checks(Stairs(rig)).live.checks.window.quality
+    wait(qtbot, lambda: tab.quality is not None)
+    text = tab.lines["bias"].text()
+    assert "mm" in text and "not known" in text
+    assert "<b>" not in text
+    assert "<b>" in tab.lines["proximity"].text()
 
 
 def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(open_checks, rig, qtbot):
@@ -307,6 +324,9 @@ def test_a_camera_that_refuses_or_has_no_switch_is_said_in_words(open_checks, ri
     plain = open_checks(Cameras(rig, names=("gain",))).live.checks.window.interference
     plain.start.click()
     assert "neither the option emitter_enabled nor a laser_power" in plain.sentence.text()
+    plain.set_options(())  # as the simulator played as if live: there is nothing to cover by hand
+    plain.start.click()
+    assert "it is a recording or the simulator" in plain.sentence.text()
     recording = open_checks(Wall(rig)).live.checks.window.interference
     recording.start.click()
-    assert "is a recording" in recording.sentence.text()
+    assert "it is a recording or the simulator" in recording.sentence.text()
