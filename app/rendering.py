@@ -144,7 +144,8 @@ def proximity_view(scene: Scene) -> DepthCloud:
     if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
         index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
     elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
-        index, lut = patch.provenance, provenance_lut(scene.theme)
+        cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
+        return replace(cloud, depth=_depth_with_patch(scene, patch))
     return _proximity_cloud(scene, index, lut)
 
 

@@ -44,6 +44,40 @@ def test_a_section_stays_off_when_told_so(tactune: Tactune, recording: Path, tmp
     assert preset.name == "quiet"
 
 
+def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
+    tactune: Tactune, recording: Path, tmp_path: Path
+) -> None:
+    def made(name: str, *settings: str) -> Preset:
+        words = [word for setting in settings for word in ("--set", setting)]
+        assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", tmp_path / name, *words).status == 0
+        return load_preset(tmp_path / name)
+
+    assert made("a.json").contact_test == "tolerance"
+    assert made("b.json", "contact_test=calibrated").contact_test == "calibrated"
+    gap = made("c.json", "calibrated.gap_m=0.001")
+    assert (gap.contact_test, gap.calibrated.gap_m) == ("calibrated", 0.001)
+    assert made("d.json", "calibrated.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
+
+
+def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    file = tmp_path / "fine.json"
+    words = [
+        "--set",
+        "contact_test=calibrated",
+        "--set",
+        "calibrated.retreat=0",
+        "--set",
+        "calibrated.least_area_mm2=0",
+    ]
+    assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *words).status == 0
+    finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")
+    assert finished.status == 0
+    records = [json.loads(line) for line in finished.out.splitlines()]
+    assert set(records[0]["stage_ms"]) == {"fusion", "gaps", "edge", "clusters", "points"}
+    assert records[0]["points"] == 0
+    assert all(record["iou"] > 0.8 for record in records[2:])
+
+
 def test_the_rig_comes_from_a_source_or_another_preset_too(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     first, second = tmp_path / "first.json", tmp_path / "second.json"
     assert tactune("preset", "new", "--rig", f"folder:{recording}", "--out", first).status == 0

@@ -1,0 +1,100 @@
+"""The choice of the contact test in the window: by keyboard, undone, and everything beside it follows."""
+
+from __future__ import annotations
+
+import numpy as np
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+
+from tactune.app.rendering import accepted_difference
+from tactune.app.results import CloudName
+from tactune.app.view_area import why_no_contact
+from tactune.core.pipeline import CALIBRATED_STAGES, ContactPipeline
+from tactune.core.preset import Preset
+from tactune.core.provenance import Provenance
+from tactune.widgets.colormaps import provenance_legend
+
+from .conftest import tiny_frame, tiny_rig
+from .hands import CONTROL, shows_preset_of_document
+
+
+def choose_by_keyboard(window, qtbot, key):
+    box = window.panel.rows["contact_test"].widget
+    window.activateWindow()
+    window.panel.ensureWidgetVisible(box)
+    box.setFocus()
+    QTest.keyClick(box, key)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    return box
+
+
+def type_gap_mm(window, qtbot, text):
+    entry = window.panel.rows["calibrated.gap_m"].widget.entry
+    window.panel.ensureWidgetVisible(entry)
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, text)
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+
+
+def test_choose_tune_and_undo(window, qtbot):
+    """The disc of the tiny frames is 2 mm behind the membrane: near for the tolerance, too far for a gap of 1.8 mm."""
+    before, patch_before = window.document.preset, window.result.patch
+    assert len(patch_before.points) > 0
+    box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Down)
+    assert window.document.preset.contact_test == "calibrated"
+    assert window.document.undo_stack.undoText() == "Contact test calibrated"
+    assert tuple(window.result.patch.stage_ms) == CALIBRATED_STAGES
+    assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
+    assert window.result.rendered.histogram is None
+    assert not window.panel.histogram.isVisible()
+
+    type_gap_mm(window, qtbot, "3")
+    assert window.document.preset.calibrated.gap_m == 0.003
+    expected = ContactPipeline(window.document.preset, tiny_rig()).process(tiny_frame(3, tiny_rig()))
+    assert len(expected.points) > 0
+    np.testing.assert_array_equal(window.result.patch.points, expected.points)
+    np.testing.assert_array_equal(window.result.patch.provenance, expected.provenance)
+
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Z, CONTROL)
+    QTest.keyClick(box, Qt.Key.Key_Z, CONTROL)
+    assert window.document.preset is before
+    assert box.value() == "tolerance"
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    np.testing.assert_array_equal(window.result.patch.points, patch_before.points)
+    assert window.panel.histogram.isVisible()
+
+
+def test_the_patch_is_drawn_at_its_own_points(window, qtbot):
+    choose_by_keyboard(window, qtbot, Qt.Key.Key_Down)
+    type_gap_mm(window, qtbot, "3")
+    patch, cloud = window.result.patch, window.result.rendered.clouds[CloudName.PATCH]
+    drawn_m = cloud.depth[patch.mask] * cloud.depth_unit_m
+    np.testing.assert_allclose(drawn_m, patch.points[:, 2], atol=0.00013)
+    assert np.abs(window.result.frame.proximity_depth[patch.mask] * 0.00025 - patch.points[:, 2]).min() > 0.0005
+
+
+def test_the_rim_has_a_colour_of_its_own_and_a_name():
+    for theme in ("light", "dark"):
+        legend = {name: color.getRgb() for name, color in provenance_legend(theme)}
+        assert len(set(legend.values())) == len(legend) == len(Provenance)
+        assert provenance_legend(theme, {Provenance.RIM})[0][0] == "rim"
+
+
+def test_an_empty_patch_says_what_the_calibrated_test_has_dropped():
+    provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
+    assert "largest gap" in why_no_contact(provenance, "calibrated")
+    provenance[0] = Provenance.RIM
+    assert "the retreat from the edge dropped all" in why_no_contact(provenance, "calibrated")
+    provenance[1:3] = Provenance.SMALL_CLUSTER
+    assert "dropped 10 of 15: lower the smallest contact" in why_no_contact(provenance, "calibrated")
+
+
+def test_the_colours_middle_band_is_what_the_chosen_test_accepts():
+    preset = Preset().with_values({"tolerance.t": 0.02, "calibrated.gap_m": 0.0018})
+    assert accepted_difference(preset, (0.2, 0.4)) == 0.02
+    calibrated = preset.with_value("contact_test", "calibrated")
+    assert accepted_difference(calibrated, (0.2, 0.4)) == 0.006
+    assert accepted_difference(calibrated, (0.0, 0.0)) == 0.0
