@@ -99,6 +99,7 @@ def sweep(
     as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
 ) -> None:  # fmt: skip
     """Try parameters over recordings and scenes, in parallel; Ctrl-C keeps what is done, the same command goes on."""
+    from ..core.sources.registry import open_source
     from ..core.sweep.best import best_preset, check_presentable, choose_objective, effects, rank
     from ..core.sweep.journal import Journal
     from ..core.sweep.plan import make_plan
@@ -113,7 +114,10 @@ def sweep(
         raise ExportError(f"--best and --out are both {best}; name two files")
     with _engine(scheduler, jobs) as (engine, workers), CliProgress() as progress:
         plan = make_plan(
-            options.preset, options.request, progress=lambda name: progress.preparing(0.5, f"Reading {name}")
+            options.preset,
+            options.request,
+            opener=lambda name: open_source(name, progress.preparing),
+            progress=lambda name: progress.frames(0, None, f"reading {name}"),
         )
         chosen = choose_objective(options.objective, plan)
         if best is not None:

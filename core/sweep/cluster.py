@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import logging
 import re
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -71,6 +72,8 @@ class Cluster:
                 except TimeoutError:
                     self._look(waiting)
                     continue
+                except distributed.CancelledError as error:
+                    raise _gone() from error
                 running -= done
                 for future in done:
                     yield _result_of(future)
@@ -109,7 +112,7 @@ def connect(address: str) -> Iterator[Cluster]:
             f"no Dask scheduler answers at {address} ({_first_line(error)}); start one with dask scheduler "
             "and give the address that it prints, such as tcp://192.168.0.5:8786"
         ) from error
-    with client, client.as_current():
+    with _quiet(), client, client.as_current():
         try:
             client.wait_for_workers(1, timeout=_CONNECT_S)
         except TimeoutError as error:
@@ -117,6 +120,20 @@ def connect(address: str) -> Iterator[Cluster]:
                 f"the scheduler at {address} has no worker; start some with dask worker {address}"
             ) from error
         yield Cluster(client)
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what the client logs of lost connections off the terminal; what matters is raised."""
+    loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
+    levels = [logger.level for logger in loggers]
+    for logger in loggers:
+        logger.setLevel(logging.CRITICAL + 1)
+    try:
+        yield
+    finally:
+        for logger, level in zip(loggers, levels, strict=True):
+            logger.setLevel(level)
 
 
 def _result_of(future: Any) -> list[Result]:

@@ -88,7 +88,7 @@ def test_a_scheduler_that_ends_is_said_in_a_sentence(long_sweep, cluster):
     process = long_sweep.start("--scheduler", cluster.address)
     cluster.scheduler.kill()
     _, err = process.communicate(timeout=LIMIT_S)
-    assert process.returncode == 2
+    assert process.returncode == 2, err
     assert err.splitlines()[-1].startswith("tactune: the Dask scheduler is gone")
     assert "Traceback" not in err
 

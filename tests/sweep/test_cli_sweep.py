@@ -1,0 +1,157 @@
+"""``tactune sweep`` from the options to the table, the best preset and the words on the terminal."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import pytest
+from pyarrow import parquet
+
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset_file import load_preset
+from tactune.core.sources.folder import FolderSource
+
+SETS = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
+
+
+def rows_of(path: Path) -> list[dict[str, object]]:
+    return parquet.read_table(path).to_pylist()
+
+
+def test_table_and_best_preset(sweep, make_recording, tmp_path):
+    one, other = make_recording("one"), make_recording("other", seed=5)
+    done = sweep("-s", one, "-s", other, *SETS, "--objective", "iou", "--best", "best.json", "-p", "default")
+    assert done.status == 0, done.err
+    rows = rows_of(tmp_path / "work" / "sweep.parquet")
+    assert len(rows) == 12
+    assert {(row["source"], row["tolerance.t"], row["outliers.k"]) for row in rows} == {
+        (source, t, k) for source in (one, other) for t in (0.002, 0.007, 0.03) for k in (5, 20)
+    }
+    for row in rows:
+        assert row["mask.hue"] == [0, 179] and row["alignment.model"] == "rigid" and row["contact_test"] == "tolerance"
+        assert row["ms"] > 0 and row["failure"] == "" and row["frames"] == 3
+    means: dict[tuple[object, object], float] = {}
+    for row in rows:
+        key = row["tolerance.t"], row["outliers.k"]
+        means[key] = means.get(key, 0.0) + row["iou"] / 2
+    best = load_preset(tmp_path / "work" / "best.json")
+    assert (best.tolerance.t, best.outliers.k) == max(means, key=means.__getitem__)
+    assert best.tolerance.t == 0.007
+    assert best.name == "default, best iou"
+    assert "Best of 6 settings by iou" in best.notes and one in best.notes and "tolerance.t 0.007" in best.notes
+    source = FolderSource(tmp_path / "one")
+    found = [len(ContactPipeline(best, source.rig).process(source.read(index)).points) for index in range(3)]
+    (row,) = (
+        row for row in rows
+        if (row["source"], row["tolerance.t"], row["outliers.k"]) == (one, best.tolerance.t, best.outliers.k)
+    )  # fmt: skip
+    assert sum(found) / 3 == pytest.approx(row["points"])
+    table = done.out.splitlines()
+    first = next(line for line in table if line.strip().startswith("0.0"))
+    assert first.split()[:2] == ["0.007", str(best.outliers.k)]
+    assert "Mean iou over all other parameters" in done.out
+
+
+def test_the_same_command_does_nothing_twice_and_a_sweep_file_says_the_same(sweep, recording, tmp_path):
+    assert sweep("-s", recording, *SETS, "--frames", "1:3").status == 0
+    journal = tmp_path / "work" / "sweep.runs.jsonl"
+    before, table = journal.read_bytes(), rows_of(tmp_path / "work" / "sweep.parquet")
+    asked = {
+        "source": [recording], "set": {"tolerance.t": [0.002, 0.007, 0.03], "outliers.k": "5,20"}, "frames": "1:3",
+        "objective": "iou",
+    }  # fmt: skip
+    (tmp_path / "sweep.json").write_text(json.dumps(asked))
+    done = sweep("--file", tmp_path / "sweep.json", "--json")
+    document = json.loads(done.out)
+    assert journal.read_bytes() == before
+    assert rows_of(tmp_path / "work" / "sweep.parquet") == table
+    assert (document["runs"], document["failed"], document["objective"]) == (6, 0, "iou")
+    values = [found["value"] for found in document["top"]]
+    assert values == sorted(values, reverse=True)
+    assert {(effect["parameter"], effect["value"]) for effect in document["effects"]} == {
+        ("tolerance.t", "0.002"), ("tolerance.t", "0.007"), ("tolerance.t", "0.03"), ("outliers.k", "5"),
+        ("outliers.k", "20"),
+    }  # fmt: skip
+    wider = sweep("--file", tmp_path / "sweep.json", "--set", "outliers.k=5,20,30")
+    assert wider.status == 0
+    assert journal.read_bytes().startswith(before) and len(journal.read_bytes().splitlines()) == 1 + 9
+
+
+def test_a_sample_runs_so_many_and_its_effects_are_grouped(sweep, recording, tmp_path):
+    done = sweep("-s", recording, "--set", "tolerance.t=0.002:0.03:log", "--sample", 20, "--seed", 3, "--json")
+    document = json.loads(done.out)
+    assert document["runs"] == 20
+    assert len({row["tolerance.t"] for row in rows_of(tmp_path / "work" / "sweep.parquet")}) == 20
+    assert [effect["runs"] for effect in document["effects"]] == [4] * 5
+
+
+def test_without_truth_the_steadiest_is_best_and_no_error_can_be_asked_for(sweep, make_recording):
+    blind = make_recording(with_truth=False)
+    document = json.loads(sweep("-s", blind, *SETS, "--json").out)
+    assert document["objective"] == "stability"
+    assert "knows no truth" in sweep("-s", blind, *SETS, "--objective", "rmse_mm", "-o", "b.parquet").sentence
+
+
+def test_seeds_are_for_simulated_sources(sweep, recording):
+    done = sweep("-s", recording, "--seeds", 3)
+    assert done.status == 0
+    assert "--seeds changes the noise of simulated sources only" in done.err
+
+
+def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
+    done = sweep("-s", recording, "--method", "fusion", "--method", "mechanics")
+    assert done.status == 0
+    assert "1 run failed, such as: mechanics compares with the untouched membrane" in done.err
+    rows = {row["method"]: row for row in rows_of(tmp_path / "work" / "sweep.parquet")}
+    assert rows["fusion"]["failure"] == "" and rows["mechanics"]["rmse_mm"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ((), "give --source"),
+        (("-s", "REC", "--set", "tolerance.q=1"), "did you mean tolerance.t"),
+        (("-s", "REC", "--set", "tolerance.t=3"), "allowed: 0 to 1"),
+        (("-s", "REC", "--set", "tolerance.t=0:1:1000", "--set", "outliers.k=1:1000:1000"), "--sample N"),
+        (("-s", "REC", "--set", "tolerance.t=0:1", "--sample", "1000000"), "sample fewer"),
+        (("-s", "REC", "--sample", "5"), "nothing to sample"),
+        (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
+        (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
+        (("-s", "REC", "--method", "magic"), "there is no method 'magic'"),
+        (("-s", "REC", "--method", "mechanics", "--best", "b.json"), "no preset can name the method mechanics"),
+        (("-s", "REC", "--frames", "9:"), "has 3 frames"),
+        (("-s", "REC", "--out", "sweep.csv"), "ends in .parquet"),
+        (("-s", "REC", "--best", "sweep.parquet"), "name two files"),
+        (("-s", "live:sim:cup",), "record it first"),
+        (("-s", "folder:/nowhere",), "there is no folder"),
+        (("-s", "REC", "--file", "missing.json"), "cannot read missing.json"),
+        (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "leave it out beside --scheduler"),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_is_said_before_anything_runs(sweep, recording, tmp_path, words, expected):
+    done = sweep(*(recording if word == "REC" else word for word in words))
+    assert expected in done.sentence
+    assert list((tmp_path / "work").iterdir()) == []
+
+
+def test_sweep_files_with_mistakes_are_refused(sweep, tmp_path):
+    for text, words in (("{", "sweep has the fields"), ('{"sources": []}', "sources"), ('{"seeds": "2"}', "seeds")):
+        (tmp_path / "s.json").write_text(text)
+        assert words in sweep("--file", tmp_path / "s.json").sentence
+
+
+def test_a_table_that_no_sweep_has_written_is_left_alone(sweep, recording, tmp_path):
+    (tmp_path / "mine.parquet").write_text("precious")
+    assert "already there" in sweep("-s", recording, "-o", tmp_path / "mine.parquet").sentence
+    assert (tmp_path / "mine.parquet").read_text() == "precious"
+
+
+@pytest.mark.parametrize(
+    ("module", "words", "extra"),
+    [("pyarrow", (), "sweep"), ("joblib", (), "sweep"), ("distributed", ("--scheduler", "tcp://h:1"), "cluster")],
+)
+def test_a_missing_extra_is_named(sweep, recording, monkeypatch, module, words, extra):
+    monkeypatch.setitem(sys.modules, module, None)
+    assert f"pip install 'tactune[{extra}]'" in sweep("-s", recording, *words).sentence
