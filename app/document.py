@@ -9,9 +9,11 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
 from ..core.errors import PresetError
+from ..core.membrane_reference import copy_reference
 from ..core.preset import Preset, now
 from ..core.preset_file import load_preset, save_preset
 from .commands import EditPreset
+from .reference.store import ReferenceStore
 
 
 class Document(QObject):
@@ -29,17 +31,22 @@ class Document(QObject):
         Another preset is what the file holds, so "reset" goes back to it.
     refused(path: str, sentence: str)
         An edit that the preset does not allow; nothing changed.
+    warned(sentence: str)
+        The preset was saved, but not everything that belongs to it.
     """
 
     presetChanged = pyqtSignal(object)
     fileChanged = pyqtSignal()
     baselineChanged = pyqtSignal(object)
     refused = pyqtSignal(str, str)
+    warned = pyqtSignal(str)
 
     def __init__(self, preset: Preset | None = None, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._preset = preset or Preset()
         self._path: Path | None = None
+        #: Keeps references until the preset has a file.
+        self.references: ReferenceStore | None = None
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(1000)
         self.undo_stack.cleanChanged.connect(self._clean_changed)
@@ -53,6 +60,11 @@ class Document(QObject):
     def path(self) -> Path | None:
         """The file it was read from or saved to; None for a new one or a shipped one."""
         return self._path
+
+    @property
+    def reference_home(self) -> Path | None:
+        """Beside which file the preset's reference lies, as `load_reference` takes it; None: nowhere yet."""
+        return self._path if self.references is None else self.references.home(self._preset.reference, self._path)
 
     @property
     def dirty(self) -> bool:
@@ -119,18 +131,32 @@ class Document(QObject):
         self.fileChanged.emit()
 
     def save(self, path: Path) -> None:
-        """Write the preset to a file, which becomes the document's.
+        """Write the preset to a file, which becomes the document's; its reference goes along first.
 
         Raises
         ------
-        PresetError
-            The file cannot be written; the document stays unsaved.
+        ExportError
+            A file cannot be written; the document stays unsaved.
         """
+        lost = self._bring_reference(path)
         save_preset(self._preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()
         self.baselineChanged.emit(self._preset)
         self.fileChanged.emit()
+        if lost:
+            self.warned.emit(lost)
+
+    def _bring_reference(self, to: Path) -> str:
+        """Put the reference beside the file to be, and return why it could not be read, if so."""
+        record, home = self._preset.reference, self.reference_home
+        if record is None or home is None or home.parent == to.parent:
+            return ""
+        try:
+            copy_reference(record, home, to)
+        except PresetError as error:
+            return f"{to.name} was saved without its reference: {error}."
+        return ""
 
     def _replace(self, preset: Preset, path: Path | None) -> None:
         self._path = path

@@ -86,6 +86,8 @@ class Recorder:
         self._writer: Writer | None = None
         self._refused = 0
         self._watcher: _Watcher | None = None
+        #: The preset's reference, which recordings hold instead of the source's.
+        self.reference: SensorFrame | None = None
         self._finishing: list[Thread] = []
 
     @property
@@ -109,6 +111,8 @@ class Recorder:
         with self._lock:
             if self._writer is not None:
                 return
+            if self.reference is not None:
+                request = replace(request, reference=self.reference)
             try:
                 self._writer = self._open(request)
                 self._refused = 0

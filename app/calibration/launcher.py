@@ -91,7 +91,8 @@ class CalibrationLauncher(QObject):
 
     def _check(self) -> None:
         if self.recheck is not None and self._result is not None:
-            self.recheck.check(self._document.preset, self._result.source.rig, self._result.frame)
+            document, result = self._document, self._result
+            self.recheck.check(document.preset, result.source.rig, result.frame, document.reference_home)
 
     def _wizard_closed(self) -> None:
         if self.wizard is not None:

@@ -2,12 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
+
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QFont
 from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
+from ...core.calibration.membrane_drift import DepthChange, MembraneDrift, compare_with_reference
 from ...core.calibration.recheck import Drift, recheck
+from ...core.errors import TactuneError
 from ...core.frames import Rig, SensorFrame
+from ...core.membrane_reference import load_reference
 from ...core.preset import Preset
 from ...widgets.marks import Mark, MarkKind
 from ...widgets.point_image import PointImage
@@ -18,6 +24,35 @@ from .state import ImageChoice
 _FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
 _CHECKING = "Looking the points up on the present frame…"
 _WORST_SHARE = 0.95
+_NO_REFERENCE = (
+    "The inflation was not checked: this preset has no reference. Capture one while nothing touches the membrane, "
+    "with Analysis > Capture reference…"
+)
+
+
+@dataclass(frozen=True)
+class Rechecked:
+    """What a check found: drift of the alignment and of the membrane, each or why not."""
+
+    alignment: Drift | str
+    membrane: MembraneDrift | str
+
+
+def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> Rechecked:
+    """Check the alignment, and the membrane against the preset's reference where it has one."""
+    alignment: Drift | str
+    membrane: MembraneDrift | str = _NO_REFERENCE
+    try:
+        alignment = recheck(preset, rig, frame)
+    except TactuneError as error:
+        alignment = _sentence(error)
+    if preset.reference is not None and preset_path is not None:
+        try:
+            reference = load_reference(preset.reference, preset_path)
+            membrane = compare_with_reference(preset, rig, frame, reference)
+        except TactuneError as error:
+            membrane = f"The inflation was not checked: {error}."
+    return Rechecked(alignment, membrane)
 
 
 class RecheckWindow(QDialog):
@@ -37,6 +72,7 @@ class RecheckWindow(QDialog):
         super().__init__(parent)
         self.setWindowTitle("Re-check calibration – Tactune")
         self.drift: Drift | None = None
+        self.membrane_drift: MembraneDrift | None = None
         self._job = Job(self)
         self.sentence = QLabel(_CHECKING)
         self.sentence.setWordWrap(True)
@@ -44,6 +80,10 @@ class RecheckWindow(QDialog):
         font.setPointSizeF(1.2 * font.pointSizeF())
         font.setBold(True)
         self.sentence.setFont(font)
+        self.membrane = QLabel()
+        self.membrane.setWordWrap(True)
+        self.membrane.setFont(font)
+        self.membrane.setToolTip("The tactile and proximity depth of the membrane against the preset's reference")
         self.image = PointImage("Tactile camera: where the proximity camera finds each place, from where it should be")
         self.image.set_loupe_wanted(False)
         self.numbers = QGridLayout()
@@ -63,6 +103,7 @@ class RecheckWindow(QDialog):
             row.addWidget(button)
         layout = QVBoxLayout(self)
         layout.addWidget(self.sentence)
+        layout.addWidget(self.membrane)
         layout.addLayout(self.numbers)
         layout.addWidget(self.image, 1)
         layout.addLayout(row)
@@ -75,48 +116,29 @@ class RecheckWindow(QDialog):
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)
 
-    def check(self, preset: Preset, rig: Rig, frame: SensorFrame) -> None:
-        """Check a preset on a frame, on another thread."""
+    def check(self, preset: Preset, rig: Rig, frame: SensorFrame, preset_path: Path | None = None) -> None:
+        """Check a preset on a frame, on another thread; its reference lies beside ``preset_path``."""
         self.sentence.setText(_CHECKING)
+        self.membrane.setText("")
         choice: ImageChoice = "color" if frame.tactile_color is not None else "depth"
         self.image.set_image(picture(frame, rig, "tactile", choice, stretch=True).pixels)
-        self._job.start(lambda _: recheck(preset, rig, frame))
+        self._job.start(lambda _: recheck_all(preset, preset_path, rig, frame))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
         """Stop what is under way."""
         self._job.stop()
         super().closeEvent(event)
 
-    def _show(self, drift: Drift) -> None:
-        self.drift = drift
-        self.sentence.setText(drift.sentence)
-        stored = f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset"
-        self._show_numbers(
-            ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
-            ("95 % of the places within", f"{drift.worst_px:.2f} px"),
-            ("Clicked points found again", stored),
-            ("Places compared", str(len(drift.tactile))),
-        )
-        self.image.set_marks(
-            [
-                Mark(
-                    number,
-                    float(place[0]),
-                    float(place[1]),
-                    kind=MarkKind.WORST if length > _WORST_SHARE * drift.worst_px else MarkKind.POINT,
-                    arrow=(float(offset[0]), float(offset[1])),
-                )
-                for number, (place, offset, length) in enumerate(
-                    zip(drift.tactile, drift.offsets_px, (drift.offsets_px**2).sum(axis=1) ** 0.5, strict=True)
-                )
-            ]
-        )
+    def _show(self, found: Rechecked) -> None:
+        self.drift = found.alignment if isinstance(found.alignment, Drift) else None
+        self.membrane_drift = found.membrane if isinstance(found.membrane, MembraneDrift) else None
+        self.sentence.setText(found.alignment if isinstance(found.alignment, str) else found.alignment.sentence)
+        self.membrane.setText(found.membrane if isinstance(found.membrane, str) else found.membrane.sentence)
+        self._show_numbers(*_alignment_rows(self.drift), *_membrane_rows(self.membrane_drift))
+        self.image.set_marks([] if self.drift is None else _marks(self.drift))
 
     def _fail(self, sentence: str) -> None:
-        self.drift = None
-        self.sentence.setText(sentence[:1].upper() + sentence[1:])
-        self.image.set_marks([])
-        self._show_numbers()
+        self._show(Rechecked(sentence, ""))
 
     def _show_numbers(self, *rows: tuple[str, str]) -> None:
         while (item := self.numbers.takeAt(0)) is not None:
@@ -130,6 +152,54 @@ class RecheckWindow(QDialog):
             self.numbers.addWidget(shown, number // 2, 2 * (number % 2) + 1)
         self.numbers.setColumnStretch(1, 1)
         self.numbers.setColumnStretch(3, 1)
+
+
+def _alignment_rows(drift: Drift | None) -> list[tuple[str, str]]:
+    if drift is None:
+        return []
+    return [
+        ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
+        ("95 % of the places within", f"{drift.worst_px:.2f} px"),
+        (
+            "Clicked points found again",
+            f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset",
+        ),
+        ("Places compared", str(len(drift.tactile))),
+    ]
+
+
+def _membrane_rows(drift: MembraneDrift | None) -> list[tuple[str, str]]:
+    if drift is None:
+        return []
+    return [
+        ("Tactile depth changed by", _change(drift.tactile)),
+        ("Proximity depth changed by", _change(drift.proximity)),
+    ]
+
+
+def _change(change: DepthChange | None) -> str:
+    if change is None:
+        return "not seen"
+    return f"{1e3 * change.median_m:+.2f} mm, spread {1e3 * change.spread_m:.2f} mm"
+
+
+def _marks(drift: Drift) -> list[Mark]:
+    lengths = (drift.offsets_px**2).sum(axis=1) ** 0.5
+    return [
+        Mark(
+            number,
+            float(place[0]),
+            float(place[1]),
+            kind=MarkKind.WORST if length > _WORST_SHARE * drift.worst_px else MarkKind.POINT,
+            arrow=(float(offset[0]), float(offset[1])),
+        )
+        for number, (place, offset, length) in enumerate(zip(drift.tactile, drift.offsets_px, lengths, strict=True))
+    ]
+
+
+def _sentence(error: TactuneError) -> str:
+    text = str(error)
+    return text[:1].upper() + text[1:]
 
 
 def _push(text: str, tip: str) -> QPushButton:

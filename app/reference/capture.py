@@ -1,0 +1,172 @@
+"""Averages the frames that are shown into a reference, on a thread of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from queue import Empty, SimpleQueue
+from typing import Final
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from ...core.frames import SensorFrame
+from ...core.membrane_reference import CapturedReference, average_untouched
+from ...core.preset import ReferenceRecord
+from ...core.sources.registry import open_source
+from ..calibration.feed import FrameFeed
+from ..calibration.jobs import Job, Progress
+from .store import ReferenceStore
+
+_SIMULATOR: Final = "sim:"
+#: Shares of the progress at which the simulator's scene is open, and its untouched membrane is ready.
+_OPENED: Final = 0.3
+_PREPARED: Final = 0.7
+#: How soon a person who cancels is obeyed while no frame comes.
+_WAIT_S: Final = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Captured:
+    """A reference that is kept already, and what it is made of."""
+
+    reference: CapturedReference
+    record: ReferenceRecord
+    asked: int
+
+
+class Capture(QObject):
+    """Takes the next frames of a feed while nothing touches the membrane.
+
+    The simulator's are those of the same membrane with the object away. Frames go through a queue to
+    the thread that averages them, so none is held longer than averaging needs it.
+
+    Signals
+    -------
+    progress(share: float, words: str)
+    captured(Captured)
+    failed(sentence: str)
+        Empty where it was cancelled.
+    """
+
+    progress = pyqtSignal(float, str)
+    captured = pyqtSignal(object)
+    failed = pyqtSignal(str)
+
+    def __init__(self, feed: FrameFeed, store: ReferenceStore, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._feed, self._store = feed, store
+        self._queue: SimpleQueue[SensorFrame | None] = SimpleQueue()
+        self._wanted = 0
+        self._last: SensorFrame | None = None
+        self._played = False
+        self._return_to: int | None = None
+        self._job = Job(self)
+        self._job.progress.connect(self.progress)
+        self._job.done.connect(self._done)
+        self._job.failed.connect(self._failed)
+        feed.frameArrived.connect(self._take)
+        feed.playbackChanged.connect(self._playback_changed)
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames are being taken or averaged."""
+        return self._job.busy
+
+    def start(self, count: int) -> None:
+        """Average the frame that is shown and those that follow it, ``count`` in all."""
+        frame, playback, name = self._feed.frame, self._feed.playback, self._feed.info.name
+        if self.busy or frame is None:
+            return
+        if name.startswith(_SIMULATOR):
+            self._job.start(lambda progress: self._simulated(name, count, progress))
+            return
+        self._queue, self._wanted, self._last = SimpleQueue(), count, None
+        queue, still = self._queue, not playback.running
+        self._return_to = playback.index if still and playback.seekable else None
+        self._played = not still
+        self._job.start(lambda progress: self._average(_arriving(queue, count, progress), count))
+        self._take(frame)
+        if self._wanted and still:
+            self._feed.play()
+
+    def cancel(self) -> None:
+        """Stop; the preset keeps what it has."""
+        self._stand_as_before()
+        self._job.cancel()
+
+    def close(self) -> None:
+        """Stop for good."""
+        self._wanted = 0
+        self._job.stop()
+
+    def _take(self, frame: SensorFrame) -> None:
+        if not self._wanted or frame is self._last:
+            return
+        self._last = frame
+        self._queue.put(frame)
+        self._wanted -= 1
+        if not self._wanted:
+            self._stand_as_before()
+
+    def _playback_changed(self) -> None:
+        """Make do with what there is where a recording has ended."""
+        running = self._feed.playback.running
+        if self._wanted and self._played and not running:
+            self._queue.put(None)
+            self._stand_as_before()
+        self._played = running
+
+    def _stand_as_before(self) -> None:
+        self._wanted = 0
+        if self._return_to is not None:
+            self._feed.pause()
+            self._feed.seek(self._return_to)
+            self._return_to = None
+
+    def _simulated(self, name: str, count: int, progress: Progress) -> Captured:
+        # only the simulator's frames need what it is made of
+        from ...core.evaluation.untouched import frames_to_average
+
+        def opening(share: float, words: str) -> None:
+            progress(_OPENED * share, words)
+
+        def untouched(share: float, words: str) -> None:
+            progress(_OPENED + (_PREPARED - _OPENED) * share, words)
+
+        with open_source(name, opening) as source, frames_to_average(source, count, untouched) as frames:
+            return self._average(_counted_out(frames, count, progress), count)
+
+    def _average(self, frames: Iterator[SensorFrame], asked: int) -> Captured:
+        averaged = average_untouched(frames)
+        return Captured(averaged, self._store.keep(averaged.frame, averaged.frames), asked)
+
+    def _done(self, captured: Captured) -> None:
+        self._stand_as_before()
+        self.captured.emit(captured)
+
+    def _failed(self, sentence: str) -> None:
+        self._stand_as_before()
+        self.failed.emit(sentence)
+
+
+def _arriving(queue: SimpleQueue[SensorFrame | None], count: int, progress: Progress) -> Iterator[SensorFrame]:
+    """Yield frames as they come, until there are enough or the source ends."""
+    for number in range(count):
+        frame: SensorFrame | None = None
+        arrived = False
+        while not arrived:
+            progress(number / count, f"Frame {number + 1} of {count}")
+            with suppress(Empty):
+                frame = queue.get(timeout=_WAIT_S)
+                arrived = True
+        if frame is None:
+            return
+        yield frame
+    progress(1.0, "Averaging")
+
+
+def _counted_out(frames: Iterable[SensorFrame], count: int, progress: Progress) -> Iterator[SensorFrame]:
+    for number, frame in enumerate(frames):
+        progress(_PREPARED + (1.0 - _PREPARED) * number / count, f"Frame {number + 1} of {count}")
+        yield frame

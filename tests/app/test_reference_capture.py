@@ -1,0 +1,171 @@
+"""Capturing the reference in the window, by mouse and keys."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+
+from tactune.app.worker import SourceRequest
+from tactune.core.calibration.snapshots import content_hash
+from tactune.core.frames import SensorFrame
+from tactune.core.membrane_reference import load_reference
+
+from .conftest import LiveSource, TinySource, at_rest, tiny_frame
+
+CONTROL = Qt.KeyboardModifier.ControlModifier
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+
+
+class Endless(LiveSource):
+    """A live source that never waits for long."""
+
+    def next_frame(self) -> SensorFrame | None:
+        time.sleep(0.005)
+        self.more.set()
+        return super().next_frame()
+
+
+class Moving(TinySource):
+    """From its fifth frame on the whole membrane is pushed in by 8 mm."""
+
+    def read(self, index: int) -> SensorFrame:
+        frame = tiny_frame(index, self.rig)
+        pushed = (frame.tactile_depth - (80 if index >= 4 else 0)).astype(np.uint16)
+        return replace(frame, tactile_depth=pushed)
+
+
+def open_capture(qtbot, window):
+    QTest.keyClick(window, Qt.Key.Key_R, CONTROL | SHIFT)
+    opened = window.analysis.reference.window
+    qtbot.waitUntil(opened.isActiveWindow)
+    return opened
+
+
+def capture(qtbot, window, frames=5):
+    """Open the window, type a number of frames, click on Capture and wait."""
+    opened = open_capture(qtbot, window)
+    opened.frames.setFocus()
+    opened.frames.selectAll()
+    QTest.keyClicks(opened.frames, str(frames))
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    return opened
+
+
+def open_source(qtbot, window, source):
+    window.open_request(SourceRequest("other", lambda progress: source))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
+
+
+def test_the_next_frames_become_the_reference_as_one_step(qtbot, window):
+    opened = capture(qtbot, window, 5)
+    record = window.document.preset.reference
+    assert record.frames == 5
+    assert "Captured 5 frames" in opened.sentence.text()
+    assert "mm after" in opened.sentence.text()
+    qtbot.waitUntil(lambda: at_rest(window, 3))  # where it stood before
+    kept = load_reference(record, window.document.reference_home)
+    assert np.array_equal(kept.tactile_depth, tiny_frame(3, window.result.source.rig).tactile_depth)
+    QTest.keyClick(opened, Qt.Key.Key_Z, CONTROL)
+    qtbot.waitUntil(lambda: window.document.preset.reference is None)
+    assert window.document.undo_stack.redoText() == "Capture reference"
+    window.document.undo_stack.redo()
+    assert window.document.preset.reference == record
+
+
+def test_the_reference_is_shown_beside_the_present_frame(qtbot, window):
+    opened = open_capture(qtbot, window)
+    assert not opened.save.isEnabled()
+    capture(qtbot, window)
+    keeper = window.analysis.reference.keeper
+    qtbot.waitUntil(lambda: keeper.frame is not None)
+    assert content_hash(keeper.frame) == window.document.preset.reference.sha256
+    assert opened.save.isEnabled()
+
+
+def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
+    source = Moving()
+    source.name = "moving"
+    open_source(qtbot, window, source)
+    window.worker.pause()
+    window.worker.seek(2)
+    qtbot.waitUntil(lambda: at_rest(window, 2))
+    opened = capture(qtbot, window, 6)
+    assert "The membrane moved while the reference was captured" in opened.sentence.text()
+    assert window.document.preset.reference is None
+    qtbot.waitUntil(lambda: at_rest(window, 2))
+
+
+def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
+    window.worker.set_loop(False)
+    opened = capture(qtbot, window, 20)
+    assert "because the recording ended" in opened.sentence.text()
+    assert 1 <= window.document.preset.reference.frames <= 5
+
+
+def test_escape_stops_capturing_and_then_closes(qtbot, window):
+    open_source(qtbot, window, Endless())
+    opened = open_capture(qtbot, window)
+    opened.frames.setValue(1000)
+    QTest.keyClick(opened, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: opened.capture.busy)
+    qtbot.waitUntil(lambda: "Frame 3" in opened.progress.text())
+    QTest.keyClick(opened, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert "cancelled" in opened.sentence.text()
+    assert window.document.preset.reference is None
+    assert opened.take.isEnabled()
+    QTest.keyClick(opened, Qt.Key.Key_Escape)
+    assert window.analysis.reference.window is None
+
+
+def test_another_source_ends_capturing(qtbot, window):
+    open_source(qtbot, window, Endless())
+    opened = open_capture(qtbot, window)
+    opened.frames.setValue(1000)
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    open_source(qtbot, window, TinySource())
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert "another source was opened" in opened.sentence.text()
+
+
+def test_without_a_source_the_window_says_so(qtbot, make_window):
+    window = make_window()
+    QTest.keyClick(window, Qt.Key.Key_R, CONTROL | SHIFT)
+    assert any("open a source first" in sentence for sentence in window.messages.sentences())
+
+
+@pytest.mark.parametrize("part", ["frames", "take", "cancel", "undo", "save", "leave"])
+def test_every_control_says_what_it_does(qtbot, window, part):
+    assert len(getattr(open_capture(qtbot, window), part).toolTip()) > 20
+
+
+def test_the_recheck_compares_the_membrane_with_the_reference(qtbot, window):
+    capture(qtbot, window).close()
+    window.actions_.recheck.trigger()
+    check = window.calibration.recheck
+    qtbot.waitUntil(lambda: "as in the reference" in check.membrane.text())
+    assert check.membrane_drift.verdict == "fine"
+    assert "no tactile colour image" in check.sentence.text()
+    window.document.undo_stack.undo()
+    QTest.mouseClick(check.again, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: "has no reference" in check.membrane.text())
+
+
+def test_the_simulator_takes_its_object_away(qtbot, make_window):
+    window = make_window()
+    window.open_source("sim:cup?press=medium")
+    qtbot.waitUntil(lambda: window.result is not None, timeout=60_000)
+    pressed = window.result.frame
+    opened = open_capture(qtbot, window)
+    assert "simulator takes its object away" in opened.advice.text()
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: window.document.preset.reference is not None, timeout=60_000)
+    kept = load_reference(window.document.preset.reference, window.document.reference_home)
+    middle = (slice(200, 280), slice(280, 360))
+    assert np.median(kept.tactile_depth[middle]) > np.median(pressed.tactile_depth[middle]) + 100
