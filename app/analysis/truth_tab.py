@@ -17,6 +17,7 @@ from PyQt6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QScrollArea,
+    QSlider,
     QSplitter,
     QToolButton,
     QVBoxLayout,
@@ -45,7 +46,8 @@ if TYPE_CHECKING:
 
 _SCAN_FILTER = f"Painted scans ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _TRANSFORM_FILTERS = ["Transforms (*.json)"]
-_UNIT, _RECENT, _FOLDER = "scan/unit", "scans", "folder/scan"
+_UNIT, _RECENT, _FOLDER, _POINT_SIZE = "scan/unit", "scans", "folder/scan", "scan/point_size"
+_USUAL_POINT_PX, _LARGEST_POINT_PX = 3, 8
 _PANEL_WIDTH = 380
 _DROPPING = {
     "set": "Eyedropper: click paint on the scan that was touched; Pick again puts it away.",
@@ -138,11 +140,28 @@ class TruthTab(AnalysisTab):
         for widget in (self.open_button, self.recent, unit, self.unit, self.progress, self.cancel):
             row.addWidget(widget)
         row.addStretch(1)
+        row.addLayout(self._point_size())
         for action in self._undo_actions(self.flow.session.undo_stack):
             button = QToolButton()
             button.setDefaultAction(action)
             button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
             row.addWidget(button)
+        return row
+
+    def _point_size(self) -> QHBoxLayout:
+        size = QSlider(Qt.Orientation.Horizontal)
+        size.setRange(1, _LARGEST_POINT_PX)
+        size.setFixedWidth(90)
+        size.setToolTip("Point size in pixels")
+        size.setAccessibleName("Point size")
+        size.valueChanged.connect(self.views.set_point_size)
+        size.valueChanged.connect(lambda pixels: self._settings.set(_POINT_SIZE, pixels))
+        size.setValue(round(self._settings.number(_POINT_SIZE, _USUAL_POINT_PX)))
+        label = QLabel("Point si&ze")
+        label.setBuddy(size)
+        row = QHBoxLayout()
+        row.addWidget(label)
+        row.addWidget(size)
         return row
 
     def _undo_actions(self, stack: QUndoStack) -> list[QAction]:

@@ -14,8 +14,6 @@ from .truth_flow import TruthFlow
 from .truth_pictures import highlighted, patch_cloud, patch_legend, scan_cloud, scan_legend, spots
 from .truth_work import posed
 
-#: Vertices of a scan lie farther apart than pixels of a depth camera.
-_SCAN_POINT_PX = 3.0
 _NO_SCAN = "No scan yet: open a painted PLY or OBJ, or drop it here"
 _NO_PATCH = "No patch yet: open a source in the main window and show a frame with contact"
 
@@ -54,7 +52,6 @@ class TruthViews(QSplitter):
         self.patch.pointClicked.connect(self.patchClicked)
         self.present.clicked.connect(self.presentRequested)
         self.follow.clicked.connect(self.followRequested)
-        self.scan.set_point_size(_SCAN_POINT_PX)
         self.scan.set_message(_NO_SCAN)
         self.patch.set_message(_NO_PATCH)
         self.show_patch()
@@ -88,6 +85,11 @@ class TruthViews(QSplitter):
         if cloud is not None and loaded is not None:
             self.scan.set_cloud(highlighted(cloud, loaded, on))
         self.scan.set_legend(scan_legend(on) if loaded is not None else [])
+
+    def set_point_size(self, pixels: int) -> None:
+        """Draw points so large; those of a scan a little larger, since its vertices lie farther apart."""
+        self.scan.set_point_size(pixels + 1)
+        self.patch.set_point_size(pixels)
 
     def set_dropper(self, in_hand: bool) -> None:
         """Show over the scan that a click takes a colour."""
