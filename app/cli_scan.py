@@ -39,7 +39,6 @@ _COLUMNS: Final = {
     "percentile_95_mm": "95 % mm",
     "chamfer_mm": "Chamfer mm",
     "area_error_mm2": "area error mm2",
-    "ms": "  ms",
 }
 _REFINED: Final = ("rmse_m", "pairs", "iterations", "converged")
 #: No method is so wrong; the transform is.
@@ -322,15 +321,8 @@ def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Reco
     scores = score_against_scan(patch.points, said["area_mm2"] or 0.0, truth)
     failure = said["failure"] or ("" if said["points"] else NO_CONTACT_FOUND)
     numbers = {key: finite_or_none(number) for key, number in scores.items()}
-    ms = round(sum(said["stage_ms"].values()), 3)
-    return (
-        {"sequence": said["sequence"], "method": name, "points": said["points"]}
-        | numbers
-        | {
-            "ms": ms,
-            "failure": failure,
-        }
-    )
+    start = {"sequence": said["sequence"], "method": name, "points": said["points"]}
+    return start | numbers | {"failure": failure}
 
 
 def _warn_of_places(records: list[Record]) -> None:

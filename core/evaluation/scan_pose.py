@@ -146,6 +146,8 @@ def refine_pose(
     ------
     CalibrationError
         A cloud is empty, no clouds within reach of each other, or a parameter is out of its range.
+    ValueError
+        ``start`` is no rigid transform.
     """
     if not (0 < overlap <= 1 and farthest_m > 0 and most_iterations >= 1):
         raise CalibrationError(
@@ -166,11 +168,10 @@ def refine_pose(
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Points that belong together, (N, 3) each, how much each pair counts, and their RMSE."""
+    """Points that belong together, (N, 3) each, and their RMSE."""
 
     contact: Float64Array
     patch: Float64Array
-    weights: Float64Array
     rmse_m: float
 
 
@@ -188,13 +189,11 @@ class _Pairing:
         """Pair the points within reach, and keep the share of them that lie nearest."""
         used, nearest, distances = self._one_way(self._patch_tree, transformed(pose, self._contact))
         contact, patch = self._contact[used], self._patch[nearest]
-        weights = np.full(len(used), 1 / len(self._contact))
         if self._both_ways:
             back = rigid_transform(np.linalg.inv(pose))
             used, nearest, apart = self._one_way(self._contact_tree, transformed(back, self._patch))
             contact = np.concatenate([contact, self._contact[nearest]])
             patch = np.concatenate([patch, self._patch[used]])
-            weights = np.concatenate([weights, np.full(len(used), 1 / len(self._patch))])
             distances = np.concatenate([distances, apart])
         best = np.argsort(distances, kind="stable")[: math.ceil(self._overlap * len(distances))]
         if len(best) < _LEAST_PAIRS:
@@ -203,7 +202,7 @@ class _Pairing:
                 "align it better by hand first"
             )
         rmse_m = math.sqrt(float(np.mean(distances[best] ** 2)))
-        return _Pairs(contact[best], patch[best], weights[best], rmse_m)
+        return _Pairs(contact[best], patch[best], rmse_m)
 
     def _one_way(
         self, tree: cKDTree, points: Float64Array
@@ -218,8 +217,8 @@ class _Pairing:
 def _best_pose(pairs: _Pairs) -> Matrix4:
     if _spread(pairs.contact)[1] < _ONE_PLACE_M / 10:
         raise CalibrationError("the contact within reach of the patch lies on one line; align it better by hand first")
-    contact, patch = (np.average(points, axis=0, weights=pairs.weights) for points in (pairs.contact, pairs.patch))
-    rotation, _ = Rotation.align_vectors(pairs.patch - patch, pairs.contact - contact, weights=pairs.weights)
+    contact, patch = pairs.contact.mean(axis=0), pairs.patch.mean(axis=0)
+    rotation, _ = Rotation.align_vectors(pairs.patch - patch, pairs.contact - contact)
     return _pose(rotation, patch - rotation.apply(contact))
 
 
