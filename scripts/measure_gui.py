@@ -3,7 +3,6 @@
 Run it alone on the machine; nothing in it is a test. For example::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
-    QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare
     xvfb-run -a -s "-screen 0 1920x1080x24" python scripts/measure_gui.py --theme dark
 """
 
@@ -28,7 +27,6 @@ from tactune.app.gui import make_application, start_with
 from tactune.app.main_window import MainWindow
 from tactune.app.results import Result
 from tactune.app.settings import Settings
-from tactune.core.baselines.registry import method_names
 from tactune.widgets.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
@@ -129,14 +127,11 @@ def main() -> int:
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
-    parser.add_argument("--compare", action="store_true", help="with all methods side by side in the analysis window")
     options = parser.parse_args()
     preset, _ = start_with(options.preset, options.source)
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
-        settings = Settings(Path(folder) / "window.ini")
-        settings.set("compare/methods", ",".join(method_names()))
-        window = MainWindow(preset, settings, Path(folder), backend=options.backend)
+        window = MainWindow(preset, Settings(Path(folder) / "window.ini"), Path(folder), backend=options.backend)
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)
@@ -144,8 +139,6 @@ def main() -> int:
         meter = Meter(window, options.seconds)
         window.show()
         window.open_source(options.source)
-        if options.compare:
-            window.actions_.compare.trigger()
         application.exec()
     sys.stdout.write(
         f"machine           {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}, "

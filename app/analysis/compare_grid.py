@@ -99,6 +99,13 @@ class TileGrid(QWidget):
         link_cameras([tile.view for tile in (*stay, *(tile for tile in self._shown if tile not in stay))])
         self._place()
 
+    def clear(self) -> None:
+        """Empty all views; they frame what comes next."""
+        for tile in self.tiles.values():
+            tile.view.set_cloud(None)
+            tile.view.set_message("")
+            tile.caption.setText("")
+
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         """Choose another number of columns where that makes the views larger."""
         super().resizeEvent(event)

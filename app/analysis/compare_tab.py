@@ -77,6 +77,8 @@ class CompareTab(AnalysisTab):
 
     def show_result(self, result: Result) -> None:
         """Compare this frame as soon as there is time for it."""
+        if self._result is not None and self._result.source is not result.source:
+            self.grid.clear()
         self._result = result
         self.reference.look(result, self._document.path)
         self._send()
@@ -173,8 +175,8 @@ class CompareTab(AnalysisTab):
         )
 
     def _show_newest(self) -> None:
-        comparison = self.thread_.take()
-        if comparison is None:
+        comparison, result = self.thread_.take(), self._result
+        if comparison is None or result is None or comparison.task.result.source is not result.source:
             return
         self._late.stop()
         if self.comparison is None or self.comparison.task.result.frame is not comparison.task.result.frame:

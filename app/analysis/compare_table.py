@@ -97,9 +97,13 @@ class CompareTable(QTableWidget):
             self.copied.emit(len(texts))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Copy whole rows."""
+        """Copy whole rows; the space bar ticks the present row, whatever its column."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
             self.copy()
+            return
+        if event is not None and event.key() == Qt.Key.Key_Space and self.currentRow() > 0:
+            other = Qt.CheckState.Unchecked if self._checked(self.currentRow()) else Qt.CheckState.Checked
+            self._at(self.currentRow(), 0).setCheckState(other)
             return
         super().keyPressEvent(event)
 

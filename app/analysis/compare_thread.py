@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from threading import Event
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
@@ -11,9 +12,14 @@ from ..explain import explain
 from ..mailbox import Mailbox
 from .comparer import Comparer, Comparison, Task
 
+_LONGEST_REST_S = 0.5
+
 
 class CompareThread(QThread):
     """Takes tasks through a one-slot mailbox and gives comparisons back through another.
+
+    While frames run it rests after each comparison for as long as that took, since window and worker
+    share the processor with it.
 
     Signals
     -------
@@ -34,7 +40,7 @@ class CompareThread(QThread):
         self._tasks: Mailbox[Task] = Mailbox(lambda old, new: old.result.frame is new.result.frame)
         self._comparisons: Mailbox[Comparison] = Mailbox()
         self._wake = Event()
-        self._stopping = False
+        self._stopping = Event()
 
     @property
     def skipped(self) -> int:
@@ -52,7 +58,7 @@ class CompareThread(QThread):
 
     def shut_down(self) -> None:
         """Stop after the present frame and wait for that."""
-        self._stopping = True
+        self._stopping.set()
         self._wake.set()
         self.wait()
 
@@ -60,18 +66,22 @@ class CompareThread(QThread):
         """Compare frame after frame until told to stop."""
         leave_room_for_the_window()
         comparer = Comparer(self.settingUp.emit)
-        while True:
+        while not self._stopping.is_set():
             self._wake.wait()
             self._wake.clear()
-            if self._stopping:
-                return
             task = self._tasks.take()
-            if task is None:
+            if task is None or self._stopping.is_set():
                 continue
-            try:
-                comparison = comparer.compare(task)
-            except Exception as error:
-                self.failed.emit(explain(error, f"frame {task.result.frame.sequence} could not be compared"))
-                continue
-            if self._comparisons.put(comparison):
-                self.compared.emit()
+            started = time.perf_counter()
+            self._compare(comparer, task)
+            if task.result.playback.running:
+                self._stopping.wait(min(time.perf_counter() - started, _LONGEST_REST_S))
+
+    def _compare(self, comparer: Comparer, task: Task) -> None:
+        try:
+            comparison = comparer.compare(task)
+        except Exception as error:
+            self.failed.emit(explain(error, f"frame {task.result.frame.sequence} could not be compared"))
+            return
+        if self._comparisons.put(comparison):
+            self.compared.emit()

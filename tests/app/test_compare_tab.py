@@ -136,6 +136,31 @@ def test_a_ticked_method_gets_a_view_and_is_remembered(qtbot, window, tab):
     assert not tab.grid.tiles["fusion-rigid"].isVisible()
 
 
+def test_the_space_bar_ticks_the_present_row(qtbot, window, tab):
+    row = 1 + method_names().index("proximity-only")
+    tab.table.setCurrentCell(row, 2)
+    QTest.keyClick(tab.table, Qt.Key.Key_Space)
+    assert tab.table.chosen() == ("fusion-rigid", "proximity-only", "tactile-only")
+    QTest.keyClick(tab.table, Qt.Key.Key_Space)
+    assert tab.table.chosen() == ("fusion-rigid", "tactile-only")
+
+
+def test_another_source_is_framed_and_compared_anew(qtbot, window, tab):
+    assert tab.grid.tiles["fusion-rigid"].view.camera().target[2] < 0.3
+    far = KnowingSource()
+    far.read = lambda index: moved(KnowingSource.read(far, index + 20))
+    window.open_request(SourceRequest("far", lambda progress: far))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.frame.proximity_depth.max() > 1200)
+    settle(qtbot, window, tab)
+    assert tab.grid.tiles["fusion-rigid"].view.camera().target[2] > 0.4
+
+
+def moved(frame: SensorFrame) -> SensorFrame:
+    """The same scene twice as far away."""
+    truth = replace(frame.truth, depth_m=2 * frame.truth.depth_m)
+    return replace(frame, proximity_depth=2 * frame.proximity_depth, tactile_depth=2 * frame.tactile_depth, truth=truth)
+
+
 def test_all_views_share_one_camera_also_those_that_come_later(qtbot, window, tab):
     view = tab.grid.tiles["fusion-rigid"].view
     before = view.camera()
