@@ -19,6 +19,7 @@ from .values import (
     Axis,
     Choice,
     SweepError,
+    check_contact_test,
     check_switched_on,
     checked_axis,
     grid,
@@ -38,8 +39,13 @@ _FRAMES_A_BATCH: Final = 500
 #: Pieces that each worker gets at least, so that all are busy to the end.
 _BATCHES_A_WORKER: Final = 4
 
-#: Beginnings of the fields of stages that come late in the pipeline, the last first. They vary fastest.
-_LATE: Final = ("outliers.min_cluster_area_mm2", "outliers.")
+#: In which stage of the pipeline, after the first, a field is used; later ones vary faster.
+STAGE_OF: Final = {
+    **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "calibrated.bias_m", "calibrated.slope"), 1),
+    **dict.fromkeys(("calibrated.gap_m", "calibrated.retreat", "calibrated.core", "calibrated.most_px"), 2),
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 3),
+    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 4),
+}
 
 
 @dataclass(frozen=True)
@@ -197,6 +203,8 @@ def make_plan(
         raise SweepError("there is nothing to run over; give --source, such as --source 'sim:cup?press=medium'")
     axes = [checked_axis(axis, base) for axis in request.axes]
     check_switched_on(axes, base)
+    if set(request.methods) == {FUSION}:
+        check_contact_test(axes, base)
     settings = _settings(base, axes, request)
     takes = inspect_takes(
         request.sources, request.seeds, request.frames, [base], any(map(needs_reference, request.methods)), opener,
@@ -226,18 +234,13 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
 
     def order(setting: Setting) -> list[Any]:
         """Early stages first; within a field as it was listed."""
-        ranks = sorted(setting.values, key=_lateness)
+        ranks = sorted(setting.values, key=lambda path: (STAGE_OF.get(path, 0), path))
         return [setting.method, *(
             numbers[path].index(setting.values[path]) if path in numbers else setting.values[path] for path in ranks
         )]  # fmt: skip
 
     return list({json.dumps([setting.method, setting.parameters]): setting for setting in sorted(found, key=order)}
                 .values())  # fmt: skip
-
-
-def _lateness(path: str) -> tuple[int, str]:
-    late = next((place for place, start in enumerate(_LATE) if path.startswith(start)), len(_LATE))
-    return -late, path
 
 
 def _check_size(count: int, request: Request) -> None:

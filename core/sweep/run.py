@@ -149,11 +149,10 @@ class _SharedPipeline:
         """Return the patch, and the milliseconds that it takes where nothing is remembered."""
         self._pipeline.update(preset)
         patch = self._pipeline.process(frame)
-        fresh = False
+        before, self._stage_ms, fresh = self._stage_ms, {}, False
         for stage, ms in patch.stage_ms.items():
             fresh = fresh or ms > 0  # stages before the first that ran were taken from memory
-            if fresh or stage not in self._stage_ms:
-                self._stage_ms[stage] = ms
+            self._stage_ms[stage] = ms if fresh else before.get(stage, 0.0)
         return MethodPatch(patch.points, lambda: patch.mask), sum(self._stage_ms.values())
 
 

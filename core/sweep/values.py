@@ -21,6 +21,9 @@ _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calib
 #: Fields that change results but are no parameters.
 _FIXED: Final = ("reference",)
 
+#: Which contact test uses a section.
+_TEST_OF: Final = {"tolerance": "tolerance", "outliers": "tolerance", "calibrated": "calibrated"}
+
 #: More runs than this are a mistake, or a case for a sample.
 MOST_RUNS: Final = 100_000
 
@@ -128,6 +131,24 @@ def check_switched_on(axes: Sequence[Axis], base: Preset) -> None:
             continue
         if path != "outliers.min_cluster_area_mm2":  # the clusters' own switch is the area
             raise SweepError(f"{path} changes nothing while {switch} is false; add --set {switch}=true")
+
+
+def check_contact_test(axes: Sequence[Axis], base: Preset) -> None:
+    """Refuse fields of a contact test that no run uses.
+
+    Raises
+    ------
+    SweepError
+        Names the field and the test.
+    """
+    chosen = next((axis.values for axis in axes if isinstance(axis, Choice) and axis.path == "contact_test"), ())
+    tests = chosen or (base.contact_test,)
+    for axis in axes:
+        test = _TEST_OF.get(axis.path.partition(".")[0])
+        if test is not None and test not in tests:
+            raise SweepError(
+                f"{axis.path} changes nothing while contact_test is {tests[0]}; add --set contact_test={test}"
+            )
 
 
 def grid_size(axes: Sequence[Axis]) -> int:

@@ -16,12 +16,12 @@ from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.sources.folder import FolderSource
 from tactune.core.sweep.journal import Journal
-from tactune.core.sweep.plan import Plan, Request, make_plan
+from tactune.core.sweep.plan import STAGE_OF, Plan, Request, make_plan
 from tactune.core.sweep.results import Result
 from tactune.core.sweep.run import run_batch
 from tactune.core.sweep.sweep import measure_sweep
 from tactune.core.sweep.takes import FrameRange, parse_frames, seeded
-from tactune.core.sweep.values import parse_axis
+from tactune.core.sweep.values import parse_axis, result_paths
 from tactune.core.threads import get_threads
 
 BASE = Preset()
@@ -144,6 +144,19 @@ def test_late_stages_vary_fastest_and_batches_keep_to_one_take(make_recording):
     assert [key for batch in batches for key, _, _ in batch.runs] == [run.key for run in plan.runs[1:]]
     assert all(batch.take in plan.takes for batch in batches)
     assert len({batch.name for batch in batches}) == len(batches)
+
+
+def test_stages_are_named_of_fields_that_there_are():
+    assert set(STAGE_OF) <= set(result_paths())
+
+
+def test_both_contact_tests_in_one_sweep(recording, tmp_path):
+    plan = plan_of(recording, sets=("contact_test=tolerance,calibrated", "calibrated.gap_m=0.001,0.002"))
+    source = FolderSource(tmp_path / "rec")
+    for key, found in measure(plan, tmp_path / "j").items():
+        values = next(run.setting.values for run in plan.runs if run.key == key)
+        pipeline = ContactPipeline(BASE.with_values(values), source.rig)
+        assert found.points == pytest.approx(sum(len(pipeline.process(source.read(i)).points) for i in range(3)) / 3)
 
 
 def test_only_what_is_missing_is_run_again(recording, tmp_path):

@@ -9,6 +9,7 @@ from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
 from tactune.core.sweep.values import (
     MOST_RUNS,
+    check_contact_test,
     check_switched_on,
     checked_axis,
     grid,
@@ -82,6 +83,15 @@ def test_a_field_of_a_section_that_is_off_is_refused_since_it_changes_nothing():
         check_switched_on([hue], BASE)
     check_switched_on([hue, parse_axis("mask.enabled=true")], BASE)
     check_switched_on([hue], BASE.with_value("mask.enabled", True))
+
+
+def test_a_field_of_the_other_contact_test_is_refused():
+    gap, both = parse_axis("calibrated.gap_m=0.001"), parse_axis("contact_test=tolerance,calibrated")
+    with pytest.raises(TactuneError, match="add --set contact_test=calibrated"):
+        check_contact_test([gap], BASE)
+    with pytest.raises(TactuneError, match=r"outliers\.k changes nothing while contact_test is calibrated"):
+        check_contact_test([parse_axis("outliers.k=5")], BASE.with_value("contact_test", "calibrated"))
+    check_contact_test([gap, both], BASE)
 
 
 def test_a_grid_has_every_combination_once():
