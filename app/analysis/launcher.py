@@ -28,11 +28,18 @@ def _scan_truth(window: MainWindow) -> AnalysisTab:
     return TruthTab(window)
 
 
+def _strain(window: MainWindow) -> AnalysisTab:
+    from .strain_tab import StrainTab
+
+    return StrainTab(window)
+
+
 #: The tabs in their order, by the name of the action that opens them: title and what makes them. What a
 #: tab needs is imported when it is first looked at, so that the main window starts as fast without it.
 TABS: dict[str, tuple[str, Callable[[MainWindow], AnalysisTab]]] = {
     "compare": ("&Compare", _compare),
     "scan_truth": ("&Ground truth", _scan_truth),
+    "strain": ("&Strain", _strain),
 }
 
 

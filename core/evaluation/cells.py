@@ -150,7 +150,7 @@ def measure_cell(
     return Cell(*where, **scores, **strain, ms=median(times_ms[1:] or times_ms))
 
 
-def _strain(frame: SensorFrame) -> dict[str, float]:
+def _strain(frame: SensorFrame) -> dict[str, Any]:
     known = frame.truth.strain if frame.truth is not None else None
     if known is None:
         return {}

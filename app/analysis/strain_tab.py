@@ -1,0 +1,326 @@
+"""The tab Strain: the strain map of the present frame, its largest strains, and strain against displacement."""
+
+from __future__ import annotations
+
+from collections import deque
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QImage
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QDoubleSpinBox,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSpinBox,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.evaluation.strain import SPACING_M, SPACING_RANGE_M
+from ...core.frames import SensorFrame
+from ...widgets.elided_label import ElidedLabel
+from ..calibration.jobs import Job
+from ..message_bar import MessageBar, Severity
+from ..results import RateMeter, Result, SourceInfo
+from .compare_reference import Reference
+from .strain_curve import StrainCurve
+from .strain_export import write_strain
+from .strain_map import StrainMap
+from .strain_numbers import StrainNumbers
+from .strain_work import MapOf, StrainTask, StrainView, examine
+from .tab import AnalysisTab
+
+if TYPE_CHECKING:
+    from ..main_window import MainWindow
+
+_SPACING, _AVERAGE, _MAP, _FOLDER = "strain/spacing_mm", "strain/average", "strain/map", "folder/export"
+_MOST_AVERAGED = 30
+_WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
+_NO_REFERENCE = (
+    "No displacement: the untouched membrane is not known. Show it without touch, then press “Take as untouched”."
+)
+_FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
+
+
+class StrainTab(AnalysisTab):
+    """Measures the newest frame on another thread as often as it can.
+
+    Signals
+    -------
+    shown(StrainView)
+    """
+
+    shown = pyqtSignal(object)
+
+    def __init__(self, window: MainWindow) -> None:
+        super().__init__()
+        self._settings, self._document = window.settings, window.document
+        self._dialogs = window.dialogs.over(self)
+        self._result: Result | None = None
+        self._source: SourceInfo | None = None
+        self._frames: deque[SensorFrame] = deque(maxlen=_MOST_AVERAGED)
+        self._captured: SensorFrame | None = None
+        self._last: SensorFrame | None = None
+        self._rate = RateMeter()
+        self.view: StrainView | None = None
+        self.map, self.curve, self.numbers = StrainMap(), StrainCurve(), StrainNumbers()
+        self.spacing, self.average, self.map_of = QDoubleSpinBox(), QSpinBox(), QComboBox()
+        self.capture = QPushButton("Take as &untouched")
+        self.reset, self.export = QPushButton("&Reset curve"), QPushButton("&Export…")
+        self.status, self.pointed = ElidedLabel(_WAITING), QLabel(" ")
+        self.progress = QProgressBar()
+        self.messages = MessageBar()
+        self.reference = Reference(self)
+        self._job, self._writing = Job(self), Job(self)
+        self._set_up_entries()
+        self._lay_out()
+        self._connect()
+        self.map.show_view(None, MapOf.LARGEST, _WAITING)
+
+    # What the window calls
+
+    def show_result(self, result: Result) -> None:
+        """Measure this frame as soon as there is time for it."""
+        if result.source is not self._source:
+            self._begin(result.source)
+        self._result = result
+        if not self._frames or result.frame is not self._frames[-1]:
+            self._frames.append(result.frame)
+        self.reference.look(result, self._document.reference_home)
+        self._measure()
+
+    def shut_down(self) -> None:
+        """Stop all threads, for good."""
+        self.reference.shut_down()
+        self._job.stop()
+        self._writing.stop()
+
+    # Building
+
+    def _set_up_entries(self) -> None:
+        low, high = (1e3 * end for end in SPACING_RANGE_M)
+        self.spacing.setRange(low, high)
+        self.spacing.setDecimals(2)
+        self.spacing.setSingleStep(0.5)
+        self.spacing.setSuffix(" mm")
+        self.spacing.setKeyboardTracking(False)
+        self.spacing.setValue(self._settings.number(_SPACING, 1e3 * SPACING_M))
+        self.curve.set_spacing_mm(self.spacing.value())
+        self.spacing.setToolTip("Distance of neighbouring dots on the flat, unstretched sheet, in millimetres")
+        self.average.setRange(1, _MOST_AVERAGED)
+        self.average.setValue(round(self._settings.number(_AVERAGE, 1)))
+        self.average.setSuffix(" frames")
+        self.average.setToolTip(
+            "How many of the last frames are averaged, as long as the membrane stands still in them; "
+            "10 at rest measure steep places better, 1 follows a moving press"
+        )
+        self.map_of.addItems([str(choice) for choice in MapOf])
+        self.map_of.setCurrentText(self._settings.text(_MAP, MapOf.LARGEST))
+        self.map_of.setToolTip("What the colours show: strain along the length, along the width, or the larger of both")
+        self.capture.setToolTip(
+            "Measure displacement against the membrane as it is now; do this while nothing touches it"
+        )
+        self.reset.setToolTip("Begin the curve anew; the former one can be brought back")
+        self.export.setToolTip("Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E)")
+        self.export.setShortcut("Ctrl+E")
+        self.progress.setRange(0, 100)
+        self.progress.setFormat("Preparing the untouched membrane: %p %")
+        self.progress.setToolTip("Displacement is measured against it; strain does not need it")
+        self.progress.hide()
+        for button in (self.capture, self.reset, self.export):
+            button.setAutoDefault(False)
+        for button in (self.capture, self.export):
+            button.setEnabled(False)
+
+    def _lay_out(self) -> None:
+        row = QHBoxLayout()
+        for text, entry in (("Dot &spacing", self.spacing), ("&Average", self.average), ("&Map", self.map_of)):
+            label = QLabel(text)
+            label.setBuddy(entry)
+            entry.setAccessibleName(text.replace("&", ""))
+            row.addWidget(label)
+            row.addWidget(entry)
+            row.addSpacing(8)
+        row.addWidget(self.status, 1)
+        row.addWidget(self.progress)
+        row.addWidget(self.capture)
+        side = QWidget()
+        right = QVBoxLayout(side)
+        right.setContentsMargins(0, 0, 0, 0)
+        right.addWidget(self.numbers)
+        right.addWidget(self.curve, 1)
+        buttons = QHBoxLayout()
+        buttons.addStretch(1)
+        buttons.addWidget(self.reset)
+        buttons.addWidget(self.export)
+        right.addLayout(buttons)
+        left = QWidget()
+        column = QVBoxLayout(left)
+        column.setContentsMargins(0, 0, 0, 0)
+        column.addWidget(self.map, 1)
+        column.addWidget(self.pointed)
+        self.sheet = QSplitter(Qt.Orientation.Horizontal)
+        self.sheet.setChildrenCollapsible(False)
+        self.sheet.addWidget(left)
+        self.sheet.addWidget(side)
+        self.sheet.setSizes([640, 480])
+        self.sheet.setStretchFactor(0, 3)
+        self.sheet.setStretchFactor(1, 2)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(row)
+        layout.addWidget(self.messages)
+        layout.addWidget(self.sheet, 1)
+
+    def _connect(self) -> None:
+        self._job.done.connect(self._show)
+        self._job.failed.connect(self._complain)
+        self._writing.done.connect(self._say)
+        self._writing.failed.connect(self._complain)
+        self.reference.changed.connect(self._reference_changed)
+        self.reference.progress.connect(self._show_progress)
+        self.spacing.valueChanged.connect(self._spacing_changed)
+        self.average.valueChanged.connect(self._average_changed)
+        self.map_of.currentTextChanged.connect(self._map_changed)
+        self.map.pointed.connect(lambda text: self.pointed.setText(text or " "))
+        self.capture.clicked.connect(self._capture)
+        self.reset.clicked.connect(self._reset)
+        self.export.clicked.connect(partial(self._ask_where, ""))
+
+    # Frames
+
+    def _begin(self, source: SourceInfo) -> None:
+        """Forget the former source; its curve can still be saved."""
+        former, points = self._source, self.curve.points
+        self._source, self._captured, self._last = source, None, None
+        self._frames.clear()
+        if former is not None and points:
+            text = self.curve.as_csv()
+            sentence = f"The curve of {former.name} ({len(points)} points) ended, since {source.name} was opened."
+            self.messages.show_message(
+                "former", Severity.INFO, sentence, [("Save it…", partial(self._ask_where, text))]
+            )
+        self.curve.reset()
+
+    def _measure(self) -> None:
+        """Have the newest frame measured, the way things are entered now."""
+        if self._result is None or not self._frames:
+            return
+        frames = list(self._frames)[-self.average.value() :]
+        reference = self._captured or self.reference.frame
+        task = StrainTask(frames, self._result.source.rig, self.spacing.value() / 1e3, reference)
+        self._job.start(lambda _: examine(task))
+
+    def _show(self, view: StrainView) -> None:
+        if self._result is None or view.task.rig != self._result.source.rig:
+            return
+        self.view = view
+        fresh = view.task.frame is not self._last
+        self._last = view.task.frame
+        if view.measured is not None and fresh:
+            self._rate.tick()
+            self.curve.add(view)
+        elif view.measured is not None:
+            self.curve.complete(view)
+        self.capture.setEnabled(True)
+        self.export.setEnabled(bool(self.curve.points))
+        self.map.show_view(view, MapOf(self.map_of.currentText()), view.problem or _WAITING)
+        self.numbers.show_view(view)
+        self._show_status()
+        self.shown.emit(view)
+
+    def _show_status(self) -> None:
+        view, result = self.view, self._result
+        if view is None or result is None:
+            return
+        parts = [f"Frame {view.task.frame.sequence} of {result.source.name}"]
+        if view.averaged > 1:
+            parts.append(f"{view.averaged} frames averaged")
+        if result.playback.running and (rate := self._rate.rate()):
+            parts.append(f"{rate:.1f} measured per second")
+        if view.task.reference is None and not self.reference.searching:
+            parts.append(_NO_REFERENCE)
+        if self.reference.warning and self._captured is None:
+            parts.append(self.reference.warning)
+        self.status.setText(" · ".join(parts))
+
+    # What a person does
+
+    def _spacing_changed(self, spacing_mm: float) -> None:
+        self._settings.set(_SPACING, spacing_mm)
+        self.curve.set_spacing_mm(spacing_mm)
+        self._measure()
+
+    def _average_changed(self, frames: int) -> None:
+        self._settings.set(_AVERAGE, frames)
+        self._measure()
+
+    def _map_changed(self, choice: str) -> None:
+        self._settings.set(_MAP, choice)
+        if self.view is not None:
+            self.map.show_view(self.view, MapOf(choice), self.view.problem)
+
+    def _capture(self) -> None:
+        """Take what is shown now for the untouched membrane; the curve's displacements begin anew."""
+        if self.view is None:
+            return
+        self._captured = self.view.task.frame
+        self._reset()
+        self._last = None  # this frame begins the curve
+        self._say(f"Displacement is now measured against frame {self._captured.sequence}.")
+        self._measure()
+
+    def _reset(self) -> None:
+        points = self.curve.points
+        if not points:
+            return
+        self.curve.reset()
+        self.export.setEnabled(False)
+
+        def bring_back() -> None:
+            self.curve.points = points + self.curve.points
+            self.curve.redraw()
+            self.export.setEnabled(True)
+
+        self.messages.show_message(
+            "reset", Severity.INFO, f"The curve of {len(points)} points was put away.", [("Bring it back", bring_back)]
+        )
+
+    def _ask_where(self, text: str, _checked: bool = False) -> None:
+        """Ask for a file for the present curve and map, or for the text of a former curve."""
+        if not text and not self.curve.points:
+            return
+        folder = Path(self._settings.text(_FOLDER) or Path.home())
+        name, filters = ("strain.csv", _FILTERS[1:]) if text else ("strain.png", _FILTERS)
+        self._dialogs.save_file("Save strain", folder / name, filters, partial(self.save_to, text=text))
+
+    def save_to(self, path: Path, text: str = "") -> None:
+        """Write map and curve as a picture and its points beside it; only the points into a .csv file."""
+        self._settings.set(_FOLDER, str(path.parent))
+        picture = QImage() if text or path.suffix.lower() == ".csv" else self.sheet.grab().toImage()
+        points = text or self.curve.as_csv()
+        self._writing.start(lambda _: write_strain(picture, points, path))
+
+    # What others tell
+
+    def _show_progress(self, share: float) -> None:
+        self.progress.setValue(round(100 * share))
+        self.progress.setVisible(self.reference.searching)
+
+    def _reference_changed(self) -> None:
+        if not self.reference.searching:
+            self.progress.hide()
+            self._measure()
+
+    def _say(self, sentence: str) -> None:
+        self.messages.show_message("done", Severity.INFO, sentence)
+
+    def _complain(self, sentence: str) -> None:
+        if sentence:
+            self.messages.show_message("failed", Severity.ERROR, sentence)

@@ -1,0 +1,138 @@
+"""What the tab Strain shows of a frame, made on another thread: the measurement, and the map over the colour image."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ...core.evaluation.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
+from ...core.evaluation.strain_average import average_still
+from ...core.evaluation.strain_cells import StrainCells, strain_cells
+from ...core.frames import Rig, SensorFrame, TrueStrain
+from ...widgets.colormaps import depth_lut
+from ..calibration.pictures import pack_rgb
+
+#: Share of the map's colour over the image, and the bits of a pixel's fraction in which squares are drawn.
+_OPACITY = 0.62
+_SHIFT = 4
+#: The colours end at a multiple of this, 10 %.
+_ROUNDED = 0.10
+
+
+class MapOf(StrEnum):
+    """What the map's colours mean."""
+
+    LARGEST = "Largest"
+    LENGTH = "Along length"
+    WIDTH = "Along width"
+
+
+@dataclass(frozen=True, eq=False)
+class StrainTask:
+    """One measurement that is wanted.
+
+    Attributes
+    ----------
+    frames : sequence of SensorFrame
+        The newest last; those before it are averaged with it where nothing has moved.
+    reference : SensorFrame or None
+        The untouched membrane.
+    """
+
+    frames: Sequence[SensorFrame]
+    rig: Rig
+    spacing_m: float
+    reference: SensorFrame | None
+
+    @property
+    def frame(self) -> SensorFrame:
+        """The newest frame."""
+        return self.frames[-1]
+
+
+@dataclass(frozen=True, eq=False)
+class StrainView:
+    """One measurement, or why there is none.
+
+    Attributes
+    ----------
+    averaged : int
+        Frames that were averaged.
+    color : uint8, shape (H, W, 3), or None
+        The tactile colour image.
+    displacement_mm : float or None
+        Against the reference.
+    problem : str
+        Empty where ``measured`` is there.
+    """
+
+    task: StrainTask
+    averaged: int
+    color: npt.NDArray[np.uint8] | None
+    measured: StrainMeasurement | None = None
+    cells: StrainCells | None = None
+    displacement_mm: float | None = None
+    truth: TrueStrain | None = None
+    problem: str = ""
+
+
+def examine(task: StrainTask) -> StrainView:
+    """Measure the strain of the newest frame; what cannot be measured is said in words.
+
+    Raises
+    ------
+    FrameError
+        The frames belong to another rig.
+    """
+    frame, averaged = average_still(task.frames, task.rig)
+    truth = frame.truth.strain if frame.truth is not None else None
+    displacement_mm = None
+    try:
+        if task.reference is not None:
+            displacement_mm = 1e3 * indentation_m(frame, task.reference, task.rig)
+        measured = measure_strain(frame, task.rig, task.spacing_m)
+    except StrainError as error:
+        return StrainView(
+            task, averaged, frame.tactile_color, displacement_mm=displacement_mm, truth=truth, problem=str(error)
+        )
+    return StrainView(task, averaged, frame.tactile_color, measured, strain_cells(measured), displacement_mm, truth)
+
+
+def values_of(cells: StrainCells, shown: MapOf) -> npt.NDArray[np.float64]:
+    """Return what colours the squares, shape (K,)."""
+    return {MapOf.LARGEST: cells.largest, MapOf.LENGTH: cells.length, MapOf.WIDTH: cells.width}[shown]
+
+
+def color_range(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+    """Return the strains at both ends of the colours: whole tens of percent around all values."""
+    if len(values) == 0:
+        return 0.0, _ROUNDED
+    low = min(float(np.floor(values.min() / _ROUNDED)) * _ROUNDED, 0.0)
+    return low, max(float(np.ceil(values.max() / _ROUNDED)) * _ROUNDED, low + _ROUNDED)
+
+
+def paint(view: StrainView, shown: MapOf) -> npt.NDArray[np.uint8] | None:
+    """Return the colour image with the squares of the grid coloured, as ``QImage.Format_RGB32`` has it in memory."""
+    if view.color is None:
+        return None
+    image = view.color.copy()
+    if view.measured is not None and view.cells is not None:
+        values = values_of(view.cells, shown)
+        low, high = color_range(values)
+        rows = np.clip((values - low) / (high - low) * 255.0, 0, 255).astype(np.intp)
+        places = np.rint(view.measured.pixels[view.cells.corners] * (1 << _SHIFT)).astype(np.int32)
+        for corners, row in zip(places, rows, strict=True):
+            color = [int(channel) for channel in map_lut()[row, :3]]
+            cv2.fillConvexPoly(image, corners, color, cv2.LINE_AA, _SHIFT)
+        image = np.asarray(cv2.addWeighted(image, _OPACITY, view.color, 1.0 - _OPACITY, 0.0), dtype=np.uint8)
+    return pack_rgb(image)
+
+
+def map_lut() -> npt.NDArray[np.uint8]:
+    """Return the map's colours, low to high: uint8 (256, 4)."""
+    return np.ascontiguousarray(depth_lut()[::-1])

@@ -1,0 +1,227 @@
+"""The tab Strain: a printed grid that is pressed, measured on a thread of its own, seen by a person."""
+
+from __future__ import annotations
+
+import csv
+import time
+from dataclasses import replace
+from threading import Event
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtGui import QMouseEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QPushButton
+
+from tactune.app.analysis import strain_tab
+from tactune.app.opening import SourceRequest
+from tactune.core.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
+from tactune.core.intrinsics import Intrinsics
+from tactune.core.sources.base import SeekableSource
+
+from .conftest import at_rest
+
+LENS = Intrinsics(width=320, height=240, fx=193.0, fy=193.0, cx=159.5, cy=119.5)
+CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-5)
+RIG = Rig(proximity=CAMERA, tactile=CAMERA, T_proximity_tactile=np.eye(4).tolist())
+V, U = np.mgrid[:240, :320].astype(float)
+
+
+def sheet(index: int, stretch=(1.0, 1.0), depth_m=0.3, dots=True) -> SensorFrame:
+    """A flat sheet with 13 x 9 dots, 10 mm apart before it was stretched."""
+    s = (U - LENS.cx) / LENS.fx * depth_m / stretch[0]
+    t = (V - LENS.cy) / LENS.fy * depth_m / stretch[1]
+    column, row = np.rint(s / 0.01), np.rint(t / 0.01)
+    gap = np.hypot((s - column * 0.01) * stretch[0], (t - row * 0.01) * stretch[1])
+    cover = np.clip((0.0022 - gap) / 0.0012 + 0.5, 0, 1)
+    cover[(np.abs(column) > 6) | (np.abs(row) > 4)] = 0
+    color = np.repeat((170 - 130 * cover * dots).astype(np.uint8)[..., None], 3, axis=2)
+    counts = np.full((240, 320), round(depth_m / 1e-5), np.uint16)
+    return SensorFrame(index, counts, counts, color, color)
+
+
+class PressedGrid(SeekableSource):
+    """Frame n is 3 n mm nearer and stretched by 5 n % along the length and 2 n % along the width."""
+
+    def __init__(self, reference=True, dots=True):
+        super().__init__("grid", RIG, 8)
+        self._has_reference, self._dots = reference, dots
+
+    def read(self, index):
+        frame = sheet(index, (1 + 0.05 * index, 1 + 0.02 * index), 0.3 - 0.003 * index, self._dots)
+        strain = TrueStrain(0.09 * index, 0.05 * index, 0.02 * index, 0.05 * index, 0.02 * index)
+        return replace(frame, truth=GroundTruth(np.zeros((240, 320), bool), strain=strain))
+
+    def reference(self):
+        return sheet(0) if self._has_reference else None
+
+
+def opened(qtbot, window, source=None, index=3):
+    """Show a frame of the grid in the tab, opened by its key."""
+    window.open_request(SourceRequest("grid", lambda progress: source or PressedGrid()))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == "grid")
+    window.worker.pause()
+    window.worker.seek(index)
+    qtbot.waitUntil(lambda: at_rest(window, index))
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
+    analysis = window.analysis.launcher.window
+    qtbot.waitExposed(analysis)
+    tab = analysis.made["strain"]
+    settled(qtbot, tab, index)
+    return tab
+
+
+def settled(qtbot, tab, index):
+    """Wait until the tab shows a frame measured the way things are now."""
+    qtbot.waitUntil(
+        lambda: (
+            tab.view is not None
+            and tab.view.task.frame.sequence == index
+            and not tab._job.busy
+            and not tab.reference.searching
+        ),
+        timeout=20_000,
+    )
+
+
+def go_to(qtbot, window, tab, index):
+    window.worker.seek(index)
+    settled(qtbot, tab, index)
+
+
+def cell(tab, row, column):
+    return tab.numbers.cells[row][column].text()
+
+
+def test_the_key_opens_the_tab_with_the_present_frame_measured(qtbot, make_window):
+    tab = opened(qtbot, make_window())
+    assert tab.view.measured.length.largest == pytest.approx(0.15, abs=0.01)
+    assert tab.view.displacement_mm == pytest.approx(9.0, abs=0.2)
+    assert "9.0 mm displacement" in tab.numbers.verdict.text()
+    assert cell(tab, 0, 1).startswith("15.") or cell(tab, 0, 1).startswith("14.")
+    assert (cell(tab, 0, 3), cell(tab, 1, 4)) == ("15.0 %", "6.0 %")
+    assert cell(tab, 1, 2).endswith("px")
+    assert len(tab.view.cells.corners) == 12 * 8
+    assert tab.view.cells.width == pytest.approx(0.06, abs=0.01)
+
+
+def test_the_curve_grows_while_the_membrane_is_pressed(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window, index=1)
+    for index in (2, 4, 6, 4):
+        go_to(qtbot, window, tab, index)
+    points = tab.curve.points
+    assert [point.sequence for point in points] == [1, 2, 6, 4]
+    assert [point.displacement_mm for point in points] == pytest.approx([3.0, 6.0, 18.0, 12.0], abs=0.2)
+    assert [point.strain[0] for point in points] == pytest.approx([5.0, 10.0, 30.0, 20.0], abs=2.0)
+    shown = tab.curve.plot.getPlotItem().listDataItems()
+    assert any(len(item.getData()[0] if item.getData()[0] is not None else ()) == 4 for item in shown)
+
+
+def test_another_spacing_changes_strain_and_curve_and_is_remembered(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window)
+    tab.spacing.setFocus()
+    tab.spacing.selectAll()
+    QTest.keyClicks(tab.spacing, "11.5")
+    QTest.keyClick(tab.spacing, Qt.Key.Key_Return)
+    settled(qtbot, tab, 3)
+    qtbot.waitUntil(lambda: abs(tab.view.measured.length.largest) < 0.01, timeout=20_000)
+    (point,) = tab.curve.points
+    assert point.at_spacing(11.5)[0] == pytest.approx(0.0, abs=1.0)
+    assert window.settings.number("strain/spacing_mm", 0) == 11.5
+
+
+def test_the_map_is_chosen_by_keys_and_read_with_the_mouse(qtbot, make_window):
+    tab = opened(qtbot, make_window())
+    picture = tab.map.grab().toImage()
+    tab.map_of.setFocus()
+    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
+    QTest.keyClick(tab.map_of, Qt.Key.Key_Down)
+    assert tab.map_of.currentText() == "Along width"
+    assert tab.map.grab().toImage() != picture
+    viewport, place = tab.map.view.viewport(), tab.map.widget_position(163, 123)
+    free = (Qt.MouseButton.NoButton, Qt.MouseButton.NoButton, Qt.KeyboardModifier.NoModifier)
+    moved = QMouseEvent(QEvent.Type.MouseMove, place, viewport.mapToGlobal(place), *free)
+    QApplication.sendEvent(viewport, moved)  # QTest's moves do not reach a window that the platform has not raised
+    qtbot.waitUntil(lambda: "along length" in tab.pointed.text())
+    assert "% along width" in tab.pointed.text()
+
+
+def test_without_a_grid_it_says_what_to_do(qtbot, make_window):
+    tab = opened(qtbot, make_window(), PressedGrid(dots=False))
+    assert "print a square grid" in tab.numbers.verdict.text()
+    assert cell(tab, 0, 1) == "–"
+    assert not tab.curve.points
+    assert not tab.export.isEnabled()
+
+
+def test_a_captured_frame_is_the_reference_of_a_source_without_one(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window, PressedGrid(reference=False), index=0)
+    assert tab.view.displacement_mm is None
+    assert "Take as untouched" in tab.status.text()
+    QTest.mouseClick(tab.capture, Qt.MouseButton.LeftButton)
+    settled(qtbot, tab, 0)
+    go_to(qtbot, window, tab, 5)
+    assert tab.view.displacement_mm == pytest.approx(15.0, abs=0.2)
+    assert [point.sequence for point in tab.curve.points] == [0, 5]
+
+
+def test_a_reset_curve_can_be_brought_back(qtbot, make_window):
+    tab = opened(qtbot, make_window())
+    QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
+    assert not tab.curve.points
+    (offer,) = [b for b in tab.messages.message("reset").findChildren(QPushButton) if b.text() == "Bring it back"]
+    QTest.mouseClick(offer, Qt.MouseButton.LeftButton)
+    assert [point.sequence for point in tab.curve.points] == [3]
+
+
+def test_picture_and_points_are_written(qtbot, make_window, tmp_path):
+    window = make_window()
+    tab = opened(qtbot, window)
+    go_to(qtbot, window, tab, 5)
+    tab.save_to(tmp_path / "strain.png")
+    qtbot.waitUntil(lambda: any("strain.csv" in sentence for sentence in tab.messages.sentences()))
+    assert (tmp_path / "strain.png").read_bytes().startswith(b"\x89PNG")
+    rows = list(csv.DictReader((tmp_path / "strain.csv").read_text().splitlines()))
+    assert [row["sequence"] for row in rows] == ["3", "5"]
+    assert float(rows[1]["strain_length_percent"]) == pytest.approx(25.0, abs=2.0)
+    assert float(rows[1]["true_strain_length_percent"]) == 25.0
+    tab.save_to(tmp_path / "strain.png" / "strain.csv")
+    qtbot.waitUntil(lambda: tab.messages.message("failed") is not None)
+
+
+def test_frames_at_rest_are_averaged_and_moving_ones_are_not(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window)
+    tab.average.setValue(10)
+    settled(qtbot, tab, 3)
+    tab.show_result(replace(window.result, frame=replace(window.result.frame)))
+    qtbot.waitUntil(lambda: tab.view.averaged == 2, timeout=20_000)
+    go_to(qtbot, window, tab, 5)
+    assert tab.view.averaged == 1
+
+
+def test_a_slow_measurement_does_not_hold_up_the_window(qtbot, make_window, monkeypatch):
+    go_on, examine = Event(), strain_tab.examine
+
+    def slow(task):
+        go_on.wait(20)
+        return examine(task)
+
+    window = make_window()
+    tab = opened(qtbot, window)
+    monkeypatch.setattr(strain_tab, "examine", slow)
+    started = time.monotonic()
+    for index in (4, 5, 6):
+        window.worker.seek(index)
+        qtbot.waitUntil(lambda index=index: window.result.frame.sequence == index)
+    assert time.monotonic() - started < 15
+    assert tab.view.task.frame.sequence == 3
+    go_on.set()
+    settled(qtbot, tab, 6)
+    assert 5 not in [point.sequence for point in tab.curve.points]
