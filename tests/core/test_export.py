@@ -156,7 +156,7 @@ def test_no_format_imports_open3d(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(sys.modules, "open3d", None)
     for suffix in ALL:
         write_cloud(tmp_path / f"cloud{suffix}", make_cloud())
-        read_cloud(tmp_path / f"cloud{suffix}")
+        assert len(read_cloud(tmp_path / f"cloud{suffix}")) == len(make_cloud())
 
 
 # --- refusals --------------------------------------------------------------------------------------
