@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial import cKDTree
 
 from ..baselines.method import MethodPatch
 from ..clouds import PointCloud, ray_table
 from ..frames import GroundTruth, Rig
 from ..pipeline import ContactPatch
+from .distances import cloud_distances
 
 BoolArray = npt.NDArray[np.bool_]
 
@@ -72,10 +71,7 @@ def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     float
         0 for the same cloud; nan where either cloud is empty, since then there is no distance.
     """
-    a, b = np.asarray(first, np.float64).reshape(-1, 3), np.asarray(second, np.float64).reshape(-1, 3)
-    if len(a) == 0 or len(b) == 0:
-        return math.nan
-    return (_directed_rms(a, b) + _directed_rms(b, a)) / 2
+    return cloud_distances(first, second).symmetric_rmse_m
 
 
 def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
@@ -122,8 +118,3 @@ def method_area_mm2(patch: MethodPatch, rig: Rig) -> float:
 
 def _share(part: int, whole: int) -> float:
     return part / whole if whole else 1.0
-
-
-def _directed_rms(points: npt.NDArray[np.float64], others: npt.NDArray[np.float64]) -> float:
-    distances, _ = cKDTree(others).query(points)
-    return math.sqrt(float(np.mean(np.square(distances))))
