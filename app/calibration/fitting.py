@@ -15,7 +15,7 @@ from .outcome import Outcome, PairFit, at_least
 from .pictures import tactile_depth_at
 from .prediction import Alignment
 from .session import Session
-from .state import ModelChoice, PointPair, SessionState, Snapshot
+from .state import PointPair, SessionState, Snapshot
 from .uncertainty import membrane_grid
 
 FEWEST_PAIRS = 4
@@ -213,6 +213,3 @@ def _line(report: CalibrationReport) -> str:
 
 def _pairs(number: int) -> str:
     return "1 pair" if number == 1 else f"{number} pairs"
-
-
-MODEL_NAMES: dict[ModelChoice, str] = {"auto": "recommended", "rigid": "rigid", "homography": "homography"}

@@ -19,7 +19,6 @@ from .panel import DELAY_PATH, CameraPanel
 from .search import CameraSearch
 
 CAMERAS = "realsense:"
-ROLES: tuple[CameraRole, ...] = ("proximity", "tactile")
 
 
 class CameraControl(QObject):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, fields
@@ -55,12 +54,6 @@ def table_as_json(table: Table) -> dict[str, Any]:
         "strain": scene_strains(table),
         "cells": [asdict(cell) for cell in table.cells],
     }
-
-
-def write_json(table: Table, path: Path) -> None:
-    """Write `table_as_json`; the file appears whole or not at all; raises ExportError."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(json.dumps(table_as_json(table), indent=2, allow_nan=False) + "\n", encoding="utf-8")
 
 
 def write_csv(table: Table, path: Path) -> None:
