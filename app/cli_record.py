@@ -13,6 +13,8 @@ from ..core.errors import ExportError
 from .cli_stop import WAIT_S, stop_on_signals
 
 if TYPE_CHECKING:
+    from ..core.frames import SensorFrame
+    from ..core.preset import Preset
     from ..core.recording import RecordingStatus, SessionWriter
     from ..core.sources import FrameSource
 
@@ -55,8 +57,9 @@ def record(
     with open_with_progress(source, kept.cameras if kept else None) as opened:
         if force:
             out.unlink(missing_ok=True)
+        reference = _reference(kept, preset, opened)
         with SessionWriter(
-            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=opened.reference()
+            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=reference
         ) as writer:
             lost_before = opened.health().dropped
             _record_frames(opened, writer, frames, seconds)
@@ -95,7 +98,8 @@ def convert(
             progress.frames(round(share * 100), 100)
 
         if to_mcap:
-            count = export_mcap(opened, target, frames, preset=kept, progress=show)
+            reference = _reference(kept, preset, opened)
+            count = export_mcap(opened, target, frames, preset=kept, reference=reference, progress=show)
         else:
             count = export_folder(opened, target, frames, show)
             if kept is not None:
@@ -103,6 +107,17 @@ def convert(
         if opened.health().message:
             warn(opened.health().message)
     typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
+
+
+def _reference(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
+    """Return what the recording is to keep: the preset's own reference, else the source's."""
+    from ..core.membrane_reference import kept_reference
+    from .cli_run import warn
+
+    found = kept_reference(preset, origin, source)
+    for sentence in found.warnings:
+        warn(sentence)
+    return found.frame
 
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:

@@ -7,6 +7,7 @@ import io
 import itertools
 import json
 import sys
+from collections import deque
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -19,11 +20,15 @@ from . import defaults
 
 if TYPE_CHECKING:
     from ..core.evaluation.strain import StrainMeasurement
+    from ..core.frames import SensorFrame
 
 
 @dataclass(frozen=True)
 class StrainRecord:
-    """What is said of one frame; strain fields are None where ``problem`` says why."""
+    """What is said of one frame; strain fields are None where ``problem`` says why.
+
+    True strains are the simulator's: over all neighbours, and over those of which the tactile camera sees both dots.
+    """
 
     sequence: int
     displacement_mm: float | None
@@ -33,6 +38,11 @@ class StrainRecord:
     strain_width_sigma_percent: float | None
     dots: int
     problem: str
+    averaged_frames: int = 1
+    true_strain_length_percent: float | None = None
+    true_strain_width_percent: float | None = None
+    true_strain_length_seen_percent: float | None = None
+    true_strain_width_seen_percent: float | None = None
 
 
 def strain(
@@ -50,6 +60,17 @@ def strain(
     frames: Annotated[
         int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many; default: all.")
     ] = None,
+    average: Annotated[
+        int,
+        typer.Option(
+            "--average",
+            "-a",
+            min=1,
+            max=30,
+            metavar="N",
+            help="Average up to so many of the last frames while the membrane stands still.",
+        ),
+    ] = 1,
     json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no table.")] = False,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the table to a file.")] = None,
     plot: Annotated[
@@ -59,27 +80,39 @@ def strain(
 ) -> None:
     """Measure membrane strain from a printed grid of dots.
 
-    The displacement is against the first frame, or the source's reference frame where it has one.
+    The displacement is against the first frame, or the reference of the preset or the source where there is one.
     """
     from ..core.evaluation.strain import StrainError, check_spacing, indentation_m, measure_strain
+    from ..core.evaluation.strain_average import average_still
+    from ..core.membrane_reference import kept_reference
     from ..core.preset_file import load_preset
     from .cli_progress import CliProgress
-    from .cli_run import number_of_frames, open_with_progress
+    from .cli_run import number_of_frames, open_with_progress, warn
 
     if plot is not None and plot.suffix.lower() != ".png":
         raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
     check_spacing(spacing_mm / 1e3)
-    cameras = load_preset(preset or defaults.default_preset(source)).cameras
+    origin = preset or defaults.default_preset(source)
+    chosen = load_preset(origin)
     records: list[StrainRecord] = []
     measured: StrainMeasurement | None = None
-    with open_with_progress(source, cameras) as opened, CliProgress(quiet=json_lines and sys.stdout.isatty()) as bar:
-        total, reference = number_of_frames(opened, frames), opened.reference()
+    latest: deque[SensorFrame] = deque(maxlen=average)
+    with (
+        open_with_progress(source, chosen.cameras) as opened,
+        CliProgress(quiet=json_lines and sys.stdout.isatty()) as bar,
+    ):
+        total, kept = number_of_frames(opened, frames), kept_reference(chosen, origin, opened)
+        reference = kept.frame
+        for sentence in kept.warnings:
+            warn(sentence)
         for frame in itertools.islice(opened, total):
             reference = reference or frame
+            latest.append(frame)
+            quiet, averaged = average_still(list(latest), opened.rig)
             try:
-                displacement = 1e3 * indentation_m(frame, reference, opened.rig)
-                measured = measure_strain(frame, opened.rig, spacing_mm / 1e3)
-                record = _record(frame.sequence, displacement, measured)
+                displacement = 1e3 * indentation_m(quiet, reference, opened.rig)
+                measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3)
+                record = _record(quiet, displacement, measured, averaged)
             except StrainError as error:
                 record = StrainRecord(frame.sequence, None, None, None, None, None, 0, str(error))
             records.append(record)
@@ -100,10 +133,12 @@ def strain(
             typer.echo(f"wrote {written}")
 
 
-def _record(sequence: int, displacement_mm: float, measured: StrainMeasurement) -> StrainRecord:
+def _record(frame: SensorFrame, displacement_mm: float, measured: StrainMeasurement, averaged: int) -> StrainRecord:
     length, width = measured.length, measured.width
+    known = frame.truth.strain if frame.truth is not None else None
+    strains = (known.length, known.width, known.length_seen, known.width_seen) if known is not None else ()
     return StrainRecord(
-        sequence,
+        frame.sequence,
         round(displacement_mm, 3),
         round(100 * length.largest, 2),
         round(100 * width.largest, 2),
@@ -111,12 +146,16 @@ def _record(sequence: int, displacement_mm: float, measured: StrainMeasurement) 
         round(100 * width.largest_sigma, 2),
         measured.dots,
         "",
+        averaged,
+        *(round(100 * strain, 2) for strain in strains),
     )
 
 
 def _table(records: list[StrainRecord]) -> str:
     """Return a line a frame for a person."""
-    lines = ["frame  displacement mm  strain along length %  along width %  dots"]
+    known = any(record.true_strain_length_percent is not None for record in records)
+    solver = "  solver: seen (all) along length %     along width %"
+    lines = ["frame  displacement mm  strain along length %  along width %  dots" + solver * known]
     for record in records:
         if record.problem:
             lines.append(f"{record.sequence:5d}  {record.problem}")
@@ -125,8 +164,16 @@ def _table(records: list[StrainRecord]) -> str:
             width = f"{record.strain_width_percent:.1f} +- {record.strain_width_sigma_percent:.1f}"
             lines.append(
                 f"{record.sequence:5d}  {record.displacement_mm:15.1f}  {length:>21}  {width:>13}  {record.dots:4d}"
+                + _solver(record)
             )
     return "\n".join(lines)
+
+
+def _solver(record: StrainRecord) -> str:
+    if record.true_strain_length_percent is None:
+        return ""
+    length = f"{record.true_strain_length_seen_percent:.1f} ({record.true_strain_length_percent:.1f})"
+    return f"{length:>35}{f'{record.true_strain_width_seen_percent:.1f} ({record.true_strain_width_percent:.1f})':>18}"
 
 
 def _write_csv(records: list[StrainRecord], path: Path) -> None:

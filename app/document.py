@@ -150,10 +150,10 @@ class Document(QObject):
     def _bring_reference(self, to: Path) -> str:
         """Put the reference beside the file to be, and return why it could not be read, if so."""
         record, home = self._preset.reference, self.reference_home
-        if record is None or home is None or home.parent == to.parent:
+        if record is None or (home is not None and home.parent == to.parent):
             return ""
         try:
-            copy_reference(record, home, to)
+            copy_reference(record, home or to, to)
         except PresetError as error:
             return f"{to.name} was saved without its reference: {error}."
         return ""

@@ -80,7 +80,7 @@ class CompareTab(AnalysisTab):
         if self._result is not None and self._result.source is not result.source:
             self.grid.clear()
         self._result = result
-        self.reference.look(result, self._document.path)
+        self.reference.look(result, self._document.reference_home)
         self._send()
 
     def shut_down(self) -> None:

@@ -28,6 +28,7 @@ _NO_REFERENCE = (
     "The inflation was not checked: this preset has no reference. Capture one while nothing touches the membrane, "
     "with Analysis > Capture reference…"
 )
+_LOST = "The inflation was not checked: the preset's reference cannot be found; capture it anew."
 
 
 @dataclass(frozen=True)
@@ -41,7 +42,7 @@ class Rechecked:
 def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> Rechecked:
     """Check the alignment, and the membrane against the preset's reference where it has one."""
     alignment: Drift | str
-    membrane: MembraneDrift | str = _NO_REFERENCE
+    membrane: MembraneDrift | str = _NO_REFERENCE if preset.reference is None else _LOST
     try:
         alignment = recheck(preset, rig, frame)
     except TactuneError as error:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -88,11 +89,11 @@ def _read(
     progress: Progress,
 ) -> SensorFrame | None:
     """Return the preset's own reference from where it lies, else from the recording that held both, else None."""
-    try:
-        return None if home is None else load_reference(record, home)
-    except PresetError:
-        if info is None or info.preset is None or info.preset.reference != record:
-            return None  # whoever needs it says so
+    if home is not None:
+        with suppress(PresetError):  # whoever needs it says so
+            return load_reference(record, home)
+    if info is None or info.preset is None or info.preset.reference != record:
+        return None
     found = info.find_reference(preset, None, progress)
     if found.frame is None or found.warnings:
         return None

@@ -39,10 +39,13 @@ class ReferenceStore:
         return save_reference(frame, frames, self.place)
 
     def home(self, record: ReferenceRecord | None, path: Path | None) -> Path | None:
-        """Return beside which file a reference lies: the preset's own, else `place`; as `load_reference` takes it."""
+        """Return beside which file a reference lies, as `load_reference` takes it: the preset's own, else `place`.
+
+        Where it lies nowhere, the preset's own file; None where it has none.
+        """
         if record is None or (path is not None and (path.parent / record.file).is_file()):
             return path
-        return self.place if path is None or (self._folder / record.file).is_file() else path
+        return self.place if (self._folder / record.file).is_file() else path
 
     def tidy(self, unsaved: Path) -> None:
         """Remove references that neither unsaved work in a folder names nor a running window is likely to."""

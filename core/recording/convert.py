@@ -7,6 +7,7 @@ from pathlib import Path
 
 from ..atomic import atomic_path
 from ..errors import ExportError
+from ..frames import SensorFrame
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
 from .writer import SessionWriter
@@ -18,6 +19,7 @@ def export_mcap(
     frames: int | None = None,
     *,
     preset: Preset | None = None,
+    reference: SensorFrame | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Write a source's frames as a recording that `McapSource` reads back bit for bit.
@@ -33,6 +35,8 @@ def export_mcap(
         At most this many frames; a live source needs it. None: all up to the end.
     preset : Preset, optional
         Kept in the file.
+    reference : SensorFrame, optional
+        The untouched membrane, kept in the file; by default the source's.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done.
 
@@ -54,20 +58,24 @@ def export_mcap(
     total = min(count for count in (left, frames) if count is not None)
     with atomic_path(path) as temporary:
         try:
-            return _write(source, temporary, total, preset, progress)
+            with SessionWriter(
+                temporary,
+                source.rig,
+                preset=preset,
+                frame_rate_hz=source.frame_rate_hz,
+                reference=source.reference() if reference is None else reference,
+            ) as writer:
+                return _write(source, writer, total, progress)
         except ExportError as error:  # which knows the temporary name only
             raise ExportError(str(error).replace(str(temporary), str(path))) from error
 
 
-def _write(source: FrameSource, path: Path, total: int, preset: Preset | None, progress: Progress | None) -> int:
-    with SessionWriter(
-        path, source.rig, preset=preset, frame_rate_hz=source.frame_rate_hz, reference=source.reference()
-    ) as writer:
-        for count, frame in enumerate(itertools.islice(source, total), start=1):
-            if not writer.put(frame, wait=True):
-                break
-            if progress is not None:
-                progress(count / total, f"frame {count} of {total}")
+def _write(source: FrameSource, writer: SessionWriter, total: int, progress: Progress | None) -> int:
+    for count, frame in enumerate(itertools.islice(source, total), start=1):
+        if not writer.put(frame, wait=True):
+            break
+        if progress is not None:
+            progress(count / total, f"frame {count} of {total}")
     status = writer.close()
     if status.error:
         raise ExportError(status.error)

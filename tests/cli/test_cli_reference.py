@@ -102,6 +102,22 @@ def test_a_lost_reference_is_told_and_another_can_be_given(tactune: Tactune, rec
     assert (given.status, given.err) == (0, "")
 
 
+def test_recordings_hold_the_presets_reference(
+    tactune: Tactune, recording: Path, referenced: Path, tmp_path: Path
+) -> None:
+    record = load_preset(referenced).reference
+    assert record is not None
+    recorded, converted, folder = (tmp_path / name for name in ("a.mcap", "b.mcap", "c"))
+    words = ("--source", recording, "--preset", referenced, "--out", recorded)
+    assert tactune("record", *words).status == 0
+    assert tactune("convert", recording, converted, "--preset", referenced).status == 0
+    for file in (recorded, converted):
+        assert (load_reference(record, file).tactile_depth == 3000).all()
+        assert tactune("run", "--source", file, "--method", "proximity-only", "--json").status == 0
+    assert tactune("convert", recorded, folder).status == 0
+    assert (folder / "reference").is_dir()
+
+
 def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, referenced: Path) -> None:
     finished = tactune("recheck", "--source", recording, "--preset", referenced, "--json")
     assert finished.status == 0
