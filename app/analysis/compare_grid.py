@@ -18,6 +18,8 @@ from .method_looks import TIPS, agreement_legend, method_color
 _ASPECT = 1.25
 #: Views narrower than this show every other row and column.
 _FINE_WIDTH = 480
+#: Width per drawn column and pixel of a point's size: points close up.
+_POINT_EVERY = 320
 _CHOOSE = "Tick a method in the table to see its patch here."
 
 
@@ -133,7 +135,10 @@ class TileGrid(QWidget):
 
     def _choose_step(self) -> None:
         """Draw every other row and column where views are small: nobody sees more, and it is much faster."""
-        step = 1 if self.width() >= _FINE_WIDTH * max(1, self._columns) else 2
+        wide = self.width() / max(1, self._columns)
+        step = 1 if wide >= _FINE_WIDTH else 2
+        for tile in self._shown:
+            tile.view.set_point_size(max(2, round(step * wide / _POINT_EVERY)))
         if step != self.step:
             self.step = step
             self.stepChanged.emit()

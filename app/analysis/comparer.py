@@ -193,7 +193,7 @@ def _truth_outcome(truth: GroundTruth, rig: Rig, drawing: Drawing) -> Outcome:
     patch = MethodPatch(truth_cloud(truth, rig).points, lambda: truth.contact)
     known_depth = truth.depth_m is not None
     count = len(patch.points) if known_depth else int(np.count_nonzero(truth.contact))
-    scores = Scores(count, method_area_mm2(patch, rig) if known_depth else None)
+    scores = Scores(count, float(method_area_mm2(patch, rig)) if known_depth else None)
     note = "" if count else "Nothing touches the membrane in this frame"
     return Outcome(TRUTH, scores, drawing.cloud(TRUTH, patch), note=note)
 
