@@ -18,7 +18,7 @@ from .method_looks import TIPS, agreement_legend, method_color
 _ASPECT = 1.25
 #: Views narrower than this show every other row and column.
 _FINE_WIDTH = 480
-#: Width per drawn column and pixel of a point's size: points close up.
+#: A point grows by a pixel for so much width of a view, times `step`, so that surfaces close up.
 _POINT_EVERY = 320
 _CHOOSE = "Tick a method in the table to see its patch here."
 
