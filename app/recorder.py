@@ -186,10 +186,11 @@ class Recorder:
 
     def _finish(self, writer: Writer, reason: str) -> None:
         try:
-            self._ended(RecordingEnd(self._with_refused(writer.close()), reason))
+            status = writer.close()
         except Exception as error:
             status = writer.status()
-            self._ended(RecordingEnd(status, explain(error, f"{status.path} could not be finished")))
+            reason = explain(error, f"{status.path} could not be finished")
+        self._ended(RecordingEnd(self._with_refused(status), reason))
 
     def _with_refused(self, status: RecordingStatus) -> RecordingStatus:
         return replace(status, dropped=status.dropped + self._refused)

@@ -166,7 +166,7 @@ class RecordingControl(QObject):
                 ("Show in folder", lambda: show_in_folder(status.path)),
             ]
         else:
-            sentence = "Nothing was recorded: no frame came."
+            sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += (
                 f" {status.dropped} frames are missing: the cameras or this computer lost them, they did not fit, "

@@ -10,6 +10,7 @@ from PyQt6.QtWidgets import QPushButton
 
 from tactune.app import recording_control
 from tactune.app.worker import SourceRequest
+from tactune.core.recording import container
 from tactune.core.sources.registry import open_source
 
 from .conftest import TinySource, tiny_frame, tiny_rig
@@ -175,8 +176,21 @@ def test_without_a_source_there_is_nothing_to_record(window, qtbot, folder):
 def test_nothing_recorded_is_said_and_leaves_no_file(window, cameras, qtbot, folder):
     begin(window, qtbot)
     end(window, qtbot)
-    assert "no frame came" in told(window)
+    assert "Nothing was recorded: no frame arrived" in told(window)
     assert list(folder.iterdir()) == []
+
+
+def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras, qtbot, monkeypatch):
+    def refuse(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(container.McapWriter, "write_chunk", refuse)
+    press_record(window)
+    qtbot.waitUntil(lambda: window.live.recording.running)
+    cameras.release()
+    qtbot.waitUntil(lambda: not window.live.recording.running)
+    assert "Nothing was recorded: cannot write" in told(window)
+    assert "No space left on device" in told(window)
 
 
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):

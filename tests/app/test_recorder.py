@@ -134,6 +134,19 @@ def test_another_error_ends_the_recording_with_a_reason(recorder, made, ends, tm
     assert ends[0].status.frames == 1
 
 
+def test_a_file_that_cannot_be_finished_is_told_once(recorder, made, ends, tmp_path):
+    def refuse():
+        raise RuntimeError("broken")
+
+    recorder.start(request(tmp_path))
+    recorder.put(frame(0))
+    made[0].close = refuse
+    recorder.close()
+    [end] = ends
+    assert end.status.frames == 1
+    assert "a.mcap could not be finished (RuntimeError: broken)." in end.reason
+
+
 def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(recorder, made, tmp_path):
     seen, told = [], []
 
