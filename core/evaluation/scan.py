@@ -36,8 +36,6 @@ _MOST_TRIANGLES: Final = 20_000_000
 #: Textured triangles are cut until no edge is longer, metres, unless so many triangles come of it.
 _TEXTURE_EDGE_M: Final = 0.0008
 _TEXTURE_TRIANGLES: Final = 3_000_000
-#: Area of a triangle over its longest edge's square, as cutting leaves it.
-_CUT_SHAPE: Final = 0.2
 _MOST_CUTS: Final = 24
 
 
@@ -156,7 +154,7 @@ def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
     if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
         raise SourceError(f"{path} has {wrong} vertices that are nan or infinite; export it again")
     vertices = np.where(np.isfinite(vertices), vertices, 0.0) * unit_m
-    _check_size(vertices[used], path)
+    _check_largest(vertices[used], path)
     kind = mesh.visual.kind
     if kind == "texture":
         return _textured(mesh, vertices, triangles, path)
@@ -177,15 +175,23 @@ def _textured(mesh: Any, vertices: Float64Array, triangles: npt.NDArray[np.int64
             f"{path} has a texture that is missing or cannot be read; "
             "put its image (and an .obj's .mtl) into the same folder"
         )
-    edge = max(
-        _TEXTURE_EDGE_M, math.sqrt(triangle_areas(vertices, triangles).sum() / (_CUT_SHAPE * _TEXTURE_TRIANGLES))
-    )
+    edge = _cut_edge(vertices, triangles)
     # It cuts by the length of the first three columns and halves all of them.
     cut, finer = remesh.subdivide_to_size(
         np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MOST_CUTS
     )
     colors = trimesh.visual.color.uv_to_color(np.nan_to_num(cut[:, 3:]), image)
     return Scan(np.ascontiguousarray(cut[:, :3]), finer.astype(np.int32), np.asarray(colors, np.uint8)[:, :3])
+
+
+def _cut_edge(vertices: Float64Array, triangles: npt.NDArray[np.int64]) -> float:
+    """Return how long edges may stay, so that cutting makes not too many triangles."""
+    sides = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
+    longest, edge = np.linalg.norm(sides, axis=2).max(axis=1), _TEXTURE_EDGE_M
+    # Each cut halves the edges of a triangle and makes at most four of it.
+    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(_TEXTURE_TRIANGLES, len(triangles)):
+        edge *= 1.2
+    return edge
 
 
 def _joined(parts: list[Scan], path: Path) -> Scan:
@@ -202,16 +208,15 @@ def _joined(parts: list[Scan], path: Path) -> Scan:
         raise SourceError(f"{path} has only triangles without area; export it again")
     used, renumbered = np.unique(triangles, return_inverse=True)
     vertices = vertices[used]
-    _check_size(vertices, path)
+    _check_largest(vertices, path)
+    if (size := _size(vertices)) < _SMALLEST_M:
+        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit (--unit m)")
     return Scan(vertices, renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
 
 
-def _check_size(vertices: Float64Array, path: Path) -> None:
-    size = _size(vertices)
-    if size > _LARGEST_M:
+def _check_largest(vertices: Float64Array, path: Path) -> None:
+    if (size := _size(vertices)) > _LARGEST_M:
         raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit (--unit mm)")
-    if size < _SMALLEST_M:
-        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit (--unit m)")
 
 
 def _size(vertices: Float64Array) -> float:

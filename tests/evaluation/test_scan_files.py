@@ -105,6 +105,20 @@ def test_a_textured_ply(square):
     assert len(scan.vertices_m) > 1000 and share == pytest.approx(0.625, abs=0.03)
 
 
+@pytest.mark.parametrize("sliver_m", [0.04, 1e-6])
+def test_a_texture_makes_no_more_triangles_than_memory_takes(square, monkeypatch, sliver_m):
+    square.write_text(SQUARE_OBJ.replace("0.04 0\n", f"{sliver_m} 0\n"))
+    monkeypatch.setattr("tactune.core.evaluation.scan._TEXTURE_TRIANGLES", 60)
+    assert 10 < len(load_scan(square).triangles) <= 60
+
+
+def test_a_small_part_is_no_small_object(square):
+    small = "v 0.05 0 0\nv 0.051 0 0\nv 0.05 0.001 0\nusemtl other\nf 5/1 6/2 7/3\n"
+    square.with_suffix(".mtl").write_text("newmtl paint\nmap_Kd square.png\nnewmtl other\nmap_Kd square.png\n")
+    square.write_text(SQUARE_OBJ + small)
+    assert load_scan(square).vertices_m[:, 0].max() == pytest.approx(0.051)
+
+
 def test_several_textures_in_one_file(square):
     image = np.full((8, 8, 3), (10, 200, 30), np.uint8)
     Image.fromarray(image).save(square.with_name("green.png"))
@@ -185,3 +199,19 @@ def test_without_the_extra_a_sentence_says_how_to_install_it(tmp_path, monkeypat
     monkeypatch.setitem(sys.modules, "trimesh", None)
     with pytest.raises(MissingExtraError, match=r'needs trimesh.*pip install "tactune\[scan\]"'):
         load_scan(tmp_path / "ball.ply")
+
+
+def test_damaged_files_end_with_a_sentence(tmp_path):
+    random, path = np.random.default_rng(0), tmp_path / "ball.ply"
+    ball().export(path)
+    data, refused = path.read_bytes(), 0
+    for _ in range(60):
+        damaged = bytearray(data)
+        for place in random.integers(0, 500, 3):
+            damaged[place] = random.integers(256)
+        path.write_bytes(bytes(damaged))
+        try:
+            load_scan(path)
+        except SourceError as error:
+            refused += str(path) in str(error)
+    assert refused > 30
