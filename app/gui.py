@@ -88,6 +88,7 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     def stop() -> None:
         window.autosave.flush()
         window.live.close()
+        window.analysis.close()
         window.calibration.close()
         window.worker.shut_down()
         application.exit(INTERRUPTED)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,9 @@ from tactune.core.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.preset_file import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator import scene as scene_module
+from tactune.core.sources.simulator import source as source_module
+from tactune.core.sources.simulator.scenes import Scene, resolve_scene
 
 WIDTH, HEIGHT = 160, 120
 RIM_M, BULGE_M = 0.25, 0.06
@@ -123,3 +127,21 @@ def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
     fine = compare_with_reference(preset, source.rig, now, reference)
     assert (fine.verdict, fine.proximity is not None) == ("fine", True), fine.sentence
     assert compare_with_reference(preset, source.rig, pressed, reference).verdict == "touched"
+
+
+def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    reference = untouched_frame(open_source("sim:cup?press=none"))
+    assert reference is not None
+    more_m = 0.004
+
+    def inflated(*words: Any) -> Scene:
+        made = resolve_scene(*words)
+        design = replace(made.design, apex_m=made.design.apex_m + more_m)
+        return replace(made, name="cup-inflated-118x68", design=design)
+
+    monkeypatch.setattr(source_module, "resolve_scene", inflated)
+    monkeypatch.setattr(scene_module, "APEX_M", scene_module.APEX_M + more_m)  # the rim stays where it is
+    now = open_source("sim:cup?press=none&seed=3")
+    drift = compare_with_reference(load_preset("simulator"), now.rig, now.next_frame(), reference)
+    assert drift.verdict == "inflation"
+    assert drift.inflation_m == pytest.approx(more_m, abs=0.0002)
