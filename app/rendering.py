@@ -27,6 +27,7 @@ from ..widgets.colormaps import (
     patch_lut,
     provenance_lut,
 )
+from .no_contact import why_no_contact
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 from .strip_drawing import draw_strip
 
@@ -96,6 +97,9 @@ class Renderer:
             depth_range_m=depth_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
             accepted=scene.accepted,
+            no_contact=why_no_contact(patch.provenance, preset.contact_test)
+            if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds
+            else "",
         )
 
     def _steady_depth_range(self, rig: Rig, sample_m: npt.NDArray[np.float32]) -> tuple[float, float]:

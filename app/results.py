@@ -78,7 +78,8 @@ class Rendered:
     """The pictures of one frame; what nobody wanted is missing.
 
     ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them; ``accepted`` is the
-    relative difference up to which the contact test takes depths for equal.
+    relative difference up to which the contact test takes depths for equal; ``no_contact`` says why an empty patch
+    that is looked at is empty.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -88,6 +89,7 @@ class Rendered:
     depth_range_m: tuple[float, float] = (0.0, 1.0)
     verdicts: frozenset[Provenance] = frozenset()
     accepted: float = 0.0
+    no_contact: str = ""
 
 
 @dataclass(frozen=True)

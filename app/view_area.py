@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Literal
 
-import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
@@ -41,19 +38,6 @@ _COLOR_TIPS = {
     ColorBy.DEPTH: "Depth everywhere, also within the patch",
     ColorBy.DIFFERENCE: "(dp - dt) / dp: how well both cameras agree",
     ColorBy.PROVENANCE: "Why each point was kept or dropped",
-}
-#: By contact test: what drops points that are near the object, and what to change where it drops too many.
-_DROPPED = {
-    "tolerance": {
-        Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
-        Provenance.OUTLIER: ("the outlier removal", "raise its ratio, or switch it off"),
-        Provenance.SMALL_CLUSTER: ("the limit on small clusters", "lower the smallest cluster"),
-    },
-    "calibrated": {
-        Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
-        Provenance.RIM: ("the retreat from the edge", "right while nothing touches; else lower it"),
-        Provenance.SMALL_CLUSTER: ("the limit on small contacts", "lower the smallest contact"),
-    },
 }
 
 
@@ -223,21 +207,4 @@ def _why_empty(name: CloudName, result: Result) -> str:
         return _ONE_CAMERA
     if result.patch is None:
         return result.problem
-    return "" if len(result.patch.points) else why_no_contact(result.patch.provenance, result.preset.contact_test)
-
-
-def why_no_contact(
-    provenance: npt.NDArray[np.uint8], contact_test: Literal["tolerance", "calibrated"] = "tolerance"
-) -> str:
-    """Say which stage dropped the points that were near the object, and what to change about it."""
-    stages = _DROPPED[contact_test]
-    dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in stages}
-    by = max(dropped, key=lambda verdict: dropped[verdict])
-    total = sum(dropped.values())
-    if total == 0:
-        looser = "raise the tolerance t" if contact_test == "tolerance" else "raise the largest gap"
-        return f"No contact yet: press the object into the membrane, or {looser}"
-    stage, change = stages[by]
-    passed = "passed the contact test" if contact_test == "tolerance" else "came near the object"
-    share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
-    return f"{total:,} point{'s' if total > 1 else ''} {passed}, but {stage} dropped {share}: {change}"
+    return result.rendered.no_contact

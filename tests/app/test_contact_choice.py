@@ -6,9 +6,9 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from tactune.app.no_contact import why_no_contact
 from tactune.app.rendering import accepted_difference
 from tactune.app.results import CloudName
-from tactune.app.view_area import why_no_contact
 from tactune.core.pipeline import CALIBRATED_STAGES, ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.provenance import Provenance

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from threading import get_ident
 
 import numpy as np
 import pytest
@@ -10,8 +11,9 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea
 
+from tactune.app import rendering
+from tactune.app.no_contact import why_no_contact
 from tactune.app.results import CloudName, ColorBy
-from tactune.app.view_area import why_no_contact
 from tactune.app.worker import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.provenance import Provenance
@@ -80,6 +82,15 @@ def test_says_which_stage_dropped_everything(window, qtbot, path, value, words):
     window.document.edit(path, value)
     qtbot.waitUntil(lambda: view.message() != "")
     assert view.message().startswith(f"{passed:,} points passed the contact test, but {words}")
+
+
+def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
+    """It takes longer than finding that nothing touches."""
+    threads = []
+    monkeypatch.setattr(rendering, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
+    window.document.edit("tolerance.t", 0.0)
+    qtbot.waitUntil(lambda: window.views.views[CloudName.PATCH].message() == "because")
+    assert get_ident() not in threads
 
 
 def test_the_stage_that_dropped_most_is_named():
