@@ -48,7 +48,7 @@ class ContactPatch:
         As the attributes of these names, or `Once`; without a mask it follows from the provenance.
     rig : Rig
     stage_ms : mapping of str to float
-        Milliseconds of each of `pipeline.STAGES`; 0 for a stage that was cached or skipped.
+        Milliseconds of each of `pipeline.stages_of` the preset; 0 for a stage that was cached or skipped.
     skipped : tuple of str
         What this frame did not need, in words, such as "no tile can hold contact".
     """

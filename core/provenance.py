@@ -6,7 +6,10 @@ from enum import IntEnum
 
 
 class Provenance(IntEnum):
-    """The verdict on one proximity pixel, in the order in which the tests are made; RIM came last to the list."""
+    """The verdict on one proximity pixel, in the order in which the tests are made.
+
+    RIM, of the calibrated test only, stands at the end, so that the others keep their numbers.
+    """
 
     NO_PROXIMITY_DEPTH = 0
     OUTSIDE_REGION = 1

@@ -251,6 +251,19 @@ def test_lone_pixels_stop_after_their_shares(rig):
     assert (patch.provenance[::20, ::20] == Provenance.OUTLIER).all()
 
 
+def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
+    """Lone pixels near the membrane make what is looked at larger, and must not reach contact."""
+    crowded = scene.proximity_depth.copy()
+    crowded[[2, 2, -3, -3], [3, -4, 3, -4]] = round(MEMBRANE_M / 1e-5)
+    alone, among = (
+        ContactPipeline(CALIBRATED, rig).process(frame)
+        for frame in (scene, replace(scene, proximity_depth=crowded))
+    )  # fmt: skip
+    assert len(alone.points) > 1000
+    np.testing.assert_array_equal(alone.points.view(np.uint32), among.points.view(np.uint32))
+    np.testing.assert_array_equal(alone.mask, among.mask)
+
+
 def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
     rig = make_rig(width=640, height=480)
     frame = make_frame(rig, 3, 0.0008, 0.02)
