@@ -17,10 +17,12 @@ from PyQt6.QtWidgets import QApplication, QStyle, QStyleOptionViewItem
 from tactune.app.analysis import comparer
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.app.opening import SourceRequest
+from tactune.app.reference_finding import reference_finder
 from tactune.core.baselines.registry import make_method, method_names
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.frames import GroundTruth, SensorFrame
+from tactune.core.membrane_reference import save_reference
 from tactune.core.sources.base import SeekableSource
 
 from .conftest import at_rest, tiny_frame, tiny_rig
@@ -214,6 +216,17 @@ def test_a_damaged_reference_is_said_and_tried_again(qtbot, window):
 
     tab = open_on(qtbot, window, Damaged)
     assert "the reference is damaged; capture it anew" in tab.grid.tiles["tactile-only"].view.message()
+
+
+def test_the_reference_of_the_preset_goes_first(preset, tmp_path):
+    source, home = KnowingSource(), tmp_path / "cup.json"
+    find = reference_finder(source)
+    assert find(preset, home, lambda share, words: None).frame.tactile_depth[20, 20] > 2500
+    own = tiny_frame(5, source.rig)
+    kept = preset.model_copy(update={"reference": save_reference(own, 1, home)})
+    found = find(kept, home, lambda share, words: None)
+    assert not found.warnings
+    np.testing.assert_array_equal(found.frame.tactile_depth, own.tactile_depth)
 
 
 def test_preparing_the_reference_can_be_cancelled_and_begun_again(qtbot, window):
