@@ -55,7 +55,7 @@ class KnowingSource(SeekableSource):
 def open_on(qtbot, window, make):
     """Open a source at frame 3 and the tab on it."""
     window.open_request(SourceRequest("knowing", lambda progress: make()))
-    qtbot.waitUntil(lambda: window.result is not None)
+    qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
     window.worker.pause()
     window.worker.seek(3)
     qtbot.waitUntil(lambda: at_rest(window, 3))
@@ -276,7 +276,7 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
 
     monkeypatch.setattr(comparer, "make_method", lambda *args: Slow(make_method(*args)))
     window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
-    qtbot.waitUntil(lambda: window.result is not None)
+    qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
     window.actions_.compare.trigger()
     tab = window.analysis.launcher.window.made["compare"]
     started = window.result.processed
