@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import sys
+from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import cast
@@ -22,9 +23,8 @@ from .settings import Settings, default_data_folder, default_settings_file
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000
-#: How often an idle window lets Python notice a signal, and how it then ends, as shells expect.
+#: How often an idle window lets Python notice a signal.
 WAKE_MS = 200
-INTERRUPTED = 130
 
 
 def run_gui(
@@ -83,17 +83,18 @@ def run_gui(
 
 
 def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
-    """Let Ctrl+C in the terminal end the window; unsaved work is kept and offered at the next start."""
+    """Let Ctrl+C or the end of the session end the window; unsaved work is kept and offered at the next start."""
 
-    def stop() -> None:
+    def stop(number: int) -> None:
         window.autosave.flush()
         window.live.close()
         window.analysis.close()
         window.calibration.close()
         window.worker.shut_down()
-        application.exit(INTERRUPTED)
+        application.exit(128 + number)  # as shells expect
 
-    signal.signal(signal.SIGINT, lambda *_: QTimer.singleShot(0, stop))
+    for sent in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(sent, lambda number, _: QTimer.singleShot(0, partial(stop, number)))
     # Python notices a signal only when it runs, and an idle window runs none of it.
     wake = QTimer(window)
     wake.timeout.connect(lambda: None)
