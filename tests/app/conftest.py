@@ -26,6 +26,7 @@ from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, SeekableSource
+from tactune.core.warmup import warm_up_if_needed
 
 WIDTH, HEIGHT = 64, 48
 CONTACT_RGB = (200, 40, 40)
@@ -105,6 +106,7 @@ class LiveSource(FrameSource):
 @pytest.fixture(scope="session", autouse=True)
 def compiled() -> None:
     """Compile the kernels before anything waits for a first frame."""
+    warm_up_if_needed(lambda share, words: None)
     rig = tiny_rig()
     info = SourceInfo("tiny", rig, 1, 30.0)
     FrameProcessor().process(info, tiny_frame(0, rig), Preset(), Wanted(), PlaybackState())
