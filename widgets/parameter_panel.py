@@ -22,6 +22,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ..core.calibration_record import CalibrationRecord
 from ..core.preset import Preset
 from .collapsible import CollapsibleSection
 from .fields import FieldSpec, field_spec, section_fields
@@ -121,6 +122,7 @@ class ParameterPanel(QScrollArea):
         self._preset = preset
         for path, row in self.rows.items():
             row.show_value(preset.value(path))
+        self._show_calibration(preset.alignment.calibration)
         self._refresh()
 
     def set_baseline(self, preset: Preset | None) -> None:
@@ -139,11 +141,6 @@ class ParameterPanel(QScrollArea):
         row.message.show_sentence(sentence)
         self.sections[_section_of(path)].set_collapsed(False)
         self._refresh()
-
-    def set_alignment_info(self, text: str) -> None:
-        """Say how good the alignment is, below the choice of its model."""
-        self._info.setText(text)
-        self._info.setVisible(bool(text))
 
     def set_median_distance_m(self, distance_m: float) -> None:
         """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
@@ -178,6 +175,17 @@ class ParameterPanel(QScrollArea):
         for name, button in self._eyedroppers.items():
             button.setChecked(name == mode)
         self._escape.setEnabled(mode != "off")
+
+    def _show_calibration(self, record: CalibrationRecord | None) -> None:
+        """Say below the choice of the alignment's model what it comes from and how good it was."""
+        if record is not None:
+            points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
+            self._info.setText(
+                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
+                f"expected error {record.quality.alignment_px:.1f} px, good for t from "
+                f"{record.quality.supported_tolerance:.3f}"
+            )
+        self._info.setVisible(record is not None)
 
     # --- building ----------------------------------------------------------------------------------------------
 
