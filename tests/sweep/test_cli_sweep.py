@@ -127,6 +127,7 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "live:sim:cup",), "record it first"),
         (("-s", "folder:/nowhere",), "there is no folder"),
         (("-s", "REC", "--file", "missing.json"), "cannot read missing.json"),
+        (("-s", "REC", "--scheduler", "nonsense"), "is no scheduler's address"),
         (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "leave it out beside --scheduler"),
     ],
 )  # fmt: skip

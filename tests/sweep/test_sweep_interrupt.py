@@ -7,13 +7,9 @@ import signal
 import time
 from pathlib import Path
 
-import pytest
 
-
-@pytest.mark.parametrize("group", [False, True], ids=["the command", "all its processes, as from a terminal"])
-def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(long_sweep, group):
-    process = long_sweep.start("--jobs", "2")
-    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+def check_interrupted(process, long_sweep):
+    """The command has ended with a sentence, and what it says is kept."""
     out, err = process.communicate(timeout=60)
     assert process.returncode == 130
     assert out == ""
@@ -22,6 +18,18 @@ def test_ctrl_c_keeps_what_is_done_and_the_same_command_goes_on(long_sweep, grou
     assert 10 <= done < 200
     assert f"{done} of 200 runs are kept in {long_sweep.journal}; the same command goes on from there" in err
     assert not long_sweep.table.exists()
+
+
+def test_a_signal_to_the_command_alone_ends_all(long_sweep):
+    process = long_sweep.start("--jobs", "2")
+    process.send_signal(signal.SIGINT)
+    check_interrupted(process, long_sweep)
+
+
+def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_sweep):
+    process = long_sweep.start("--jobs", "2")
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all processes
+    check_interrupted(process, long_sweep)
     before = long_sweep.journal.read_text()
     long_sweep.finish("--jobs", "2")
     assert long_sweep.journal.read_text().startswith(before)
