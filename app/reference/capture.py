@@ -74,18 +74,19 @@ class Capture(QObject):
         return self._job.busy
 
     def start(self, count: int) -> None:
-        """Average the frame that is shown and those that follow it, ``count`` in all."""
+        """Average the frame that is shown and those that follow it, ``count`` in all, or the whole recording once."""
         frame, playback, name = self._feed.frame, self._feed.playback, self._feed.info.name
         if self.busy or frame is None:
             return
         if name.startswith(_SIMULATOR):
             self._job.start(lambda progress: self._simulated(name, count, progress))
             return
-        self._queue, self._wanted, self._last = SimpleQueue(), count, None
+        different = count if playback.length is None else min(count, playback.length)
+        self._queue, self._wanted, self._last = SimpleQueue(), different, None
         queue, still = self._queue, not playback.running
         self._return_to = playback.index if still and playback.seekable else None
         self._played = not still
-        self._job.start(lambda progress: self._average(_arriving(queue, count, progress), count))
+        self._job.start(lambda progress: self._average(_arriving(queue, different, progress), count))
         self._take(frame)
         if self._wanted and still:
             self._feed.play()

@@ -103,9 +103,19 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
 
 def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     window.worker.set_loop(False)
-    opened = capture(qtbot, window, 20)
-    assert "because the recording ended" in opened.sentence.text()
+    opened = capture(qtbot, window, 7)
+    assert "because the recording has no more" in opened.sentence.text()
     assert 1 <= window.document.preset.reference.frames <= 5
+
+
+@pytest.mark.parametrize("length", [1, 3])
+def test_a_short_recording_is_taken_once(qtbot, window, length):
+    source = TinySource(length)
+    source.name = "short"
+    open_source(qtbot, window, source)
+    opened = capture(qtbot, window, 15)
+    assert window.document.preset.reference.frames == length
+    assert f"Captured {length} frame" in opened.sentence.text()
 
 
 def test_escape_stops_capturing_and_then_closes(qtbot, window):
