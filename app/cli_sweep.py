@@ -30,7 +30,7 @@ class _Options:
     """What the command line and the sweep file say together."""
 
     preset: Preset
-    preset_folder: Path | None
+    preset_file: Path | None
     request: Request
     objective: str | None
 
@@ -110,8 +110,8 @@ def sweep(
     options = _options(file, preset, source, settings, method, frames, seeds, sample, seed, objective)
     kept = out.with_name(out.name.removesuffix(".parquet") + JOURNAL_SUFFIX)
     check_table(out, kept)
-    if best is not None and best.resolve() == out.resolve():
-        raise ExportError(f"--best and --out are both {best}; name two files")
+    if best is not None:
+        _check_best(best, out, options)
     with _engine(scheduler, jobs) as (engine, workers), CliProgress() as progress:
         plan = make_plan(
             options.preset,
@@ -169,7 +169,7 @@ def _options(
     which = frames if frames is not None else told.frames
     return _Options(
         load_preset(name),
-        Path(name).parent if Path(name).is_file() else None,
+        Path(name) if Path(name).is_file() else None,
         Request(
             axes=(*(axis for path, axis in axes.items() if path not in replaced), *named),
             sources=sources,
@@ -244,10 +244,23 @@ def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progres
         raise
 
 
+def _check_best(path: Path, out: Path, options: _Options) -> None:
+    """Refuse to write the best preset over something that is no such preset."""
+    from ..core.sweep.best import FOUND_BY
+
+    if path.resolve() == out.resolve():
+        raise ExportError(f"--best and --out are both {path}; name two files")
+    if options.preset_file is not None and path.resolve() == options.preset_file.resolve():
+        raise ExportError(f"--best would replace {path}, the preset that the sweep begins with; name another file")
+    if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
+        raise ExportError(f"{path} is already there and no sweep has written it; choose another --best or remove it")
+
+
 def _write_best(path: Path, preset: Preset, options: _Options) -> None:
     from ..core.preset_file import save_preset
 
-    if preset.reference is not None and path.resolve().parent != (options.preset_folder or path).resolve():
+    before = options.preset_file
+    if preset.reference is not None and (before is None or path.resolve().parent != before.resolve().parent):
         preset = preset.model_copy(update={"reference": None})  # its file lies beside the other preset
     save_preset(preset, path)
     typer.echo(f"wrote {path}", err=True)

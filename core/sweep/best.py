@@ -27,12 +27,15 @@ OBJECTIVES: Final = {
 #: Those that need no truth.
 WITHOUT_TRUTH: Final = ("ms", "area", "stability")
 
+#: In the notes of every preset that a sweep has written.
+FOUND_BY: Final = "found by tactune sweep"
+
 #: What a preset says for the methods that it can name.
 _IN_A_PRESET: Final[dict[str, dict[str, str]]] = {
     FUSION: {},
     "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
-    "fusion-calibrated": {"contact_test": "calibrated"},
+    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid"},
 }
 
 #: Groups that the values of a parameter are put into where there are more.
@@ -156,7 +159,7 @@ def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
     values = ", ".join(f"{path} {json.dumps(value)}" for path, value in setting.values.items()) or "none"
     told = (
         f"Best of {len(plan.settings)} settings by {objective}: {best.value:.4g}, mean over {len(sources)} sources "
-        f"and {seeds} seeds ({best.ms:.2f} ms a frame), found by tactune sweep on {now():%Y-%m-%d}. "
+        f"and {seeds} seeds ({best.ms:.2f} ms a frame), {FOUND_BY} on {now():%Y-%m-%d}. "
         f"Method {setting.method}; swept: {values}. Sources: {'; '.join(sources)}."
     )
     notes = f"{plan.base.notes}\n\n{told}".strip()

@@ -10,7 +10,7 @@ import pytest
 from pyarrow import parquet
 
 from tactune.core.pipeline import ContactPipeline
-from tactune.core.preset_file import load_preset
+from tactune.core.preset_file import load_preset, preset_json
 from tactune.core.sources.folder import FolderSource
 
 SETS = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
@@ -147,6 +147,16 @@ def test_a_table_that_no_sweep_has_written_is_left_alone(sweep, recording, tmp_p
     (tmp_path / "mine.parquet").write_text("precious")
     assert "already there" in sweep("-s", recording, "-o", tmp_path / "mine.parquet").sentence
     assert (tmp_path / "mine.parquet").read_text() == "precious"
+
+
+def test_the_best_preset_replaces_only_what_a_sweep_has_written(sweep, recording, tmp_path):
+    mine = tmp_path / "mine.json"
+    mine.write_text(preset_json(load_preset("default")))
+    assert "no sweep has written it" in sweep("-s", recording, "--best", mine).sentence
+    assert "begins with" in sweep("-s", recording, "-p", mine, "--best", mine).sentence
+    assert mine.read_text() == preset_json(load_preset(mine))
+    for _ in range(2):
+        assert sweep("-s", recording, "-p", mine, "--best", "best.json").status == 0
 
 
 @pytest.mark.parametrize(
