@@ -71,6 +71,7 @@ class BagSource(SeekableSource):
             self._proximity_index = self._tactile_index = np.arange(len(self._proximity.depth))
         else:
             self._pair(name, self._tactile)
+            self._tactile_rig = _rig(self._tactile, None)
         self._color_index = {camera: _color_index(camera) for camera in self._cameras if camera.color is not None}
         super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity_index))
 
@@ -125,7 +126,9 @@ class BagSource(SeekableSource):
         assert self._tactile is not None
         depth = self._tactile.recording.depth_image(self._tactile.depth, index)
         color = self._color(self._tactile, index)
-        return depth, None if color is None else _color_on_depth(color, depth, self._tactile)
+        if color is not None and not self._tactile.color_is_aligned:
+            color = _color_on_depth(color, depth, self._tactile_rig)
+        return depth, color
 
     def _color(self, camera: Camera, depth_index: int) -> npt.NDArray[np.uint8] | None:
         """Return the colour image nearest to a depth image of the same camera."""
@@ -210,14 +213,10 @@ def _color_index(camera: Camera) -> npt.NDArray[np.intp]:
     return nearest(*times)
 
 
-def _color_on_depth(
-    color: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], camera: Camera
-) -> npt.NDArray[np.uint8]:
+def _color_on_depth(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], rig: Rig) -> npt.NDArray[np.uint8]:
     """Bring a camera's colour image to its depth pixels; black where there is no depth or no colour."""
-    if camera.color_is_aligned:
-        return color
     pixels = np.flatnonzero(valid_depth(depth))
-    points = deproject(depth, camera.info, pixels)
+    points = deproject(depth, rig.proximity, pixels)
     aligned = np.zeros((*depth.shape, 3), np.uint8)
-    aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, _rig(camera, None))
+    aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, rig)
     return aligned
