@@ -34,7 +34,7 @@ class StrainNumbers(QWidget):
         layout = QGridLayout(self)
         layout.setContentsMargins(6, 2, 2, 2)
         layout.setHorizontalSpacing(14)
-        layout.addWidget(self.verdict, 0, 0, 1, len(_TITLES))
+        layout.addWidget(self.verdict, 0, 0, 1, len(_TITLES) + 1)
         for column, (title, tip) in enumerate(zip(_TITLES, _TIPS, strict=True)):
             head = QLabel(title)
             head.setForegroundRole(head.palette().ColorRole.PlaceholderText)

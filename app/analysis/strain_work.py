@@ -18,7 +18,7 @@ from ...widgets.colormaps import depth_lut
 from ..calibration.pictures import pack_rgb
 
 #: Share of the map's colour over the image, and the bits of a pixel's fraction in which squares are drawn.
-_OPACITY = 0.62
+_OPACITY = 0.7
 _SHIFT = 4
 #: The colours end at a multiple of this, 10 %.
 _ROUNDED = 0.10

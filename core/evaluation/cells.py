@@ -147,7 +147,7 @@ def measure_cell(
         return Cell(*where, **strain, failure=str(error))
     assert patch is not None
     scores = _scores(patch, frames[-1], rig)
-    return Cell(*where, **scores, **strain, ms=median(times_ms[1:] or times_ms))
+    return Cell(*where, **(scores | strain), ms=median(times_ms[1:] or times_ms))
 
 
 def _strain(frame: SensorFrame) -> dict[str, Any]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -18,7 +18,12 @@ IntArray = npt.NDArray[np.int64]
 
 #: A dot is accepted so far from where its neighbours predict it, in lattice steps; seeds are stricter.
 _REACH: Final = 0.38
-_SEED_REACH: Final = 0.16
+#: Where a seed's neighbours are looked for, in lattice steps, and how far from there they may be. What stays in
+#: no order, such as the few dots on top of a pressed-in object, has a chance with the four nearest alone.
+_SEEDS: Final = (
+    (((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)), 0.16),
+    (((-1, 0), (0, -1), (0, 1), (1, 0)), 0.16),
+)
 #: Dots below which a piece of lattice is not believed.
 _FEWEST_DOTS: Final = 9
 _NEIGHBOURS: Final = 12
@@ -91,30 +96,34 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
         Forbids neighbours across a hidden part of the surface.
     """
     cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
-    if len(pixels) <= _NEIGHBOURS:
-        return DotLattice(cells, piece)
-    tree = cKDTree(pixels)
     free = np.ones(len(pixels), bool)
     axes: list[tuple[Float64Array, Float64Array]] = []
     found: list[_Piece] = []
-    for _, seed, right, down in sorted(_seeds(pixels, tree), key=lambda entry: entry[0]):
-        if not free[seed]:
-            continue
-        vectors = _like(axes[0], right, down) if axes else (right, down)
-        grown = _grow(pixels, tree, free, linked, seed, vectors)
-        if len(grown.dots) >= _FEWEST_DOTS:
-            free[list(grown.cells)] = False
-            axes.append(vectors)
-            found.append(grown)
+    for looked, (steps, reach) in enumerate(_SEEDS):
+        left = np.flatnonzero(free)
+        if len(left) < _FEWEST_DOTS or (looked and len(left) > len(pixels) / 2):  # chance alone orders a few spots
+            break
+        tree = cKDTree(pixels[left])
+        for _, number, right, down in sorted(_seeds(pixels[left], tree, steps, reach), key=lambda entry: entry[0]):
+            if not free[left[number]]:
+                continue
+            vectors = _like(axes[0], right, down) if axes else (right, down)
+            grown = _grow(pixels, left, tree, free, linked, int(left[number]), vectors)
+            if len(grown.dots) >= _FEWEST_DOTS:
+                free[list(grown.cells)] = False
+                axes.append(vectors)
+                found.append(grown)
     for number, grown in enumerate(sorted(found, key=lambda grown: -len(grown.dots))):
         for dot, cell in grown.cells.items():
             cells[dot], piece[dot] = cell, number
     return DotLattice(cells, piece)
 
 
-def _seeds(pixels: Float64Array, tree: cKDTree) -> Iterator[tuple[float, int, Float64Array, Float64Array]]:
-    """Yield dots that are the middle of a regular 3 x 3, how irregular it is, and their lattice vectors."""
-    near = np.asarray(tree.query(pixels, _NEIGHBOURS + 1)[1])
+def _seeds(
+    pixels: Float64Array, tree: cKDTree, steps: Sequence[Cell], reach: float
+) -> Iterator[tuple[float, int, Float64Array, Float64Array]]:
+    """Yield dots in the middle of regular neighbours, how irregular these are, and the lattice vectors."""
+    near = np.asarray(tree.query(pixels, min(_NEIGHBOURS + 1, len(pixels)))[1])
     for dot in range(len(pixels)):
         around = pixels[near[dot, 1:]] - pixels[dot]
         first = around[0]
@@ -123,10 +132,10 @@ def _seeds(pixels: Float64Array, tree: cKDTree) -> Iterator[tuple[float, int, Fl
         if not aside.any():
             continue
         right, down = _upright(first, around[np.argmax(aside)])
-        wanted = np.array([i * right + j * down for i in (-1, 0, 1) for j in (-1, 0, 1) if i or j])
+        wanted = np.array([i * right + j * down for i, j in steps])
         gaps = np.hypot(*(wanted[:, None] - around[None]).transpose(2, 0, 1)).min(axis=1)
         error = float(gaps.max()) / min(np.hypot(*right), np.hypot(*down))
-        if error <= _SEED_REACH:
+        if error <= reach:
             yield error, dot, right, down
 
 
@@ -149,13 +158,14 @@ def _like(
 
 def _grow(
     pixels: Float64Array,
+    left: npt.NDArray[np.intp],
     tree: cKDTree,
     free: npt.NDArray[np.bool_],
     linked: Linked,
     seed: int,
     vectors: tuple[Float64Array, Float64Array],
 ) -> _Piece:
-    """Take in dot after dot, the one nearest to its prediction first."""
+    """Take in dot after dot of those in the tree, numbered by ``left``, the one nearest to its prediction first."""
     piece = _Piece()
     waiting: list[tuple[float, int, Cell, int]] = [(0.0, seed, (0, 0), seed)]
     while waiting:
@@ -168,10 +178,11 @@ def _grow(
             if beside in piece.dots:
                 continue
             vector = _vector(pixels, piece, cell, step, vectors)
-            gap, candidate = tree.query(pixels[dot] + vector)
+            gap, number = tree.query(pixels[dot] + vector)
+            candidate = int(left[number])
             error = float(gap) / float(np.hypot(*vector))
-            if error <= _REACH and free[candidate] and linked(dot, int(candidate)):
-                heapq.heappush(waiting, (error, int(candidate), beside, dot))
+            if error <= _REACH and free[candidate] and linked(dot, candidate):
+                heapq.heappush(waiting, (error, candidate, beside, dot))
     return piece
 
 

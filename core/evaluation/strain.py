@@ -7,6 +7,7 @@ neighbours compared with their spacing on the flat, unstretched sheet.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
 from typing import Final
@@ -18,10 +19,10 @@ import numpy.typing as npt
 from ..clouds import valid_depth
 from ..errors import TactuneError
 from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
-from .dot_lattice import DotLattice, order_dots
+from .dot_lattice import DotLattice, IntArray, order_dots
 from .dot_surface import dot_points, surface_between
 from .dots import DOT_WIDTHS_PX, find_dots
-from .strain_field import AxisStrain, axis_strain
+from .strain_field import AxisStrain, axis_strain, crossed
 
 #: Distance of neighbouring dots on the flat sheet, metres, unless said otherwise.
 SPACING_M: Final = 0.010
@@ -110,14 +111,14 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
     pixels, lattice = _find_grid(frame, depth_m, camera.intrinsics.fx)
     points, depth_sigma = dot_points(frame.tactile_depth, camera, pixels)
+    focal_px = camera.intrinsics.fx
+    sides = _sides(lattice, depth_m, focal_px, pixels, points)
+    loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
+    lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
     places = np.column_stack([lattice.piece, lattice.cells])
     axes = []
-    for axis, name in ((1, "length"), (0, "width")):
-        pairs = lattice.neighbours(axis)
-        pairs = pairs[
-            np.array([_usable(depth_m, camera.intrinsics.fx, pixels[pair], points[pair]) for pair in pairs], bool)
-        ]
-        strain = axis_strain(pairs, points, depth_sigma, camera.intrinsics.fx, spacing_m, places)
+    for pairs, name in zip(_sides(lattice, depth_m, focal_px, pixels, points), ("length", "width"), strict=True):
+        strain = axis_strain(pairs, points, depth_sigma, focal_px, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
                 f"frame {frame.sequence}: {len(pixels)} dots are seen, but no neighbours along the {name} have depth; "
@@ -179,6 +180,37 @@ def _linked(depth_m: Float64Array, focal_px: float, pixels: Float64Array, first:
 def _usable(depth_m: Float64Array, focal_px: float, pixels: Float64Array, points: Float64Array) -> bool:
     """Whether two neighbours have places in space and the surface between them is seen."""
     return bool(np.isfinite(points).all()) and surface_between(depth_m, focal_px, pixels[0], pixels[1])
+
+
+def _sides(
+    lattice: DotLattice, depth_m: Float64Array, focal_px: float, pixels: Float64Array, points: Float64Array
+) -> tuple[IntArray, IntArray]:
+    """Return the neighbours along the length and along the width whose distance can be believed."""
+    usable = []
+    for axis in (1, 0):
+        pairs = lattice.neighbours(axis)
+        seen = [_usable(depth_m, focal_px, pixels[pair], points[pair]) for pair in pairs]
+        usable.append(pairs[np.array(seen, bool)])
+    along, across = usable
+    return along[crossed(along, across, points)], across[crossed(across, along, points)]
+
+
+def _ordered_anew(
+    lattice: DotLattice,
+    loose: npt.NDArray[np.int64],
+    linked: Callable[[Float64Array, int, int], bool],
+    pixels: Float64Array,
+) -> DotLattice:
+    """Put dots without a neighbour in order once more, among themselves.
+
+    Where a piece has grown over a steep wall by a wrong step, everything behind is sheared by a row.
+    """
+    again = order_dots(pixels[loose], partial(linked, pixels[loose]))
+    found = again.piece >= 0
+    cells, piece = lattice.cells.copy(), lattice.piece.copy()
+    cells[loose[found]] = again.cells[found]
+    piece[loose[found]] = again.piece[found] + lattice.piece.max() + 1
+    return DotLattice(cells, piece)
 
 
 def _find_grid(frame: SensorFrame, depth_m: Float64Array, focal_px: float) -> tuple[Float64Array, DotLattice]:

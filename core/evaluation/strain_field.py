@@ -17,6 +17,10 @@ _AGREES_WITHIN: Final = 3.5
 _FEWEST_OVER_TERMS: Final = 3
 #: A pair whose length over that of the pairs around it is beyond this, or one over it, is misread.
 _LARGEST_RATIO: Final = 1.35
+#: Rows and columns cross at right angles on the sheet. Where the cosine in space is beyond this, a diagonal of the
+#: grid, or a spot that is no dot, has been taken for a side; and each side is crossed at least so often.
+_LARGEST_COSINE: Final = 0.5
+_FEWEST_CROSSINGS: Final = 2
 #: How well the middle of a dot is found in a colour image, pixels.
 PIXEL_SIGMA: Final = 0.1
 
@@ -88,6 +92,40 @@ def axis_strain(
     kept = _plausible(where, raw)
     pairs, raw, sigma, where = pairs[kept], raw[kept], sigma[kept], where[kept]
     return AxisStrain(pairs, *_smoothed(where, raw, sigma), raw)
+
+
+def crossed(
+    pairs: npt.NDArray[np.int64], crossing: npt.NDArray[np.int64], points_m: Float64Array
+) -> npt.NDArray[np.bool_]:
+    """Tell which neighbours are crossed at their ends by neighbours of the other direction, nearly at right angles.
+
+    Parameters
+    ----------
+    pairs, crossing : int64, shape (M, 2) and (K, 2)
+        Of one direction and of the other.
+    points_m : float64, shape (N, 3)
+
+    Returns
+    -------
+    bool, shape (M,)
+    """
+    along, across = (_directions(points_m[ends]) for ends in (pairs, crossing))
+    at: dict[int, list[int]] = {}
+    for number, ends in enumerate(crossing):
+        for dot in ends:
+            at.setdefault(int(dot), []).append(number)
+    kept = np.zeros(len(pairs), bool)
+    for number, (start, end) in enumerate(pairs):
+        met = at.get(int(start), []) + at.get(int(end), [])
+        cosines = np.abs(across[met] @ along[number])
+        kept[number] = len(met) >= _FEWEST_CROSSINGS and float(np.median(cosines)) <= _LARGEST_COSINE
+    return kept
+
+
+def _directions(ends: Float64Array) -> Float64Array:
+    """Return unit vectors from the first to the second of points, shape (M, 2, 3)."""
+    ways = ends[:, 1] - ends[:, 0]
+    return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-12)[:, None])
 
 
 def _around(where: npt.NDArray[np.int64], number: int, reach: int) -> npt.NDArray[np.intp]:

@@ -33,6 +33,18 @@ def test_json_has_a_line_a_frame(tactune):
     assert record["dots"] == 665
     assert record["strain_length_percent"] == pytest.approx(100 * facts.strain_length, abs=2.0)
     assert record["strain_width_percent"] == pytest.approx(100 * facts.strain_width, abs=2.0)
+    assert record["true_strain_width_percent"] == pytest.approx(100 * facts.strain_width, abs=0.01)
+    assert record["true_strain_length_seen_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=0.01)
+
+
+def test_frames_at_rest_are_averaged_and_the_solver_stands_beside(tactune):
+    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 3, "--average", 2, "--json")
+    assert status == 0
+    assert [json.loads(line)["averaged_frames"] for line in out.splitlines()] == [1, 2, 2]
+    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 1)
+    head, line = out.splitlines()
+    assert "solver: seen (all)" in head
+    assert line.endswith(")")
 
 
 def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_path):

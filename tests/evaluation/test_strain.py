@@ -109,14 +109,15 @@ def test_dots_across_a_step_of_depth_are_no_neighbours():
     assert not ((u.min(axis=1) < 325) & (u.max(axis=1) > 325)).any()
 
 
-@pytest.mark.parametrize("press", ["low", "medium"])
-def test_the_simulator_and_the_dots_agree_within_two_points(press):
-    with open_source(f"sim:cup?press={press}&grid=dots") as source:
+@pytest.mark.parametrize("scene", ["cup?press=low", "cup?press=medium", "cube?press=high"])
+def test_the_simulator_and_the_dots_agree_within_two_points(scene):
+    """Against the solver's largest strain between dots that the tactile camera sees, up to 92 %."""
+    with open_source(f"sim:{scene}&grid=dots") as source:
         facts = source.facts(0)
         measured = measure_strain(source.next_frame(), source.rig)
-    assert measured.dots == 665
-    assert measured.length.largest == pytest.approx(facts.strain_length, abs=0.02)
-    assert measured.width.largest == pytest.approx(facts.strain_width, abs=0.02)
+    assert measured.dots == 665 if "high" not in scene else measured.dots > 580
+    assert measured.length.largest == pytest.approx(facts.strain_length_seen, abs=0.02)
+    assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.02)
 
 
 def test_droplets_are_no_grid():
