@@ -257,10 +257,10 @@ def _check_best(path: Path, out: Path, options: _Options) -> None:
 
 
 def _write_best(path: Path, preset: Preset, options: _Options) -> None:
+    from ..core.membrane_reference import copy_reference
     from ..core.preset_file import save_preset
 
-    before = options.preset_file
-    if preset.reference is not None and (before is None or path.resolve().parent != before.resolve().parent):
-        preset = preset.model_copy(update={"reference": None})  # its file lies beside the other preset
+    if preset.reference is not None and options.preset_file is not None:
+        copy_reference(preset.reference, options.preset_file, path)
     save_preset(preset, path)
     typer.echo(f"wrote {path}", err=True)

@@ -45,7 +45,7 @@ class Fusion(ContactMethod):
 
 def method_names() -> tuple[str, ...]:
     """Return the names that `make_method` knows, fusion first."""
-    return (*_FUSION, *_AGAINST_REFERENCE)
+    return (*FUSION_FIELDS, *_AGAINST_REFERENCE)
 
 
 def needs_reference(name: str) -> bool:
@@ -70,8 +70,8 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
     TactuneError
         There is no such method, the reference is missing, or the method cannot work with these.
     """
-    if name in _FUSION:
-        return Fusion(preset, rig, name, _FUSION[name])
+    if name in FUSION_FIELDS:
+        return Fusion(preset, rig, name, FUSION_FIELDS[name])
     if name not in _AGAINST_REFERENCE:
         raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
     if reference is None:
@@ -83,7 +83,7 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
 
 
 #: Which of the preset's fields each way of fusion sets.
-_FUSION: dict[str, dict[str, Any]] = {
+FUSION_FIELDS: dict[str, dict[str, Any]] = {
     "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
     "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid"},

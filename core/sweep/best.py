@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from statistics import fmean
 from typing import Any, Final
 
+from ..baselines.registry import FUSION_FIELDS
 from ..preset import Preset, now
 from .plan import FUSION, Plan, Setting
 from .table import Row
@@ -31,12 +32,7 @@ WITHOUT_TRUTH: Final = ("ms", "area", "stability")
 FOUND_BY: Final = "found by tactune sweep"
 
 #: What a preset says for the methods that it can name.
-_IN_A_PRESET: Final[dict[str, dict[str, str]]] = {
-    FUSION: {},
-    "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
-    "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
-    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid"},
-}
+_IN_A_PRESET: Final[dict[str, dict[str, Any]]] = {FUSION: {}, **FUSION_FIELDS}
 
 #: Groups that the values of a parameter are put into where there are more.
 _MOST_GROUPS: Final = 8

@@ -9,8 +9,9 @@ from pathlib import Path
 import pytest
 from pyarrow import parquet
 
+from tactune.core.membrane_reference import load_reference, save_reference
 from tactune.core.pipeline import ContactPipeline
-from tactune.core.preset_file import load_preset, preset_json
+from tactune.core.preset_file import load_preset, preset_json, save_preset
 from tactune.core.sources.folder import FolderSource
 
 SETS = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
@@ -157,6 +158,15 @@ def test_the_best_preset_replaces_only_what_a_sweep_has_written(sweep, recording
     assert mine.read_text() == preset_json(load_preset(mine))
     for _ in range(2):
         assert sweep("-s", recording, "-p", mine, "--best", "best.json").status == 0
+
+
+def test_the_best_preset_takes_the_reference_of_its_preset_along(sweep, recording, tmp_path):
+    (tmp_path / "there").mkdir()
+    begun, best = tmp_path / "there" / "begun.json", tmp_path / "best.json"
+    kept = save_reference(FolderSource(tmp_path / "rec").read(0), 1, begun)
+    save_preset(load_preset("default").model_copy(update={"reference": kept}), begun)
+    assert sweep("-s", recording, "-p", begun, "--best", best).status == 0
+    assert load_reference(load_preset(best).reference, best).sequence == 0
 
 
 @pytest.mark.parametrize(
