@@ -154,6 +154,8 @@ def _options(
     objective: str | None,
 ) -> _Options:
     """Join the sweep file and the options, which win."""
+    from ..core.baselines.registry import needs_reference
+    from ..core.membrane_reference import load_reference
     from ..core.preset_file import load_preset
     from ..core.sweep.plan import FUSION, Request
     from ..core.sweep.sweep_file import SweepFile, load_sweep_file
@@ -165,19 +167,25 @@ def _options(
     named = [parse_axis(text) for text in settings or []]
     replaced = {axis.path for axis in named}
     sources = tuple(source or told.source)
+    methods = tuple(method or told.method) or (FUSION,)
     name = preset or _preset_of_file(told, file) or _usual_preset(sources)
     which = frames if frames is not None else told.frames
+    base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
+    reference = None
+    if base.reference is not None and base_file is not None and any(map(needs_reference, methods)):
+        reference = load_reference(base.reference, base_file)
     return _Options(
-        load_preset(name),
-        Path(name) if Path(name).is_file() else None,
+        base,
+        base_file,
         Request(
             axes=(*(axis for path, axis in axes.items() if path not in replaced), *named),
             sources=sources,
-            methods=tuple(method or told.method) or (FUSION,),
+            methods=methods,
             frames=FrameRange() if which is None else parse_frames(str(which)),
             seeds=seeds or told.seeds or 1,
             sample=sample or told.sample,
             sample_seed=seed if seed is not None else told.seed or 0,
+            reference=reference,
         ),
         objective or told.objective,
     )

@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from ..baselines.registry import method_names, needs_reference
 from ..evaluation.cells import check_methods, code_version
+from ..frames import SensorFrame
 from ..preset import Preset
 from ..sources.registry import open_source
 from .takes import FrameRange, OpenSource, Take, inspect_takes
@@ -64,6 +65,8 @@ class Request:
     sample : int or None
         Take so many combinations instead of all.
     sample_seed : int
+    reference : SensorFrame or None
+        The preset's own untouched membrane, for methods that compare with one; without it the sources'.
     """
 
     axes: tuple[Axis, ...]
@@ -73,6 +76,7 @@ class Request:
     seeds: int = 1
     sample: int | None = None
     sample_seed: int = 0
+    reference: SensorFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,7 @@ class Batch:
     take: Take
     code: str
     runs: tuple[tuple[str, str, dict[str, Any]], ...]
+    reference: SensorFrame | None = None
 
     @property
     def name(self) -> str:
@@ -129,6 +134,8 @@ class Plan:
     takes : tuple of Take
     code : str
         Version of the program's code.
+    reference : SensorFrame or None
+        As in `Request`, where a method asks for it.
     """
 
     base: Preset
@@ -136,6 +143,7 @@ class Plan:
     settings: tuple[Setting, ...]
     takes: tuple[Take, ...]
     code: str
+    reference: SensorFrame | None = None
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -156,9 +164,8 @@ class Plan:
             size = max(1, min(_FRAMES_A_BATCH // len(take.frames), share))
             for start in range(0, len(waiting), size):
                 part = waiting[start : start + size]
-                yield Batch(
-                    self.base, take, self.code, tuple((run.key, run.setting.method, run.setting.values) for run in part)
-                )
+                runs = tuple((run.key, run.setting.method, run.setting.values) for run in part)
+                yield Batch(self.base, take, self.code, runs, self.reference)
 
     def _key(self, setting: Setting, take: Take) -> str:
         reference = take.reference if needs_reference(setting.method) else ""
@@ -206,13 +213,14 @@ def make_plan(
     if set(request.methods) == {FUSION}:
         check_contact_test(axes, base)
     settings = _settings(base, axes, request)
+    wanted = any(map(needs_reference, request.methods))
     takes = inspect_takes(
-        request.sources, request.seeds, request.frames, [base], any(map(needs_reference, request.methods)), opener,
-        progress,
-    )  # fmt: skip
+        request.sources, request.seeds, request.frames, base, wanted, request.reference, opener, progress
+    )
     count = len(settings) * len(takes)
     _check_size(count, request)
-    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version())
+    reference = request.reference if wanted else None
+    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), reference)
 
 
 def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Setting]:

@@ -118,12 +118,12 @@ class _OpenTake:
         """Return how a run finds patches; None, and the tally knows why, where it cannot."""
         with _failures_of(tally):
             preset = batch.base.with_values(values)
-            return _fusion_find(shared, preset) if method == FUSION else self._method_find(method, preset)
+            return _fusion_find(shared, preset) if method == FUSION else self._method_find(method, preset, batch)
         return None
 
-    def _method_find(self, method: str, preset: Preset) -> Find:
+    def _method_find(self, method: str, preset: Preset, batch: Batch) -> Find:
         if needs_reference(method) and self._reference is None:
-            self._reference = untouched_frame(self.source)
+            self._reference = batch.reference or untouched_frame(self.source)
         made = make_method(method, preset, self.source.rig, self._reference)
 
         def find(frame: SensorFrame) -> tuple[MethodPatch, float]:

@@ -117,8 +117,9 @@ def inspect_takes(
     sources: Sequence[str],
     seeds: int,
     frames: FrameRange,
-    presets: Sequence[Preset],
+    preset: Preset,
     with_reference: bool,
+    reference: SensorFrame | None = None,
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
 ) -> list[Take]:
@@ -127,7 +128,7 @@ def inspect_takes(
     Raises
     ------
     TactuneError
-        A source cannot be read, is live, has no such frames, or does not fit one of the presets.
+        A source cannot be read, is live, has no such frames, or does not fit the preset.
     """
     takes: list[Take] = []
     for source in dict.fromkeys(sources):
@@ -139,9 +140,10 @@ def inspect_takes(
                 if held is not None:
                     held.close()
                 held = opened
-                for preset in presets:
-                    check_rig(preset, opened.rig)
-                takes.append(_inspect(source, name, seed, opened, frames, with_reference))
+                check_rig(preset, opened.rig)
+                images, has_truth, chosen = _read_frames(source, opened, frames)
+                of_reference = _reference_identity(opened, reference) if with_reference else ""
+                takes.append(Take(source, name, seed, chosen, images, of_reference, has_truth))
         finally:
             if held is not None:
                 held.close()
@@ -165,7 +167,8 @@ def add_frame(digest: hashlib.blake2b, frame: SensorFrame) -> None:
             digest.update(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes())
 
 
-def _inspect(source: str, name: str, seed: int, opened: FrameSource, frames: FrameRange, with_reference: bool) -> Take:
+def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
+    """Return what identifies the frames, whether one of them knows its truth, and which they are."""
     if opened.length is None:
         raise SweepError(f"{source} has no end; record it first with tactune record")
     chosen = frames.indices(opened.length)
@@ -179,12 +182,16 @@ def _inspect(source: str, name: str, seed: int, opened: FrameSource, frames: Fra
             raise SweepError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
         add_frame(digest, frame)
         has_truth = has_truth or frame.truth is not None
-    reference = ""
-    if with_reference and (untouched := untouched_frame(opened)) is not None:
-        of_reference = frames_identity(opened.rig)
-        add_frame(of_reference, untouched)
-        reference = of_reference.hexdigest()
-    return Take(source, name, seed, chosen, digest.hexdigest(), reference, has_truth)
+    return digest.hexdigest(), has_truth, chosen
+
+
+def _reference_identity(opened: FrameSource, reference: SensorFrame | None) -> str:
+    untouched = untouched_frame(opened) if reference is None else reference
+    if untouched is None:
+        return ""
+    digest = frames_identity(opened.rig)
+    add_frame(digest, untouched)
+    return digest.hexdigest()
 
 
 def _absolute(source: str) -> str:

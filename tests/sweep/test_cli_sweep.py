@@ -169,6 +169,15 @@ def test_the_best_preset_takes_the_reference_of_its_preset_along(sweep, recordin
     assert load_reference(load_preset(best).reference, best).sequence == 0
 
 
+def test_other_methods_compare_with_the_presets_own_reference(sweep, recording, tmp_path):
+    begun = tmp_path / "begun.json"
+    kept = save_reference(FolderSource(tmp_path / "rec").read(0), 1, begun)
+    save_preset(load_preset("default").model_copy(update={"reference": kept}), begun)
+    for preset, failures in (("default", 1), (begun, 0)):
+        document = json.loads(sweep("-s", recording, "-p", preset, "--method", "tactile-threshold", "--json").out)
+        assert document["failed"] == failures
+
+
 @pytest.mark.parametrize(
     ("module", "words", "extra"),
     [("pyarrow", (), "sweep"), ("joblib", (), "sweep"), ("distributed", ("--scheduler", "tcp://h:1"), "cluster")],
