@@ -116,6 +116,7 @@ class StrainTab(AnalysisTab):
         self.average.setRange(1, _MOST_AVERAGED)
         self.average.setValue(round(self._settings.number(_AVERAGE, 1)))
         self.average.setSuffix(" frames")
+        self.average.setSpecialValueText("1 frame")
         self.average.setToolTip(
             "How many of the last frames are averaged, as long as the membrane stands still in them; "
             "10 at rest measure steep places better, 1 follows a moving press"
