@@ -49,3 +49,11 @@ class ErrorHook(QObject):
             self.raised.emit(sentence, details)
         if self._previous is not None:
             self._previous(kind, error, trace)
+
+
+def guarded(act: Callable[[], object]) -> None:
+    """Do something on a thread that must not end by it; what goes wrong is reported as an uncaught exception is."""
+    try:
+        act()
+    except Exception as error:
+        sys.excepthook(type(error), error, error.__traceback__)

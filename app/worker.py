@@ -3,8 +3,7 @@
 A recording is read when a frame is due. A live source is drained by a thread of its own, which
 leaves the newest frame and wakes the worker, so that orders are obeyed at once while no frame comes.
 
-The window never waits for it. Orders go in through a queue; results come out through a one-slot
-mailbox, with one wake-up however many frames were dropped in between.
+The window never waits for it. Orders go in through a queue; results come out of a one-slot mailbox.
 """
 
 from __future__ import annotations
@@ -23,6 +22,7 @@ from ..core.frames import SensorFrame
 from ..core.preset import Preset
 from ..core.sources.base import CameraOption, CameraRole, FrameSource
 from .cores import leave_room_for_the_window
+from .error_hook import guarded
 from .explain import explain
 from .live_reader import LiveReader
 from .mailbox import Mailbox
@@ -225,7 +225,7 @@ class Worker(QThread):
         try:
             order = self._orders.get(timeout=idle_s) if idle_s != 0.0 else self._orders.get_nowait()
             while True:
-                order()
+                guarded(order)
                 order = self._orders.get_nowait()
         except Empty:
             return
@@ -246,8 +246,8 @@ class Worker(QThread):
                 lambda fraction, text: self.opening.emit(request.name, fraction, text),
             )
         except Exception as error:
-            sentence = "" if self._request is not request else explain(error, f"{request.name} could not be opened")
-            self.openFailed.emit(request.name, sentence)
+            wanted = self._request is request
+            self.openFailed.emit(request.name, explain(error, f"{request.name} could not be opened") if wanted else "")
             return
         self._use_source(source)
 

@@ -52,6 +52,22 @@ def watched(qtbot, preset):
     assert made.worker.isFinished()
 
 
+class OddSource(TinySource):
+    """Opens, and then fails in a way that nobody foresaw."""
+
+    def preset(self):
+        raise ZeroDivisionError("odd")
+
+
+def test_an_order_that_fails_is_reported_and_the_worker_goes_on(watched, qtbot, monkeypatch):
+    told = []
+    monkeypatch.setattr("sys.excepthook", lambda kind, error, trace: told.append(error))
+    watched.open(OddSource(length=3))
+    qtbot.waitUntil(lambda: [str(error) for error in told] == ["odd"])
+    watched.open(TinySource(length=3))
+    qtbot.waitUntil(lambda: watched.last is not None)
+
+
 def test_plays_loops_and_pauses(watched, qtbot):
     watched.open(TinySource(length=3))
     qtbot.waitUntil(lambda: {result.playback.index for result in watched.results} == {0, 1, 2})

@@ -153,7 +153,7 @@ class Camera:
                     self._find_again()
                 else:
                     self._read(self._session)
-            except (SourceError, RuntimeError) as error:
+            except Exception as error:  # whatever it is, a camera that falls silent for good would be worse
                 self._lose(f"The {self.info.title} failed ({error}); it is opened again.")
                 self._quit.wait(_POLL_S)
         self._let_go()
