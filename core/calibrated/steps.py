@@ -7,14 +7,16 @@ small difference between them, and no print that hides the object.
 from __future__ import annotations
 
 from copy import copy
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ..threads import scratch
 from . import kernels
+
+if TYPE_CHECKING:
+    from cv2.typing import MatLike
 
 Float32Array = npt.NDArray[np.float32]
 BoolArray = npt.NDArray[np.bool_]
@@ -70,6 +72,8 @@ class LocalMean:
         return part
 
     def _blurred(self, image: Float32Array) -> Float32Array:
+        import cv2  # here and below: what only loads the pipeline need not wait for it
+
         return image if self.sigma_px == 0 else np.asarray(cv2.GaussianBlur(image, self._size, self.sigma_px))
 
 
@@ -101,6 +105,8 @@ def contact_bias_m(gap_m: Float32Array, known: BoolArray, limit_m: float) -> flo
     limit_m : float
         The largest bias believed.
     """
+    import cv2
+
     edges = np.arange(-limit_m, limit_m + _BIN_M / 2, _BIN_M)
     if len(edges) < 2:
         return 0.0
@@ -135,6 +141,8 @@ def turn_to_normal(
     focal_px : tuple of float
         ``(fx, fy)``.
     """
+    import cv2
+
     along_x, along_y = (
         cv2.Sobel(depth_m, cv2.CV_32F, *order, scale=focal / 8)
         for order, focal in zip(((1, 0), (0, 1)), focal_px, strict=True)
@@ -174,6 +182,8 @@ def retreat(
     most_px : float
         The largest s.
     """
+    import cv2
+
     padded = cv2.copyMakeBorder(near.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     inside, labels = cv2.distanceTransformWithLabels(padded, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     gradient = cv2.magnitude(*(cv2.Sobel(gap_m, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
@@ -204,5 +214,5 @@ def surroundings(marked: BoolArray, margin_px: int, vectors: int = 1) -> tuple[s
     )
 
 
-def _unpadded(image: npt.NDArray[Any] | cv2.typing.MatLike) -> npt.NDArray[Any]:
+def _unpadded(image: npt.NDArray[Any] | MatLike) -> npt.NDArray[Any]:
     return np.asarray(image[1:-1, 1:-1])

@@ -170,12 +170,12 @@ def test_the_recheck_compares_the_membrane_with_the_reference(qtbot, window):
 def test_the_simulator_takes_its_object_away(qtbot, make_window):
     window = make_window()
     window.open_source("sim:cup?press=medium")
-    qtbot.waitUntil(lambda: window.result is not None, timeout=60_000)
+    qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
     pressed = window.result.frame
     opened = open_capture(qtbot, window)
     assert "simulator takes its object away" in opened.advice.text()
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: window.document.preset.reference is not None, timeout=60_000)
+    qtbot.waitUntil(lambda: window.document.preset.reference is not None, timeout=300_000)
     kept = load_reference(window.document.preset.reference, window.document.reference_home)
     middle = (slice(200, 280), slice(280, 360))
     assert np.median(kept.tactile_depth[middle]) > np.median(pressed.tactile_depth[middle]) + 100
