@@ -201,6 +201,8 @@ class StrainTab(AnalysisTab):
         former, points = self._source, self.curve.points
         self._source, self._captured, self._last = source, None, None
         self._frames.clear()
+        self._job.cancel()
+        self.messages.clear("reset")  # those points are not this source's
         if former is not None and points:
             text = self.curve.as_csv()
             sentence = f"The curve of {former.name} ({len(points)} points) ended, since {source.name} was opened."

@@ -180,6 +180,25 @@ def test_a_reset_curve_can_be_brought_back(qtbot, make_window):
     assert [point.sequence for point in tab.curve.points] == [3]
 
 
+def test_another_source_begins_a_curve_of_its_own(qtbot, make_window, monkeypatch):
+    window = make_window()
+    tab = opened(qtbot, window)
+    QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
+    go_on, examine = Event(), strain_tab.examine
+
+    def slow(task):
+        go_on.wait(20)
+        return examine(task)
+
+    monkeypatch.setattr(strain_tab, "examine", slow)
+    tab.spacing.setValue(9.0)  # frame 3 is being measured once more
+    tab.show_result(replace(window.result, source=replace(window.result.source, name="other"), frame=sheet(5)))
+    go_on.set()
+    qtbot.waitUntil(lambda: not tab._job.busy, timeout=20_000)
+    assert [point.sequence for point in tab.curve.points] == [5]
+    assert tab.messages.message("reset") is None
+
+
 def test_picture_and_points_are_written(qtbot, make_window, tmp_path):
     window = make_window()
     tab = opened(qtbot, window)
