@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import zipfile
+import zlib
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict
@@ -146,7 +148,7 @@ def _state_of(content: dict[str, Any], folder: Path) -> tuple[TruthState, str]:
     if content["patch"] is not None:
         try:
             patch = _read_patch(folder, content["patch"])
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
             lost = str(error)
     state = TruthState(
         paint=PaintSettings(**paint),
@@ -170,7 +172,7 @@ def _patch_file(folder: Path, digest: str) -> Path:
 
 
 def _read_patch(folder: Path, told: dict[str, Any]) -> FrozenPatch:
-    with np.load(_patch_file(folder, told["digest"])) as stored:
+    with _patch_file(folder, told["digest"]).open("rb") as file, np.load(file) as stored:
         points, context = stored["points"], stored["context"]
     patch = FrozenPatch(points, context, told["area_mm2"], told["source"], told["frame"], told["preset"])
     if patch.digest != told["digest"]:

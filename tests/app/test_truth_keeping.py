@@ -98,6 +98,15 @@ def test_without_the_patch_pairs_and_pose_are_still_there(qapp, tmp_path):
     assert second.session.state == replace(state(), patch=None)
 
 
+def test_with_a_damaged_patch_pairs_and_pose_are_still_there(qapp, tmp_path):
+    first = Kept(tmp_path)
+    first.session.edit("All", state())
+    first.close()
+    for file in tmp_path.glob("patch-*.npz"):
+        file.write_bytes(file.read_bytes()[:100])
+    assert Kept(tmp_path).session.state == replace(state(), patch=None)
+
+
 def test_patches_that_nobody_needs_are_removed(qapp, tmp_path):
     kept = Kept(tmp_path)
     for seed in range(3):
