@@ -115,7 +115,7 @@ def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, referen
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
     tactile = _sum_up(change, plane)
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
-    proximity = _proximity_change(preset, rig, frame, reference, (rim, apex), inflation_m)
+    proximity = _proximity_change(preset, rig, frame, reference, inflation_m)
     verdict, sentence = _judge(tactile, proximity, inflation_m, dented)
     return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence)
 
@@ -125,7 +125,6 @@ def _proximity_change(
     rig: Rig,
     frame: SensorFrame,
     reference: SensorFrame,
-    ends: tuple[float, float],
     inflation_m: float,
 ) -> DepthChange | None:
     """Return the change where the proximity camera sees the membrane, less what the inflation explains."""
@@ -137,7 +136,8 @@ def _proximity_change(
     change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
     if len(change) < _FEWEST_PIXELS:
         return None
-    bulge = (before - ends[0]) / (ends[1] - ends[0]) if inflation_m else np.zeros_like(before)
+    rim, apex = np.nanquantile(membrane, [0.02, 0.98])  # as this camera sees them
+    bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     fitted = _fit(change - inflation_m * bulge, np.column_stack([np.ones_like(x), x, y]))
     return _sum_up(change, fitted[0] + fitted[1] * x + fitted[2] * y)
 

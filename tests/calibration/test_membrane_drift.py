@@ -75,6 +75,17 @@ def test_another_pressure_is_told_from_a_camera_that_moved(more_m: float) -> Non
     assert drift.tactile.moved_m < LIMIT_M / 2
 
 
+def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back() -> None:
+    back_m = 0.02
+    pose = np.eye(4)
+    pose[2, 3] = back_m
+    rig = RIG.model_copy(update={"T_proximity_tactile": tuple(map(tuple, pose.tolist()))})
+    now, then = membrane(BULGE_M + 0.004), membrane()
+    drift = compare_with_reference(Preset(), rig, seen(now, now + back_m), seen(then, then + back_m, seed=0))
+    assert drift.proximity is not None
+    assert drift.verdict == "inflation", drift.sentence
+
+
 @pytest.mark.parametrize(
     ("tactile", "proximity", "said"),
     [
