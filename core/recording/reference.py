@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import lzma
 import tokenize
 import zipfile
 import zlib
@@ -16,7 +17,7 @@ _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color
 #: What NumPy and zipfile raise for files that are none of theirs, broken, encrypted or packed in unknown ways.
 _DAMAGE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, SyntaxError),
-    *(OverflowError, zipfile.BadZipFile, zlib.error, tokenize.TokenError),
+    *(OverflowError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError),
 )
 _NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
 #: Unpacked; 1280 x 720 pixels with colour and truth take 20 MB. A few packed kilobytes can claim gigabytes.

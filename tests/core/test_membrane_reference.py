@@ -199,6 +199,16 @@ def claims_terabytes() -> bytes:
     return packed.getvalue()
 
 
+def packed_badly() -> bytes:
+    """A member whose packing is broken, of a kind that NumPy never writes."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("sequence.npy", bytes(range(250)) * 8)
+    data = bytearray(packed.getvalue())
+    data[60:90] = bytes(0xFF ^ byte for byte in data[60:90])
+    return bytes(data)
+
+
 @pytest.mark.parametrize(
     ("content", "said"),
     [
@@ -208,6 +218,7 @@ def claims_terabytes() -> bytes:
         (npz(sequence=np.array([object()], dtype=object)), "damaged"),
         (bomb(), "unpacks to 210 MB"),
         (claims_terabytes(), "damaged"),
+        (packed_badly(), "damaged"),
         (reference_bytes(untouched(9)), "not the one that the preset was saved with"),
         (reference_bytes(untouched(0))[:-40], "damaged"),
     ],
