@@ -8,7 +8,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.errors import PresetError
+from ...core.errors import FrameError, PresetError
 from ...core.frames import SensorFrame
 from ...core.membrane_reference import load_reference
 from ...core.preset import Preset, ReferenceRecord
@@ -65,13 +65,12 @@ class ReferenceKeeper(QObject):
 
     def _look(self) -> None:
         preset, home = self._document.preset, self._document.reference_home
-        key = (preset.reference, home, self._info and self._info.name)
+        key = (preset.reference, home, self._info)
         if key == self._key:
             return
         self._key = key
-        if preset.reference is None:
-            self._job.cancel()
-        else:
+        self._job.cancel()  # what it finds is another preset's or source's
+        if preset.reference is not None:
             self._job.start(partial(_read, preset.reference, preset, home, self._info, self._store))
         self._use(None)
 
@@ -90,8 +89,11 @@ def _read(
 ) -> SensorFrame | None:
     """Return the preset's own reference from where it lies, else from the recording that held both, else None."""
     if home is not None:
-        with suppress(PresetError):  # whoever needs it says so
-            return load_reference(record, home)
+        with suppress(PresetError, FrameError):  # whoever needs it says so
+            frame = load_reference(record, home)
+            if info is not None:
+                frame.check_against(info.rig)
+            return frame
     if info is None or info.preset is None or info.preset.reference != record:
         return None
     found = info.find_reference(preset, None, progress)

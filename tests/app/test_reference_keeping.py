@@ -170,3 +170,16 @@ def test_the_reference_of_a_recorded_preset_is_saved_from_the_recording(qtbot, w
     qtbot.waitUntil(lambda: window.analysis.reference.keeper.frame is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()
+
+
+def test_a_reference_of_other_image_sizes_is_not_recorded(qtbot, window):
+    controls = window.analysis.reference
+    record = controls.store.keep(tiny_frame(0, tiny_rig(32, 24)), 1)
+    window.document.edit("reference", record.model_dump())
+    qtbot.waitUntil(lambda: not controls.keeper.busy)
+    assert controls.keeper.frame is None
+    fitting = controls.store.keep(tiny_frame(0, RIG), 1)
+    window.document.edit("reference", fitting.model_dump())
+    window.document.edit("reference", record.model_dump())  # while the other one is being read
+    qtbot.waitUntil(lambda: not controls.keeper.busy)
+    assert controls.keeper.frame is None
