@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..core.errors import CalibrationError, PresetError
+from ..core.errors import CalibrationError, FrameError, PresetError
 
 if TYPE_CHECKING:
     from ..core.calibration.membrane_drift import MembraneDrift
@@ -52,7 +52,7 @@ def recheck(
         found["alignment"] = {"ok": not drift.recalibrate, "sentence": drift.sentence, **numbers}
     try:
         found["membrane"] = _membrane_record(_membrane_drift(checked, preset, rig, now))
-    except (CalibrationError, PresetError) as error:
+    except (CalibrationError, FrameError, PresetError) as error:
         warn(f"the membrane was not checked: {error}")
     if not found:
         raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the reasons above")
