@@ -197,7 +197,8 @@ class CellFolder:
 
     def __init__(self, folder: Path, preset: Preset) -> None:
         self.folder = folder
-        self._settings = f"{preset.model_dump_json()} {STRAIGHT_T} {FRAMES_A_CELL} {code_version()}"
+        settings = preset.model_dump_json(exclude={"name", "notes", "created", "modified"})
+        self._settings = f"{settings} {STRAIGHT_T} {FRAMES_A_CELL} {code_version()}"
 
     def load(self, method: str, scene: PlannedScene, seed: int) -> Cell | None:
         """Return a cell, or None where it is not kept or its file is damaged."""

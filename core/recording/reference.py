@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import lzma
+import threading
 import tokenize
 import zipfile
 import zlib
@@ -23,6 +24,9 @@ _NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
 #: Unpacked; 1280 x 720 pixels with colour and truth take 20 MB. A few packed kilobytes can claim gigabytes.
 _LARGEST_BYTES = 200_000_000
 
+#: CPython 3.11 fails where two threads parse literals at once, as NumPy does for the head of each array.
+_parsing = threading.Lock()
+
 
 def reference_bytes(frame: SensorFrame) -> bytes:
     """Return a frame as the bytes of an ``.npz``."""
@@ -41,7 +45,7 @@ def frame_from_bytes(data: bytes) -> SensorFrame:
             unpacked = sum(entry.file_size for entry in archive.infolist())
         if unpacked > _LARGEST_BYTES:
             raise FrameError(f"it unpacks to {unpacked / 1e6:.0f} MB, which no frame has")
-        with np.load(io.BytesIO(data), allow_pickle=False) as archive:
+        with _parsing, np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = dict(archive)
         truth = None
         if "truth_contact" in arrays:

@@ -58,7 +58,7 @@ def open_on(qtbot, window, make):
     qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
     window.worker.pause()
     window.worker.seek(3)
-    qtbot.waitUntil(lambda: at_rest(window, 3))
+    qtbot.waitUntil(lambda: at_rest(window, 3), timeout=20_000)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)

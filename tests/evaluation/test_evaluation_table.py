@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from datetime import UTC, datetime
 from pathlib import Path
 from urllib.parse import parse_qsl
 
@@ -136,6 +137,14 @@ def test_an_interrupted_table_goes_on_without_repeating(tmp_path):
     third = Bench()
     assert list(third.measure(plan(tmp_path))) == cells
     assert third.calls == [] and third.opened == []
+
+
+def test_a_preset_s_name_and_dates_change_no_result(tmp_path):
+    cells = list(Bench().measure(plan(tmp_path)))
+    renamed = Preset(name="other", notes="later", modified=datetime(2030, 1, 1, tzinfo=UTC))
+    again = Bench()
+    assert list(again.measure(plan(tmp_path, preset=renamed))) == cells
+    assert again.calls == []
 
 
 def test_ctrl_c_in_a_method_keeps_what_was_done(tmp_path):
