@@ -2,8 +2,9 @@
 
     python scripts/measure_strain.py [SEED] [FRAMES]
 
-Three numbers each along length and width: as measured, the solver's largest between neighbours of which the
-tactile camera sees both dots, and its largest of all, hidden dots included. FRAMES (1) are averaged.
+Three numbers each along length and width: the largest measured, the solver's largest between neighbours of which
+the tactile camera sees both dots, and its largest of all, hidden dots included. A dot counts as seen if any bit
+of it is, so the second number may be that of a sliver at an edge whose middle is hidden. FRAMES (1) are averaged.
 """
 
 from __future__ import annotations
@@ -21,10 +22,15 @@ _SCENES = [
     for side in sides
 ]
 
+_HEAD = f"""Largest strain between neighbouring dots, percent. dots: measured. seen: the solver's, where the tactile
+camera sees at least a bit of both dots. all: the solver's, hidden dots included.
+{"scene":31s}|    length: dots, seen, all  |     width: dots, seen, all"""
+
 
 def main() -> None:
     """Print a line a scene."""
     seed, count = (sys.argv[1:] + ["0", "1"][len(sys.argv) - 1 :])[:2]
+    print(_HEAD)
     for name, scene in _SCENES:
         with open_source(f"{scene}&seed={seed}") as source:
             frame, _ = average_still([frame for _, frame in zip(range(int(count)), source, strict=False)], source.rig)

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from typing import Final
 
+import cv2
 import numpy as np
 import numpy.typing as npt
 
 from ..clouds import valid_depth
 from ..frames import DepthCamera, Float64Array
+from ..intrinsics import Intrinsics
 
 #: Radii of the surroundings over which inverse depth is fitted, pixels, and the degree of the fit.
 _RADII_PX: Final = (3, 5, 8, 12, 18)
@@ -22,11 +24,17 @@ _PIXELS_A_SAMPLE: Final = 70.0
 _SAME_SURFACE: Final = 0.04
 #: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
 _AGREES_WITHIN: Final = 2.0
-_FEWEST_SHARE: Final = 0.6
+_FEWEST_SHARE: Final = 0.35
+#: The median of so many nearest depths tells on which side of an edge a dot lies.
+_NEAREST: Final = 9
 #: Noise is the scatter over surroundings of this radius.
 _NOISE_RADIUS_PX: Final = 12
 #: Steepest surface on which neighbouring dots can still be told apart, as a slope against the image plane.
 _STEEPEST: Final = 3.0
+#: Depths farther apart are not averaged before slopes are taken over so many pixels.
+_EDGE_M: Final = 0.003
+_SLOPE_SIGMA_PX: Final = 2.0
+_SLOPE_STEP_PX: Final = 2
 #: Over this many pixels the slope between two dots is taken.
 _SLOPE_PX: Final = 3
 
@@ -100,7 +108,8 @@ def _inverse_depth(inverse: Float64Array, u: float, v: float, noise: float) -> t
         each = 4.0 if radius >= _SPARSE_FROM_PX else 1.0
         if len(values) * each < _FEWEST_SHARE * math.pi * radius**2 or len(values) < terms + 3:
             break
-        middle = float(np.median(values[(places**2).sum(axis=1) <= 3.0**2] if radius > 3 else values))
+        nearest = np.argsort((places**2).sum(axis=1))[:_NEAREST]
+        middle = float(np.sort(values[nearest])[len(nearest) // 2])
         same = np.abs(values - middle) <= _SAME_SURFACE * middle
         if same.sum() < max(_FEWEST_SHARE * len(values), terms + 3):
             break
@@ -113,6 +122,43 @@ def _inverse_depth(inverse: Float64Array, u: float, v: float, noise: float) -> t
             break
         best = float(fit[0]), sigma
     return best
+
+
+def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
+    """Tell how much of the surface each pixel shows, square metres: the more, the steeper it is seen.
+
+    Slopes are taken to the side on which the depth changes less, so never across an edge.
+
+    Parameters
+    ----------
+    depth_m : float64, shape (H, W)
+        nan where there is no depth.
+    intrinsics : Intrinsics
+
+    Returns
+    -------
+    float64, shape (H, W)
+        As if seen straight on where there is no depth.
+    """
+    known = np.isfinite(depth_m)
+    filled = np.where(known, depth_m, 0.0).astype(np.float32)  # so far away that the filter leaves it out
+    smooth = cv2.bilateralFilter(filled, -1, _EDGE_M, _SLOPE_SIGMA_PX).astype(np.float64)
+    depth = np.where(known, smooth, np.nanmedian(depth_m))
+    rows, columns = np.indices(depth.shape)
+    rays = intrinsics.normalise(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
+    x, y = rays.T.reshape(2, *depth.shape)
+    down, right = (_slope(depth, axis) for axis in (0, 1))
+    side = depth / intrinsics.fx
+    limit = _STEEPEST * side
+    down, right = (np.where(known, np.clip(slope, -limit, limit), 0.0) for slope in (down, right))
+    return np.asarray(side * np.sqrt(right**2 + down**2 + (side + x * right + y * down) ** 2))
+
+
+def _slope(depth: Float64Array, axis: int) -> Float64Array:
+    """Return the change of depth from pixel to pixel along an axis, the smaller of both sides'."""
+    ahead = (np.roll(depth, -_SLOPE_STEP_PX, axis) - depth) / _SLOPE_STEP_PX
+    back = np.roll(ahead, _SLOPE_STEP_PX, axis)
+    return np.where(np.abs(ahead) < np.abs(back), ahead, back)
 
 
 def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array, end: Float64Array) -> bool:

@@ -22,7 +22,7 @@ _LONGEST_ASPECT: Final = 4.0
 _LEAST_FILL: Final = 0.5
 
 
-def find_dots(image: npt.NDArray[Any], width_px: int) -> Float64Array:
+def find_dots(image: npt.NDArray[Any], width_px: int, area: Float64Array | None = None) -> Float64Array:
     """Find dark spots that are narrower than a width, whatever the brightness of what they lie on.
 
     Parameters
@@ -31,11 +31,14 @@ def find_dots(image: npt.NDArray[Any], width_px: int) -> Float64Array:
         Colour is RGB.
     width_px : int
         Spots of this width and more are taken for the background; an odd number.
+    area : float64, shape (H, W), optional
+        How much of the surface each pixel shows. By it a dot's pixels count, so that the middle of a dot is
+        that on the surface, even where its farther half is foreshortened.
 
     Returns
     -------
     float64, shape (N, 2)
-        Centroids ``(u, v)``, pixels, weighted by contrast.
+        Centroids ``(u, v)``, pixels, weighted by contrast and area.
     """
     gray = to_gray(image)
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width_px, width_px))
@@ -47,7 +50,8 @@ def find_dots(image: npt.NDArray[Any], width_px: int) -> Float64Array:
     peak = cv2.dilate(smooth, np.ones((reach, reach), np.uint8))
     inside = (smooth > _EDGE_SHARE * peak) & (peak > least)
     count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
-    return _centroids(np.maximum(smooth - grain, 0.0), labels, _dot_like(stats[:count], gray.shape, width_px, labels))
+    weight = np.maximum(smooth - grain, 0.0) * (1.0 if area is None else area)
+    return _centroids(weight, labels, _dot_like(stats[:count], gray.shape, width_px, labels))
 
 
 def _dot_like(

@@ -15,12 +15,13 @@ from typing import Final
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.spatial import cKDTree
 
 from ..clouds import valid_depth
 from ..errors import TactuneError
 from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
 from .dot_lattice import DotLattice, IntArray, order_dots
-from .dot_surface import dot_points, surface_between
+from .dot_surface import dot_points, surface_area, surface_between
 from .dots import DOT_WIDTHS_PX, find_dots
 from .strain_field import AxisStrain, axis_strain, crossed
 
@@ -29,6 +30,8 @@ SPACING_M: Final = 0.010
 SPACING_RANGE_M: Final = (0.001, 0.1)
 #: Dots in order below which there is no grid, and their share of all dark spots where they are.
 _FEWEST_DOTS, _FEWEST_SHARE = 16, 0.5
+#: Spots of different sizes that are nearer are one.
+_SAME_SPOT_PX: Final = 3.0
 #: Depth is averaged over this much before indentations are compared, as a Gaussian's sigma, pixels.
 _INDENTATION_SIGMA_PX: Final = 4.0
 
@@ -81,6 +84,17 @@ class StrainMeasurement:
         return np.column_stack(columns)
 
 
+@dataclass(frozen=True, eq=False)
+class _Grid:
+    """Dots in order, where they are in space, and the neighbours along length and width that are believed."""
+
+    pixels: Float64Array
+    points_m: Float64Array
+    depth_sigma_m: Float64Array
+    lattice: DotLattice
+    sides: tuple[IntArray, IntArray]
+
+
 def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
     """Measure strain from the grid of dots in a frame.
 
@@ -109,16 +123,12 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
-    pixels, lattice = _find_grid(frame, depth_m, camera.intrinsics.fx)
-    points, depth_sigma = dot_points(frame.tactile_depth, camera, pixels)
-    focal_px = camera.intrinsics.fx
-    sides = _sides(lattice, depth_m, focal_px, pixels, points)
-    loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
-    lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
+    grid = _find_grid(frame, depth_m, camera)
+    pixels, points, lattice = grid.pixels, grid.points_m, grid.lattice
     places = np.column_stack([lattice.piece, lattice.cells])
     axes = []
-    for pairs, name in zip(_sides(lattice, depth_m, focal_px, pixels, points), ("length", "width"), strict=True):
-        strain = axis_strain(pairs, points, depth_sigma, focal_px, spacing_m, places)
+    for pairs, name in zip(grid.sides, ("length", "width"), strict=True):
+        strain = axis_strain(pairs, points, grid.depth_sigma_m, camera.intrinsics.fx, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
                 f"frame {frame.sequence}: {len(pixels)} dots are seen, but no neighbours along the {name} have depth; "
@@ -213,22 +223,51 @@ def _ordered_anew(
     return DotLattice(cells, piece)
 
 
-def _find_grid(frame: SensorFrame, depth_m: Float64Array, focal_px: float) -> tuple[Float64Array, DotLattice]:
-    """Return the dots that are in order, from the dot size that puts most in order."""
+def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> _Grid:
+    """Return the dots in order, from the dot size, or all together, that gives most neighbours to believe."""
     assert frame.tactile_color is not None
-    best, spots, in_order = (np.empty((0, 2)), order_dots(np.empty((0, 2)))), 0, 0
-    for width_px in DOT_WIDTHS_PX:
-        pixels = find_dots(frame.tactile_color, width_px)
-        lattice = order_dots(pixels, partial(_linked, depth_m, focal_px, pixels))
+    area = surface_area(depth_m, camera.intrinsics)
+    found = [find_dots(frame.tactile_color, width_px, area) for width_px in DOT_WIDTHS_PX]
+    grids = []
+    for pixels in [*found, _merged(found)]:
+        lattice = order_dots(pixels, partial(_linked, depth_m, camera.intrinsics.fx, pixels))
         ordered = lattice.piece >= 0
-        spots = max(spots, len(pixels))
-        if ordered.sum() > in_order and ordered.sum() >= _FEWEST_SHARE * len(pixels):
-            in_order = int(ordered.sum())
-            best = pixels[ordered], DotLattice(lattice.cells[ordered], lattice.piece[ordered])
-    if in_order < _FEWEST_DOTS:
+        if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(pixels)):
+            kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
+            grids.append(_in_space(pixels[ordered], kept, frame.tactile_depth, depth_m, camera))
+    if not grids:
+        spots = max(map(len, found))
         raise StrainError(
             f"frame {frame.sequence}: no grid of dots is seen in the tactile colour image ({spots} dark spots, not in "
             "rows and columns); print a square grid of dark dots on the membrane, lit evenly and in focus "
             "(simulated: sim:cup?grid=dots)"
         )
-    return best
+    return max(grids, key=lambda grid: sum(map(len, grid.sides)))
+
+
+def _in_space(
+    pixels: Float64Array,
+    lattice: DotLattice,
+    counts: npt.NDArray[np.uint16],
+    depth_m: Float64Array,
+    camera: DepthCamera,
+) -> _Grid:
+    """Bring dots into space, and those that no neighbour there confirms in order once more."""
+    points, sigma = dot_points(counts, camera, pixels)
+    focal_px = camera.intrinsics.fx
+    sides = _sides(lattice, depth_m, focal_px, pixels, points)
+    loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
+    lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
+    return _Grid(pixels, points, sigma, lattice, _sides(lattice, depth_m, focal_px, pixels, points))
+
+
+def _merged(found: list[Float64Array]) -> Float64Array:
+    """Return spots of all sizes, each once."""
+    together = found[0]
+    for pixels in found[1:]:
+        if len(together) and len(pixels):
+            apart = cKDTree(together).query(pixels)[0] > _SAME_SPOT_PX
+            together = np.concatenate([together, pixels[apart]])
+        else:
+            together = np.concatenate([together, pixels])
+    return together

@@ -135,7 +135,16 @@ def _around(where: npt.NDArray[np.int64], number: int, reach: int) -> npt.NDArra
 
 
 def _plausible(where: npt.NDArray[np.int64], raw: Float64Array) -> npt.NDArray[np.bool_]:
-    """Tell the pairs whose length some neighbours on the grid confirm."""
+    """Tell the pairs whose length some neighbours on the grid confirm that are confirmed themselves."""
+    kept, before = np.ones(len(raw), bool), -1
+    while np.count_nonzero(kept) != before:
+        before = int(np.count_nonzero(kept))
+        numbers = np.flatnonzero(kept)
+        kept[numbers] = _confirmed(where[numbers], raw[numbers])
+    return kept
+
+
+def _confirmed(where: npt.NDArray[np.int64], raw: Float64Array) -> npt.NDArray[np.bool_]:
     kept = np.zeros(len(raw), bool)
     for number in range(len(raw)):
         around = raw[_around(where, number, 1)]

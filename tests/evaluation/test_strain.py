@@ -120,6 +120,16 @@ def test_the_simulator_and_the_dots_agree_within_two_points(scene):
     assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.02)
 
 
+@pytest.mark.parametrize("side, seed", [("left", 0), ("left", 1), ("right", 1)])
+def test_dots_foreshortened_at_a_sharp_lip_are_measured(side, seed):
+    """The largest strain, 86 %, is between dots on the rim of a cup, one of them partly hidden."""
+    with open_source(f"sim:cup?press=high&side={side}&grid=dots&seed={seed}") as source:
+        facts = source.facts(0)
+        measured = measure_strain(source.next_frame(), source.rig)
+    assert measured.length.largest == pytest.approx(facts.strain_length_seen, abs=0.03)
+    assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.035)
+
+
 def test_droplets_are_no_grid():
     with open_source("sim:cup?press=medium") as source, pytest.raises(StrainError, match="no grid of dots") as error:
         measure_strain(source.next_frame(), source.rig)

@@ -9,10 +9,11 @@ import pytest
 
 from tactune.core.errors import FrameError
 from tactune.core.evaluation.dot_lattice import DotLattice, order_dots
+from tactune.core.evaluation.dot_surface import surface_area
 from tactune.core.evaluation.strain import StrainMeasurement
 from tactune.core.evaluation.strain_average import average_still
 from tactune.core.evaluation.strain_cells import strain_cells
-from tactune.core.evaluation.strain_field import AxisStrain, crossed
+from tactune.core.evaluation.strain_field import AxisStrain, axis_strain, crossed
 from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 
@@ -45,6 +46,33 @@ def test_sides_of_squares_are_believed_and_diagonals_are_not():
 def test_a_pair_that_nothing_crosses_is_not_believed():
     points = np.column_stack([np.arange(4.0), np.zeros(4), np.full(4, 30.0)])
     assert not crossed(np.array([[0, 1], [1, 2]]), np.empty((0, 2), np.int64), points).any()
+
+
+def test_a_length_is_confirmed_only_by_lengths_that_are_confirmed():
+    """Three pairs in a row that each leave out a dot: the outer two are refused first, then the one between."""
+    places, cells = grid(9, 6, 0.01)
+    points = np.column_stack([places, np.full(len(places), 0.3)])
+    points[(cells[:, 0] < 3), 1] -= 0.01
+    across = pairs_of(cells)[1]
+    where = np.column_stack([np.zeros(len(cells), np.int64), cells])
+    few = ~((cells[across[:, 0], 0] == 2) & ((cells[across[:, 0], 1] < 3) | (cells[across[:, 0], 1] > 5)))
+    axis = axis_strain(across[few], points, np.full(len(points), 1e-4), 386.0, 0.01, where)
+    assert axis.largest == pytest.approx(0.0, abs=1e-6)
+    assert len(axis.pairs) == few.sum() - 3
+
+
+def test_a_pixel_that_sees_a_slope_shows_more_of_it_and_an_edge_is_no_slope():
+    u = np.arange(160.0)
+    depth = np.where(u < 80, 0.2, 0.3) * np.ones((128, 1))
+    flat = surface_area(depth, LENS)[64]
+    expected = (depth[64] / 100.0) ** 2
+    assert flat == pytest.approx(expected, rel=1e-6)
+    ray = (u - LENS.cx) / 100.0
+    wall = np.broadcast_to(0.3 / (1 - ray), (128, 160))  # the plane z = 0.3 + x, at 45 degrees
+    near = np.abs(u - 60) < 20
+    side = wall[64] / 100.0
+    tilted = side**2 * np.sqrt(2.0) / (1 - ray)
+    assert surface_area(wall, LENS)[64, near] == pytest.approx(tilted[near], rel=0.03)
 
 
 def test_few_dots_on_top_of_an_object_are_a_piece_of_their_own():
