@@ -37,6 +37,8 @@ _ALL_FRAMES: Final = FrameRange()
 
 #: Frames that one piece of work processes at most, over all of its runs: some ten seconds.
 _FRAMES_A_BATCH: Final = 500
+#: Runs of it at most: those of methods hold about 5 MB each, all at once.
+_RUNS_A_BATCH: Final = 50
 #: Pieces that each worker gets at least, so that all are busy to the end.
 _BATCHES_A_WORKER: Final = 4
 
@@ -161,7 +163,7 @@ class Plan:
             of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
             waiting = [run for run in of_take if not done(run.key)]
             share = -(-len(waiting) // (_BATCHES_A_WORKER * workers))
-            size = max(1, min(_FRAMES_A_BATCH // len(take.frames), share))
+            size = max(1, min(_FRAMES_A_BATCH // len(take.frames), _RUNS_A_BATCH, share))
             for start in range(0, len(waiting), size):
                 part = waiting[start : start + size]
                 runs = tuple((run.key, run.setting.method, run.setting.values) for run in part)

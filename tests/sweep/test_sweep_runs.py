@@ -146,6 +146,11 @@ def test_late_stages_vary_fastest_and_batches_keep_to_one_take(make_recording):
     assert len({batch.name for batch in batches}) == len(batches)
 
 
+def test_a_batch_holds_few_methods_at_once(make_recording):
+    plan = plan_of(make_recording(), sets=("outliers.k=1:400:400",))
+    assert max(len(batch.runs) for batch in plan.batches(lambda key: False, workers=1)) == 50
+
+
 def test_stages_are_named_of_fields_that_there_are():
     assert set(STAGE_OF) <= set(result_paths())
 
