@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tactune.core.baselines.registry import make_method
-from tactune.core.errors import TactuneError
+from tactune.core.errors import ExportError, TactuneError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
@@ -204,6 +204,14 @@ def test_a_journal_is_for_one_sweep_at_a_time_and_for_nothing_else(tmp_path):
     with pytest.raises(TactuneError, match="keeps no sweep"), Journal(tmp_path / "notes"):
         pass
     assert (tmp_path / "notes").read_text() == "mine\n"
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
+def test_a_full_disk_is_told_with_the_journals_name(tmp_path):
+    with pytest.raises(ExportError, match="cannot write"), Journal(tmp_path / "runs") as journal:
+        journal._file.close()
+        journal._file = Path("/dev/full").open("a+b")  # noqa: SIM115  # the journal closes it
+        journal.add([Result("0" * 32)])
 
 
 def test_a_worker_refuses_other_frames_and_other_code(make_recording):
