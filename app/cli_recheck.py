@@ -32,7 +32,8 @@ def recheck(
     """Look whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
     The alignment is compared with what both colour cameras see, the untouched membrane with the preset's
-    reference. Exit status 0 where both hold, 1 where something has drifted.
+    reference. Exit status 0 where what could be checked holds, 1 where something has
+    drifted; what could not be checked is said. The simulator's object is taken away.
     """
     from ..core.calibration.recheck import recheck as recheck_alignment
     from ..core.preset_file import load_preset

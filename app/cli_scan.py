@@ -66,7 +66,8 @@ def evaluate_recording(
     transform: Annotated[
         Path | None,
         typer.Option(
-            metavar="FILE", help='Where the scan stands: JSON {"T_proximity_scan": 4 x 4}, or sixteen numbers.'
+            metavar="FILE",
+            help='Where the scan stands: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.',
         ),
     ] = None,
     pairs: Annotated[
@@ -128,6 +129,8 @@ def evaluate_recording(
     refined, truth = None, scan_truth(loaded, contact, pose)
     records: list[Record] = []
     with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
+        if opened.length is None and last is None:
+            raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
         steps = _steps(names, opened, chosen, origin, reference)
         total = number_of_frames(opened, None if last is None else last + 1)
         for each in _frames(opened, first, last):
@@ -231,7 +234,9 @@ def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: 
     from ..core.evaluation.scan_pairs import read_pairs
     from ..core.evaluation.scan_pose import load_transform, pose_from_pairs
 
-    if (transform is None) == (pairs is None):
+    if transform is not None and pairs is not None:
+        raise TactuneError("--transform and --pairs both say where the scan stands; give one of them")
+    if transform is None and pairs is None:
         raise TactuneError(
             f"nobody says where {scan} stands: give either --transform FILE or --pairs FILE.csv; "
             "the window aligns scans and saves the transform (Analysis > Ground truth)"

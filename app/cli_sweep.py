@@ -111,7 +111,7 @@ def sweep(
     kept = out.with_name(out.name.removesuffix(".parquet") + JOURNAL_SUFFIX)
     check_table(out, kept)
     if best is not None:
-        _check_best(best, out, options)
+        _check_best(best, out, kept, options)
     with _engine(scheduler, jobs) as (engine, workers), CliProgress() as progress:
         plan = make_plan(
             options.preset,
@@ -252,12 +252,15 @@ def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progres
         raise
 
 
-def _check_best(path: Path, out: Path, options: _Options) -> None:
+def _check_best(path: Path, out: Path, kept: Path, options: _Options) -> None:
     """Refuse to write the best preset over something that is no such preset."""
     from ..core.sweep.best import FOUND_BY
 
-    if path.resolve() == out.resolve():
-        raise ExportError(f"--best and --out are both {path}; name two files")
+    for other, what in ((out, "--out"), (kept, "the journal of the sweep")):
+        if path.resolve() == other.resolve():
+            raise ExportError(f"--best and {what} are both {path}; name two files")
+    if path.exists() and not path.is_file():
+        raise ExportError(f"--best is {path}, which is no file; name a .json file")
     if options.preset_file is not None and path.resolve() == options.preset_file.resolve():
         raise ExportError(f"--best would replace {path}, the preset that the sweep begins with; name another file")
     if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):

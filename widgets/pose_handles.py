@@ -22,6 +22,8 @@ Size = tuple[int, int]
 REACH: Final = 7.0
 _ARROW_PX, _RING_PX = 74.0, 56.0
 _RING_STEPS = 48
+#: How far an arrow seen from its end may be foreshortened before its drags are no longer made up for.
+_FLATTEST: Final = 0.1
 #: An arrow that points at the eye is shorter than this on the screen, and a ring seen from its edge flatter.
 _LEAST_PX = 14.0
 _CASING = QColor(0, 0, 0, 150)
@@ -97,7 +99,7 @@ class PoseHandles:
         metre = self._metres_per_px(camera, size)
         if not handle.turns:
             per_metre = self._screen_change(centre, metre * axis, camera, size) / metre
-            return moving(axis * float(moved @ per_metre) / float(per_metre @ per_metre))
+            return moving(axis * float(moved @ per_metre) / max(float(per_metre @ per_metre), (_FLATTEST / metre) ** 2))
         across, along = _others(handle.axis)
         angles = np.linspace(0.0, 2 * pi, 4 * _RING_STEPS, endpoint=False)
         ring = _RING_PX * metre * (np.outer(np.cos(angles), across) + np.outer(np.sin(angles), along))

@@ -64,6 +64,7 @@ class TruthTab(AnalysisTab):
     def __init__(self, window: MainWindow) -> None:
         super().__init__()
         self._document, self._settings, self._dialogs = window.document, window.settings, window.dialogs
+        self._asked: Path | None = None
         self._named: tuple[Preset | None, str] = None, ""
         self.flow = TruthFlow(window.data_folder / "scans", self._preset_name, self)
         painted = window.views.views[CloudName.PATCH].backend_name
@@ -224,6 +225,7 @@ class TruthTab(AnalysisTab):
 
     def open_scan(self, path: Path) -> None:
         """Read a scan in the chosen unit."""
+        self._asked = path
         self._settings.add_recent(_RECENT, str(path))
         self._settings.set(_FOLDER, str(path.parent))
         self.flow.open_scan(path, self.unit.currentText())
@@ -240,8 +242,8 @@ class TruthTab(AnalysisTab):
 
     def _unit_chosen(self) -> None:
         self._settings.set(_UNIT, self.unit.currentText())
-        if self.flow.loaded is not None:
-            self.open_scan(self.flow.loaded.path)
+        if path := self._asked or (self.flow.loaded and self.flow.loaded.path):
+            self.open_scan(path)
 
     def _fill_recent(self) -> None:
         menu = self.recent.menu()

@@ -222,7 +222,7 @@ def captured_words(captured: Captured, rig: Rig) -> str:
     """Say what was captured and what to do next."""
     averaged = captured.reference
     count = f"{averaged.frames} frame{'' if averaged.frames == 1 else 's'}"
-    fewer = f" of {captured.asked}, because the recording has no more" if averaged.frames < captured.asked else ""
+    fewer = f" of {captured.asked}, because no more came" if averaged.frames < captured.asked else ""
     before, after = (1e3 * rig.tactile.depth_unit_m * counts for counts in averaged.noise_counts)
     noise = "" if math.isnan(before) else f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
     return f"Captured {count}{fewer}.{noise} Save the preset to write the reference beside it."

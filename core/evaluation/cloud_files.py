@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from ..errors import SourceError
 from ..export import read_cloud
+from ..paths import refuse_devices
 
 Float64Array = npt.NDArray[np.float64]
 
@@ -41,6 +42,7 @@ def read_points(path: Path | str) -> Float64Array:
         No such file, or none that can be read, or a coordinate is infinite.
     """
     path = Path(path)
+    refuse_devices(path, SourceError)
     header, rows = _text_of(path)
     if header is None:
         points = read_cloud(path).points.astype(np.float64)

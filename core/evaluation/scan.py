@@ -216,7 +216,7 @@ def _joined(parts: list[Scan], path: Path) -> Scan:
 
 def _check_largest(vertices: Float64Array, path: Path) -> None:
     if (size := _size(vertices)) > _LARGEST_M:
-        raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit (--unit mm)")
+        raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit to mm")
 
 
 def _size(vertices: Float64Array) -> float:

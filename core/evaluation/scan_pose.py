@@ -236,7 +236,7 @@ def save_transform(path: Path | str, pose: Matrix4) -> None:
 
 
 def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose: what `save_transform` writes, or sixteen numbers as text, row by row.
+    """Read a pose: what `save_transform` writes, or four lines of four numbers.
 
     Raises
     ------

@@ -13,6 +13,7 @@ from types import TracebackType
 from typing import IO, Final, Self
 
 from ..errors import ExportError
+from ..paths import refuse_devices
 from .results import Result, result_from_json
 from .values import SweepError
 
@@ -44,6 +45,7 @@ class Journal:
         ExportError
             It cannot be written.
         """
+        refuse_devices(self.path, SweepError)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
             self._file = self.path.open("a+b")

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from ..paths import refuse_devices
 from .values import SweepError
 
 
@@ -44,6 +45,7 @@ def load_sweep_file(path: Path) -> SweepFile:
     SweepError
         It cannot be read, is no JSON object, or has a field that is unknown or of the wrong kind.
     """
+    refuse_devices(path, SweepError)
     try:
         return SweepFile.model_validate_json(path.read_text("utf-8"))
     except OSError as error:

@@ -104,7 +104,7 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
 def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     window.worker.set_loop(False)
     opened = capture(qtbot, window, 7)
-    assert "because the recording has no more" in opened.sentence.text()
+    assert "because no more came" in opened.sentence.text()
     assert 1 <= window.document.preset.reference.frames <= 5
 
 

@@ -39,6 +39,13 @@ def brute_force() -> dict[str, float]:
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
+def test_a_device_behind_a_link_is_refused(tmp_path, suffix):
+    (tmp_path / f"a.{suffix}").symlink_to("/dev/zero")
+    with pytest.raises(SourceError, match="no ordinary file"):
+        read_points(tmp_path / f"a.{suffix}")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
 def test_files_of_this_program_against_brute_force(tmp_path, monkeypatch, capsys, suffix):
     write_cloud(tmp_path / f"a.{suffix}", PointCloud(PATCH))
     write_cloud(tmp_path / f"b.{suffix}", PointCloud(TRUTH))

@@ -160,7 +160,7 @@ def test_methods_frames_and_a_csv(tactune, scans, tmp_path):
     "more, words",
     [
         ((), ("where", "--transform", "--pairs", "Analysis > Ground truth")),
-        (("--transform", "{pose}", "--pairs", "{pose}"), ("either",)),
+        (("--transform", "{pose}", "--pairs", "{pose}"), ("both",)),
         (("--transform", "{scan}"), ("holds no pose",)),
         (("--transform", "{pose}", "--paint", "hue=20:30"), ("hue 20:30", "--paint")),
         (("--transform", "{pose}", "--paint", "colour=pink"), ("'colour'", "known are")),
