@@ -40,7 +40,7 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
                 markersize=8, label=row.engine,
             )  # fmt: skip
         axis.set(title=scene, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
-        axis.set_ylim(bottom=0)
+        axis.set_ylim(0.0, 1.08 * max(row.rmse_mm for row in usable if row.scene == scene))
         axis.grid(True, which="both", alpha=0.3)
     for axis in list(axes.flat)[len(scenes) :]:
         axis.axis("off")
