@@ -210,7 +210,7 @@ def _joined(parts: list[Scan], path: Path) -> Scan:
     vertices = vertices[used]
     _check_largest(vertices, path)
     if (size := _size(vertices)) < _SMALLEST_M:
-        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit (--unit m)")
+        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit to m")
     return Scan(vertices, renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
 
 

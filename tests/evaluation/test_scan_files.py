@@ -178,7 +178,7 @@ def test_a_cut_off_file(tmp_path):
             load_scan(tmp_path / "ball.ply")
 
 
-@pytest.mark.parametrize("scale, unit_m, words", [(1000, 1.0, "--unit mm"), (1, 1e-3, "--unit m")])
+@pytest.mark.parametrize("scale, unit_m, words", [(1000, 1.0, "set the unit to mm"), (1, 1e-3, "set the unit to m")])
 def test_another_unit_is_told(tmp_path, scale, unit_m, words):
     mesh = ball()
     mesh.apply_scale(scale)
