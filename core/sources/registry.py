@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 SCENES = ("cube", "cup", "octopus")
 #: Further scenes of the simulator, and the options that any of them takes.
-MORE_SCENES = ("two", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
+MORE_SCENES = ("two", "knobs", "star", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
 SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "seed", "noise")
 _DEFAULT_SCENE = "cup"
 
