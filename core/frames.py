@@ -127,7 +127,7 @@ class TrueStrain:
     length, width : float
         Along the membrane's length and width between neighbours of a grid of 10 mm.
     length_seen, width_seen : float
-        The same over those that the tactile camera sees.
+        The same over those of which the tactile camera sees both dots whole, at least 90 % of each.
     """
 
     largest: float

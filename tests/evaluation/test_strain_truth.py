@@ -14,10 +14,11 @@ from tactune.core.evaluation.cells import Cell
 from tactune.core.evaluation.table import Table
 from tactune.core.evaluation.table_text import scene_strains, table_as_json, table_as_text, write_csv
 from tactune.core.sources.registry import open_source
-from tactune.core.sources.simulator.grid_strain import grid_strain
+from tactune.core.sources.simulator.grid_strain import dots_shown, grid_strain
 from tactune.core.sources.simulator.membrane import Membrane
 from tactune.core.sources.simulator.mesh import MembraneDesign
 from tactune.core.sources.simulator.scene import cameras, simulator_rig
+from tactune.core.sources.simulator.sheet import DOT_RADIUS_M, dot_grid
 
 LOW = "sim:cup?press=low&grid=dots"
 
@@ -36,20 +37,67 @@ def test_a_stretched_sheet_has_the_strain_of_its_stretch(flat):
     assert (strain.length, strain.width) == pytest.approx((0.5, 0.25))
 
 
-def test_only_pairs_of_which_both_dots_are_seen_count_as_seen(flat):
-    """A fold towards the camera hides a strip behind it in which the sheet is stretched most."""
+def test_only_pairs_of_which_both_dots_are_seen_whole_count_as_seen(flat):
+    """The sheet is stretched most between 20 and 50 mm; a camera further aside does not see that."""
     membrane, camera = flat
     nodes = membrane.mesh.flat.copy()
     assert grid_strain(membrane, nodes, camera).length_seen == pytest.approx(0.0)
-    x = nodes[:, 0]
-    nodes[:, 0] += 0.5 * np.clip(x - 0.02, 0.0, 0.03)  # 50 % from 20 to 50 mm
-    shifted = replace(camera, pose=camera.pose.copy())
-    assert grid_strain(membrane, nodes, shifted).length_seen == pytest.approx(0.5)
+    nodes[:, 0] += 0.5 * np.clip(nodes[:, 0] - 0.02, 0.0, 0.03)  # 50 % from 20 to 50 mm
+    assert grid_strain(membrane, nodes, camera).length_seen == pytest.approx(0.5)
+    x, _, z = camera.pose @ (0.015, 0.0, 0.0, 1.0)
+    lens = camera.intrinsics
+    aside = replace(camera, pose=camera.pose.copy())
+    aside.pose[0, 3] += (lens.width - lens.cx) / lens.fx * z - x  # 15 mm is the edge of the picture
+    beside = grid_strain(membrane, nodes, aside)
+    assert (beside.length, beside.length_seen) == pytest.approx((0.5, 0.0))
+
+
+def hooded(membrane, nodes):
+    """Lift a strip of the sheet towards the cameras, so that it covers what is behind it."""
     hood = np.abs(nodes[:, 0] - 0.07) < 0.012
-    nodes[hood] = nodes[hood] * (0.0, 1.0, 0.0) + (0.035, 0.0, -0.15)  # a strip nearer to the cameras covers them
-    covered = grid_strain(membrane, nodes, camera)
-    assert covered.length > 0.5
-    assert covered.length_seen < covered.length
+    lifted = nodes.copy()
+    lifted[hood] += (-0.035, 0.0, -0.15)
+    return lifted
+
+
+def test_the_share_of_a_dot_that_is_shown_is_that_of_rays_which_meet_nothing_before_it(flat):
+    """Against random points of the disc, each ray of which is cut with every triangle of the membrane."""
+    membrane, camera = flat
+    nodes = hooded(membrane, membrane.mesh.flat)
+    share = dots_shown(membrane, nodes, camera)
+    design = membrane.design
+    assert (np.histogram(share, (0.0, 0.05, 0.95, 1.01))[0] > (30, 20, 300)).all()
+    cut = np.flatnonzero((share > 0.05) & (share < 0.95))[:12]
+    some = np.concatenate([cut, np.flatnonzero(share == 0.0)[:2], np.flatnonzero(share == 1.0)[:2]])
+    rng, grid = np.random.default_rng(0), dot_grid(design.width_m, design.height_m)
+    for dot in some:
+        radius, angle = DOT_RADIUS_M * np.sqrt(rng.uniform(size=100)), rng.uniform(0, 2 * np.pi, 100)
+        places = grid[dot] + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
+        shown = np.mean([shows(membrane, nodes, camera, place) for place in places])
+        assert share[dot] == pytest.approx(shown, abs=0.15)
+    assert dots_shown(membrane, nodes + np.array((1.0, 0.0, 0.0)), camera).max() == 0.0  # beside the picture
+
+
+def shows(membrane, nodes, camera, place):
+    """Tell whether a camera sees a place, (x, y), of the flat sheet (Moeller and Trumbore)."""
+    corners = np.moveaxis(membrane.mesh.flat[membrane.mesh.triangles, :2], 1, 0)
+    sides = np.array(
+        [np.linalg.det(np.stack([corners[b] - place, corners[c] - place], 1)) for b, c in ((1, 2), (2, 0))]
+    )
+    shares = sides / np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[0]], 1))
+    shares = np.stack([*shares, 1.0 - shares.sum(axis=0)])
+    own = int(np.argmax(shares.min(axis=0)))
+    a, b, c = np.moveaxis(nodes[membrane.mesh.triangles], 1, 0)
+    point = shares[:, own] @ nodes[membrane.mesh.triangles[own]]
+    eye = -camera.pose[:, :3].T @ camera.pose[:, 3]
+    ray = point - eye
+    across = np.cross(ray, c - a)
+    det = ((b - a) * across).sum(axis=1)
+    met = det != 0.0
+    det = np.where(met, det, 1.0)
+    u, away = ((eye - a) * across).sum(axis=1) / det, np.cross(eye - a, b - a)
+    v, reach = away @ ray / det, ((c - a) * away).sum(axis=1) / det
+    return not (met & (u >= 0) & (v >= 0) & (u + v <= 1) & (reach > 0) & (reach < 1 - 1e-5)).any()
 
 
 def test_a_simulated_frame_tells_its_strain():

@@ -1,7 +1,8 @@
-"""Strain between the dots of the printed grid, as the solver knows it: over all dots, and over those a camera sees."""
+"""Strain between the dots of the printed grid, as the solver knows it: over all dots, and over those seen whole."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,13 +10,20 @@ import numpy as np
 import numpy.typing as npt
 
 from .membrane import Membrane
-from .render import Camera, rasterise
+from .mesh import Mesh
+from .objects import compiled
+from .render import Camera
 from .sheet import DOT_RADIUS_M, DOT_SPACING_M, dot_counts, dot_grid
 
 Float64Array = npt.NDArray[np.float64]
+Int32Array = npt.NDArray[np.int32]
 
-#: A dot is looked for so far around the pixel that its middle falls on.
-_AROUND: Final = range(-1, 2)
+#: A dot is seen whole where at least this share of its disc is shown: the middle of what is left is its own.
+WHOLE_SHARE: Final = 0.9
+#: Points of a dot's disc that are looked for, across its diameter.
+_POINTS_ACROSS: Final = 11
+#: What is nearer on a point's ray by more than this hides it, metres.
+_BEFORE_M: Final = 1e-6
 
 
 @dataclass(frozen=True)
@@ -23,7 +31,7 @@ class GridStrain:
     """Largest strain between neighbouring dots along the membrane's length and width, straight from dot to dot.
 
     The flat, clamped sheet has 0. ``length_seen`` and ``width_seen`` are over the pairs of which the camera
-    sees both dots.
+    sees both dots whole, and 0 where there is none.
     """
 
     length: float
@@ -37,34 +45,95 @@ def grid_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Grid
     design = membrane.design
     columns, rows = dot_counts(design.width_m, design.height_m)
     dots = membrane.at(dot_grid(design.width_m, design.height_m), nodes).reshape(rows, columns, 3)
-    seen = dots_seen(membrane, nodes, camera).reshape(rows, columns)
+    whole = (dots_shown(membrane, nodes, camera) >= WHOLE_SHARE).reshape(rows, columns)
     largest = []
     for axis in (1, 0):
         strain = np.linalg.norm(np.diff(dots, axis=axis), axis=2) / DOT_SPACING_M - 1.0
-        both = np.take(seen, range(1, seen.shape[axis]), axis) & np.take(seen, range(seen.shape[axis] - 1), axis)
+        both = np.take(whole, range(1, whole.shape[axis]), axis) & np.take(whole, range(whole.shape[axis] - 1), axis)
         largest.append((float(strain.max()), float(strain[both].max(initial=0.0))))
     (length, length_seen), (width, width_seen) = largest
     return GridStrain(length, width, length_seen, width_seen)
 
 
-def dots_seen(membrane: Membrane, nodes: Float64Array, camera: Camera) -> npt.NDArray[np.bool_]:
-    """Tell which dots a camera sees: bool, shape (M,).
+def dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Float64Array:
+    """Tell how much of each dot's disc, as printed on the flat sheet, a camera sees: 0 to 1, shape (M,).
 
-    A dot is seen where the picture shows a place of the sheet within the dot's radius of its middle.
+    Points all over the disc are followed to the pressed membrane; one is seen that lies in the picture and
+    before which the ray from the camera meets no other part of the membrane.
     """
-    design, surface = membrane.design, membrane.surface(nodes)
+    design, mesh = membrane.design, membrane.mesh
+    steps = (np.arange(_POINTS_ACROSS) + 0.5) / _POINTS_ACROSS * 2.0 - 1.0
+    disc = np.stack(np.meshgrid(steps, steps), axis=2).reshape(-1, 2)
+    disc = DOT_RADIUS_M * disc[np.hypot(*disc.T) <= 1.0]
     grid = dot_grid(design.width_m, design.height_m)
-    flat = np.zeros((len(surface), 6))
-    flat[:, :2] = membrane.mesh.flat[:, :2]
-    sheet = rasterise(camera, surface, membrane.mesh.triangles, flat)
-    places = np.where((sheet.depth > 0)[..., None], sheet.attributes[..., :2], np.inf)
-    in_camera = membrane.at(grid, surface) @ camera.pose[:, :3].T + camera.pose[:, 3]
-    u, v = np.rint(camera.intrinsics.project(in_camera)).astype(np.intp).T
-    height, width = sheet.depth.shape
-    seen = np.zeros(len(grid), bool)
-    for dv in _AROUND:
-        for du in _AROUND:
-            inside = (u + du >= 0) & (u + du < width) & (v + dv >= 0) & (v + dv < height)
-            shown = places[np.where(inside, v + dv, 0), np.where(inside, u + du, 0)]
-            seen |= inside & (np.hypot(*(shown - grid).T) <= DOT_RADIUS_M)
-    return seen
+    flat = (grid[:, None] + disc).reshape(-1, 2)
+    surface = membrane.surface(nodes) @ camera.pose[:, :3].T + camera.pose[:, 3]
+    points = _on_triangles(mesh, design.cells, flat, surface)
+    seen = np.zeros(len(points), bool)
+    pixels = camera.intrinsics.project(points)
+    height, width = camera.intrinsics.shape
+    column, row = np.floor(pixels).astype(np.intp).T
+    inside = np.flatnonzero((column >= 0) & (column < width) & (row >= 0) & (row < height))
+    order = inside[np.argsort(row[inside] * width + column[inside], kind="stable")]
+    starts = np.searchsorted(row[order] * width + column[order], np.arange(height * width + 1))
+    seen[order] = ~_covered(
+        surface, mesh.triangles, camera.pinhole, pixels[order], points[order, 2], starts, width, height
+    )
+    return np.asarray(seen.reshape(len(grid), len(disc)).mean(axis=1))
+
+
+def _on_triangles(mesh: Mesh, cells: tuple[int, int], flat: Float64Array, nodes: Float64Array) -> Float64Array:
+    """Return where places of the flat sheet, (M, 2), lie on the triangles between nodes, (N, 3): (M, 3)."""
+    (nx, ny), low, high = cells, mesh.flat[0, :2], mesh.flat[-1, :2]
+    i, j = np.clip(((flat - low) / (high - low) * (nx, ny)).astype(np.intp), 0, (nx - 1, ny - 1)).T
+    first = 2 * (j * nx + i)  # a cell's two triangles follow each other
+    shares = _shares(mesh, first, flat)
+    other = shares.min(axis=1) < 0.0
+    shares[other] = _shares(mesh, first[other] + 1, flat[other])
+    return np.asarray((shares[:, :, None] * nodes[mesh.triangles[first + other]]).sum(axis=1))
+
+
+def _shares(mesh: Mesh, triangles: npt.NDArray[np.intp], flat: Float64Array) -> Float64Array:
+    """Return barycentric coordinates, (M, 3), of places of the flat sheet in one triangle each."""
+    a, b, c = mesh.flat[mesh.triangles[triangles], :2].transpose(1, 0, 2)
+    (ux, uy), (vx, vy), (x, y) = (b - a).T, (c - a).T, (flat - a).T
+    doubled = ux * vy - uy * vx
+    of_b, of_c = (x * vy - y * vx) / doubled, (ux * y - uy * x) / doubled
+    return np.stack([1.0 - of_b - of_c, of_b, of_c], axis=1)
+
+
+@compiled
+def _covered(
+    nodes: Float64Array,
+    triangles: Int32Array,
+    pinhole: Float64Array,
+    pixels: Float64Array,
+    depth: Float64Array,
+    starts: npt.NDArray[np.intp],
+    width: int,
+    height: int,
+) -> npt.NDArray[np.bool_]:
+    """Tell the points, (M, 2) and (M,), in the order of their pixels' squares, before which a triangle lies."""
+    covered = np.zeros(len(depth), np.bool_)
+    for t in range(triangles.shape[0]):
+        a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]
+        wa, wb, wc = 1.0 / nodes[a, 2], 1.0 / nodes[b, 2], 1.0 / nodes[c, 2]
+        ua, va = nodes[a, 0] * wa * pinhole[0] + pinhole[2], nodes[a, 1] * wa * pinhole[1] + pinhole[3]
+        ub, vb = nodes[b, 0] * wb * pinhole[0] + pinhole[2], nodes[b, 1] * wb * pinhole[1] + pinhole[3]
+        uc, vc = nodes[c, 0] * wc * pinhole[0] + pinhole[2], nodes[c, 1] * wc * pinhole[1] + pinhole[3]
+        doubled = (ub - ua) * (vc - va) - (uc - ua) * (vb - va)
+        if doubled == 0.0:
+            continue
+        left, right = max(math.floor(min(ua, ub, uc)), 0), min(math.floor(max(ua, ub, uc)), width - 1)
+        top, bottom = max(math.floor(min(va, vb, vc)), 0), min(math.floor(max(va, vb, vc)), height - 1)
+        for row in range(top, bottom + 1):
+            for point in range(starts[row * width + left], starts[row * width + right + 1] if right >= left else 0):
+                u, v = pixels[point, 0], pixels[point, 1]
+                kb = ((u - ua) * (vc - va) - (uc - ua) * (v - va)) / doubled
+                kc = ((ub - ua) * (v - va) - (u - ua) * (vb - va)) / doubled
+                ka = 1.0 - kb - kc
+                if ka < 0.0 or kb < 0.0 or kc < 0.0:
+                    continue
+                if 1.0 / (ka * wa + kb * wb + kc * wc) < depth[point] - _BEFORE_M:
+                    covered[point] = True
+    return covered

@@ -133,7 +133,7 @@ class PressFacts:
         Largest strain along the membrane's length and width between neighbours of the printed grid's
         dots, measured straight from dot to dot; the flat, clamped sheet has 0.
     strain_length_seen, strain_width_seen : float
-        The same over the pairs of which the tactile camera sees both dots.
+        The same over the pairs of which the tactile camera sees both dots whole, see `grid_strain`.
     force_n : float
         Sum of the contact reactions' magnitudes.
     gauge_pressure_pa : float
