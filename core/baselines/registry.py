@@ -35,7 +35,18 @@ class Fusion(ContactMethod):
 
     def __init__(self, preset: Preset, rig: Rig, name: str, values: dict[str, Any]) -> None:
         self.name = name
+        self._values = values
         self._pipeline = ContactPipeline(preset.with_values(values), rig)
+
+    def update(self, preset: Preset) -> None:
+        """Take another preset, without making anew what does not depend on what has changed.
+
+        Raises
+        ------
+        RigMismatchError
+            As the constructor does; the old preset then stays in force.
+        """
+        self._pipeline.update(preset.with_values(self._values))
 
     def find(self, frame: SensorFrame) -> MethodPatch:
         """Return the pipeline's patch."""
@@ -51,6 +62,25 @@ def method_names() -> tuple[str, ...]:
 def needs_reference(name: str) -> bool:
     """Return whether a method compares with a frame of the untouched membrane."""
     return name in _AGAINST_REFERENCE
+
+
+def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
+    """Return all of a preset that decides what a method finds: where it is equal, so are the patches.
+
+    Parameters
+    ----------
+    name : str
+        One of `method_names`.
+    preset : Preset
+    """
+    alignment = preset.alignment
+    pose = alignment.rigid, alignment.depth_scale, alignment.depth_offset_m
+    if name not in FUSION_FIELDS:
+        return pose
+    values = FUSION_FIELDS[name]
+    by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
+    own = (preset.calibrated,) if values["contact_test"] == "calibrated" else (preset.tolerance, preset.outliers)
+    return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 
 def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | None = None) -> ContactMethod:

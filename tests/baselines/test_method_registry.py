@@ -3,9 +3,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tactune.core.baselines.registry import make_method, method_names, needs_reference
+from tactune.core.baselines.registry import make_method, method_names, needs_reference, settings_of
 from tactune.core.errors import RigMismatchError, TactuneError
 from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
 from tactune.core.preset_file import load_preset
 
 NAMES = (
@@ -68,3 +69,100 @@ def test_an_unknown_method_is_told(small_rig):
 def test_a_preset_of_another_rig_is_refused(small_rig):
     with pytest.raises(RigMismatchError):
         make_method("fusion-rigid", load_preset("simulator"), small_rig)
+
+
+#: Another value for every field of a preset that may decide what is contact.
+OTHERS = {
+    "alignment.model": "homography",
+    "alignment.rigid.T_proximity_tactile": [[1, 0, 0, 0.03], [0, 1, 0, 0.002], [0, 0, 1, 0], [0, 0, 0, 1]],
+    "alignment.homography.H_p_t": [[1, 0, 5], [0, 1, 3], [0, 0, 1]],
+    "alignment.homography.plane_distance_m": 0.2,
+    "alignment.depth_scale": 1.01,
+    "alignment.depth_offset_m": 0.002,
+    "contact_test": "calibrated",
+    "mask.enabled": True,
+    "mask.hue": (20, 60),
+    "mask.saturation": (10, 40),
+    "mask.value": (10, 40),
+    "tolerance.t": 0.004,
+    "outliers.enabled": False,
+    "outliers.k": 5,
+    "outliers.ratio": 0.5,
+    "outliers.min_cluster_area_mm2": 1000.0,
+    "calibrated.gap_m": 0.0005,
+    "calibrated.retreat": 0.0,
+    "calibrated.window_px": 0.0,
+    "calibrated.bias_m": 0.0,
+    "calibrated.least_area_mm2": 5000.0,
+    "calibrated.difference_m": 0.001,
+    "calibrated.slope": False,
+    "calibrated.core": 0.0,
+    "calibrated.most_px": 0.0,
+    "calibrated.smooth_px": 0.0,
+    "calibrated.tactile_weight": 1.0,
+    "range.enabled": True,
+    "range.limits_m": (0.1, 0.2),
+    "region.enabled": True,
+    "region.rectangle": (100, 80, 60, 60),
+}
+#: Fields that decide nothing, or only what the rig and the reference are, which are given apart.
+OTHERWISE = ("name", "notes", "created", "modified", "rig", "cameras", "reference", "alignment.calibration")
+
+
+def leaves(data: dict, before: str = "") -> set[str]:
+    """Return the dotted paths of all fields that are no sections."""
+    paths = set()
+    for name, value in data.items():
+        path = f"{before}{name}"
+        paths |= leaves(value, f"{path}.") if isinstance(value, dict) and path not in OTHERWISE else {path}
+    return paths
+
+
+def test_every_field_of_a_preset_is_looked_at():
+    assert leaves(Preset().model_dump()) - set(OTHERWISE) == set(OTHERS)
+
+
+@pytest.mark.parametrize("name", [*NAMES[:3], "proximity-only", "tactile-threshold"])
+def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, name):
+    rig, reference, pressed = bulged.rig, bulged.frame(0.0), bulged.frame(0.05, 0.0003)
+    preset = Preset()
+    expected = make_method(name, preset, rig, reference).find(pressed)
+    assert len(expected.points) > 500
+    unconcerned = 0
+    for path, value in OTHERS.items():
+        other = preset.with_value(path, value)
+        if settings_of(name, other) == settings_of(name, preset):
+            unconcerned += 1
+            found = make_method(name, other, rig, reference).find(pressed)
+            np.testing.assert_array_equal(found.points, expected.points, err_msg=path)
+    assert unconcerned
+
+
+@pytest.mark.parametrize(
+    ("path", "concerned"),
+    [
+        ("tolerance.t", {"fusion-rigid", "fusion-homography"}),
+        ("calibrated.gap_m", {"fusion-calibrated"}),
+        ("mask.hue", set(NAMES[:3])),
+        ("alignment.homography.plane_distance_m", {"fusion-homography"}),
+        ("alignment.depth_offset_m", set(NAMES)),
+        ("contact_test", set()),
+    ],
+)
+def test_a_field_concerns_only_the_methods_that_use_it(path, concerned):
+    preset = Preset()
+    other = preset.with_value(path, OTHERS[path])
+    assert {name for name in NAMES if settings_of(name, other) != settings_of(name, preset)} == concerned
+
+
+@pytest.mark.parametrize("name", NAMES[:3])
+def test_a_fusion_that_takes_another_preset_is_the_one_made_with_it(bulged, name):
+    rig, pressed = bulged.rig, bulged.frame(0.05, 0.0003)
+    method = make_method(name, Preset(), rig)
+    before = method.find(pressed)
+    values = {"alignment.depth_offset_m": 0.0005, "region.enabled": True, "region.rectangle": (100, 80, 60, 60)}
+    other = Preset().with_values({**values, "contact_test": "calibrated"})
+    method.update(other)
+    found, expected = method.find(pressed), make_method(name, other, rig).find(pressed)
+    np.testing.assert_array_equal(found.points, expected.points)
+    assert len(found.points) != len(before.points)

@@ -1,0 +1,102 @@
+"""Runs of methods in Compare: each only where its frame or what it depends on has changed."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from tactune.app.analysis import comparer
+from tactune.app.analysis.comparer import Comparer, Task
+from tactune.app.playback import PlaybackState
+from tactune.app.processing import FrameProcessor
+from tactune.app.results import SourceInfo, Wanted
+from tactune.core.baselines.registry import Fusion, make_method
+from tactune.core.preset import Preset
+
+from .conftest import tiny_frame, tiny_rig
+
+METHODS = ("fusion-rigid", "fusion-homography", "fusion-calibrated", "proximity-only", "tactile-only")
+RIG = tiny_rig()
+INFO = SourceInfo("tiny", RIG, 8, 30.0)
+FRAMES = [tiny_frame(index, RIG) for index in range(4)]
+
+
+@pytest.fixture
+def made(monkeypatch) -> Counter:
+    """How often each method was made."""
+    counts: Counter = Counter()
+
+    def make(name, *rest):
+        counts[name] += 1
+        return make_method(name, *rest)
+
+    monkeypatch.setattr(comparer, "make_method", make)
+    return counts
+
+
+@pytest.fixture
+def runs(monkeypatch) -> Counter:
+    """How often each way of fusion was run."""
+    counts: Counter = Counter()
+    find = Fusion.find
+
+    def counted(method, frame):
+        counts[method.name] += 1
+        return find(method, frame)
+
+    monkeypatch.setattr(Fusion, "find", counted)
+    return counts
+
+
+def task(preset: Preset, index: int = 3) -> Task:
+    frame = FRAMES[index]
+    result = FrameProcessor().process(INFO, frame, preset, Wanted(), PlaybackState())
+    return Task(result, METHODS, FRAMES[0])
+
+
+def points(comparison) -> dict[str, int | None]:
+    return {outcome.name: outcome.scores.points for outcome in comparison.outcomes}
+
+
+def test_a_step_of_a_slider_runs_the_methods_that_it_concerns_once_and_no_others(preset, made, runs):
+    compare = Comparer().compare
+    before = compare(task(preset))
+    assert made == Counter(METHODS)
+    runs.clear()
+    wider = preset.with_value("tolerance.t", 0.2)
+    after = compare(task(wider))
+    assert runs == Counter({"fusion-rigid": 1, "fusion-homography": 1})
+    assert made == Counter(METHODS)
+    assert points(after)["fusion-rigid"] == 64 * 48 > points(before)["fusion-rigid"]
+    assert points(after)["fusion-calibrated"] == points(before)["fusion-calibrated"]
+    runs.clear()
+    compare(task(wider.with_value("calibrated.gap_m", 0.003)))
+    assert runs == Counter({"fusion-calibrated": 1})
+    compare(task(wider.with_value("calibrated.gap_m", 0.003).with_value("notes", "the same membrane")))
+    assert runs == Counter({"fusion-calibrated": 1})
+
+
+def test_the_time_after_a_step_is_that_of_a_whole_frame(preset, monkeypatch):
+    asked = []
+    find = Fusion.find
+    monkeypatch.setattr(Fusion, "find", lambda method, frame: asked.append(frame) or find(method, frame))
+    compare = Comparer().compare
+    compare(task(preset))
+    asked.clear()
+    compare(task(preset.with_value("outliers.enabled", True)))
+    seen = asked[0]
+    assert seen is not FRAMES[3]  # else stages that are remembered would not be timed
+    assert np.array_equal(seen.proximity_depth, FRAMES[3].proximity_depth)
+
+
+def test_a_preset_that_does_not_fit_is_said_and_the_next_one_works(preset):
+    compare = Comparer().compare
+    compare(task(preset))
+    other = preset.model_copy(update={"rig": tiny_rig(32, 24)})
+    unfit = Task(task(preset).result, METHODS, FRAMES[0])
+    object.__setattr__(unfit.result, "preset", other)
+    notes = {outcome.name: outcome.note for outcome in compare(unfit).outcomes}
+    assert "32 x 24" in notes["fusion-rigid"]
+    assert points(compare(task(preset)))["fusion-rigid"]
