@@ -94,14 +94,16 @@ def capture_reference(
     ],
     preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
     frames: Annotated[int, typer.Option("--frames", "-n", min=1, max=1000, help="How many frames to average.")] = 15,
+    force: Annotated[bool, typer.Option("--force", help="Keep it though the preset finds contact on it.")] = False,
 ) -> None:
     """Average frames of the untouched membrane into a preset's reference, for methods and checks that compare with it.
 
-    The simulator takes its object away meanwhile. The reference is a file beside the preset.
+    Frames in which the preset itself finds contact are refused. The simulator takes its object away meanwhile. The
+    reference is a file beside the preset.
     """
     from .cli_reference import capture_into
 
-    capture_into(preset, source, frames)
+    capture_into(preset, source, frames, force=force)
 
 
 @preset_commands.command()

@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..core.errors import CalibrationError, FrameError, PresetError
+from ..core.errors import CalibrationError, FrameError
 
 if TYPE_CHECKING:
     from ..core.calibration.membrane_drift import MembraneDrift
-    from ..core.frames import Rig, SensorFrame
-    from ..core.preset import Preset
 
 #: Exit status where something has drifted.
 DRIFTED_STATUS = 1
@@ -33,14 +31,18 @@ def recheck(
 
     The alignment is compared with what both colour cameras see, the untouched membrane with the preset's
     reference. Exit status 0 where what could be checked holds, 1 where something has
-    drifted; what could not be checked is said. The simulator's object is taken away.
+    drifted; what could not be checked is said. A reference that the preset names must be there. The simulator's object
+    is taken away, so there only its noise differs.
     """
+    from ..core.calibration.membrane_drift import compare_with_reference
     from ..core.calibration.recheck import recheck as recheck_alignment
+    from ..core.membrane_reference import load_reference
     from ..core.preset_file import load_preset
     from .cli_reference import average
     from .cli_run import open_with_progress, warn
 
     checked = load_preset(preset)
+    reference = None if checked.reference is None else load_reference(checked.reference, Path(preset))
     with open_with_progress(source, checked.cameras) as opened:
         now, rig = average(opened, frames).frame, opened.rig
     found: dict[str, Any] = {}
@@ -51,10 +53,13 @@ def recheck(
     else:
         numbers = {name: getattr(drift, name) for name in ("drift_px", "drift_mm", "worst_px", "stored", "found")}
         found["alignment"] = {"ok": not drift.recalibrate, "sentence": drift.sentence, **numbers}
-    try:
-        found["membrane"] = _membrane_record(_membrane_drift(checked, preset, rig, now))
-    except (CalibrationError, FrameError, PresetError) as error:
-        warn(f"the membrane was not checked: {error}")
+    if reference is None:
+        warn(f"the membrane was not checked: {preset} has no reference; see tactune preset capture-reference")
+    else:
+        try:
+            found["membrane"] = _membrane_record(compare_with_reference(checked, rig, now, reference))
+        except (CalibrationError, FrameError) as error:
+            warn(f"the membrane was not checked: {error}")
     if not found:
         raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the reasons above")
     if as_json:
@@ -63,15 +68,6 @@ def recheck(
         typer.echo("\n".join(check["sentence"] for check in found.values()))
     if not all(check["ok"] for check in found.values()):
         raise typer.Exit(DRIFTED_STATUS)
-
-
-def _membrane_drift(preset: Preset, origin: str, rig: Rig, now: SensorFrame) -> MembraneDrift:
-    from ..core.calibration.membrane_drift import compare_with_reference
-    from ..core.membrane_reference import load_reference
-
-    if preset.reference is None:
-        raise PresetError(f"{origin} has no reference; capture one with tactune preset capture-reference")
-    return compare_with_reference(preset, rig, now, load_reference(preset.reference, Path(origin)))
 
 
 def _membrane_record(drift: MembraneDrift) -> dict[str, Any]:

@@ -8,20 +8,29 @@ from pathlib import Path
 
 import typer
 
-from ..core.errors import PresetError
+from ..core.calibration.untouched_check import touch_doubts
+from ..core.errors import CalibrationError, PresetError
 from ..core.evaluation.untouched import frames_to_average
-from ..core.frames import SensorFrame
-from ..core.membrane_reference import CapturedReference, average_untouched, save_reference
-from ..core.preset import now
+from ..core.frames import Rig, SensorFrame
+from ..core.membrane_reference import CapturedReference, average_untouched, load_reference, save_reference
+from ..core.preset import Preset, now
 from ..core.preset_file import load_preset, save_preset
 from ..core.rig_check import check_rig
 from ..core.sources.base import FrameSource
+from ..core.sources.simulator.source import SimulatorSource
+from ..core.warmup import warm_up_if_needed
 from .cli_progress import CliProgress
 from .cli_run import counted, open_with_progress, warn
 
 
-def capture_into(path: Path, source_name: str, frames: int) -> None:
-    """Average frames of a source into a preset's reference; first the reference is written, then the preset."""
+def capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> None:
+    """Average frames of a source into a preset's reference; first the reference is written, then the preset.
+
+    Raises
+    ------
+    CalibrationError
+        The preset's own pipeline finds a contact patch on the membrane, unless ``force``.
+    """
     if not path.is_file() or path.suffix == ".mcap":
         raise PresetError(
             f"{path} is no preset file that could keep a reference; make one with tactune preset new, "
@@ -32,6 +41,7 @@ def capture_into(path: Path, source_name: str, frames: int) -> None:
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         captured = average(source, frames)
+        _check_untouched(preset, path, source.rig, captured.frame, force=force)
         unit_m = source.rig.tactile.depth_unit_m
     record = save_reference(captured.frame, captured.frames, path)
     save_preset(preset.model_copy(update={"reference": record, "modified": now()}), path)
@@ -42,9 +52,28 @@ def capture_into(path: Path, source_name: str, frames: int) -> None:
 
 
 def average(source: FrameSource, frames: int) -> CapturedReference:
-    """Average the next frames of a source, showing how far it is; the simulator takes its object away."""
+    """Average the next frames of a source, showing how far it is; the simulator takes its object away and says so."""
+    if isinstance(source, SimulatorSource):
+        warn(f"{source.name} is simulated: its object is taken away for this, so nothing can touch the membrane")
     with frames_to_average(source, frames) as shown, CliProgress() as progress:
         return average_untouched(_counted_out(shown, frames, progress))
+
+
+def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
+    """Say what speaks against an untouched membrane, and refuse one that is surely touched."""
+    with CliProgress() as progress:
+        warm_up_if_needed(progress.preparing)
+    for doubt in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
+        if doubt.certain and not force:
+            raise CalibrationError(f"{doubt.sentence}, or keep it all the same with --force")
+        warn(doubt.sentence)
+
+
+def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
+    try:
+        return None if preset.reference is None else load_reference(preset.reference, path)
+    except PresetError:  # lost or damaged: the new one mends that
+        return None
 
 
 def noise_words(captured: CapturedReference, unit_m: float) -> str:

@@ -93,8 +93,15 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
         window.worker.shut_down()
         application.exit(128 + number)  # as shells expect
 
-    for sent in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(sent, lambda number, _: QTimer.singleShot(0, partial(stop, number)))
+    ends = (signal.SIGINT, signal.SIGTERM)
+
+    def begin(number: int, _: object) -> None:
+        for sent in ends:  # one end is enough: make and shells may send the same signal again
+            signal.signal(sent, signal.SIG_IGN)
+        QTimer.singleShot(0, partial(stop, number))
+
+    for sent in ends:
+        signal.signal(sent, begin)
     # Python notices a signal only when it runs, and an idle window runs none of it.
     wake = QTimer(window)
     wake.timeout.connect(lambda: None)

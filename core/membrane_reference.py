@@ -100,12 +100,6 @@ def average_untouched(frames: Iterable[SensorFrame]) -> CapturedReference:
     return CapturedReference(take_snapshot(parts).frame, count, _noise(held, parts))
 
 
-def capture_reference(frames: Iterable[SensorFrame]) -> tuple[SensorFrame, int]:
-    """Return the averaged membrane and the number of frames; see `average_untouched`."""
-    captured = average_untouched(frames)
-    return captured.frame, captured.frames
-
-
 def save_reference(frame: SensorFrame, frames: int, preset_path: Path) -> ReferenceRecord:
     """Write a reference beside a preset file and return what the preset keeps of it.
 
@@ -116,7 +110,7 @@ def save_reference(frame: SensorFrame, frames: int, preset_path: Path) -> Refere
     Parameters
     ----------
     frame : SensorFrame
-        From `capture_reference`.
+        From `average_untouched`.
     frames : int
         How many frames went into it.
     preset_path : Path

@@ -74,7 +74,9 @@ def interrupt(window):
     shown(window)
     if window.result is not None and not window.document.dirty:
         window.document.edit("tolerance.t", 0.07)
-        QTimer.singleShot(0, lambda: os.kill(os.getpid(), int(sys.argv[2])))
+        end = window.worker.shut_down
+        window.worker.shut_down = lambda: (print("ended"), end())
+        QTimer.singleShot(0, lambda: [os.kill(os.getpid(), int(sys.argv[2])) for _ in range(2)])
 MainWindow._show_newest = interrupt
 sys.exit(gui.run_gui(sys.argv[1], None, None, 1))
 """
@@ -82,12 +84,13 @@ sys.exit(gui.run_gui(sys.argv[1], None, None, 1))
 
 @pytest.mark.skipif(sys.platform == "win32", reason="signals of Unix")
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_the_window_and_keeps_unsaved_work(recording, tmp_path, sent):
+def test_a_signal_ends_the_window_once_and_keeps_unsaved_work(recording, tmp_path, sent):
     homes = {name: str(tmp_path / name) for name in ("XDG_CONFIG_HOME", "XDG_DATA_HOME")}
     environment = os.environ | homes | {"QT_QPA_PLATFORM": "offscreen"}
     command = [sys.executable, "-c", INTERRUPT, recording, str(int(sent))]
     done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment, timeout=60)
     assert done.returncode == 128 + sent
+    assert done.stdout == "ended\n"
     assert "Traceback" not in done.stderr
     (kept,) = (tmp_path / "XDG_DATA_HOME").rglob("unsaved-*.json")
     assert '"t": 0.07' in kept.read_text()

@@ -80,6 +80,36 @@ def test_a_crash_before_the_preset_is_written_leaves_the_old_pair(
     assert (load_reference(before.reference, referenced).tactile_depth == 3000).all()
 
 
+def test_a_touched_membrane_is_no_reference_where_the_mask_hides_the_prints(
+    tactune: Tactune, recording: Path, mine: Path
+) -> None:
+    words = ("preset", "capture-reference", "--source", recording, "--preset", mine)
+    told = tactune(*words)
+    assert told.status == 0
+    assert "may be its prints, since the mask is off" in told.err
+    save_preset(Preset(name="mine").with_values({"mask.enabled": True, "mask.hue": (140, 170)}), mine)
+    before = mine.read_bytes()
+    sentence = tactune(*words).sentence
+    assert "finds a contact patch of" in sentence and "--force" in sentence
+    assert mine.read_bytes() == before
+    forced = tactune(*words, "--force")
+    assert forced.status == 0
+    assert "finds a contact patch of" in forced.err
+    assert load_preset(mine).reference is not None
+
+
+def test_a_membrane_that_differs_in_one_place_from_the_present_reference_is_told(
+    tactune: Tactune, recording: Path, referenced: Path
+) -> None:
+    for image in recording.glob("**/tactile_depth.png"):
+        depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
+        depth[:16, :16] -= 100
+        cv2.imwrite(str(image), depth)
+    finished = tactune("preset", "capture-reference", "--source", recording, "--preset", referenced)
+    assert finished.status == 0
+    assert "over 3 mm from where the preset's present reference has it" in finished.err
+
+
 def test_run_takes_the_presets_own_reference(tactune: Tactune, recording: Path, mine: Path) -> None:
     words = ("run", "--source", recording, "--preset", mine, "--method", "proximity-only", "--json")
     assert "neither the preset nor" in tactune(*words).sentence
@@ -125,6 +155,19 @@ def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, referenc
     found = json.loads(finished.out)
     assert found["membrane"]["verdict"] == "fine"
     assert found["membrane"]["tactile"]["median_m"] == 0.0
+
+
+def test_recheck_needs_the_reference_that_the_preset_names(tactune: Tactune, recording: Path, referenced: Path) -> None:
+    for file in referenced.parent.glob("*.npz"):
+        file.unlink()
+    sentence = tactune("recheck", "--source", recording, "--preset", referenced).sentence
+    assert "is missing; put it there, or capture the reference anew" in sentence
+
+
+def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune) -> None:
+    finished = tactune("recheck", "--source", "sim:cup?press=low", "--preset", "simulator", "--frames", 2)
+    assert finished.status == 0
+    assert "is simulated: its object is taken away" in finished.err
 
 
 def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, referenced: Path) -> None:

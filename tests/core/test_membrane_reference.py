@@ -18,7 +18,6 @@ from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.membrane_reference import (
     average_untouched,
-    capture_reference,
     find_reference,
     load_reference,
     save_reference,
@@ -81,10 +80,11 @@ class Still(FrameSource):
 @pytest.fixture
 def kept(tmp_path: Path) -> tuple[Path, Preset, SensorFrame]:
     """A preset with a reference beside it."""
-    frame, count = capture_reference(map(untouched, range(5)))
-    preset = Preset(name="kept", reference=save_reference(frame, count, tmp_path / "kept.json"))
+    captured = average_untouched(map(untouched, range(5)))
+    record = save_reference(captured.frame, captured.frames, tmp_path / "kept.json")
+    preset = Preset(name="kept", reference=record)
     save_preset(preset, tmp_path / "kept.json")
-    return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), frame
+    return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), captured.frame
 
 
 def record_of(preset: Preset) -> ReferenceRecord:
@@ -139,10 +139,10 @@ def test_too_many_frames_are_refused_before_they_take_minutes() -> None:
 def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, refused: bool) -> None:
     frames = [*map(untouched, range(4)), dented(untouched(4), counts, size)]
     if not refused:
-        assert capture_reference(frames)[1] == 5
+        assert average_untouched(frames).frames == 5
         return
     with pytest.raises(CalibrationError, match=r"moved while .* frame 4 differs from frame 0 by up to 2\.\d %"):
-        capture_reference(frames)
+        average_untouched(frames)
 
 
 def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
@@ -153,9 +153,9 @@ def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
         proximity_color=np.ones((4, 4, 3), np.uint8),
     )
     with pytest.raises(CalibrationError, match="cannot be averaged"):
-        capture_reference([untouched(0), small])
+        average_untouched([untouched(0), small])
     with pytest.raises(CalibrationError, match="gave none"):
-        capture_reference([])
+        average_untouched([])
 
 
 # The file
