@@ -88,6 +88,9 @@ def sweep(
         Path, typer.Option("--out", "-o", metavar="FILE.parquet", help="The table, a row for each run; finished runs "
                            "are kept beside it.")
     ] = Path("sweep.parquet"),
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace a table in --out that has runs of another sweep.")
+    ] = False,
     objective: Annotated[
         str | None,
         typer.Option(metavar="NAME", help="What is best: rmse_mm, iou, area_error (with truth), ms, area, stability "
@@ -100,10 +103,10 @@ def sweep(
 ) -> None:  # fmt: skip
     """Try parameters over recordings and scenes, in parallel; Ctrl-C keeps what is done, the same command goes on."""
     from ..core.sources.registry import open_source
-    from ..core.sweep.best import best_preset, check_presentable, choose_objective, effects, rank
+    from ..core.sweep.best import best_preset, check_presentable, choose_objective, edges, effects, rank
     from ..core.sweep.journal import Journal
-    from ..core.sweep.plan import make_plan
-    from ..core.sweep.table import check_table, sweep_rows, write_table
+    from ..core.sweep.plan import make_plan, short_takes
+    from ..core.sweep.table import check_replaced, check_table, sweep_rows, write_table
     from .cli_run import counted, warn
     from .sweep_text import outcome_as_json, print_outcome
 
@@ -119,21 +122,27 @@ def sweep(
             opener=lambda name: open_source(name, progress.preparing),
             progress=lambda name: progress.frames(0, None, f"reading {name}"),
         )
+        if not replace:
+            check_replaced(out, plan)
         chosen = choose_objective(options.objective, plan)
         if best is not None:
             check_presentable(plan)
         if options.request.seeds > 1 and len(plan.takes) == len(options.request.sources):
             warn("--seeds changes the noise of simulated sources only; there is none")
+        for sentence in short_takes(plan, options.request.frames):
+            warn(sentence)
         with Journal(kept) as journal:
             _measure(plan, journal, engine, workers, progress)
             rows = sweep_rows(plan, journal)
     write_table(out, plan, rows)
     scores = rank(plan, rows, chosen)
-    found = effects(plan, scores)
+    found, at_edge = effects(plan, scores), edges(plan, scores)
     if as_json:
-        typer.echo(json.dumps(outcome_as_json(plan, scores, found, chosen, rows, out), indent=2, allow_nan=False))
+        typer.echo(
+            json.dumps(outcome_as_json(plan, scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False)
+        )
     else:
-        print_outcome(plan, scores, found, chosen)
+        print_outcome(plan, scores, found, at_edge, chosen)
     typer.echo(f"wrote {out}: {counted(len(rows), 'run')}", err=True)
     if failed := [row for row in rows if row["failure"]]:
         warn(f"{counted(len(failed), 'run')} failed, such as: {failed[0]['failure']}")

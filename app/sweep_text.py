@@ -12,7 +12,7 @@ from rich.box import SIMPLE
 from rich.console import Console
 from rich.table import Table
 
-from ..core.sweep.best import OBJECTIVES, Effect, Score
+from ..core.sweep.best import OBJECTIVES, Edge, Effect, Score
 from ..core.sweep.plan import Plan
 from ..core.sweep.table import Row
 from .patch_record import finite_or_none
@@ -23,7 +23,9 @@ TOP: Final = 10
 _UNITS: Final = {"rmse_mm": "mm", "area_error": "mm2", "area": "mm2", "ms": "ms a frame"}
 
 
-def print_outcome(plan: Plan, scores: Sequence[Score], effects: Iterable[Effect], objective: str) -> None:
+def print_outcome(
+    plan: Plan, scores: Sequence[Score], effects: Iterable[Effect], edges: Iterable[Edge], objective: str
+) -> None:
     """Print the best settings and what each parameter does."""
     console = Console(highlight=False, soft_wrap=True)
     larger = OBJECTIVES[objective][1]
@@ -53,10 +55,18 @@ def print_outcome(plan: Plan, scores: Sequence[Score], effects: Iterable[Effect]
         shown = effect.path
     if shown:
         console.print(by_value)
+    for edge in edges:
+        console.print(f"{edge.sentence[:1].upper()}{edge.sentence[1:]}.")
 
 
 def outcome_as_json(
-    plan: Plan, scores: Sequence[Score], effects: Iterable[Effect], objective: str, rows: Sequence[Row], out: Path
+    plan: Plan,
+    scores: Sequence[Score],
+    effects: Iterable[Effect],
+    edges: Iterable[Edge],
+    objective: str,
+    rows: Sequence[Row],
+    out: Path,
 ) -> dict[str, Any]:
     """Return the same as `print_outcome` shows, for programs."""
     return {
@@ -78,6 +88,10 @@ def outcome_as_json(
         "effects": [
             {"parameter": effect.path, "value": effect.label, "mean": effect.value, "runs": effect.runs}
             for effect in effects
+        ],
+        "at_edge": [
+            {"parameter": edge.path, "value": edge.value, "edge": "largest" if edge.largest else "smallest"}
+            for edge in edges
         ],
     }
 

@@ -11,6 +11,7 @@ from statistics import fmean
 from typing import Any, Final
 
 from ..baselines.registry import FUSION_FIELDS
+from ..errors import PresetError
 from ..preset import Preset, now
 from .plan import FUSION, Plan, Setting
 from .table import Row
@@ -71,6 +72,21 @@ class Effect:
     runs: int
 
 
+@dataclass(frozen=True)
+class Edge:
+    """A parameter whose best value is the smallest or largest that was tried."""
+
+    path: str
+    value: float
+    largest: bool
+
+    @property
+    def sentence(self) -> str:
+        """That in words, with what to do."""
+        end, more = ("largest", "larger") if self.largest else ("smallest", "smaller")
+        return f"the best {self.path}, {self.value:g}, is the {end} tried; try {more} ones, too"
+
+
 def choose_objective(asked: str | None, plan: Plan) -> str:
     """Return the objective that is asked for, or else the RMSE with truth and stability without.
 
@@ -108,7 +124,7 @@ def rank(plan: Plan, rows: Iterable[Row], objective: str) -> list[Score]:
     def order(score: Score) -> tuple[bool, int, float, float]:
         if math.isnan(score.value):
             return True, score.bad, 0.0, 0.0
-        value = float(f"{score.value:.9g}")  # equal but for rounding: the cheaper is better
+        value = _rounded(score.value)
         return False, score.bad, -value if larger else value, score.ms
 
     return sorted(scores, key=order)
@@ -124,6 +140,50 @@ def effects(plan: Plan, scores: Sequence[Score]) -> list[Effect]:
             value = fmean(score.value for score in group)
             found.append(Effect(path, label, value, sum(score.runs for score in group)))
     return found
+
+
+def edges(plan: Plan, scores: Sequence[Score]) -> list[Edge]:
+    """Return the numbers of the best setting that are the smallest or largest tried, so that better may lie beyond.
+
+    A parameter that made no difference, or that its field does not let go farther, is left out.
+    """
+    if not scores or math.isnan(scores[0].value):
+        return []
+    found = []
+    for path in plan.paths:
+        best = scores[0].setting.parameters[path]
+        tried = [setting.parameters[path] for setting in plan.settings]
+        if not all(_is_number(value) for value in tried) or min(tried) == max(tried) or min(tried) < best < max(tried):
+            continue
+        largest = best == max(tried)
+        span = best - (min(tried) if largest else max(tried))
+        if _matters(scores, path) and _goes_beyond(plan.base, path, best, span):
+            found.append(Edge(path, best, largest))
+    return found
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _matters(scores: Sequence[Score], path: str) -> bool:
+    """Tell whether settings that differ from the best in one parameter only are any worse; True if there are none."""
+    best = scores[0]
+
+    def others(setting: Setting) -> tuple[str, dict[str, Any]]:
+        return setting.method, {name: value for name, value in setting.values.items() if name != path}
+
+    alike = [score for score in scores[1:] if others(score.setting) == others(best.setting)]
+    return not alike or any(score.bad != best.bad or _rounded(score.value) != _rounded(best.value) for score in alike)
+
+
+def _goes_beyond(base: Preset, path: str, best: float, span: float) -> bool:
+    """Tell whether a field allows a little more than the best value, in the direction of ``span``."""
+    try:
+        base.with_value(path, best + (span / 100 if isinstance(best, float) else 1 if span > 0 else -1))
+    except PresetError:
+        return False
+    return True
 
 
 def check_presentable(plan: Plan) -> None:
@@ -162,6 +222,11 @@ def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
     name = f"{plan.base.name[:90]}, best {objective}"
     preset = plan.base.with_values(setting.values | _IN_A_PRESET[setting.method] | {"name": name})
     return preset.model_copy(update={"notes": notes[-10_000:], "created": now(), "modified": now()})
+
+
+def _rounded(value: float) -> float:
+    """Make values equal that differ by rounding only; then the cheaper is better."""
+    return float(f"{value:.9g}")
 
 
 def _identity(method: str, parameters: dict[str, Any]) -> str:

@@ -225,6 +225,17 @@ def make_plan(
     return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), reference)
 
 
+def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
+    """Say of each source that has fewer frames than were asked for which ones are taken."""
+    if frames.last is None:
+        return []
+    return list(dict.fromkeys(
+        f"{take.source} ends after {take.frames.stop} frames, so of --frames {frames} only "
+        f"{len(take.frames)} {'are' if len(take.frames) > 1 else 'is'} taken"
+        for take in plan.takes if take.frames.stop < frames.last
+    ))  # fmt: skip
+
+
 def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Setting]:
     if request.sample is None:
         _check_size(grid_size(axes) * len(request.methods) * len(request.sources) * request.seeds, request)

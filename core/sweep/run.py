@@ -169,12 +169,35 @@ def _failures_of(tally: Tally) -> Iterator[None]:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let the kernels that the calling thread starts use no other thread."""
-    before, of_opencv = get_threads(), cv2.getNumThreads()
+    """Let the kernels that the calling thread starts use no other thread, and OpenCV's none while a batch runs."""
+    before = get_threads()
     set_threads(1)
-    cv2.setNumThreads(1)
+    _single_opencv.enter()
     try:
         yield
     finally:
+        _single_opencv.leave()
         set_threads(before)
-        cv2.setNumThreads(of_opencv)
+
+
+class _SingleOpenCV:
+    """OpenCV's number of threads is the process's: the first batch sets it to 1, the last one restores it."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = threading.Lock(), 0, 1
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                self._before = cv2.getNumThreads()
+                cv2.setNumThreads(1)
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                cv2.setNumThreads(self._before)
+
+
+_single_opencv: Final = _SingleOpenCV()

@@ -64,6 +64,29 @@ def check_table(path: Path, journal: Path) -> None:
         raise ExportError(f"{path} is already there, without its {journal.name}; choose another --out or remove it")
 
 
+def check_replaced(path: Path, plan: Plan) -> None:
+    """Refuse a plan whose table would lose runs that the table there has.
+
+    Raises
+    ------
+    ExportError
+        The file has such runs, or is no table of a sweep.
+    """
+    if not path.exists():
+        return
+    pyarrow, parquet = _pyarrow(), importlib.import_module("pyarrow.parquet")
+    try:
+        there = set(parquet.read_table(path, columns=["key"]).column("key").to_pylist())
+    except (OSError, KeyError, pyarrow.ArrowException) as error:
+        raise ExportError(f"{path} is there and is no table of a sweep; choose another --out or remove it") from error
+    lost = len(there - {run.key for run in plan.runs})
+    if lost:
+        raise ExportError(
+            f"{path} has {lost} of its {len(there)} runs from another sweep or version of Tactune, which would be "
+            "gone; choose another --out, or add --replace"
+        )
+
+
 def write_table(path: Path, plan: Plan, rows: list[Row]) -> None:
     """Write the rows as Parquet; the file appears whole or not at all.
 

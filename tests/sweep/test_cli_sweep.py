@@ -56,7 +56,9 @@ def test_table_and_best_preset(sweep, make_recording, tmp_path):
 
 
 def test_the_same_command_does_nothing_twice_and_a_sweep_file_says_the_same(sweep, recording, tmp_path):
-    assert sweep("-s", recording, *SETS, "--frames", "1:3").status == 0
+    done = sweep("-s", recording, *SETS, "--frames", "1:3")
+    assert done.status == 0
+    assert "frames" not in done.err
     journal = tmp_path / "work" / "sweep.runs.jsonl"
     before, table = journal.read_bytes(), rows_of(tmp_path / "work" / "sweep.parquet")
     asked = {
@@ -99,6 +101,33 @@ def test_seeds_are_for_simulated_sources(sweep, recording):
     done = sweep("-s", recording, "--seeds", 3)
     assert done.status == 0
     assert "--seeds changes the noise of simulated sources only" in done.err
+
+
+def test_frames_that_a_source_does_not_have_are_said(sweep, recording):
+    done = sweep("-s", recording, "--frames", "1:99", "-p", "default")
+    assert done.status == 0
+    assert f"{recording} ends after 3 frames, so of --frames 1:99 only 2 are taken" in done.err
+
+
+def test_a_best_value_at_the_edge_is_said_in_words_and_json(sweep, recording):
+    words = ("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou", "-p", "default")
+    assert "The best tolerance.t, 0.004, is the largest tried; try larger ones, too." in sweep(*words).out
+    found = json.loads(sweep(*words, "--json").out)["at_edge"]
+    assert found == [{"parameter": "tolerance.t", "value": 0.004, "edge": "largest"}]
+
+
+def test_a_table_is_not_replaced_by_one_that_has_not_all_its_runs(sweep, recording, tmp_path):
+    table = tmp_path / "work" / "sweep.parquet"
+    assert sweep("-s", recording, "--set", "outliers.k=5,20", "-p", "default").status == 0
+    before = table.read_bytes()
+    other = ("-s", recording, "--set", "outliers.k=5,30", "-p", "default")
+    sentence = sweep(*other).sentence
+    assert "sweep.parquet has 1 of its 2 runs from another sweep" in sentence and "--replace" in sentence
+    assert table.read_bytes() == before
+    assert sweep(*other, "--replace").status == 0
+    assert [row["outliers.k"] for row in rows_of(table)] == [5, 30]
+    table.write_bytes(b"damaged")
+    assert "is no table of a sweep" in sweep(*other).sentence
 
 
 def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
@@ -177,7 +206,8 @@ def test_other_methods_compare_with_the_presets_own_reference(sweep, recording, 
     kept = save_reference(FolderSource(tmp_path / "rec").read(0), 1, begun)
     save_preset(load_preset("default").model_copy(update={"reference": kept}), begun)
     for preset, failures in (("default", 1), (begun, 0)):
-        document = json.loads(sweep("-s", recording, "-p", preset, "--method", "tactile-threshold", "--json").out)
+        words = ("-s", recording, "-p", preset, "--method", "tactile-threshold", "--json")
+        document = json.loads(sweep(*words, "-o", f"{failures}.parquet").out)
         assert document["failed"] == failures
 
 

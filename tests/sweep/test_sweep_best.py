@@ -6,7 +6,7 @@ import pytest
 
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
-from tactune.core.sweep.best import OBJECTIVES, best_preset, choose_objective, effects, rank
+from tactune.core.sweep.best import OBJECTIVES, best_preset, choose_objective, edges, effects, rank
 from tactune.core.sweep.plan import Plan, Setting
 from tactune.core.sweep.takes import Take
 from tactune.core.sweep.values import plain_value, result_paths
@@ -72,6 +72,25 @@ def test_the_objective_must_be_one_that_can_be_told():
     assert choose_objective(None, plan_of(setting(1))) == "rmse_mm"
     with pytest.raises(TactuneError, match="one knows no truth, so iou cannot be told; choose ms, area, stability"):
         choose_objective("iou", blind)
+
+
+@pytest.mark.parametrize(
+    ("values", "errors", "expected"),
+    [
+        ((5, 10, 20), (3.0, 2.0, 1.0), ["the best outliers.k, 20, is the largest tried; try larger ones, too"]),
+        ((5, 10, 20), (1.0, 2.0, 3.0), ["the best outliers.k, 5, is the smallest tried; try smaller ones, too"]),
+        ((5, 10, 20), (2.0, 1.0, 3.0), []),
+        ((5, 10, 20), (1.0, 1.0, 1.0), []),
+        ((1, 10, 20), (1.0, 2.0, 3.0), []),
+        ((5,), (1.0,), []),
+    ],
+    ids=["largest", "smallest", "within", "no difference", "nothing beyond", "one value"],
+)
+def test_a_best_value_at_the_edge_of_its_range_is_said(values, errors, expected):
+    settings = [setting(k) for k in values]
+    plan = plan_of(*settings)
+    rows = [row(of, rmse_mm=error) for of, error in zip(settings, errors, strict=True)]
+    assert [edge.sentence for edge in edges(plan, rank(plan, rows, "rmse_mm"))] == expected
 
 
 def test_effects_are_means_over_all_other_parameters():

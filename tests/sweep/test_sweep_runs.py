@@ -4,9 +4,12 @@ from __future__ import annotations
 
 import itertools
 import json
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import pytest
 
 from tactune.core.baselines.registry import make_method
@@ -18,7 +21,7 @@ from tactune.core.sources.folder import FolderSource
 from tactune.core.sweep.journal import Journal
 from tactune.core.sweep.plan import STAGE_OF, Plan, Request, make_plan
 from tactune.core.sweep.results import Result
-from tactune.core.sweep.run import run_batch
+from tactune.core.sweep.run import _one_thread, run_batch
 from tactune.core.sweep.sweep import measure_sweep
 from tactune.core.sweep.takes import FrameRange, parse_frames, seeded
 from tactune.core.sweep.values import parse_axis, result_paths
@@ -234,6 +237,22 @@ def test_a_batch_uses_one_thread_and_leaves_the_callers_setting(recording, monke
     run_batch(batch)
     assert set(during[-3:]) == {1}
     assert get_threads() == before
+
+
+def test_batches_at_once_leave_opencv_the_threads_that_it_had():
+    before = cv2.getNumThreads()
+    cv2.setNumThreads(2)
+    try:
+        with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
+            batches = {thread: ExitStack() for thread in (first, second)}
+            for thread, batch in batches.items():
+                thread.submit(batch.enter_context, _one_thread()).result()
+            first.submit(batches[first].close).result()
+            assert cv2.getNumThreads() == 1
+            second.submit(batches[second].close).result()
+        assert cv2.getNumThreads() == 2
+    finally:
+        cv2.setNumThreads(before)
 
 
 def test_frames_and_seeds_as_people_write_them():
