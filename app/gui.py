@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import signal
 import sys
 from functools import partial
@@ -18,11 +19,14 @@ from ..core.preset import Preset
 from ..core.preset_file import load_preset
 from ..widgets.theme import ThemeChoice
 from .defaults import default_preset
+from .left_threads import wait_for_left
 from .main_window import MainWindow
 from .settings import Settings, default_data_folder, default_settings_file
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000
+#: How long the program, its windows closed, waits for work that nobody wants any more.
+LAST_PATIENCE_S = 5.0
 #: How often an idle window lets Python notice a signal.
 WAKE_MS = 200
 
@@ -69,7 +73,7 @@ def run_gui(
         window.open_source(source)
         window.offer_unsaved_work()
         _stop_on_interrupt(window, application)
-        return application.exec()
+        return _ended(application.exec())
     # A picture shall not depend on what somebody chose before, nor leave anything behind.
     with TemporaryDirectory(prefix="tactune-") as folder:
         window = MainWindow(start_preset, Settings(Path(folder) / "window.ini"), Path(folder))
@@ -79,7 +83,16 @@ def run_gui(
         application.exec()
     if picture.problem:
         raise ExportError(picture.problem)
-    return 0
+    return _ended(0)
+
+
+def _ended(status: int) -> int:
+    """Return the exit status once no thread works any more; where one goes on and on, end the program here."""
+    if not wait_for_left(LAST_PATIENCE_S):
+        sys.stdout.flush()
+        sys.stderr.flush()
+        os._exit(status)  # the interpreter's own end can hang in a thread that computes
+    return status
 
 
 def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:

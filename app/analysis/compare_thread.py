@@ -9,6 +9,7 @@ from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ..cores import leave_room_for_the_window
 from ..explain import explain
+from ..left_threads import leave_behind
 from ..mailbox import Mailbox
 from .comparer import Comparer, Comparison, Task
 
@@ -57,10 +58,10 @@ class CompareThread(QThread):
         return self._comparisons.take()
 
     def shut_down(self) -> None:
-        """Stop after the present frame and wait for that."""
+        """Stop after the present frame, for good; nobody waits for that, and nothing is emitted any more."""
         self._stopping.set()
         self._wake.set()
-        self.wait()
+        leave_behind(self)
 
     def run(self) -> None:
         """Compare frame after frame until told to stop."""

@@ -9,6 +9,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.errors import TactuneError
+from ..left_threads import leave_behind
 
 Progress = Callable[[float, str], None]
 Work = Callable[[Progress], Any]
@@ -92,17 +93,17 @@ class Job(QObject):
             self._thread.cancelled.set()
 
     def stop(self) -> None:
-        """Cancel and wait for the thread; nothing is emitted any more."""
+        """Cancel; the work ends by itself where it does not report, and nothing is emitted any more."""
         self.cancel()
         if self._thread is not None:
-            self._thread.finished.disconnect(self._finished)
-            self._thread.wait()
+            leave_behind(self._thread)
             self._thread = None
 
     def _finished(self) -> None:
-        thread, self._thread = self._thread, None
-        if thread is None:
-            return
+        thread = self._thread
+        if thread is None or not thread.isFinished():
+            return  # this was told by one that was stopped
+        self._thread = None
         newest, self._next = self._next, None
         if newest is None:
             self.busyChanged.emit(False)

@@ -47,19 +47,25 @@ class Capture(QObject):
     captured(Captured)
     failed(sentence: str)
         Empty where it was cancelled.
+    pausedChanged(paused: bool)
+        Frames have stopped coming, because playback was paused; or they come again, or are no longer needed.
     """
 
     progress = pyqtSignal(float, str)
     captured = pyqtSignal(object)
     failed = pyqtSignal(str)
+    pausedChanged = pyqtSignal(bool)
 
     def __init__(self, feed: FrameFeed, store: ReferenceStore, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._feed, self._store = feed, store
         self._queue: SimpleQueue[SensorFrame | None] = SimpleQueue()
         self._wanted = 0
+        #: Frames that were taken so far.
+        self.taken = 0
         self._last: SensorFrame | None = None
         self._played = False
+        self._paused = False
         self._return_to: int | None = None
         self._job = Job(self)
         self._job.progress.connect(self.progress)
@@ -82,7 +88,7 @@ class Capture(QObject):
             self._job.start(lambda progress: self._simulated(name, count, progress))
             return
         different = count if playback.length is None else min(count, playback.length)
-        self._queue, self._wanted, self._last = SimpleQueue(), different, None
+        self._queue, self._wanted, self.taken, self._last = SimpleQueue(), different, 0, None
         queue, still = self._queue, not playback.running
         self._return_to = playback.index if still and playback.seekable else None
         self._played = not still
@@ -90,6 +96,16 @@ class Capture(QObject):
         self._take(frame)
         if self._wanted and still:
             self._feed.play()
+
+    def go_on(self) -> None:
+        """Play on after a pause."""
+        self._feed.play()
+
+    def make_do(self) -> None:
+        """Take no more frames: average those that came."""
+        if self._wanted:
+            self._queue.put(None)
+            self._stand_as_before()
 
     def cancel(self) -> None:
         """Stop; the preset keeps what it has."""
@@ -107,19 +123,27 @@ class Capture(QObject):
         self._last = frame
         self._queue.put(frame)
         self._wanted -= 1
+        self.taken += 1
         if not self._wanted:
             self._stand_as_before()
 
     def _playback_changed(self) -> None:
-        """Make do with what there is where a recording has ended."""
-        running = self._feed.playback.running
-        if self._wanted and self._played and not running:
-            self._queue.put(None)
-            self._stand_as_before()
-        self._played = running
+        """Make do with what there is where a recording has ended; wait where playback was paused."""
+        playback = self._feed.playback
+        stopped = self._played and not playback.running
+        self._played = self._played or playback.running
+        if stopped and playback.at_end and not playback.loop:
+            self.make_do()
+        self._set_paused(stopped and self._wanted > 0)
+
+    def _set_paused(self, paused: bool) -> None:
+        if paused != self._paused:
+            self._paused = paused
+            self.pausedChanged.emit(paused)
 
     def _stand_as_before(self) -> None:
         self._wanted = 0
+        self._set_paused(False)
         if self._return_to is not None:
             self._feed.pause()
             self._feed.seek(self._return_to)

@@ -29,6 +29,7 @@ _ADVICE: Final = (
 _SIMULATED: Final = " The simulator takes its object away for these frames."
 _NONE: Final = "This preset has no reference yet"
 _UNREAD: Final = "The preset's reference cannot be found: capture it anew"
+_CAPTURING: Final = "Capturing: leave the membrane alone."
 
 
 class CaptureWindow(QDialog):
@@ -96,6 +97,8 @@ class CaptureWindow(QDialog):
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
         self.take = _push("&Capture", "Average the frames that come now into the reference (Enter); one undoable step")
         self.take.setDefault(True)
+        self.go_on = _push("&Go on", "Play on and take the frames that are still missing")
+        self.make_do = _push("Use &these", "Average the frames that came so far into the reference")
         self.cancel = _push("Cance&l", "Stop capturing (Esc); the preset keeps the reference that it has")
         self.undo = _push("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
@@ -113,6 +116,8 @@ class CaptureWindow(QDialog):
         for widget in (caption, self.frames, self.take):
             taking.addWidget(widget)
         taking.addWidget(self.progress, 1)
+        for widget in (self.go_on, self.make_do):
+            taking.addWidget(widget)
         taking.addWidget(self.cancel)
         taking.addStretch(0)
         row = QHBoxLayout()
@@ -136,11 +141,14 @@ class CaptureWindow(QDialog):
         self._document.undo_stack.indexChanged.connect(self._show_state)
         self._document.fileChanged.connect(self._show_state)
         self.take.clicked.connect(self._start)
+        self.go_on.clicked.connect(self.capture.go_on)
+        self.make_do.clicked.connect(self.capture.make_do)
         self.cancel.clicked.connect(self.capture.cancel)
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.save.clicked.connect(self.saveRequested)
         self.leave.clicked.connect(self.reject)
         self.capture.progress.connect(self._show_progress)
+        self.capture.pausedChanged.connect(self._show_paused)
         self.capture.captured.connect(self._use)
         self.capture.failed.connect(self._fail)
 
@@ -165,7 +173,7 @@ class CaptureWindow(QDialog):
 
     def _start(self) -> None:
         self._show_busy(True)
-        self.sentence.setText("Capturing: leave the membrane alone.")
+        self.sentence.setText(_CAPTURING)
         self._show_progress(0.0, "")
         self.capture.start(self.frames.value())
 
@@ -179,15 +187,29 @@ class CaptureWindow(QDialog):
         self._show_busy(False)
         if sentence:
             self.sentence.setText(f"{sentence[:1].upper()}{sentence[1:]}.")
-        elif self.sentence.text().startswith("Capturing: "):
+        elif self.sentence.text() == _CAPTURING:
             self.sentence.setText("Capturing was cancelled; the preset is as before.")
 
     def _show_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
+        self._show_paused(False)
         self.take.setEnabled(not busy)
         self.frames.setEnabled(not busy)
         self._show_state()
+
+    def _show_paused(self, paused: bool) -> None:
+        self.go_on.setVisible(paused)
+        self.make_do.setVisible(paused)
+        if paused:
+            taken = self.capture.taken
+            self.sentence.setText(
+                f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in the "
+                "main window, to take the others."
+            )
+            self.go_on.setFocus()
+        elif self.capture.busy:
+            self.sentence.setText(_CAPTURING)
 
     def _show_state(self) -> None:
         self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.capture.busy)

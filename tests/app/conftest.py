@@ -15,6 +15,7 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtWidgets import QApplication
 
+from tactune.app.left_threads import wait_for_left
 from tactune.app.main_window import MainWindow
 from tactune.app.playback import PlaybackState
 from tactune.app.processing import FrameProcessor
@@ -155,6 +156,8 @@ def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[...
         if window.worker.isRunning():
             window.close_without_asking()
             qtbot.waitUntil(window.worker.isFinished)  # a recording is finished first
+    wait_for_left(60.0)  # what goes on would take its time from the next test
+    for window in windows:
         window.deleteLater()
     QApplication.processEvents()
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
+from threading import Event
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from tactune.app.left_threads import wait_for_left
 from tactune.app.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.frames import SensorFrame
-from tactune.core.membrane_reference import load_reference
+from tactune.core.membrane_reference import average_untouched, load_reference
 
 from .conftest import LiveSource, TinySource, at_rest, tiny_frame
 
@@ -108,6 +110,51 @@ def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     assert 1 <= window.document.preset.reference.frames <= 5
 
 
+def pause_capturing(qtbot, window, frames=6):
+    """Begin to capture a slow recording, and pause the main window once some frames are taken."""
+    window.worker.set_speed(0.25)
+    opened = open_capture(qtbot, window)
+    opened.frames.setValue(frames)
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: opened.capture.taken >= 2)
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: "Paused after" in opened.sentence.text())
+    assert opened.capture.busy and window.document.preset.reference is None
+    return opened
+
+
+@pytest.mark.parametrize("by", ["button", "main window"])
+def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, by):
+    opened = pause_capturing(qtbot, window)
+    if by == "button":
+        QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
+    else:
+        QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not opened.go_on.isVisible())
+    assert "leave the membrane alone" in opened.sentence.text()
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert window.document.preset.reference.frames == 6
+    qtbot.waitUntil(lambda: at_rest(window, 3))
+
+
+def test_what_came_before_a_pause_can_be_used(qtbot, window):
+    opened = pause_capturing(qtbot, window)
+    taken = opened.capture.taken
+    assert taken < 6
+    QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert window.document.preset.reference.frames == taken
+    assert not opened.make_do.isVisible()
+
+
+def test_capturing_can_be_cancelled_in_a_pause(qtbot, window):
+    opened = pause_capturing(qtbot, window)
+    QTest.keyClick(opened, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert "cancelled" in opened.sentence.text() and not opened.go_on.isVisible()
+    assert window.document.preset.reference is None
+
+
 @pytest.mark.parametrize("length", [1, 3])
 def test_a_short_recording_is_taken_once(qtbot, window, length):
     source = TinySource(length)
@@ -150,7 +197,7 @@ def test_without_a_source_the_window_says_so(qtbot, make_window):
     assert any("open a source first" in sentence for sentence in window.messages.sentences())
 
 
-@pytest.mark.parametrize("part", ["frames", "take", "cancel", "undo", "save", "leave"])
+@pytest.mark.parametrize("part", ["frames", "take", "go_on", "make_do", "cancel", "undo", "save", "leave"])
 def test_every_control_says_what_it_does(qtbot, window, part):
     assert len(getattr(open_capture(qtbot, window), part).toolTip()) > 20
 
@@ -179,3 +226,23 @@ def test_the_simulator_takes_its_object_away(qtbot, make_window):
     kept = load_reference(window.document.preset.reference, window.document.reference_home)
     middle = (slice(200, 280), slice(280, 360))
     assert np.median(kept.tactile_depth[middle]) > np.median(pressed.tactile_depth[middle]) + 100
+
+
+def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, monkeypatch):
+    begun, go_on = Event(), Event()
+
+    def stuck(frames):
+        begun.set()
+        go_on.wait(30)
+        return average_untouched(frames)
+
+    monkeypatch.setattr("tactune.app.reference.capture.average_untouched", stuck)
+    opened = open_capture(qtbot, window)
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(begun.is_set)
+    QTest.mouseClick(opened.leave, Qt.MouseButton.LeftButton)
+    assert window.analysis.reference.window is None
+    assert not wait_for_left(0.0)
+    go_on.set()
+    assert wait_for_left(10.0)
+    assert window.document.preset.reference is None
