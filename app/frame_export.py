@@ -32,7 +32,8 @@ class _Export(QRunnable):
         except TactuneError as error:
             self._report.failed.emit(str(error))
         else:
-            self._report.written.emit(f"Frame {patch.sequence}: {len(patch.points)} points written to {self._path}.")
+            number = self._result.frame_number
+            self._report.written.emit(f"Frame {number}: {len(patch.points)} points written to {self._path}.")
 
 
 def export_patch(result: Result, path: Path, messages: MessageBar) -> None:

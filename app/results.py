@@ -176,6 +176,11 @@ class Result:
     read_ms: float = 0.0
     render_ms: float = 0.0
 
+    @property
+    def frame_number(self) -> int:
+        """Number of the frame within its source as windows show it, from 1; files and commands count from 0."""
+        return self.playback.index + 1
+
 
 class RateMeter:
     """Events per second over the last two seconds."""

@@ -38,7 +38,7 @@ class Transport(QWidget):
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
         self._frame = QLabel()
-        self._frame.setToolTip("Frame shown / number of frames (names of exported files count from 0)")
+        self._frame.setToolTip("Frame shown / number of frames (files, their names and commands count from 0)")
         self._frame.setMinimumWidth(self._frame.fontMetrics().horizontalAdvance("000 / 000"))
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

@@ -353,7 +353,7 @@ class Worker(QThread):
         try:
             frame = self._reader.read(index)
         except Exception as error:
-            self._fail(explain(error, f"frame {index} of {self._info.name} could not be read"))
+            self._fail(explain(error, f"frame {index + 1} of {self._info.name} could not be read"))
             return None
         if frame is None:
             self._playback.pause()
@@ -383,7 +383,8 @@ class Worker(QThread):
                 read_ms=read_ms,
             )
         except Exception as error:
-            self._fail(explain(error, f"frame {frame.sequence} of {self._info.name} could not be processed"))
+            number = self._playback.state.index + 1
+            self._fail(explain(error, f"frame {number} of {self._info.name} could not be processed"))
             return
         if self._failing:
             self._failing = False

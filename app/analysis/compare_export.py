@@ -28,4 +28,4 @@ def write_comparison(picture: QImage, comparison: Comparison, path: Path) -> str
     with atomic_path(path) as temporary:
         if not picture.save(str(temporary), "PNG"):
             raise ExportError(f"cannot write the picture {path}; choose another place")
-    return f"Frame {comparison.task.result.frame.sequence} written to {path} and {numbers.name}."
+    return f"Frame {comparison.task.result.frame_number} written to {path} and {numbers.name}."

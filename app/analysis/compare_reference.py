@@ -11,6 +11,7 @@ from ...core.frames import SensorFrame
 from ...core.membrane_reference import FoundReference
 from ...core.preset import Preset, ReferenceRecord
 from ..calibration.jobs import Job
+from ..document import Document
 from ..results import Result, SourceInfo
 
 CAPTURE = "Capture the reference while nothing touches the membrane: Ctrl+Shift+R"
@@ -21,6 +22,13 @@ _CANCELLED = f"Compares with the untouched membrane; preparing it was cancelled.
 
 class Reference(QObject):
     """Finds the reference of whatever is shown, on a thread of its own.
+
+    Parameters
+    ----------
+    document : Document
+        Knows beside which file the preset's own lies; asked when another preset, file or source is shown, since it
+        looks at the disk.
+    parent : QObject, optional
 
     Signals
     -------
@@ -33,8 +41,9 @@ class Reference(QObject):
     changed = pyqtSignal()
     progress = pyqtSignal(float)
 
-    def __init__(self, parent: QObject | None = None) -> None:
+    def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
+        self._document = document
         self._key: tuple[SourceInfo, ReferenceRecord | None, Path | None] | None = None
         self._preset = Preset()
         self.frame: SensorFrame | None = None
@@ -49,9 +58,9 @@ class Reference(QObject):
         self._job.failed.connect(self._failed)
         self._job.progress.connect(lambda share, _words: self.progress.emit(share))
 
-    def look(self, result: Result, preset_path: Path | None) -> None:
+    def look(self, result: Result) -> None:
         """Find the reference that belongs to a frame and the preset's file, unless that is known already."""
-        key = result.source, result.preset.reference, preset_path
+        key = result.source, result.preset.reference, self._document.path
         if self._key is None or key[0] is not self._key[0] or key[1:] != self._key[1:]:
             self._key, self._preset = key, result.preset
             self.retry()
@@ -60,11 +69,11 @@ class Reference(QObject):
         """Look for it anew."""
         if self._key is None:
             return
-        info, _, path = self._key
+        info = self._key[0]
         self.frame, self.sentence, self.warning = None, _SEARCHING, ""
         self.searching, self.cancelled = True, False
         self._job.cancel()
-        self._job.start(partial(info.find_reference, self._preset, path))
+        self._job.start(partial(info.find_reference, self._preset, self._document.reference_home))
         self.changed.emit()
 
     def cancel(self) -> None:

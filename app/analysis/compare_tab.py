@@ -46,7 +46,7 @@ class CompareTab(AnalysisTab):
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__()
-        self._settings, self._document = window.settings, window.document
+        self._settings = window.settings
         self._dialogs = window.dialogs.over(self)
         self._result: Result | None = None
         self.comparison: Comparison | None = None
@@ -57,7 +57,7 @@ class CompareTab(AnalysisTab):
         view = window.views.views[CloudName.PATCH]
         self.grid = TileGrid("opengl" if view.backend_name == "opengl" else "software")
         self.table = CompareTable(methods, remembered)
-        self.reference = Reference(self)
+        self.reference = Reference(window.document, self)
         self.thread_ = CompareThread(self)
         self._writing = Job(self)
         self._late = QTimer(self)
@@ -80,7 +80,7 @@ class CompareTab(AnalysisTab):
         if self._result is not None and self._result.source is not result.source:
             self.grid.clear()
         self._result = result
-        self.reference.look(result, self._document.reference_home)
+        self.reference.look(result)
         self._send()
 
     def shut_down(self) -> None:
@@ -99,7 +99,9 @@ class CompareTab(AnalysisTab):
         )
         self.color_by.setAccessibleName("Colour by")
         self.color_by.setEnabled(False)
-        self.export.setToolTip("Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E)")
+        self.export.setToolTip(
+            "Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E); files count frames from 0"
+        )
         self.export.setShortcut("Ctrl+E")
         self.export.setAutoDefault(False)
         self.export.setEnabled(False)
@@ -197,7 +199,7 @@ class CompareTab(AnalysisTab):
 
     def _show_status(self, task: Task, truth: bool) -> None:
         result = task.result
-        parts = [f"Frame {result.frame.sequence} of {result.source.name}"]
+        parts = [f"Frame {result.frame_number} of {result.source.name}"]
         rate = self._rate.rate()
         if result.playback.running and rate:
             parts.append(f"{rate:.1f} compared per second, {self.thread_.skipped} skipped")

@@ -55,7 +55,7 @@ def table_text(rows: Iterable[tuple[str, ...]]) -> str:
 
 
 def comparison_csv(comparison: Comparison) -> str:
-    """Return a comparison as CSV, one row a method; what does not exist is empty."""
+    """Return a comparison as CSV, one row a method; what does not exist is empty, and the frame counts from 0."""
     result = comparison.task.result
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

@@ -82,7 +82,7 @@ class CompareThread(QThread):
         try:
             comparison = comparer.compare(task)
         except Exception as error:
-            self.failed.emit(explain(error, f"frame {task.result.frame.sequence} could not be compared"))
+            self.failed.emit(explain(error, f"frame {task.result.frame_number} could not be compared"))
             return
         if self._comparisons.put(comparison):
             self.compared.emit()

@@ -173,7 +173,7 @@ class Comparer:
         return fresh
 
     def _find(self, name: str, entrant: _Entrant, task: Task) -> _Found:
-        frame, rig = task.result.frame, task.result.source.rig
+        frame, rig, number = task.result.frame, task.result.source.rig, task.result.frame_number
         if entrant.found is not None and entrant.found.frame is frame:
             return entrant.found
         patch = failed(rig.proximity.intrinsics.shape, entrant.problem)
@@ -183,9 +183,7 @@ class Comparer:
                 patch = self._timed(name, entrant, entrant.method, frame)
                 scores = _scores(patch, frame.truth, rig)
             except Exception as error:
-                patch = failed(
-                    rig.proximity.intrinsics.shape, explain(error, f"{name} failed on frame {frame.sequence}")
-                )
+                patch = failed(rig.proximity.intrinsics.shape, explain(error, f"{name} failed on frame {number}"))
         note = patch.failure or ("" if len(patch.points) else NO_CONTACT)
         entrant.found = _Found(frame, patch, scores, note)
         return entrant.found

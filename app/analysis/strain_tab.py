@@ -60,7 +60,7 @@ class StrainTab(AnalysisTab):
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__()
-        self._settings, self._document = window.settings, window.document
+        self._settings = window.settings
         self._dialogs = window.dialogs.over(self)
         self._result: Result | None = None
         self._source: SourceInfo | None = None
@@ -76,7 +76,7 @@ class StrainTab(AnalysisTab):
         self.status, self.pointed = ElidedLabel(_WAITING), QLabel(" ")
         self.progress = QProgressBar()
         self.messages = MessageBar()
-        self.reference = Reference(self)
+        self.reference = Reference(window.document, self)
         self._job, self._writing = Job(self), Job(self)
         self._set_up_entries()
         self._lay_out()
@@ -92,7 +92,7 @@ class StrainTab(AnalysisTab):
         self._result = result
         if not self._frames or result.frame is not self._frames[-1]:
             self._frames.append(result.frame)
-        self.reference.look(result, self._document.reference_home)
+        self.reference.look(result)
         self._measure()
 
     def shut_down(self) -> None:
@@ -217,7 +217,8 @@ class StrainTab(AnalysisTab):
             return
         frames = list(self._frames)[-self.average.value() :]
         reference = self._captured or self.reference.frame
-        task = StrainTask(frames, self._result.source.rig, self.spacing.value() / 1e3, reference)
+        result, spacing_m = self._result, self.spacing.value() / 1e3
+        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, reference)
         self._job.start(lambda _: examine(task))
 
     def _show(self, view: StrainView) -> None:
@@ -242,7 +243,7 @@ class StrainTab(AnalysisTab):
         view, result = self.view, self._result
         if view is None or result is None:
             return
-        parts = [f"Frame {view.task.frame.sequence} of {result.source.name}"]
+        parts = [f"Frame {view.task.number} of {result.source.name}"]
         if view.averaged > 1:
             parts.append(f"{view.averaged} frames averaged")
         if result.playback.running and (rate := self._rate.rate()):
@@ -276,7 +277,7 @@ class StrainTab(AnalysisTab):
         self._captured = self.view.task.frame
         self._reset()
         self._last = None  # this frame begins the curve
-        self._say(f"Displacement is now measured against frame {self._captured.sequence}.")
+        self._say(f"Displacement is now measured against frame {self.view.task.number}.")
         self._measure()
 
     def _reset(self) -> None:

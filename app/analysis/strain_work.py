@@ -40,11 +40,14 @@ class StrainTask:
     ----------
     frames : sequence of SensorFrame
         The newest last; those before it are averaged with it where nothing has moved.
+    number : int
+        The newest one's, as windows show it: from 1.
     reference : SensorFrame or None
         The untouched membrane.
     """
 
     frames: Sequence[SensorFrame]
+    number: int
     rig: Rig
     spacing_m: float
     reference: SensorFrame | None

@@ -25,12 +25,12 @@ from .truth_work import (
     LoadedScan,
     Refinement,
     ScanContact,
+    Scorer,
     Scores,
     laid_on,
     loading,
     pivot_of,
     refining,
-    scoring,
     touching,
 )
 
@@ -88,6 +88,7 @@ class TruthFlow(QObject):
         self._refined_on: FrozenPatch | None = None
         self._filed: tuple[Path, Matrix4] | None = None
         self._loading, self._finding, self._refining, self._scoring = Job(self), Job(self), Job(self), Job(self)
+        self._scorer = Scorer()
         self._score_timer = QTimer(self)
         self._score_timer.setSingleShot(True)
         self._score_timer.setInterval(_SCORE_DELAY_MS)
@@ -315,7 +316,7 @@ class TruthFlow(QObject):
                 self.scores = None
                 self.scoresChanged.emit()
             return
-        self._scoring.start(scoring(contact, patch.points, patch.area_mm2, pose))
+        self._scoring.start(self._scorer.scoring(contact, patch.points, patch.area_mm2, pose))
 
     def _scored(self, scores: Scores) -> None:
         self.said.emit("scores", Severity.WARNING, "")

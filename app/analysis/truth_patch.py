@@ -63,8 +63,8 @@ class FrozenPatch:
 
     @property
     def title(self) -> str:
-        """Which frame it is, for people."""
-        return f"frame {self.frame} of {self.source}"
+        """Which frame it is, as windows show it: from 1."""
+        return f"frame {self.frame + 1} of {self.source}"
 
     def __eq__(self, other: object) -> bool:
         return self is other or (isinstance(other, FrozenPatch) and other.digest == self.digest)

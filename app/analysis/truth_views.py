@@ -39,6 +39,7 @@ class TruthViews(QSplitter):
         self._flow = flow
         self._highlight = True
         self._selected = -1
+        self._drawn: tuple[object, ...] = ()
         self.scan = PickView("Scan", backend)
         self.patch = PickView("Patch", backend)
         self.scan_name = ElidedLabel("no scan")
@@ -113,19 +114,23 @@ class TruthViews(QSplitter):
         self.show_patch()
 
     def show_patch(self) -> None:
-        """Draw the patch, and over it the scan where it has a pose."""
+        """Draw the patch, and over it the scan where it has a pose, unless that is what is drawn already."""
         flow = self._flow
         patch, pose, contact = flow.patch, flow.state.pose, flow.contact
         held = flow.state.patch is not None
         self.present.setEnabled(patch is not None)
         self.follow.setEnabled(held)
         if patch is None:
+            self._drawn = ()
             self.patch.set_cloud(None)
             self.patch_name.setText("no frame")
             return
         self.patch_name.setText(f"{'Held' if held else 'Live'}: {patch.title}")
-        over = posed(contact, pose) if pose is not None and contact is not None else None
         theme = palette_theme(self.palette())
+        if self._drawn[:2] == (pose, theme) and self._drawn[2] is patch and self._drawn[3] is contact:
+            return
+        self._drawn = pose, theme, patch, contact
+        over = posed(contact, pose) if pose is not None and contact is not None else None
         self.patch.set_cloud(patch_cloud(patch, over, theme))
         self.patch.set_pickable(len(patch.context) + len(patch.points))
         self.patch.set_legend(patch_legend(over is not None, theme))

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from ...core.evaluation.scan import Scan, load_scan
 from ...core.evaluation.scan_paint import BoolArray, PaintSettings, contact_points, painted_contact
 from ...core.evaluation.scan_pose import RefinedPose, refine_pose, transformed
-from ...core.evaluation.scan_scores import scan_truth, score_against_scan
+from ...core.evaluation.scan_scores import ScanTruth, scan_truth, score_against_scan
 from ...core.frames import Matrix4
 from ..calibration.jobs import Progress
 
@@ -147,16 +147,30 @@ def refining(
     return refine
 
 
-def scoring(contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4) -> Callable[[Progress], Scores]:
-    """Return work that compares the patch with the scan, as ``tactune evaluate recording`` does."""
+class Scorer:
+    """Compares one patch after another with the scan, as ``tactune evaluate recording`` does."""
 
-    def score(progress: Progress) -> Scores:
-        progress(0.1, "Comparing")
-        truth = scan_truth(contact.loaded.scan, contact.vertices, pose)
-        progress(0.5, "Comparing")
-        return Scores(pose, truth.area_mm2, area_mm2, score_against_scan(patch, area_mm2, truth))
+    def __init__(self) -> None:
+        self._known: tuple[ScanContact, Matrix4, ScanTruth] | None = None
 
-    return score
+    def scoring(
+        self, contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4
+    ) -> Callable[[Progress], Scores]:
+        """Return work that scores a patch; one such work at a time."""
+
+        def score(progress: Progress) -> Scores:
+            progress(0.1, "Comparing")
+            truth = self._truth(contact, pose)
+            progress(0.5, "Comparing")
+            return Scores(pose, truth.area_mm2, area_mm2, score_against_scan(patch, area_mm2, truth))
+
+        return score
+
+    def _truth(self, contact: ScanContact, pose: Matrix4) -> ScanTruth:
+        """Return the scan's contact in a pose, made anew only where one of them is another."""
+        if self._known is None or self._known[0] is not contact or self._known[1] != pose:
+            self._known = contact, pose, scan_truth(contact.loaded.scan, contact.vertices, pose)
+        return self._known[2]
 
 
 def laid_on(contact: ScanContact, patch: Float32Array) -> npt.NDArray[np.float64]:

@@ -14,12 +14,12 @@ from .jobs import Progress
 from .state import Snapshot
 
 
-def take_snapshot(frames: Sequence[SensorFrame], info: SourceInfo, progress: Progress) -> Snapshot:
-    """Average frames to one snapshot, named by its first frame."""
+def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo, progress: Progress) -> Snapshot:
+    """Average frames to one snapshot, named by the number of its first frame, from 1."""
     progress(0.0, "Averaging")
     taken = take_median(frames)
-    first = frames[0].sequence
-    name = f"Frame {first}" if len(frames) == 1 else f"Frames {first} to {frames[-1].sequence}"
+    last = number + frames[-1].sequence - frames[0].sequence
+    name = f"Frame {number}" if len(frames) == 1 else f"Frames {number} to {last}"
     return Snapshot(taken.sha256, name, taken.frame, len(frames), moved_m(frames, info.rig.tactile.depth_unit_m))
 
 

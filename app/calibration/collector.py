@@ -34,6 +34,7 @@ class Collector(QObject):
         super().__init__(parent)
         self._feed = feed
         self._frames: list[SensorFrame] = []
+        self._number = 0
         self._wanted = 0
         self._return_to: int | None = None
         self._job = Job(self)
@@ -55,6 +56,7 @@ class Collector(QObject):
         if self.busy or frame is None:
             return
         self._frames, self._wanted = [], max(1, min(count, MOST_FRAMES))
+        self._number = playback.index + 1
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None
         self._take(frame)
@@ -81,9 +83,9 @@ class Collector(QObject):
             _WAITING_SHARE * len(self._frames) / self._wanted, f"Frame {len(self._frames)} of {self._wanted}"
         )
         if len(self._frames) == self._wanted:
-            frames = tuple(self._frames)
+            frames, number = tuple(self._frames), self._number
             self._end_gathering()
-            self._job.start(lambda progress: take_snapshot(frames, self._feed.info, progress))
+            self._job.start(lambda progress: take_snapshot(frames, number, self._feed.info, progress))
 
     def _end_gathering(self) -> None:
         self._wanted, self._frames = 0, []

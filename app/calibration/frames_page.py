@@ -191,7 +191,7 @@ class FramesPage(QWidget):
             self.seek.setMaximum(info.length - 1)
             if not self.seek.isSliderDown():
                 self.seek.setValue(playback.index)
-            self.source.setText(f"recorded, frame {playback.index} of {info.length - 1}")
+            self.source.setText(f"recorded, frame {playback.index + 1} of {info.length}")
         else:
             self.source.setText("live" if moving else "live, held")
 

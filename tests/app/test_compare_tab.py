@@ -11,12 +11,13 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QStyle, QStyleOptionViewItem
+from PyQt6.QtWidgets import QApplication, QLabel, QStyle, QStyleOptionViewItem
 
 from tactune.app.analysis import comparer
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.app.left_threads import wait_for_left
 from tactune.app.opening import SourceRequest
+from tactune.app.reference.store import ReferenceStore
 from tactune.app.reference_finding import reference_finder
 from tactune.core.baselines.registry import make_method, method_names
 from tactune.core.errors import SourceError
@@ -180,10 +181,22 @@ def test_it_follows_the_main_window_and_holds_while_that_stands_still(qtbot, win
     window.worker.seek(5)
     qtbot.waitUntil(lambda: at_rest(window, 5))
     settle(qtbot, window, tab)
-    assert "Frame 5 of knowing" in tab.status.text()
+    assert "Frame 6 of knowing" in tab.status.text()
+    assert "6 / 8" in [label.text() for label in window.transport.findChildren(QLabel)]
     shown = tab.comparison
     qtbot.wait(150)
     assert tab.comparison is shown
+
+
+def test_the_disk_is_not_asked_for_the_reference_with_each_frame(qtbot, window, tab, monkeypatch):
+    asked = []
+    home = ReferenceStore.home
+    monkeypatch.setattr(ReferenceStore, "home", lambda *rest: asked.append(1) or home(*rest))
+    for index in (4, 5, 6):
+        window.worker.seek(index)
+        qtbot.waitUntil(lambda index=index: at_rest(window, index))
+        settle(qtbot, window, tab)
+    assert not asked
 
 
 def test_another_preset_is_compared_at_once(qtbot, window, tab):

@@ -14,7 +14,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.app.analysis import truth_flow
+from tactune.app.analysis import truth_flow, truth_work
 from tactune.app.cli_scan import parse_paint
 from tactune.core.evaluation.scan_pose import load_transform
 from tactune.widgets.pick_view import STEP_M
@@ -177,7 +177,7 @@ def test_the_highlight_can_be_put_off(ready):
 def test_three_clicked_pairs_align_the_scan(qtbot, ready):
     first, second, third = corners(ready)
     click_pair(ready, first)
-    assert "frame 3 of tiny" in ready.views.patch_name.text()
+    assert "frame 4 of tiny" in ready.views.patch_name.text()
     assert ready.views.patch_name.text().startswith("Held")
     assert "2 more pairs" in ready.guide.text()
     click_pair(ready, second)
@@ -231,11 +231,11 @@ def test_pairs_on_a_line_are_told_and_give_no_pose(ready):
 
 def test_the_patch_follows_until_alignment_begins(qtbot, ready, window):
     window.worker.seek(5)
-    qtbot.waitUntil(lambda: "frame 5" in ready.views.patch_name.text())
+    qtbot.waitUntil(lambda: "frame 6" in ready.views.patch_name.text())
     click_pair(ready, corners(ready)[0])
     window.worker.seek(6)
     qtbot.waitUntil(lambda: window.result.frame.sequence == 6)
-    assert "frame 5" in ready.views.patch_name.text()
+    assert "frame 6" in ready.views.patch_name.text()
     QTest.mouseClick(ready.views.present, LEFT)
     assert ready.flow.state.patch.frame == 6
     assert len(ready.flow.state.pairs) == 1
@@ -246,13 +246,36 @@ def test_an_aligned_scan_is_scored_against_each_frame_while_it_follows(qtbot, re
     qtbot.waitUntil(lambda: ready.flow.scores is not None)
     QTest.mouseClick(ready.views.follow, LEFT)
     window.worker.seek(7)
-    qtbot.waitUntil(lambda: "Live: frame 7" in ready.views.patch_name.text())
+    qtbot.waitUntil(lambda: "Live: frame 8" in ready.views.patch_name.text())
     larger = ready.flow.patch.area_mm2
     qtbot.waitUntil(lambda: ready.flow.scores is not None and ready.flow.scores.patch_area_mm2 == larger)
     assert ready.result.values["patch_area"].text() == f"{larger:,.0f} mm²"
     assert "--frame 7" in ready.result.command.text()
     QTest.keyClick(ready.views.patch, Qt.Key.Key_Right, CONTROL)
     assert ready.flow.state.patch.frame == 7, "an edit holds the frame fast"
+
+
+def test_a_change_is_drawn_once_and_the_scan_placed_once(qtbot, ready, window, monkeypatch):
+    click_three_pairs(ready)
+    QTest.mouseClick(ready.views.follow, LEFT)
+    qtbot.waitUntil(lambda: ready.flow.scores is not None)
+    drawn, placed = [], []
+    draw, place = ready.views.patch.set_cloud, truth_work.scan_truth
+    monkeypatch.setattr(ready.views.patch, "set_cloud", lambda cloud: drawn.append(1) or draw(cloud))
+    monkeypatch.setattr(truth_work, "scan_truth", lambda *rest: placed.append(1) or place(*rest))
+    for index in (5, 6, 7):
+        window.worker.seek(index)
+        qtbot.waitUntil(lambda index=index: f"Live: frame {index + 1} " in ready.views.patch_name.text())
+        area = ready.flow.patch.area_mm2
+        qtbot.waitUntil(lambda area=area: ready.flow.scores.patch_area_mm2 == area)
+    assert len(drawn) == 3 and not placed
+    QTest.keyClick(ready.views.patch, Qt.Key.Key_Right, CONTROL)
+    assert len(drawn) == 4
+    qtbot.waitUntil(lambda: len(placed) == 1)
+    window.worker.seek(4)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 4)
+    QTest.mouseClick(ready.views.present, LEFT)
+    assert "Held: frame 5 " in ready.views.patch_name.text() and len(drawn) == 5
 
 
 # Nudging

@@ -147,7 +147,7 @@ def test_an_unexpected_error_is_a_sentence_too(watched, qtbot):
     source.read = lambda index: 1 / 0
     watched.open(source)
     qtbot.waitUntil(lambda: len(watched.failures) == 1)
-    assert watched.failures[0] == "Frame 0 of tiny could not be read (ZeroDivisionError: division by zero)."
+    assert watched.failures[0] == "Frame 1 of tiny could not be read (ZeroDivisionError: division by zero)."
 
 
 def test_a_source_that_does_not_open_leaves_the_present_one_playing(watched, qtbot):

@@ -201,7 +201,7 @@ def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
 
 def test_a_qgis_file_is_read_as_clicks_in_the_present_images(open_wizard, feed, frames, scene, tmp_path):
     wizard = open_wizard()
-    wizard.session.add_snapshot(take_snapshot([frames[0.2]], feed.info, lambda share, words: None))
+    wizard.session.add_snapshot(take_snapshot([frames[0.2]], 1, feed.info, lambda share, words: None))
     proximity, tactile = scene.proximity_pixels(0.2)[30], scene.tactile_pixels(0.2)[30]
     path = tmp_path / "clicks.points"
     path.write_text(

@@ -28,7 +28,7 @@ LEFT = Qt.MouseButton.LeftButton
 
 
 def snapshot_of(frame, feed):
-    return take_snapshot([frame], feed.info, lambda share, words: None)
+    return take_snapshot([frame], frame.sequence + 1, feed.info, lambda share, words: None)
 
 
 def with_pairs(scene, frames, feed, dots=range(0, 63, 5)):
