@@ -6,23 +6,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QImage
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSplitter, QVBoxLayout
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSplitter
 
 from ...core.baselines.registry import method_names
-from ...widgets.elided_label import ElidedLabel
 from ...widgets.theme import theme_name
-from ..calibration.jobs import Job
-from ..message_bar import MessageBar, Severity
-from ..results import CloudName, RateMeter, Result
-from .compare_export import write_comparison
+from ..results import CloudName, Result
 from .compare_grid import TileGrid
-from .compare_reference import Reference
 from .compare_table import CompareTable
+from .compare_text import comparison_csv
 from .compare_thread import CompareThread
 from .comparer import Comparison, Task
+from .measuring_tab import MeasuringTab
 from .method_looks import TRUTH
-from .tab import AnalysisTab
 
 if TYPE_CHECKING:
     from ..main_window import MainWindow
@@ -34,7 +29,7 @@ _WAITING = "Waiting for a frame: open a source in the main window."
 _PATIENCE_MS = 300
 
 
-class CompareTab(AnalysisTab):
+class CompareTab(MeasuringTab):
     """One linked view per method and one of the truth, all on the same frame, and a table of their numbers.
 
     Signals
@@ -45,29 +40,19 @@ class CompareTab(AnalysisTab):
     shown = pyqtSignal(object)
 
     def __init__(self, window: MainWindow) -> None:
-        super().__init__()
-        self._settings = window.settings
-        self._dialogs = window.dialogs.over(self)
-        self._result: Result | None = None
+        super().__init__(window, _WAITING)
         self.comparison: Comparison | None = None
-        self._rate = RateMeter()
         self._setting_up = ""
         methods = method_names()
         remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
         view = window.views.views[CloudName.PATCH]
         self.grid = TileGrid("opengl" if view.backend_name == "opengl" else "software")
         self.table = CompareTable(methods, remembered)
-        self.reference = Reference(window.document, self)
         self.thread_ = CompareThread(self)
-        self._writing = Job(self)
         self._late = QTimer(self)
         self._late.setSingleShot(True)
         self._late.setInterval(_PATIENCE_MS)
-        self.status = ElidedLabel(_WAITING)
-        self.messages = MessageBar()
         self.color_by = QComboBox()
-        self.export = QPushButton("&Export…")
-        self.progress = QProgressBar()
         self.give_up = QPushButton("Cancel")
         self._lay_out()
         self._connect()
@@ -85,9 +70,8 @@ class CompareTab(AnalysisTab):
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
+        super().shut_down()
         self._late.stop()
-        self.reference.shut_down()
-        self._writing.stop()
         self.thread_.shut_down()
 
     # Building
@@ -102,16 +86,10 @@ class CompareTab(AnalysisTab):
         self.export.setToolTip(
             "Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E); files count frames from 0"
         )
-        self.export.setShortcut("Ctrl+E")
-        self.export.setAutoDefault(False)
-        self.export.setEnabled(False)
-        self.progress.setRange(0, 100)
-        self.progress.setFormat("Preparing the untouched membrane: %p %")
         self.progress.setToolTip("Methods marked so compare with it; the others go on meanwhile")
         self.give_up.setAutoDefault(False)
         self.give_up.setToolTip("Do without the untouched membrane, or look for it once more")
-        for widget in (self.progress, self.give_up):
-            widget.hide()
+        self.give_up.hide()
         row = QHBoxLayout()
         label = QLabel("Colour &by")
         label.setBuddy(self.color_by)
@@ -119,16 +97,11 @@ class CompareTab(AnalysisTab):
         for part in (self.progress, self.give_up, label, self.color_by, self.export):
             row.addWidget(part)
         self.sheet = QSplitter(Qt.Orientation.Vertical)
-        self.sheet.setChildrenCollapsible(False)
         self.sheet.addWidget(self.grid)
         self.sheet.addWidget(self.table)
         self.sheet.setStretchFactor(0, 1)
         self.sheet.setSizes([520, self.table.full_height()])
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(self.messages)
-        layout.addWidget(self.sheet, 1)
+        self._lay_out_around(self.sheet, row)
 
     def _connect(self) -> None:
         self.thread_.compared.connect(self._show_newest)
@@ -143,8 +116,6 @@ class CompareTab(AnalysisTab):
         self.reference.progress.connect(self._show_progress)
         self.give_up.clicked.connect(self._cancel_or_retry)
         self.export.clicked.connect(self._ask_where)
-        self._writing.done.connect(self._say)
-        self._writing.failed.connect(self._complain)
 
     # Frames
 
@@ -241,21 +212,12 @@ class CompareTab(AnalysisTab):
         if self.comparison is None:
             return
         name = f"comparison_{self.comparison.task.result.frame.sequence:06d}.png"
-        folder = Path(self._settings.text("folder/export") or Path.home())
-        self._dialogs.save_file("Save comparison", folder / name, ["PNG picture, CSV beside it (*.png)"], self.save_to)
+        place = self._export_folder() / name
+        self._dialogs.save_file("Save comparison", place, ["PNG picture, CSV beside it (*.png)"], self.save_to)
 
     def save_to(self, path: Path) -> None:
         """Write views and table as a picture, and the numbers as CSV beside it."""
         comparison = self.comparison
-        if comparison is None:
-            return
-        self._settings.set("folder/export", str(path.parent))
-        picture: QImage = self.sheet.grab().toImage()
-        self._writing.start(lambda _: write_comparison(picture, comparison, path))
-
-    def _say(self, sentence: str) -> None:
-        self.messages.show_message("done", Severity.INFO, sentence)
-
-    def _complain(self, sentence: str) -> None:
-        if sentence:
-            self.messages.show_message("failed", Severity.ERROR, sentence)
+        if comparison is not None:
+            what = f"Frame {comparison.task.result.frame_number} was"
+            self._write(self.sheet.grab().toImage(), comparison_csv(comparison), path, what)

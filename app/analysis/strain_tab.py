@@ -8,13 +8,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import (
     QComboBox,
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QPushButton,
     QSpinBox,
     QSplitter,
@@ -24,22 +22,19 @@ from PyQt6.QtWidgets import (
 
 from ...core.evaluation.strain import SPACING_M, SPACING_RANGE_M
 from ...core.frames import SensorFrame
-from ...widgets.elided_label import ElidedLabel
 from ..calibration.jobs import Job
-from ..message_bar import MessageBar, Severity
-from ..results import RateMeter, Result, SourceInfo
-from .compare_reference import Reference
+from ..message_bar import Severity
+from ..results import Result, SourceInfo
+from .measuring_tab import MeasuringTab
 from .strain_curve import StrainCurve
-from .strain_export import write_strain
 from .strain_map import StrainMap
 from .strain_numbers import StrainNumbers
 from .strain_work import MapOf, StrainTask, StrainView, examine
-from .tab import AnalysisTab
 
 if TYPE_CHECKING:
     from ..main_window import MainWindow
 
-_SPACING, _AVERAGE, _MAP, _FOLDER = "strain/spacing_mm", "strain/average", "strain/map", "folder/export"
+_SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MOST_AVERAGED = 30
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
 _NO_REFERENCE = (
@@ -48,7 +43,7 @@ _NO_REFERENCE = (
 _FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
 
 
-class StrainTab(AnalysisTab):
+class StrainTab(MeasuringTab):
     """Measures the newest frame on another thread as often as it can.
 
     Signals
@@ -59,25 +54,17 @@ class StrainTab(AnalysisTab):
     shown = pyqtSignal(object)
 
     def __init__(self, window: MainWindow) -> None:
-        super().__init__()
-        self._settings = window.settings
-        self._dialogs = window.dialogs.over(self)
-        self._result: Result | None = None
+        super().__init__(window, _WAITING)
         self._source: SourceInfo | None = None
         self._frames: deque[SensorFrame] = deque(maxlen=_MOST_AVERAGED)
         self._captured: SensorFrame | None = None
         self._last: SensorFrame | None = None
-        self._rate = RateMeter()
         self.view: StrainView | None = None
         self.map, self.curve, self.numbers = StrainMap(), StrainCurve(), StrainNumbers()
         self.spacing, self.average, self.map_of = QDoubleSpinBox(), QSpinBox(), QComboBox()
         self.capture = QPushButton("Take as &untouched")
-        self.reset, self.export = QPushButton("&Reset curve"), QPushButton("&Export…")
-        self.status, self.pointed = ElidedLabel(_WAITING), QLabel(" ")
-        self.progress = QProgressBar()
-        self.messages = MessageBar()
-        self.reference = Reference(window.document, self)
-        self._job, self._writing = Job(self), Job(self)
+        self.reset, self.pointed = QPushButton("&Reset curve"), QLabel(" ")
+        self._job = Job(self)
         self._set_up_entries()
         self._lay_out()
         self._connect()
@@ -97,9 +84,8 @@ class StrainTab(AnalysisTab):
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
-        self.reference.shut_down()
+        super().shut_down()
         self._job.stop()
-        self._writing.stop()
 
     # Building
 
@@ -129,15 +115,10 @@ class StrainTab(AnalysisTab):
         )
         self.reset.setToolTip("Begin the curve anew; the former one can be brought back")
         self.export.setToolTip("Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E)")
-        self.export.setShortcut("Ctrl+E")
-        self.progress.setRange(0, 100)
-        self.progress.setFormat("Preparing the untouched membrane: %p %")
         self.progress.setToolTip("Displacement is measured against it; strain does not need it")
-        self.progress.hide()
-        for button in (self.capture, self.reset, self.export):
+        for button in (self.capture, self.reset):
             button.setAutoDefault(False)
-        for button in (self.capture, self.export):
-            button.setEnabled(False)
+        self.capture.setEnabled(False)
 
     def _lay_out(self) -> None:
         row = QHBoxLayout()
@@ -167,23 +148,16 @@ class StrainTab(AnalysisTab):
         column.addWidget(self.map, 1)
         column.addWidget(self.pointed)
         self.sheet = QSplitter(Qt.Orientation.Horizontal)
-        self.sheet.setChildrenCollapsible(False)
         self.sheet.addWidget(left)
         self.sheet.addWidget(side)
         self.sheet.setSizes([640, 480])
         self.sheet.setStretchFactor(0, 3)
         self.sheet.setStretchFactor(1, 2)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
-        layout.addLayout(row)
-        layout.addWidget(self.messages)
-        layout.addWidget(self.sheet, 1)
+        self._lay_out_around(self.sheet, row)
 
     def _connect(self) -> None:
         self._job.done.connect(self._show)
         self._job.failed.connect(self._complain)
-        self._writing.done.connect(self._say)
-        self._writing.failed.connect(self._complain)
         self.reference.changed.connect(self._reference_changed)
         self.reference.progress.connect(self._show_progress)
         self.spacing.valueChanged.connect(self._spacing_changed)
@@ -300,16 +274,16 @@ class StrainTab(AnalysisTab):
         """Ask for a file for the present curve and map, or for the text of a former curve."""
         if not text and not self.curve.points:
             return
-        folder = Path(self._settings.text(_FOLDER) or Path.home())
         name, filters = ("strain.csv", _FILTERS[1:]) if text else ("strain.png", _FILTERS)
-        self._dialogs.save_file("Save strain", folder / name, filters, partial(self.save_to, text=text))
+        self._dialogs.save_file("Save strain", self._export_folder() / name, filters, partial(self.save_to, text=text))
 
     def save_to(self, path: Path, text: str = "") -> None:
         """Write map and curve as a picture and its points beside it; only the points into a .csv file."""
-        self._settings.set(_FOLDER, str(path.parent))
-        picture = QImage() if text or path.suffix.lower() == ".csv" else self.sheet.grab().toImage()
         points = text or self.curve.as_csv()
-        self._writing.start(lambda _: write_strain(picture, points, path))
+        if text or path.suffix.lower() == ".csv":
+            self._write(None, points, path, "The curve was")
+        else:
+            self._write(self.sheet.grab().toImage(), points, path, "Map and curve were")
 
     # What others tell
 
@@ -321,10 +295,3 @@ class StrainTab(AnalysisTab):
         if not self.reference.searching:
             self.progress.hide()
             self._measure()
-
-    def _say(self, sentence: str) -> None:
-        self.messages.show_message("done", Severity.INFO, sentence)
-
-    def _complain(self, sentence: str) -> None:
-        if sentence:
-            self.messages.show_message("failed", Severity.ERROR, sentence)
