@@ -90,11 +90,14 @@ def evaluate_patch(
     from .cli_run import counted, warn
     from .patch_record import finite_or_none
 
-    clouds = {path: read_points(path) for path in (patch, truth)}
-    for path, points in clouds.items():
-        if len(points) == 0:
-            warn(f"{path} holds no point, so there is no distance")
-        elif doubt := unit_doubt(points, path):
+    clouds = {}
+    for path in (patch, truth):
+        clouds[path], dropped = read_points(path)
+        if dropped:
+            warn(f"{path}: {counted(dropped, 'point')} of {dropped + len(clouds[path])} left out, for a nan in them")
+        if len(clouds[path]) == 0:
+            raise TactuneError(f"{path} holds no point, so there is no distance to it; choose a frame with contact")
+        if doubt := unit_doubt(clouds[path], path):
             warn(doubt)
     apart = asdict(cloud_distances(clouds[patch], clouds[truth]))
     numbers = {f"{name.removesuffix('_m')}_mm": finite_or_none(1e3 * value) for name, value in apart.items()}

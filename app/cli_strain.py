@@ -189,12 +189,16 @@ def _write_csv(records: list[StrainRecord], path: Path) -> None:
 def _draw(records: list[StrainRecord], last: StrainMeasurement, path: Path) -> None:
     from ..core.evaluation.strain_plot import draw_strain
 
-    columns = [
-        (record.displacement_mm, record.strain_length_percent, record.strain_width_percent)
-        for record in records
-        if record.displacement_mm is not None
-        and record.strain_length_percent is not None
-        and record.strain_width_percent is not None
-    ]
-    displacement, length, width = zip(*columns, strict=True)
-    draw_strain(displacement, length, width, last, path)
+    shown = [record for record in records if not record.problem]
+    displacement, length, width, *solver = (
+        [getattr(record, name) for record in shown]
+        for name in (
+            "displacement_mm",
+            "strain_length_percent",
+            "strain_width_percent",
+            "true_strain_length_seen_percent",
+            "true_strain_width_seen_percent",
+        )
+    )
+    known = list(zip(*solver, strict=True))
+    draw_strain(displacement, length, width, last, path, [] if (None, None) in known else known)

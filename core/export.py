@@ -10,7 +10,7 @@ import re
 import struct
 import zipfile
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -39,6 +39,7 @@ _PLY_TYPES = {
     "double": "<f8", "int8": "<i1", "uint8": "<u1", "int16": "<i2", "ushort": "<u2", "int32": "<i4", "uint32": "<u4",
     "float32": "<f4", "float64": "<f8",
 }  # fmt: skip
+_PCD_TYPES = ("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8")
 _PLY_NAMES = {np.dtype(code): name for name, code in reversed(_PLY_TYPES.items())}
 _CSV_FORMATS = {"f4": "%.9g", "f8": "%.17g"}
 
@@ -181,9 +182,11 @@ def _read_ply(path: Path) -> Columns:
     if not elements or not header[elements[0]].startswith("element vertex "):
         raise ValueError("its first element is not vertex")
     lines = header[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
-    properties = [line.split() for line in lines if line.startswith("property ")]
-    layout = np.dtype([(name, _PLY_TYPES[kind]) for _, kind, name in properties])
-    return _unpack(body, layout, int(header[elements[0]].split()[2]))
+    properties = [line.split()[1:] for line in lines if line.startswith("property ")]
+    if strange := [words for words in properties if len(words) != 2 or words[0] not in _PLY_TYPES]:
+        raise ValueError(f"its vertices have the property {' '.join(strange[0])!r}, which is of no known type")
+    layout = np.dtype([(name, _PLY_TYPES[kind]) for kind, name in properties])
+    return _unpack(body, layout, whole_number(header[elements[0]].split()[2:], "points"))
 
 
 def _write_pcd(path: Path, columns: Columns) -> None:
@@ -212,16 +215,48 @@ def _write_pcd(path: Path, columns: Columns) -> None:
 
 def _read_pcd(path: Path) -> Columns:
     lines, body = _split(path.read_bytes(), b"DATA binary")
-    header = {key: values for key, *values in (line.split() for line in lines if line.strip())}
+    header = pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
     if set(header["COUNT"]) != {"1"}:
         raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known")
+    if not len(header["FIELDS"]) == len(header["TYPE"]) == len(header["SIZE"]):
+        raise ValueError("its lines FIELDS, TYPE and SIZE are of different lengths")
+    kinds = [f"{kind}{size}" for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
+    if strange := [kind for kind in kinds if kind not in _PCD_TYPES]:
+        raise ValueError(f"it has a field of the type {strange[0]}, which is not known")
     fields = zip(header["FIELDS"], header["TYPE"], header["SIZE"], strict=True)
     layout = np.dtype([(name, "<u4" if name == "rgb" else f"<{kind.lower()}{size}") for name, kind, size in fields])
-    columns = _unpack(body, layout, int(header["POINTS"][0]))
+    columns = _unpack(body, layout, whole_number(header["POINTS"], "points"))
     if "rgb" in columns:
         packed = columns.pop("rgb")
         columns |= {name: packed >> shift & 255 for name, shift in zip(_RGB, (16, 8, 0), strict=True)}
     return columns
+
+
+def pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
+    """Return the words of each line of a PCD header by the line's first one.
+
+    Raises
+    ------
+    ValueError
+        A needed line is missing.
+    """
+    header = {words[0]: words[1:] for words in (line.split() for line in lines) if words}
+    if missing := [name for name in needed if name not in header]:
+        raise ValueError(f"its header has no line {missing[0]}")
+    return header
+
+
+def whole_number(words: Sequence[str], what: str) -> int:
+    """Return the number that the first word of a header is.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if not words or not re.fullmatch(r"[0-9]{1,18}", words[0]):
+        raise ValueError(f"its number of {what} is {' '.join(words)!r}")
+    return int(words[0])
 
 
 def _split(data: bytes, last_line: bytes) -> tuple[list[str], bytes]:
@@ -249,9 +284,21 @@ def _write_npz(path: Path, columns: Columns) -> None:
 
 
 def _read_npz(path: Path) -> Columns:
-    with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
-        arrays = dict(archive)
-    columns: Columns = dict(zip(_XYZ, arrays.pop("points").T, strict=True))
+    with path.open("rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise ValueError("it is no archive of NumPy arrays")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            try:
+                arrays = dict(archive)
+            except ValueError as error:
+                raise ValueError("it holds an array of Python objects, or a damaged one") from error
+    points = arrays.pop("points", None)
+    if points is None:
+        raise ValueError("it has no array points")
+    if points.ndim != 2 or points.shape[1] != len(_XYZ) or points.dtype.kind not in "fiu":
+        raise ValueError(f"its points are {points.dtype} of the shape {points.shape}, not numbers of the shape (N, 3)")
+    columns: Columns = dict(zip(_XYZ, points.T, strict=True))
     if "colors" in arrays:
         columns |= zip(_RGB, arrays.pop("colors").T, strict=True)
     return columns | arrays
@@ -267,13 +314,26 @@ def _write_csv(path: Path, columns: Columns) -> None:
 
 
 def _read_csv(path: Path) -> Columns:
-    first, _, rest = path.read_text(encoding="utf-8").partition("\n")
+    try:
+        first, _, rest = path.read_text(encoding="utf-8-sig").partition("\n")
+    except UnicodeDecodeError as error:
+        raise ValueError("it is no text") from error
     names = first.strip().split(",")
     if tuple(names[:3]) != _CSV_XYZ:
         raise ValueError(f"its header does not begin with {','.join(_CSV_XYZ)}")
-    rows = [line.split(",") for line in rest.splitlines()]
+    rows = [_csv_row(number, line, names) for number, line in enumerate(rest.splitlines(), 2) if line.strip()]
     table = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
     return dict(zip([*_XYZ, *names[3:]], table.T, strict=True))
+
+
+def _csv_row(number: int, line: str, names: list[str]) -> list[float]:
+    try:
+        values = [float(word) for word in line.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != len(names):
+        raise ValueError(f"line {number} is {line[:80]!r}, not {len(names)} numbers")
+    return values
 
 
 _FORMATS: dict[str, tuple[Callable[[Path, Columns], None], Callable[[Path], Columns]]] = {

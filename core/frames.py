@@ -43,7 +43,10 @@ def rigid_transform(matrix: Any) -> Matrix4:
         The matrix has another shape, is not finite, its rotation part is not a rotation, or its
         translation is too long to be in metres.
     """
-    raw = np.asarray(matrix)
+    try:
+        raw = np.asarray(matrix)
+    except ValueError as error:
+        raise ValueError("a pose is a 4 x 4 matrix, this one has rows of different lengths") from error
     if raw.shape != (4, 4):
         raise ValueError(f"a pose is a 4 x 4 matrix, this one is {raw.shape}")
     if raw.dtype.kind not in "iuf":
@@ -55,7 +58,9 @@ def rigid_transform(matrix: Any) -> Matrix4:
         raise ValueError(f"a pose has a rotation and metres up to {_FARTHEST_M:g}, this one contains larger numbers")
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
-    if deviation > 1e-3 or np.linalg.det(rotation) < 0:
+    if deviation <= 1e-3 and np.linalg.det(rotation) < 0:
+        raise ValueError("the upper left 3 x 3 mirrors, which no rotation does; change the sign of one of its columns")
+    if deviation > 1e-3:
         raise ValueError(f"the upper left 3 x 3 is no rotation (R R^T differs from I by {deviation:.2g})")
     if not np.array_equal(array[3], (0.0, 0.0, 0.0, 1.0)):
         raise ValueError(f"the last row of a pose is 0 0 0 1, this one is {array[3].tolist()}")

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import SourceError
-from ..export import read_cloud
+from ..export import pcd_header, read_cloud, whole_number
 from ..paths import refuse_devices
 
 Float64Array = npt.NDArray[np.float64]
@@ -23,7 +23,7 @@ _HEADER_BYTES: Final = 100_000
 _ENDS: Final = {".ply": rb"^end_header\s*?\n", ".pcd": rb"^DATA ascii\s*?\n"}
 
 
-def read_points(path: Path | str) -> Float64Array:
+def read_points(path: Path | str) -> tuple[Float64Array, int]:
     """Read the points of a cloud file.
 
     Parameters
@@ -33,8 +33,10 @@ def read_points(path: Path | str) -> Float64Array:
 
     Returns
     -------
-    float64, shape (N, 3)
-        In the file's unit; points with a nan are left out, since they are how PCD says *no point*.
+    points : float64, shape (N, 3)
+        In the file's unit; those with a nan are left out, since they are how PCD says *no point*.
+    dropped : int
+        How many were.
 
     Raises
     ------
@@ -54,7 +56,8 @@ def read_points(path: Path | str) -> Float64Array:
             raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
     if np.isinf(points).any():
         raise SourceError(f"{path} holds an infinite coordinate; export it again")
-    return points[~np.isnan(points).any(axis=1)]
+    known = ~np.isnan(points).any(axis=1)
+    return points[known], int(np.count_nonzero(~known))
 
 
 def _text_of(path: Path) -> tuple[list[str] | None, bytes]:
@@ -82,18 +85,20 @@ def _ply_points(header: list[str], rows: bytes) -> Float64Array:
         raise ValueError("its first element is not vertex")
     last = elements[1] if len(elements) > 1 else None
     names = [line[-1] for line in words[elements[0] : last] if line[:1] == ["property"]]
-    return _columns(rows, names, int(words[elements[0]][2]))
+    return _columns(rows, names, whole_number(words[elements[0]][2:], "points"), len(header) + 2)
 
 
 def _pcd_points(header: list[str], rows: bytes) -> Float64Array:
-    facts = {line.split()[0]: line.split()[1:] for line in header if line.strip()}
-    counts = [int(count) for count in facts.get("COUNT", ["1"] * len(facts["FIELDS"]))]
+    facts = pcd_header(header, ("FIELDS", "POINTS"))
+    counts = [whole_number([count], "values a field") for count in facts.get("COUNT", ["1"] * len(facts["FIELDS"]))]
+    if len(counts) != len(facts["FIELDS"]):
+        raise ValueError(f"it has {len(facts['FIELDS'])} fields and {len(counts)} counts")
     names = [name for name, count in zip(facts["FIELDS"], counts, strict=True) for _ in range(count)]
-    return _columns(rows, names, int(facts["POINTS"][0]))
+    return _columns(rows, names, whole_number(facts["POINTS"], "points"), len(header) + 2)
 
 
-def _columns(rows: bytes, names: list[str], count: int) -> Float64Array:
-    """Read ``count`` rows of text and take x, y and z of them."""
+def _columns(rows: bytes, names: list[str], count: int, first_line: int) -> Float64Array:
+    """Read ``count`` rows of text, which begin at a line of the file, and take x, y and z of them."""
     if missing := [name for name in ("x", "y", "z") if name not in names]:
         raise ValueError(f"it has no {missing[0]}")
     if not 0 <= count <= len(rows):
@@ -103,16 +108,28 @@ def _columns(rows: bytes, names: list[str], count: int) -> Float64Array:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # an empty body is told below
         places = [names.index(name) for name in ("x", "y", "z")]
-        table = np.loadtxt(io.StringIO(rows.decode("ascii")), max_rows=count, usecols=places, ndmin=2)
+        try:
+            table = np.loadtxt(io.StringIO(rows.decode("ascii")), max_rows=count, usecols=places, ndmin=2)
+        except ValueError as error:
+            raise ValueError(_bad_line(rows, places, first_line)) from error
     if len(table) != count:
         raise ValueError(f"it ends after {len(table)} of {count} points")
     return np.asarray(table, np.float64)
 
 
+def _bad_line(rows: bytes, places: list[int], first_line: int) -> str:
+    """Say which line of text holds no point."""
+    for number, line in enumerate(rows.decode("ascii", "replace").splitlines(), first_line):
+        words = line.split()
+        try:
+            [float(words[place]) for place in places if words]
+        except (ValueError, IndexError):
+            return f"line {number} is {line[:80]!r}, not numbers with x, y and z"
+    return "its points cannot be read"
+
+
 def unit_doubt(points: Float64Array, path: Path) -> str:
-    """Return a sentence if a cloud can hardly be in metres, else nothing."""
-    if len(points) == 0:
-        return ""
+    """Return a sentence if a cloud of at least one point can hardly be in metres, else nothing."""
     size = math.dist(points.min(axis=0), points.max(axis=0))
     if size > 5.0:
         return f"{path} is {size:.0f} m across if its unit is metres; if it is millimetres, divide by 1000 first"

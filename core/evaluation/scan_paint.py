@@ -125,8 +125,13 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
         )
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
-    if not (math.isfinite(spacing_m) and spacing_m > 0 and areas.sum() / spacing_m**2 <= _MOST_POINTS):
+    if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise TactuneError(f"the spacing is {spacing_m} m; give the distance of neighbouring points, such as 0.0005")
+    if areas.sum() / spacing_m**2 > _MOST_POINTS:
+        raise TactuneError(
+            f"the painted contact is {1e4 * areas.sum():.3g} cm2 on a scan of {scan.size_m:.3g} m, too much for points "
+            f"{1e3 * spacing_m:g} mm apart; check the scan's unit and the paint's colour"
+        )
     if len(touching) == 0:
         return np.empty((0, 3)), np.empty((0, 3))
     count = max(round(areas.sum() / spacing_m**2), 1)

@@ -44,17 +44,18 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     try:
         with path.open("rb") as file:
             text = file.read(_FILE_BYTES).decode("utf-8-sig")
-        rows = [row for row in csv.reader(text.splitlines()) if any(word.strip() for word in row)]
+        lines = csv.reader(text.splitlines())
+        rows = [(lines.line_num, row) for row in lines if any(word.strip() for word in row)]
     except OSError as error:
         raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
     except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path} is no CSV file; write the pairs as text") from error
-    if not rows or tuple(word.strip() for word in rows[0]) != HEADER:
+    if not rows or tuple(word.strip() for word in rows[0][1]) != HEADER:
         raise SourceError(f"{path} has not the header {','.join(HEADER)}; put it into the first line")
-    for number, row in enumerate(rows[1:], 1):
+    for number, row in rows[1:]:
         if len(row) != len(HEADER) or not all(map(_finite, row)):
-            raise SourceError(f"{path}: pair {number} is {','.join(row)!r}; give six finite numbers")
-    table = np.array(rows[1:], np.float64).reshape(-1, len(HEADER))
+            raise SourceError(f"{path}, line {number}: {','.join(row)[:80]!r} is no pair; give six finite numbers")
+    table = np.array([row for _, row in rows[1:]], np.float64).reshape(-1, len(HEADER))
     return table[:, :3] * unit_m, table[:, 3:]
 
 

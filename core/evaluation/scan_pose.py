@@ -262,14 +262,24 @@ def load_transform(path: Path | str) -> Matrix4:
 
 def _matrix(text: str) -> object:
     if text.lstrip().startswith("{"):
-        found = json.loads(text)
+        try:
+            found = json.loads(text)
+        except json.JSONDecodeError as error:
+            raise ValueError(f"line {error.lineno} is no JSON") from error
         if found.keys() != {"T_proximity_scan"}:
             raise ValueError(f"its keys are {sorted(found)}")
         return found["T_proximity_scan"]
-    rows = [[float(word) for word in line.replace(",", " ").split()] for line in text.splitlines() if line.strip()]
+    rows = [_row(number, line) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
     if [len(row) for row in rows] != [4, 4, 4, 4]:
         raise ValueError("it is not four lines of four numbers")
     return rows
+
+
+def _row(number: int, line: str) -> list[float]:
+    try:
+        return [float(word) for word in line.replace(",", " ").split()]
+    except ValueError as error:
+        raise ValueError(f"line {number} is {line.strip()[:80]!r}, not four numbers") from error
 
 
 def _pose(rotation: Rotation, translation: Float64Array) -> Matrix4:

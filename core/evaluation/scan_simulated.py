@@ -104,7 +104,8 @@ def export_painted_scan(
         trimesh or Pillow is not installed.
     """
     path, flaws = Path(path), flaws or PaintFlaws()
-    spacing_m = spacing_m or (COARSE_M if texture else FINE_M)
+    if spacing_m is None:
+        spacing_m = COARSE_M if texture else FINE_M
     if path.suffix.lower() != SUFFIXES[texture]:
         kind = "a texture" if texture else "vertex colours"
         raise ExportError(f"{path} has the suffix {path.suffix!r}; a scan with {kind} is {SUFFIXES[texture]}")

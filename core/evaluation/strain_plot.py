@@ -18,6 +18,7 @@ def draw_strain(
     width_percent: Sequence[float],
     last: StrainMeasurement,
     path: Path,
+    solver_percent: Sequence[tuple[float, float]] = (),
 ) -> None:
     """Draw strain against displacement, and beside it the strain at each dot of the last frame.
 
@@ -28,6 +29,8 @@ def draw_strain(
     last : StrainMeasurement
     path : Path
         A .png file.
+    solver_percent : sequence of (float, float)
+        The true strain along length and width between dots that are seen, one pair a frame; empty where unknown.
 
     Raises
     ------
@@ -45,11 +48,17 @@ def draw_strain(
 
     figure, (curve, *maps) = plt.subplots(1, 3, figsize=(15, 4.2))
     order = np.argsort(displacement_mm, kind="stable")
-    for values, label, style in ((length_percent, "length", "o-"), (width_percent, "width", "s--")):
-        curve.plot(np.take(displacement_mm, order), np.take(values, order), style, markersize=4, label=label)
+    along = np.take(displacement_mm, order)
+    for label, values, style in (("length", length_percent, "C0o-"), ("width", width_percent, "C1s-")):
+        curve.plot(along, np.take(values, order), style, markersize=4, linewidth=0.7, label=f"{label}, measured")
+    if solver_percent:
+        for label, values, color in zip(
+            ("length", "width"), np.transpose(solver_percent), ("navy", "maroon"), strict=True
+        ):
+            curve.plot(along, values[order], "--", color=color, label=f"{label}, solver at the dots seen")
     curve.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
     curve.grid(True, alpha=0.3)
-    curve.legend(frameon=False)
+    curve.legend(fontsize=9)
     at_dots = 100 * last.at_dots()
     for axis, values, label in zip(maps, at_dots.T, ("length", "width"), strict=True):
         drawn = axis.scatter(*last.pixels.T, c=values, s=16, cmap="viridis")

@@ -82,6 +82,11 @@ def draw_patches(
         axis.set_ylabel(name, fontsize=9, rotation=0, ha="right", va="center")
     if drawn is not None:
         figure.colorbar(drawn, ax=axes, shrink=0.6, label="distance to the truth, mm", extend="max")
+    figure.supxlabel(
+        f"Under each patch: its RMSE in this one frame, with the noise of seed {seed};\n"
+        "the table has means over all seeds, and over both sides of high presses.",
+        fontsize=8,
+    )
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=130, bbox_inches="tight")
     plt.close(figure)

@@ -25,6 +25,11 @@ from .table import (
 
 Line = Sequence[str]
 
+_MEASURES_NOTE = (
+    "boundary_px: mean distance between the outlines of patch and truth, proximity pixels; contacts right: share of\n"
+    "scenes and seeds in which the patch has as many separate contacts as the truth."
+)
+
 _NOTE = (
     "Mean over seeds ± half of its 95 % confidence interval (Student's t-distribution over the seeds); left and right\n"
     "high presses are averaged first. Averages of a press are over its objects. Fail: no patch in any of the cells;\n"
@@ -111,7 +116,7 @@ def _other_measures(table: Table) -> str:
         cells = table.pick(method, "main")
         shown = [_shown(average(cells, name), digits.get(name, 2)) for name in names]
         lines.append([method, *shown, f"{100 * contacts_right(cells):.0f} %"])
-    return "Other measures\n" + _aligned(lines)
+    return f"Other measures\n{_aligned(lines)}\n{_MEASURES_NOTE}"
 
 
 def _false_points(table: Table) -> str:

@@ -47,8 +47,15 @@ def test_frames_at_rest_are_averaged_and_the_solver_stands_beside(tactune):
     assert line.endswith(")")
 
 
-def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_path):
-    pytest.importorskip("matplotlib")
+def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_path, monkeypatch):
+    figures = pytest.importorskip("matplotlib.figure").Figure
+    save, drawn = figures.savefig, {}
+
+    def look(figure, *words, **options):
+        drawn.update({line.get_label(): line.get_ydata() for line in figure.axes[0].lines})
+        save(figure, *words, **options)
+
+    monkeypatch.setattr(figures, "savefig", look)
     table, figure = tmp_path / "strain.csv", tmp_path / "strain.png"
     status, out, _ = tactune(
         "strain", "--source", SOURCE, "--frames", 1, "--spacing-mm", 12, "--csv", table, "--plot", figure
@@ -57,6 +64,10 @@ def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_pa
     assert f"wrote {table}" in out and f"wrote {figure}" in out
     assert "665" in out.splitlines()[1]
     (row,) = csv.DictReader(table.read_text().splitlines())
+    for direction in ("length", "width"):
+        assert drawn[f"{direction}, measured"] == [float(row[f"strain_{direction}_percent"])]
+        known = float(row[f"true_strain_{direction}_seen_percent"])
+        assert drawn[f"{direction}, solver at the dots seen"] == [known]
     assert float(row["strain_length_percent"]) < 2.0  # (1 + 0.16) 10 / 12 - 1 is below 0
     assert figure.read_bytes().startswith(b"\x89PNG")
 

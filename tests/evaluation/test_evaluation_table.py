@@ -231,6 +231,8 @@ def test_text_stands_beside_the_papers_figures(tmp_path):
     text = table_as_text(Table(list(Bench().measure(plan(tmp_path)))))
     line = next(line for line in text.splitlines() if line.startswith("straight"))
     assert line.split()[-4:] == ["fusion", "2.33", "2.78", "70"]
+    assert "boundary_px: mean distance between the outlines" in text
+    assert "contacts right: share of" in text
 
 
 def test_plan_has_both_sides_of_high_presses_and_keeps_held_out_objects_apart():
@@ -250,14 +252,16 @@ def test_every_planned_scene_is_one_of_the_simulators():
         assert resolve_scene(name, variant).frames
 
 
-def test_figure_is_drawn_and_wrong_names_are_refused_first(tmp_path):
-    bench = Bench()
+def test_figure_is_drawn_and_wrong_names_are_refused_first(tmp_path, monkeypatch):
+    bench, captions = Bench(), []
+    monkeypatch.setattr("matplotlib.figure.Figure.supxlabel", lambda figure, text, **looks: captions.append(text))
     scenes = plan_scenes(["cup"], ["medium", "high"], extra=False)
     draw_patches(
         tmp_path / "grid.png", ["fusion-rigid", "mechanics", "proximity-only"], scenes, Preset(), 0, bench.make,
         bench.open,
     )  # fmt: skip
     assert (tmp_path / "grid.png").read_bytes().startswith(b"\x89PNG")
+    assert "in this one frame, with the noise of seed 0" in captions[0]
     with pytest.raises(ExportError, match="suffix"):
         check_plot(tmp_path / "grid.xyz")
 

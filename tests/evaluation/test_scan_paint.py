@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
@@ -135,6 +137,9 @@ def test_arguments_that_do_not_fit_are_refused():
     scan = plate(disc(50, 50, 20))
     with pytest.raises(TactuneError, match="take it from this scan"):
         contact_points(scan, np.ones(7, bool))
-    for spacing in (0.0, -1.0, np.nan, 1e-9):
+    everywhere = np.ones(len(scan.vertices_m), bool)
+    for spacing in (0.0, -1.0, np.nan):
         with pytest.raises(TactuneError, match="the spacing is"):
-            contact_points(scan, np.ones(len(scan.vertices_m), bool), spacing)
+            contact_points(scan, everywhere, spacing)
+    with pytest.raises(TactuneError, match=r"the painted contact is .* cm2 .* check the scan's unit"):
+        contact_points(replace(scan, vertices_m=100 * scan.vertices_m), everywhere)

@@ -204,7 +204,8 @@ def test_a_transform_survives_its_file_bit_for_bit(tmp_path):
     ["", "{}", "[]", '{"T_proximity_scan": 3}', '{"T_proximity_scan": null}', "1 0 0 0\n0 1 0 0\n0 0 1 0", "a b c d",
      "2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "1 0 0 300\n0 1 0 0\n0 0 1 0\n0 0 0 1",
      "1 0 0 nan\n0 1 0 0\n0 0 1 0\n0 0 0 1",
-     '{"T_proximity_scan": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "more": 1}', "{" * 5000, "\xff" * 9]
+     '{"T_proximity_scan": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "more": 1}', "{" * 5000, "\xff" * 9,
+     '{"T_proximity_scan": [[1, 2], [3]]}']
 )  # fmt: skip
 def test_a_file_that_holds_no_pose_is_refused(tmp_path, text):
     path = tmp_path / "scan.json"
@@ -212,6 +213,20 @@ def test_a_file_that_holds_no_pose_is_refused(tmp_path, text):
     with pytest.raises(SourceError, match="holds no pose") as caught:
         load_transform(path)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("-1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "mirrors, which no rotation does"),
+        ("1 0 0 0\n\n0 1 0 x\n0 0 1 0\n0 0 0 1", "line 3 is '0 1 0 x', not four numbers"),
+        ('{"T_proximity_scan":\n [[1, 0', "line 2 is no JSON"),
+    ],
+)
+def test_what_is_wrong_with_a_pose_is_said(tmp_path, text, words):
+    (tmp_path / "scan.json").write_text(text)
+    with pytest.raises(SourceError, match=words):
+        load_transform(tmp_path / "scan.json")
 
 
 def test_pairs_of_a_file(tmp_path):
@@ -224,7 +239,12 @@ def test_pairs_of_a_file(tmp_path):
 
 @pytest.mark.parametrize(
     "text, words",
-    [("", "header"), ("a,b\n", "header"), (HEADER + "1,2,3\n", "pair 1"), (HEADER + "1,2,3,4,5,nan\n", "pair 1")],
+    [
+        ("", "header"),
+        ("a,b\n", "header"),
+        (HEADER + "1,2,3\n", "line 2"),
+        (HEADER + "1,2,3,4,5,6\n\n1,2,3,4,5,nan\n", "line 4"),
+    ],
 )
 def test_a_file_that_holds_no_pairs_is_refused(tmp_path, text, words):
     (tmp_path / "pairs.csv").write_text(text)

@@ -198,6 +198,7 @@ def test_what_cannot_be_exported_is_refused(source, tmp_path):
         ("cup.obj", {}, ExportError, "vertex colours is .ply"),
         ("cup.ply", {"texture": True}, ExportError, "texture is .obj"),
         ("cup.ply", {"spacing_m": 1e-6}, ExportError, "0.3 to 10 mm"),
+        ("cup.ply", {"spacing_m": 0.0}, ExportError, "the spacing is 0 mm; give 0.3 to 10 mm"),
         ("cup.ply", {"index": 999}, SourceError, "no frame 999"),
     ):
         with pytest.raises(error, match=words):
