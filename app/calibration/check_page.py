@@ -74,7 +74,9 @@ class CheckPage(QWidget):
         self.note = QLabel()
         self.note.setWordWrap(True)
         self.set_tolerance = QCheckBox()
-        self.set_tolerance.setToolTip("The smallest tolerance t (no unit) that this calibration supports")
+        self.set_tolerance.setToolTip(
+            "The smallest tolerance t (no unit) that this calibration supports; the calibrated contact test has none"
+        )
         self._make_controls()
         self._lay_out()
         self._connect()
@@ -184,10 +186,13 @@ class CheckPage(QWidget):
         return None if report is None else report.apply_to(self._document.preset)
 
     def _show_tolerance(self) -> None:
-        report, present = self._outcome.report, self._document.preset.tolerance.t
+        report, preset = self._outcome.report, self._document.preset
+        use = "" if preset.contact_test == "tolerance" else ", and the preset's calibrated test does not use it"
         self.set_tolerance.setEnabled(report is not None)
         supported = "" if report is None else f" to {report.chosen.effect.supported_tolerance:.4f}"
-        self.set_tolerance.setText(f"Also set the tolerance t{supported} when saving; it is {present:.4f} now")
+        self.set_tolerance.setText(
+            f"Also set the tolerance t{supported} when saving; it is {preset.tolerance.t:.4f} now{use}"
+        )
 
     def _frame(self) -> SensorFrame | None:
         """Return the frame that is looked at: the snapshot being clicked, or the live one."""
@@ -253,7 +258,7 @@ class CheckPage(QWidget):
             return
         before = "none" if old.problem else f"{old.area_mm2 / 100:.1f} cm²"
         self.note.setText(
-            f"Patch in the frame shown, at the preset's tolerance: {new.area_mm2 / 100:.1f} cm² with the new "
+            f"Patch in the frame shown, by the preset's contact test: {new.area_mm2 / 100:.1f} cm² with the new "
             f"alignment, {before} with the present one."
         )
 

@@ -69,7 +69,7 @@ _NUMBERS = (
             lambda q: q.alignment_mm, "mm"),
     _Number("Patch boundary off by", "Expected error of the contact patch's boundary, millimetres",
             lambda q: q.effect.boundary_mm, "mm"),
-    _Number("Smallest tolerance t", "With a smaller t, pixels in true contact would be lost (no unit)",
+    _Number("Smallest t (tolerance test)", "With a smaller t the tolerance test loses pixels in true contact (no unit)",
             lambda q: q.effect.supported_tolerance, "", 4),
     _Number("Condition number", "How unevenly the points determine the fit (no unit); thousands are a bad sign",
             lambda q: q.condition, "", 1),

@@ -127,7 +127,7 @@ class QualityTab(QWidget):
         for camera in (quality.proximity, quality.tactile):
             parts.append(f"{camera.role.capitalize()} camera ({camera.model}), region {camera.region}")
             parts += [reading.line for reading in judge_camera(camera)]
-        return "\n".join([*parts, judge_bias(quality, self._document.preset.tolerance.t).line])
+        return "\n".join([*parts, judge_bias(quality, self._document.preset).line])
 
     def _lay_out(self) -> None:
         intro = QLabel(_INTRO)
@@ -235,7 +235,7 @@ class QualityTab(QWidget):
         self._tactile_outline.set_rectangle(quality.tactile.region)
         self.lines["proximity"].setText(_table(judge_camera(quality.proximity)))
         self.lines["tactile"].setText(_table(judge_camera(quality.tactile)))
-        self.lines["bias"].setText(_table((judge_bias(quality, self._document.preset.tolerance.t),)))
+        self.lines["bias"].setText(_table((judge_bias(quality, self._document.preset),)))
         count = quality.proximity.frames
         waiting = f"{count} of {NOISE_FRAMES} frames for the temporal noise" if count < NOISE_FRAMES else ""
         self.status.setText(waiting)

@@ -42,10 +42,11 @@ def grade(quality: ModelQuality) -> str:
             f"noise would leave an alignment error of {quality.alignment_px:.1f} px."
         )
     word = "Good" if quality.alignment_px <= GOOD_PX else "Usable" if quality.alignment_px <= USABLE_PX else "Poor"
+    effect = quality.effect
     return (
         f"{word}: expected alignment error {quality.alignment_px:.2f} px ({quality.alignment_mm:.2f} mm), with 95 % "
         f"certainty below {quality.alignment_bound_95_px:.2f} px; patch boundary off by "
-        f"{quality.effect.boundary_mm:.1f} mm; supports t from {quality.effect.supported_tolerance:.3f}."
+        f"{effect.boundary_mm:.1f} mm; the tolerance test needs t from {effect.supported_tolerance:.3f}."
     )
 
 

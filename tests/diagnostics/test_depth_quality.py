@@ -19,7 +19,7 @@ from tactune.core.diagnostics.depth_quality import (
 from tactune.core.diagnostics.judgement import Verdict, judge_bias, judge_camera
 from tactune.core.diagnostics.plane import clip_depths, fit_plane
 from tactune.core.errors import FrameError
-from tactune.core.preset import AlignmentSection
+from tactune.core.preset import AlignmentSection, Preset
 
 from .conftest import BASELINE_M, HEIGHT, WIDTH, counts, plane_depth
 
@@ -166,7 +166,7 @@ def test_a_rig_without_pose_is_measured_without_a_bias(rig, make_frame):
     quality = measure_quality([make_frame(0.3, 0.3)], alone, AlignmentSection(), REGION)
     assert quality.tactile.region == REGION
     assert quality.bias is None
-    reading = judge_bias(quality, 0.03)
+    reading = judge_bias(quality, Preset())
     assert reading.verdict is Verdict.UNKNOWN
     assert "calibrate" in reading.line
 
@@ -194,16 +194,32 @@ def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
 @pytest.mark.parametrize(("bias_m", "verdict"), [(0.001, Verdict.GOOD), (-0.005, Verdict.FAIR), (0.017, Verdict.POOR)])
 def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
-    reading = judge_bias(quality, 0.03)
+    reading = judge_bias(quality, Preset())
     assert reading.verdict is verdict
     assert ("proximity" if bias_m > 0 else "tactile") in reading.value
     if verdict is not Verdict.GOOD:
         assert f"{1e3 * bias_m:+.1f} mm" in reading.step
 
 
+@pytest.mark.parametrize(
+    ("bias_m", "bias_taken_off_m", "verdict", "limit"),
+    [
+        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the calibrated contact test takes off"),
+        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the calibrated contact test takes off"),
+        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the calibrated contact test takes off"),
+        (0.001, 0.0, Verdict.FAIR, "below 0.6 mm, a third of its largest gap"),
+    ],
+)
+def test_a_bias_is_judged_by_the_calibrated_test(rig, make_frame, bias_m, bias_taken_off_m, verdict, limit):
+    preset = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": bias_taken_off_m})
+    quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
+    reading = judge_bias(quality, preset)
+    assert (reading.verdict, reading.limit) == (verdict, limit)
+
+
 def test_two_surfaces_are_no_bias(rig, make_frame):
     steps = np.where(np.arange(WIDTH) % 20 < 10, 0.3, 0.4)
-    reading = judge_bias(measure_quality([make_frame(steps, 0.3)], rig, AlignmentSection(), REGION), 0.03)
+    reading = judge_bias(measure_quality([make_frame(steps, 0.3)], rig, AlignmentSection(), REGION), Preset())
     assert reading.verdict is Verdict.UNKNOWN
     assert "same surface" in reading.line
 
