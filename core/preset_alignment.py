@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
 from pydantic import Field, field_validator
@@ -10,6 +10,9 @@ from pydantic import Field, field_validator
 from .calibration_record import CalibrationRecord
 from .frames import Matrix4, rigid_transform
 from .preset_fields import Section, described
+
+#: A homography means the same at any scale; its largest number lies between this and its inverse.
+_LARGEST: Final = 1e150
 
 Row3 = tuple[float, float, float]
 Matrix3 = tuple[Row3, Row3, Row3]
@@ -62,8 +65,14 @@ class HomographyAlignment(Section):
     def _is_regular(cls, value: Matrix3 | None) -> Matrix3 | None:
         if value is None:
             return None
+        largest = float(np.abs(value).max())
+        if largest and not 1 / _LARGEST <= largest <= _LARGEST:
+            raise ValueError(
+                f"the homography's largest number is {largest:g}, beyond what can be computed with; "
+                "only their ratios count, so divide all nine by the last one"
+            )
         singular_values = np.linalg.svd(np.asarray(value), compute_uv=False)
-        if singular_values[-1] <= max(1e-15 * singular_values[0], 1e-12):
+        if singular_values[-1] <= 1e-15 * singular_values[0]:
             raise ValueError("the homography is singular: it maps the image onto a line or a point; fit it again")
         return value
 

@@ -45,6 +45,7 @@ class TruthKeeper(QObject):
         self._key = ""
         self._kept = session.state
         self._said = False
+        self._written: set[str] = set()
         self._seen: dict[str, tuple[TruthState, datetime]] = {}
         self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="scan-truth")
         self._timer = QTimer(self)
@@ -108,9 +109,8 @@ class TruthKeeper(QObject):
 
     def _write(self, state: TruthState, file: Path, transform: Path) -> None:
         try:
-            if state.patch is not None and not (images := _patch_file(self._folder, state.patch.digest)).exists():
-                with atomic_path(images) as temporary:
-                    np.savez_compressed(temporary, points=state.patch.points, context=state.patch.context)
+            if state.patch is not None:
+                self._write_patch(state.patch)
             with atomic_path(file) as temporary:
                 temporary.write_text(json.dumps(_content(state)), encoding="utf-8")
             if state.pose is not None:
@@ -119,6 +119,15 @@ class TruthKeeper(QObject):
             if not self._said:
                 self._said = True
                 self.failed.emit(f"The alignment cannot be kept safe in {self._folder} ({error}).")
+
+    def _write_patch(self, patch: FrozenPatch) -> None:
+        """Write a patch once; a file that somebody else has left under its name may be damaged."""
+        file = _patch_file(self._folder, patch.digest)
+        if patch.digest in self._written and file.exists():
+            return
+        with atomic_path(file) as temporary:
+            np.savez_compressed(temporary, points=patch.points, context=patch.context)
+        self._written.add(patch.digest)
 
 
 def _content(state: TruthState) -> dict[str, Any]:

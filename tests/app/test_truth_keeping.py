@@ -74,6 +74,23 @@ def test_turning_between_scans_keeps_each_ones_work(qapp, tmp_path):
     assert Kept(tmp_path, "abc1").session.state.paint.largest == 5
 
 
+@pytest.mark.parametrize("size", [0, 100])
+def test_a_damaged_patch_is_replaced_when_the_same_one_is_kept_again(qapp, tmp_path, size):
+    first = Kept(tmp_path)
+    first.session.edit("All", state())
+    first.close()
+    (images,) = tmp_path.glob("patch-*.npz")
+    images.write_bytes(images.read_bytes()[:size])
+    second = Kept(tmp_path)
+    assert "gone" in second.sentences[0]
+    assert second.session.state == replace(state(), patch=None)
+    second.session.edit("All", state())
+    second.close()
+    third = Kept(tmp_path)
+    assert third.sentences == []
+    assert third.session.state == state()
+
+
 def test_what_is_damaged_is_set_aside_and_told(qapp, tmp_path):
     (tmp_path / "scan-abc0.json").write_text('{"version": 1, "pairs":', encoding="utf-8")
     session = TruthSession()
