@@ -32,7 +32,9 @@ _PAPER = "the paper's"
 @evaluate_commands.command()
 def table(
     *,
-    methods: Annotated[str, typer.Option(metavar="A,B", help="Methods, separated by commas; 'all' for all.")] = "all",
+    methods: Annotated[
+        str, typer.Option(metavar="A,B", help="Methods, separated by commas; 'all' for all. A wrong name lists them.")
+    ] = "all",
     objects: Annotated[
         str, typer.Option(metavar="A,B", help="Objects: octopus, cup, cube, two; with --held-out mug, hand.")
     ] = _PAPER,

@@ -42,7 +42,7 @@ def new(
             "that contact test.",
         ),
     ] = None,
-    name: Annotated[str | None, typer.Option(help="Default: the file's name.")] = None,
+    name: Annotated[str | None, typer.Option(metavar="NAME", help="Default: the file's name.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
 ) -> None:
     """Write a new preset: the paper's values, changed as you say."""
@@ -93,7 +93,9 @@ def capture_reference(
         str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
     ],
     preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
-    frames: Annotated[int, typer.Option("--frames", "-n", min=1, max=1000, help="How many frames to average.")] = 15,
+    frames: Annotated[
+        int, typer.Option("--frames", "-n", min=1, max=1000, metavar="N", help="How many frames to average.")
+    ] = 15,
     force: Annotated[bool, typer.Option("--force", help="Keep it though the preset finds contact on it.")] = False,
 ) -> None:
     """Average frames of the untouched membrane into a preset's reference, for methods and checks that compare with it.

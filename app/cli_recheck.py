@@ -24,7 +24,9 @@ def recheck(
         str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
     ],
     preset: Annotated[str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to check.")],
-    frames: Annotated[int, typer.Option("--frames", "-n", min=1, max=1000, help="How many frames to average.")] = 15,
+    frames: Annotated[
+        int, typer.Option("--frames", "-n", min=1, max=1000, metavar="N", help="How many frames to average.")
+    ] = 15,
     as_json: Annotated[bool, typer.Option("--json", help="Print the measurements as JSON.")] = False,
 ) -> None:
     """Look whether the cameras have moved or the membrane's inflation has changed since the preset was made.

@@ -169,11 +169,14 @@ def export_scan(
         bool, typer.Option("--texture", help="A coarse mesh with a fine texture instead of colours of vertices.")
     ] = False,
     spacing_mm: Annotated[
-        float | None, typer.Option(metavar="MM", help="Size of the mesh's cells; default 0.8, with a texture 4.")
+        float | None,
+        typer.Option(metavar="MM", help="Size of the mesh's cells, 0.3 to 10; default 0.8, with a texture 4."),
     ] = None,
-    noise: Annotated[float, typer.Option(min=0, max=255, help="Noise of each colour channel, sigma of 0 to 255.")] = 0,
+    noise: Annotated[
+        float, typer.Option(min=0, max=255, metavar="SIGMA", help="Noise of each colour channel, which has 0 to 255.")
+    ] = 0,
     specks: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Spots of the wrong colour.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, help="Chooses noise and specks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Chooses noise and specks.")] = 0,
 ) -> None:
     """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
     from ..core.evaluation.scan_simulated import PaintFlaws, export_painted_scan

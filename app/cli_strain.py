@@ -81,6 +81,8 @@ def strain(
     """Measure membrane strain from a printed grid of dots.
 
     The displacement is against the first frame, or the reference of the preset or the source where there is one.
+    Where the simulator's solver knows the strain it stands beside: between dots that the camera sees, in brackets
+    between all.
     """
     from ..core.evaluation.strain import StrainError, check_spacing, indentation_m, measure_strain
     from ..core.evaluation.strain_average import average_still
