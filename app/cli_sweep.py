@@ -60,8 +60,8 @@ def sweep(
     ] = None,
     frames: Annotated[
         str | None,
-        typer.Option("--frames", "-n", metavar="N|A:B|A:B:STEP", help="Which frames of each source: the first N, or A up to "
-                     "but not including B; default: all."),
+        typer.Option("--frames", "-n", metavar="N|A:B|A:B:STEP", help="Which frames of each source: the "
+                     "first N, or A up to but not including B; default: all."),
     ] = None,
     seeds: Annotated[
         int | None, typer.Option(min=1, max=1000, metavar="N", help="Choices of noise for each simulated source.")
