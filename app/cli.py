@@ -75,7 +75,7 @@ PresetName = Annotated[
         "--preset",
         "-p",
         metavar="FILE|NAME",
-        help="A preset file or a shipped name; without it, simulator for sim and default for others.",
+        help="A preset file or shipped name; without it the recording's own, else simulator for sim, default for others.",
     ),
 ]
 FrameCount = Annotated[

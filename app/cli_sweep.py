@@ -39,8 +39,8 @@ def sweep(
     *,
     preset: Annotated[
         str | None,
-        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Gives all that is not swept; default: simulator "
-                     "where all sources are simulated, else default."),
+        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Gives all that is not swept; default: as for "
+                     "tactune run where all sources have the same, else default."),
     ] = None,
     source: Annotated[
         list[str] | None,
