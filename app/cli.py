@@ -75,7 +75,7 @@ PresetName = Annotated[
         "--preset",
         "-p",
         metavar="FILE|NAME",
-        help="A preset file or shipped name; without it the recording's own, else simulator for sim, default for others.",
+        help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
     ),
 ]
 FrameCount = Annotated[
