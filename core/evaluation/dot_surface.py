@@ -23,14 +23,14 @@ _PIXELS_A_SAMPLE: Final = 70.0
 #: Pixels farther from the middle's median than so much of the depth belong to something else.
 _SAME_SURFACE: Final = 0.04
 #: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
-_AGREES_WITHIN: Final = 2.0
+_AGREES_WITHIN: Final = 1.5
 _FEWEST_SHARE: Final = 0.35
 #: The median of so many nearest depths tells on which side of an edge a dot lies.
 _NEAREST: Final = 9
 #: Noise is the scatter over surroundings of this radius.
 _NOISE_RADIUS_PX: Final = 12
 #: Steepest surface on which neighbouring dots can still be told apart, as a slope against the image plane.
-_STEEPEST: Final = 3.0
+STEEPEST: Final = 3.0
 #: Depths farther apart are not averaged before slopes are taken over so many pixels.
 _EDGE_M: Final = 0.003
 _SLOPE_SIGMA_PX: Final = 2.0
@@ -146,11 +146,30 @@ def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
     depth = np.where(known, smooth, np.nanmedian(depth_m))
     rows, columns = np.indices(depth.shape)
     rays = intrinsics.normalise(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
-    x, y = rays.T.reshape(2, *depth.shape)
-    down, right = (_slope(depth, axis) for axis in (0, 1))
-    side = depth / intrinsics.fx
-    limit = _STEEPEST * side
-    down, right = (np.where(known, np.clip(slope, -limit, limit), 0.0) for slope in (down, right))
+    slopes = np.stack([np.where(known, _slope(depth, axis), 0.0) for axis in (1, 0)], axis=2)
+    return area_of_slopes(depth, rays.reshape(*depth.shape, 2), slopes, intrinsics, STEEPEST)
+
+
+def area_of_slopes(
+    depth_m: Float64Array, rays: Float64Array, slopes_m: Float64Array, intrinsics: Intrinsics, steepest: float
+) -> Float64Array:
+    """Return how much of the surface pixels show, square metres, shape (...).
+
+    Parameters
+    ----------
+    depth_m : float64, shape (...)
+    rays : float64, shape (..., 2)
+        Their directions, at depth 1.
+    slopes_m : float64, shape (..., 2)
+        Change of depth to the next pixel along u and v.
+    intrinsics : Intrinsics
+    steepest : float
+        Steeper slopes against the image plane count as this one.
+    """
+    side = depth_m / intrinsics.fx
+    limit = (steepest * side)[..., None]
+    right, down = np.moveaxis(np.clip(slopes_m, -limit, limit), -1, 0)
+    x, y = np.moveaxis(rays, -1, 0)
     return np.asarray(side * np.sqrt(right**2 + down**2 + (side + x * right + y * down) ** 2))
 
 
@@ -182,4 +201,4 @@ def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array,
     apart = min(_SLOPE_PX, len(seen) - 1)
     steps = np.abs(depth[seen[apart:]] - depth[seen[: len(seen) - apart]])
     across = (seen[apart:] - seen[: len(seen) - apart]) * depth[seen[apart:]] / focal_px
-    return bool((steps <= _STEEPEST * across).all())
+    return bool((steps <= STEEPEST * across).all())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Final
 
 import cv2
@@ -10,6 +11,7 @@ import numpy.typing as npt
 
 from ..calibration.detect import to_gray
 from ..frames import Float64Array
+from .dot_edges import SeenSurface, bent_middles
 
 #: Widest dots looked for, pixels; the search tries one after the other.
 DOT_WIDTHS_PX: Final = (11, 21, 41)
@@ -22,8 +24,37 @@ _LONGEST_ASPECT: Final = 4.0
 _LEAST_FILL: Final = 0.5
 
 
-def find_dots(image: npt.NDArray[Any], width_px: int, area: Float64Array | None = None) -> Float64Array:
+@dataclass(frozen=True, eq=False)
+class Spots:
+    """Dark spots in an image.
+
+    Attributes
+    ----------
+    pixels : float64, shape (N, 2)
+        Their middles ``(u, v)``.
+    area_m2 : float64, shape (N,)
+        How much of the surface they cover.
+    at_step : bool, shape (N,)
+        Whether the surface ends beside them, or is hidden.
+    """
+
+    pixels: Float64Array
+    area_m2: Float64Array
+    at_step: npt.NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def some(self, chosen: npt.NDArray[Any]) -> Spots:
+        """Return those of a mask or of numbers."""
+        return Spots(self.pixels[chosen], self.area_m2[chosen], self.at_step[chosen])
+
+
+def find_dots(image: npt.NDArray[Any], width_px: int, surface: SeenSurface) -> Spots:
     """Find dark spots that are narrower than a width, whatever the brightness of what they lie on.
+
+    A spot's pixels count by the surface that each shows, so that its middle is that on the surface, even where
+    the farther half is foreshortened. No spot reaches over a step of depth.
 
     Parameters
     ----------
@@ -31,14 +62,8 @@ def find_dots(image: npt.NDArray[Any], width_px: int, area: Float64Array | None 
         Colour is RGB.
     width_px : int
         Spots of this width and more are taken for the background; an odd number.
-    area : float64, shape (H, W), optional
-        How much of the surface each pixel shows. By it a dot's pixels count, so that the middle of a dot is
-        that on the surface, even where its farther half is foreshortened.
-
-    Returns
-    -------
-    float64, shape (N, 2)
-        Centroids ``(u, v)``, pixels, weighted by contrast and area.
+    surface : SeenSurface
+        What the image shows.
     """
     gray = to_gray(image)
     element = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (width_px, width_px))
@@ -48,15 +73,29 @@ def find_dots(image: npt.NDArray[Any], width_px: int, area: Float64Array | None 
     least = max(_LEAST_CONTRAST, _LEAST_OVER_GRAIN * grain)
     reach = max(width_px // 4, 1) * 2 + 1
     peak = cv2.dilate(smooth, np.ones((reach, reach), np.uint8))
-    inside = (smooth > _EDGE_SHARE * peak) & (peak > least)
-    count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
-    weight = np.maximum(smooth - grain, 0.0) * (1.0 if area is None else area)
-    return _centroids(weight, labels, _dot_like(stats[:count], gray.shape, width_px, labels))
+    labels, stats = surface.regions((smooth > _EDGE_SHARE * peak) & (peak > least))
+    weight = np.maximum(smooth - grain, 0.0) * surface.area_m2
+    rows, columns = np.nonzero(labels)
+    label, share = labels[rows, columns], weight[rows, columns]
+    total, u, v, area, beside = (
+        np.bincount(label, of, len(stats))
+        for of in (
+            share,
+            share * columns,
+            share * rows,
+            surface.area_m2[rows, columns],
+            surface.near_step(1)[rows, columns],
+        )
+    )
+    numbers = _dot_like(stats, gray.shape, width_px)
+    numbers = numbers[total[numbers] > 0]
+    means = np.column_stack([u, v])[numbers] / total[numbers, None]
+    middles = bent_middles(surface, weight, labels, stats, numbers, means)
+    covered = np.asarray(area[numbers], np.float64)
+    return Spots(middles, covered, beside[numbers] > 0)
 
 
-def _dot_like(
-    stats: npt.NDArray[Any], shape: tuple[int, ...], width_px: int, labels: npt.NDArray[Any]
-) -> npt.NDArray[np.intp]:
+def _dot_like(stats: npt.NDArray[Any], shape: tuple[int, ...], width_px: int) -> npt.NDArray[np.intp]:
     """Return the numbers of the regions that may be dots: small, filled, not cut by the image's edge."""
     x, y, w, h, area = stats.T
     fits = (area >= _LEAST_AREA_PX) & (np.maximum(w, h) <= width_px) & (area >= _LEAST_FILL * w * h)
@@ -64,11 +103,3 @@ def _dot_like(
     fits &= (x > 0) & (y > 0) & (x + w < shape[1]) & (y + h < shape[0])
     fits[0] = False
     return np.flatnonzero(fits)
-
-
-def _centroids(weight: npt.NDArray[Any], labels: npt.NDArray[Any], numbers: npt.NDArray[np.intp]) -> Float64Array:
-    rows, columns = np.nonzero(labels)
-    label, share = labels[rows, columns], weight[rows, columns].astype(np.float64)
-    total, u, v = (np.bincount(label, share * over, labels.max() + 1) for over in (1.0, columns, rows))
-    usable = numbers[total[numbers] > 0]
-    return np.column_stack([u[usable] / total[usable], v[usable] / total[usable]])

@@ -20,9 +20,10 @@ from scipy.spatial import cKDTree
 from ..clouds import valid_depth
 from ..errors import TactuneError
 from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
+from .dot_edges import SeenSurface, whole_dots
 from .dot_lattice import DotLattice, IntArray, order_dots
-from .dot_surface import dot_points, surface_area, surface_between
-from .dots import DOT_WIDTHS_PX, find_dots
+from .dot_surface import dot_points, surface_between
+from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .strain_field import AxisStrain, axis_strain, crossed
 
 #: Distance of neighbouring dots on the flat sheet, metres, unless said otherwise.
@@ -226,19 +227,19 @@ def _ordered_anew(
 def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> _Grid:
     """Return the dots in order, from the dot size, or all together, that gives most neighbours to believe."""
     assert frame.tactile_color is not None
-    area = surface_area(depth_m, camera.intrinsics)
-    found = [find_dots(frame.tactile_color, width_px, area) for width_px in DOT_WIDTHS_PX]
+    surface = SeenSurface.of(depth_m, camera.intrinsics)
+    found = [find_dots(frame.tactile_color, width_px, surface) for width_px in DOT_WIDTHS_PX]
     grids = []
-    for pixels in [*found, _merged(found)]:
-        lattice = order_dots(pixels, partial(_linked, depth_m, camera.intrinsics.fx, pixels))
+    for spots in [*found, _merged(found)]:
+        lattice = order_dots(spots.pixels, partial(_linked, depth_m, camera.intrinsics.fx, spots.pixels))
         ordered = lattice.piece >= 0
-        if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(pixels)):
+        if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(spots)):
             kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
-            grids.append(_in_space(pixels[ordered], kept, frame.tactile_depth, depth_m, camera))
+            grids.append(_in_space(spots.some(ordered), kept, frame.tactile_depth, depth_m, camera))
     if not grids:
-        spots = max(map(len, found))
+        most = max(map(len, found))
         raise StrainError(
-            f"frame {frame.sequence}: no grid of dots is seen in the tactile colour image ({spots} dark spots, not in "
+            f"frame {frame.sequence}: no grid of dots is seen in the tactile colour image ({most} dark spots, not in "
             "rows and columns); print a square grid of dark dots on the membrane, lit evenly and in focus "
             "(simulated: sim:cup?grid=dots)"
         )
@@ -246,28 +247,33 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
 
 
 def _in_space(
-    pixels: Float64Array,
+    spots: Spots,
     lattice: DotLattice,
     counts: npt.NDArray[np.uint16],
     depth_m: Float64Array,
     camera: DepthCamera,
 ) -> _Grid:
     """Bring dots into space, and those that no neighbour there confirms in order once more."""
+    pixels, focal_px = spots.pixels, camera.intrinsics.fx
     points, sigma = dot_points(counts, camera, pixels)
-    focal_px = camera.intrinsics.fx
     sides = _sides(lattice, depth_m, focal_px, pixels, points)
     loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
     lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
-    return _Grid(pixels, points, sigma, lattice, _sides(lattice, depth_m, focal_px, pixels, points))
+    whole = whole_dots(lattice, points, spots.area_m2, spots.at_step)
+    along, across = (pairs[whole[pairs].all(axis=1)] for pairs in _sides(lattice, depth_m, focal_px, pixels, points))
+    return _Grid(pixels, points, sigma, lattice, (along, across))
 
 
-def _merged(found: list[Float64Array]) -> Float64Array:
+def _merged(found: list[Spots]) -> Spots:
     """Return spots of all sizes, each once."""
     together = found[0]
-    for pixels in found[1:]:
-        if len(together) and len(pixels):
-            apart = cKDTree(together).query(pixels)[0] > _SAME_SPOT_PX
-            together = np.concatenate([together, pixels[apart]])
-        else:
-            together = np.concatenate([together, pixels])
+    for more in found[1:]:
+        spots = more
+        if len(together) and len(more):
+            spots = more.some(np.asarray(cKDTree(together.pixels).query(more.pixels)[0] > _SAME_SPOT_PX))
+        together = Spots(
+            np.concatenate([together.pixels, spots.pixels]),
+            np.concatenate([together.area_m2, spots.area_m2]),
+            np.concatenate([together.at_step, spots.at_step]),
+        )
     return together

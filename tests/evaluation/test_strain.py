@@ -111,7 +111,7 @@ def test_dots_across_a_step_of_depth_are_no_neighbours():
 
 @pytest.mark.parametrize("scene", ["cup?press=low", "cup?press=medium", "cube?press=high"])
 def test_the_simulator_and_the_dots_agree_within_two_points(scene):
-    """Against the solver's largest strain between dots that the tactile camera sees, up to 92 %."""
+    """Against the solver's largest strain between dots that the tactile camera sees whole, up to 92 %."""
     with open_source(f"sim:{scene}&grid=dots") as source:
         facts = source.facts(0)
         measured = measure_strain(source.next_frame(), source.rig)
@@ -120,22 +120,16 @@ def test_the_simulator_and_the_dots_agree_within_two_points(scene):
     assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.02)
 
 
-@pytest.mark.parametrize(
-    "scene, axis, seed",
-    [
-        ("cup?press=high&side=left", "length", 0),
-        ("cup?press=high&side=right", "width", 1),
-        ("octopus?press=high&side=right", "length", 0),
-        ("octopus?press=high&side=left", "width", 1),
-    ],
-)
-def test_dots_foreshortened_at_edges_are_measured_within_two_points(scene, axis, seed):
-    """Up to 90 %; where the largest strain ends at a dot that is mostly hidden, it is not asked for."""
-    with open_source(f"sim:{scene}&grid=dots&seed={seed}") as source:
+@pytest.mark.parametrize("side", ["right", "left"])
+@pytest.mark.parametrize("shape", ["cup", "octopus"])
+def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape, side):
+    """Up to 90 %; at the cup's sharp lip one of the dots lies at the edge. Cut dots beside have 86 to 109 %."""
+    with open_source(f"sim:{shape}?press=high&side={side}&grid=dots") as source:
         frame = source.next_frame()
-        measured = measure_strain(frame, source.rig)
-    known = frame.truth.strain
-    assert getattr(measured, axis).largest == pytest.approx(getattr(known, f"{axis}_seen"), abs=0.02)
+        measured, known = measure_strain(frame, source.rig), frame.truth.strain
+    assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
+    assert measured.width.largest == pytest.approx(known.width_seen, abs=0.02)
+    assert known.length > known.length_seen + 0.05
 
 
 def test_droplets_are_no_grid():

@@ -67,37 +67,37 @@ def test_the_share_of_a_dot_that_is_shown_is_that_of_rays_which_meet_nothing_bef
     share = dots_shown(membrane, nodes, camera)
     design = membrane.design
     assert (np.histogram(share, (0.0, 0.05, 0.95, 1.01))[0] > (30, 20, 300)).all()
-    cut = np.flatnonzero((share > 0.05) & (share < 0.95))[:12]
+    cut = np.flatnonzero((share > 0.05) & (share < 0.95))[::4]
     some = np.concatenate([cut, np.flatnonzero(share == 0.0)[:2], np.flatnonzero(share == 1.0)[:2]])
     rng, grid = np.random.default_rng(0), dot_grid(design.width_m, design.height_m)
     for dot in some:
-        radius, angle = DOT_RADIUS_M * np.sqrt(rng.uniform(size=100)), rng.uniform(0, 2 * np.pi, 100)
+        radius, angle = DOT_RADIUS_M * np.sqrt(rng.uniform(size=60)), rng.uniform(0, 2 * np.pi, 60)
         places = grid[dot] + np.stack([radius * np.cos(angle), radius * np.sin(angle)], axis=1)
-        shown = np.mean([shows(membrane, nodes, camera, place) for place in places])
-        assert share[dot] == pytest.approx(shown, abs=0.15)
+        assert share[dot] == pytest.approx(shows(membrane, nodes, camera, places).mean(), abs=0.2)
     assert dots_shown(membrane, nodes + np.array((1.0, 0.0, 0.0)), camera).max() == 0.0  # beside the picture
 
 
-def shows(membrane, nodes, camera, place):
-    """Tell whether a camera sees a place, (x, y), of the flat sheet (Moeller and Trumbore)."""
-    corners = np.moveaxis(membrane.mesh.flat[membrane.mesh.triangles, :2], 1, 0)
-    sides = np.array(
-        [np.linalg.det(np.stack([corners[b] - place, corners[c] - place], 1)) for b, c in ((1, 2), (2, 0))]
-    )
-    shares = sides / np.linalg.det(np.stack([corners[1] - corners[0], corners[2] - corners[0]], 1))
-    shares = np.stack([*shares, 1.0 - shares.sum(axis=0)])
-    own = int(np.argmax(shares.min(axis=0)))
-    a, b, c = np.moveaxis(nodes[membrane.mesh.triangles], 1, 0)
-    point = shares[:, own] @ nodes[membrane.mesh.triangles[own]]
-    eye = -camera.pose[:, :3].T @ camera.pose[:, 3]
-    ray = point - eye
-    across = np.cross(ray, c - a)
-    det = ((b - a) * across).sum(axis=1)
-    met = det != 0.0
-    det = np.where(met, det, 1.0)
-    u, away = ((eye - a) * across).sum(axis=1) / det, np.cross(eye - a, b - a)
-    v, reach = away @ ray / det, ((c - a) * away).sum(axis=1) / det
-    return not (met & (u >= 0) & (v >= 0) & (u + v <= 1) & (reach > 0) & (reach < 1 - 1e-5)).any()
+def shows(membrane, nodes, camera, places):
+    """Tell which places, (N, 2), of the flat sheet a camera sees (Moeller and Trumbore)."""
+    triangles, eye = membrane.mesh.triangles, -camera.pose[:, :3].T @ camera.pose[:, 3]
+    (a, b, c), corners = np.moveaxis(nodes[triangles], 1, 0), np.moveaxis(membrane.mesh.flat[triangles], 1, 0)[..., :2]
+    away = np.cross(eye - a, b - a)
+    seen = []
+    for place in places:
+        twice = [
+            np.linalg.det(np.stack([corners[i] - place, corners[j] - place], 1)) for i, j in ((1, 2), (2, 0), (0, 1))
+        ]
+        shares = np.array(twice) / sum(twice)
+        own = int(np.argmax(shares.min(axis=0)))
+        ray = shares[:, own] @ nodes[triangles[own]] - eye
+        across = np.cross(ray, c - a)
+        det = ((b - a) * across).sum(axis=1)
+        met = det != 0.0
+        det = np.where(met, det, 1.0)
+        u, v = ((eye - a) * across).sum(axis=1) / det, away @ ray / det
+        reach = ((c - a) * away).sum(axis=1) / det
+        seen.append(not (met & (u >= 0) & (v >= 0) & (u + v <= 1) & (reach > 0) & (reach < 1 - 1e-5)).any())
+    return np.array(seen)
 
 
 def test_a_simulated_frame_tells_its_strain():

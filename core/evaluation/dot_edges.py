@@ -1,0 +1,216 @@
+"""Dots at edges, where the surface turns away or is hidden: what is theirs, and where their middle is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from ..frames import Float64Array
+from ..intrinsics import Intrinsics
+from .dot_lattice import DotLattice
+from .dot_surface import STEEPEST, area_of_slopes, surface_area
+
+BoolArray = npt.NDArray[np.bool_]
+
+#: Neighbouring pixels whose slope against the image plane is beyond this show different parts of the surface.
+_STEP: Final = 2 * STEEPEST
+#: So near to a step slopes are fitted to the own side of it, and spots' middles are sought on the bent surface, pixels.
+_SLOPES_NEAR_PX: Final = 5
+_BENT_NEAR_PX: Final = 8
+#: Radius of those fits, pixels, the fewest pixels in them, and the depth over which a side reaches at most, as a share.
+_RADIUS_PX: Final = 3
+_FEWEST_PX: Final = 10
+_SAME_SIDE: Final = 0.04
+#: A middle is moved at most by this share of its spot's size.
+_FARTHEST_SHARE: Final = 0.2
+#: A spot at a step is a whole dot where its area, over that of the square of the grid around it, is within these
+#: multiples of what it is elsewhere; below, a part is hidden, and beyond, more than a dot is in it.
+_WHOLE_AREA: Final = (0.75, 1.8)
+
+
+@dataclass(frozen=True, eq=False)
+class SeenSurface:
+    """The surface in one image of depth.
+
+    Attributes
+    ----------
+    depth_m : float64, shape (H, W)
+        nan where there is none.
+    intrinsics : Intrinsics
+    area_m2 : float64, shape (H, W)
+        How much of the surface each pixel shows.
+    step_right, step_down : bool, shape (H, W - 1) and (H - 1, W)
+        Where two pixels beside, or below each other show different parts of it.
+    """
+
+    depth_m: Float64Array
+    intrinsics: Intrinsics
+    area_m2: Float64Array
+    step_right: BoolArray
+    step_down: BoolArray
+
+    @classmethod
+    def of(cls, depth_m: Float64Array, intrinsics: Intrinsics) -> SeenSurface:
+        """Find steps, and slopes."""
+        right, down = (_steps(depth_m, axis, intrinsics.fx) for axis in (1, 0))
+        area = surface_area(depth_m, intrinsics)
+        rows, columns = np.nonzero(_near(right, down, _SLOPES_NEAR_PX) & np.isfinite(depth_m))
+        if len(rows):
+            slopes, enough = _slopes_of_own_side(depth_m, rows, columns)
+            rows, columns = rows[enough], columns[enough]
+            places = np.column_stack([columns, rows]).astype(np.float64)
+            area[rows, columns] = area_of_slopes(
+                depth_m[rows, columns], intrinsics.normalise(places), slopes[enough], intrinsics, _STEP
+            )
+        return cls(depth_m, intrinsics, area, right, down)
+
+    def near_step(self, reach_px: int) -> BoolArray:
+        """Tell the pixels so near to a step, shape (H, W)."""
+        return _near(self.step_right, self.step_down, reach_px)
+
+    def regions(self, inside: BoolArray) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+        """Number connected pixels; what is on the other side of a step is not connected.
+
+        Parameters
+        ----------
+        inside : bool, shape (H, W)
+
+        Returns
+        -------
+        labels : int32, shape (H, W)
+            0 outside.
+        stats : int32, shape (K, 5)
+            Left, top, width, height and number of pixels of each region, the outside first.
+        """
+        links = np.zeros((2 * inside.shape[0] - 1, 2 * inside.shape[1] - 1), np.uint8)  # pixels, and between them
+        links[::2, ::2] = inside
+        links[::2, 1::2] = inside[:, 1:] & inside[:, :-1] & ~self.step_right
+        links[1::2, ::2] = inside[1:] & inside[:-1] & ~self.step_down
+        count, fine, boxes, _ = cv2.connectedComponentsWithStats(links, connectivity=4)
+        labels = np.ascontiguousarray(fine[::2, ::2], dtype=np.int32)
+        stats = np.asarray(boxes, np.int32)
+        stats[:, :2] = stats[:, :2] // 2
+        stats[:, 2:4] = (stats[:, 2:4] + 1) // 2
+        stats[:, 4] = np.bincount(labels.ravel(), minlength=count)
+        return labels, stats
+
+    def middle(self, weight: Float64Array, left: int, top: int) -> Float64Array | None:
+        """Return the pixel, (u, v), that shows the middle of a spot, on the surface however it bends.
+
+        The mean of the pixels of a spot is not its middle where the surface turns away: the half that is seen at a
+        lower angle is shorter in the image. So the mean is taken in the tangent plane, and pixels are fitted over it.
+
+        Parameters
+        ----------
+        weight : float64, shape (h, w)
+            Of a part of the image, 0 outside of the spot.
+        left, top : int
+            Where that part begins.
+        """
+        depth = self.depth_m[top : top + weight.shape[0], left : left + weight.shape[1]]
+        own = (weight > 0) & np.isfinite(depth)
+        if not own.any():
+            return None
+        middle = float(np.median(depth[own]))
+        rows, columns = np.nonzero(np.abs(depth - middle) <= _SAME_SIDE * middle)
+        if len(rows) < _FEWEST_PX:
+            return None
+        pixels = np.column_stack([columns + left, rows + top]).astype(np.float64)
+        z, share = depth[rows, columns], weight[rows, columns]
+        points = np.column_stack([self.intrinsics.normalise(pixels) * z[:, None], z])
+        around = points - share @ points / share.sum()
+        _, directions = np.linalg.eigh((share[:, None] * around).T @ around)
+        tangent = around @ directions[:, 1:]
+        x, y = (tangent / np.abs(tangent).max()).T
+        design = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], axis=1)
+        return np.asarray(np.linalg.lstsq(design, pixels, rcond=None)[0][0])
+
+
+def bent_middles(
+    surface: SeenSurface,
+    weight: Float64Array,
+    labels: npt.NDArray[np.int32],
+    stats: npt.NDArray[np.int32],
+    numbers: npt.NDArray[np.intp],
+    pixels: Float64Array,
+) -> Float64Array:
+    """Return the middles, (N, 2), of spots with numbers, (N,): those near a step on the bent surface."""
+    moved, near = pixels.copy(), surface.near_step(_BENT_NEAR_PX)
+    for place, number in enumerate(numbers):
+        u, v = np.rint(pixels[place]).astype(int)
+        if not near[v, u]:
+            continue
+        left, top, width, height = stats[number, :4]
+        left, top = left - 1, top - 1  # a dot at the image's rim is none, so there is a pixel around each
+        part = (slice(top, top + height + 2), slice(left, left + width + 2))
+        middle = surface.middle(np.where(labels[part] == number, weight[part], 0.0), left, top)
+        if middle is not None and (np.abs(middle - pixels[place]) <= _FARTHEST_SHARE * stats[number, 2:4]).all():
+            moved[place] = middle
+    return moved
+
+
+def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Array, at_step: BoolArray) -> BoolArray:
+    """Tell the dots of which nothing is hidden, by their area: the grid around tells how much they are stretched.
+
+    Parameters
+    ----------
+    lattice : DotLattice
+    points_m : float64, shape (N, 3)
+    area_m2 : float64, shape (N,)
+        That each spot shows.
+    at_step : bool, shape (N,)
+        Others are whole.
+
+    Returns
+    -------
+    bool, shape (N,)
+    """
+    square = np.ones(len(points_m))
+    for axis in (0, 1):
+        pairs = lattice.neighbours(axis)
+        length = np.linalg.norm(points_m[pairs[:, 1]] - points_m[pairs[:, 0]], axis=1)
+        known = np.isfinite(length)
+        ends, twice = pairs[known].ravel(), np.repeat(length[known], 2)
+        count = np.bincount(ends, minlength=len(points_m))
+        total = np.bincount(ends, twice, minlength=len(points_m))
+        square *= np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    share = area_m2 / square
+    low, high = np.array(_WHOLE_AREA) * np.nanmedian(share)
+    return np.asarray(~at_step | ((share >= low) & (share <= high)))
+
+
+def _steps(depth_m: Float64Array, axis: int, focal_px: float) -> BoolArray:
+    first, second = (np.take(depth_m, range(start, depth_m.shape[axis] - 1 + start), axis) for start in (0, 1))
+    return np.abs(second - first) > _STEP * np.minimum(first, second) / focal_px
+
+
+def _near(step_right: BoolArray, step_down: BoolArray, reach_px: int) -> BoolArray:
+    """Tell the pixels that are at most so far from one beside a step."""
+    beside = np.zeros((step_right.shape[0], step_down.shape[1]), np.uint8)
+    beside[:, :-1] |= step_right
+    beside[:, 1:] |= step_right
+    beside[:-1] |= step_down
+    beside[1:] |= step_down
+    return np.asarray(cv2.dilate(beside, np.ones((2 * reach_px + 1, 2 * reach_px + 1), np.uint8)) > 0)
+
+
+def _slopes_of_own_side(depth_m: Float64Array, rows: npt.NDArray[Any], columns: npt.NDArray[Any]) -> Any:
+    """Return changes of depth from pixel to pixel along u and v, (M, 2), by quadratics, and where these had enough."""
+    down, right = np.mgrid[-_RADIUS_PX : _RADIUS_PX + 1, -_RADIUS_PX : _RADIUS_PX + 1]
+    round_ = down**2 + right**2 <= (_RADIUS_PX + 0.5) ** 2
+    down, right = down[round_], right[round_]
+    v, u = rows[:, None] + down, columns[:, None] + right
+    height, width = depth_m.shape
+    inside = (v >= 0) & (u >= 0) & (v < height) & (u < width)
+    middle = depth_m[rows, columns][:, None]
+    rise = np.where(inside, depth_m[v.clip(0, height - 1), u.clip(0, width - 1)], np.nan) - middle
+    same = np.abs(rise) <= _SAME_SIDE * middle
+    weight = same * np.exp(-(down**2 + right**2) / _RADIUS_PX**2)
+    design = np.stack([np.ones(len(down)), right, down, right**2, right * down, down**2], axis=1)
+    normal = np.einsum("nk,ki,kj->nij", weight, design, design) + 1e-6 * np.eye(6)
+    fits = np.linalg.solve(normal, ((weight * np.where(same, rise, 0.0)) @ design)[..., None])[..., 0]
+    return fits[:, 1:3], same.sum(axis=1) >= _FEWEST_PX
