@@ -69,6 +69,9 @@ _THEMES: dict[ThemeName, ThemeColors] = {
     ),
 }
 
+#: Widgets with boxes to tick; they paint no background of their own.
+_WITH_BOXES = ("QCheckBox", "QRadioButton", "QTableView")
+
 _state: dict[str, ThemeName] = {"name": "light"}
 
 
@@ -102,7 +105,12 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
     if app.property("tactune_style") != "fusion":
         app.setStyle("Fusion")
         app.setProperty("tactune_style", "fusion")
-    app.setPalette(make_palette(colors))
+    palette = make_palette(colors)
+    app.setPalette(palette)
+    # Fusion outlines boxes in a darker shade of the window's colour, which would hardly be seen.
+    palette.setColor(QPalette.ColorRole.Window, QColor(colors.muted))
+    for kind in _WITH_BOXES:
+        app.setPalette(palette, kind)
     return name
 
 

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QGuiApplication, QIcon, QKeyEvent, QKeySequence, QPixmap
+from PyQt6.QtGui import QGuiApplication, QIcon, QKeyEvent, QKeySequence, QPixmap
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from ...widgets.colormaps import Theme
-from ...widgets.theme import theme_colors
 from .compare_text import COLUMNS, cells, table_text
 from .comparer import Outcome
 from .method_looks import TIPS, TRUTH, method_color
@@ -54,10 +53,6 @@ class CompareTable(QTableWidget):
         if theme == self._theme:
             return
         self._theme = theme
-        palette = self.palette()
-        # The style outlines boxes in a darker shade of this, which would not be seen on a dark table.
-        palette.setColor(palette.ColorRole.Window, QColor(theme_colors(theme).muted))
-        self.setPalette(palette)
         with QSignalBlocker(self):
             for row, name in enumerate(self._names):
                 swatch = QPixmap(_SWATCH_PX, _SWATCH_PX)

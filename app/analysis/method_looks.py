@@ -1,4 +1,4 @@
-"""How each method looks: one colour everywhere, chosen so that colour-blind persons tell them apart."""
+"""How each method looks: one colour in a theme, chosen so that colour-blind persons tell them apart."""
 
 from __future__ import annotations
 
@@ -23,6 +23,8 @@ _RGB: dict[str, tuple[int, int, int]] = {
     "tactile-threshold": (240, 228, 66),
     "mechanics": (110, 40, 0),
 }
+#: On a dark background brown is hardly seen.
+_DARK_RGB: dict[str, tuple[int, int, int]] = _RGB | {"mechanics": (210, 180, 110)}
 _UNKNOWN_RGB = (130, 80, 220)
 _TRUTH_RGB: dict[Theme, tuple[int, int, int]] = {"light": (20, 20, 20), "dark": (250, 250, 250)}
 
@@ -48,7 +50,8 @@ TIPS: dict[str, str] = {
 
 def method_rgb(name: str, theme: Theme) -> tuple[int, int, int]:
     """Return the colour of a method, or of the truth."""
-    return _TRUTH_RGB[theme] if name == TRUTH else _RGB.get(name, _UNKNOWN_RGB)
+    known = _DARK_RGB if theme == "dark" else _RGB
+    return _TRUTH_RGB[theme] if name == TRUTH else known.get(name, _UNKNOWN_RGB)
 
 
 def method_color(name: str, theme: Theme) -> QColor:

@@ -75,6 +75,7 @@ class FramesPage(QWidget):
         self.average = QSpinBox()
         self.average.setRange(1, MOST_FRAMES)
         self.average.setSuffix(" frames")
+        self.average.setSpecialValueText("1 frame")
         self.average.setToolTip(
             "How many frames are averaged, from the one shown on: the median of each pixel, without those that have "
             "no depth. More frames, less noise; the membrane must not move meanwhile"

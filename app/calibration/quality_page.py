@@ -36,6 +36,7 @@ class QualityPage(QWidget):
         self._session = session
         self._outcome = Outcome()
         self._drawn: tuple[object, ...] = ()
+        self._mapped = False
         self._job = Job(self)
         self.map = PointImage(_MAP_TITLE)
         self.map.set_loupe_wanted(False)
@@ -45,6 +46,7 @@ class QualityPage(QWidget):
         self.step = _words(1.1, bold=True)
         self.numbers = QGridLayout()
         self.numbers.setVerticalSpacing(4)
+        self.numbers.setHorizontalSpacing(16)
         self.warnings = _words(1.0)
         self.coverage = CoverageGrid()
         layout = QHBoxLayout(self)
@@ -164,7 +166,8 @@ class QualityPage(QWidget):
         if not self.isVisible():
             return
         if report is None or snapshot is None:
-            self._drawn = ()
+            self._drawn, self._mapped = (), False
+            self._show_marks()
             why = "A snapshot is needed to draw the map" if report is not None else "No calibration yet"
             self.map.set_image(None, why)
             self.map.header.set_legend(None)
@@ -179,10 +182,16 @@ class QualityPage(QWidget):
 
     def _show_map(self, drawn: UncertaintyPicture) -> None:
         self.map.set_image(drawn.pixels)
+        self._mapped = True
+        self._show_marks()
         unit = self._unit()
         self.map.header.set_legend(ColorBar(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
 
     def _show_marks(self) -> None:
+        """Mark the points on the map; without one they would cover the words that stand for it."""
+        if not self._mapped:
+            self.map.set_marks([])
+            return
         state = self._session.state.with_choices(proximity_image="color")
         marks = image_marks(
             state, self._outcome, "proximity", self._session.rig, self._session.selected, everywhere=True

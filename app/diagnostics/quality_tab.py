@@ -294,11 +294,12 @@ def _table(readings: tuple[Reading, ...]) -> str:
         step = f"<br><span style='color:{colors.muted}'>{escape(reading.step)}</span>" if reading.step else ""
         hue = hues[reading.verdict]
         value = escape(reading.value)
-        if reading.verdict is not Verdict.UNKNOWN:  # what cannot be relied on is not put first
+        if value and reading.verdict is not Verdict.UNKNOWN:  # what cannot be relied on is not put first
             value = f"<b>{value}</b>"
+        title = f"{escape(reading.title)}:" if value else escape(reading.title)
         rows.append(
             f"<p style='margin:2px 0'><span style='color:{hue}'>{_MARKS[reading.verdict]}</span> "
-            f"{escape(reading.title)} {value} – "
+            f"{title} {value} – "
             f"<span style='color:{hue}'>{reading.verdict}</span>{limit}{step}</p>"
         )
     return "".join(rows)

@@ -84,6 +84,7 @@ class CaptureWindow(QDialog):
         self.frames.setRange(1, MOST_FRAMES)
         self.frames.setValue(REFERENCE_FRAMES)
         self.frames.setSuffix(" frames")
+        self.frames.setSpecialValueText("1 frame")
         self.frames.setAccessibleName("Frames to average")
         self.frames.setToolTip(
             f"How many frames are averaged, 1 to {MOST_FRAMES}: the median of each pixel. More frames, less noise; "

@@ -11,6 +11,7 @@ import pytest
 from tactune.app.analysis.method_looks import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TIPS, TRUTH, method_rgb
 from tactune.core.baselines.registry import method_names
 from tactune.widgets.colormaps import patch_lut
+from tactune.widgets.theme import contrast_ratio, theme_colors
 
 #: Machado, Oliveira and Fernandes 2009, severity 1, on linear RGB.
 EYES = {
@@ -46,6 +47,11 @@ def test_patches_stand_out_from_the_scene_around_them(eye, theme):
     for name in (TRUTH, *method_names()):
         for row in (0, 127, 250):
             assert nearest({"patch": method_rgb(name, theme), "scene": patch_lut(theme)[row, :3]}, eye)[0] > 10
+
+
+def test_patches_are_seen_on_a_dark_background():
+    for name in (TRUTH, *method_names()):
+        assert contrast_ratio("#" + bytes(method_rgb(name, "dark")).hex(), theme_colors("dark").base) > 3, name
 
 
 @pytest.mark.parametrize("eye", EYES)

@@ -244,6 +244,17 @@ def test_the_overlay_fits_with_the_true_pose_and_not_with_a_wrong_one(scene, fra
     np.testing.assert_array_equal(overlay.composed(OverlayMode.BLINK, 0.5, True), overlay.tactile)
 
 
+def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, frames, feed, qtbot):
+    wizard = open_wizard()
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
+    shown = wizard.quality.map
+    wizard.go_to(4)
+    assert "Drawing the map" in shown._empty.text() and not shown.layer.marks
+    qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
+    assert "Drawing" not in shown._empty.text()
+
+
 def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
     page = wizard.check

@@ -3,7 +3,7 @@ from __future__ import annotations
 import pyqtgraph as pg
 import pytest
 from PyQt6.QtGui import QPalette
-from PyQt6.QtWidgets import QApplication, QWidget
+from PyQt6.QtWidgets import QApplication, QCheckBox, QRadioButton, QWidget
 
 from tactune.widgets.histogram import DifferenceHistogram
 from tactune.widgets.image_pane import ImagePane
@@ -67,3 +67,17 @@ def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot)
 def test_system_resolves_to_a_theme(qapp: QApplication) -> None:
     assert apply_theme(qapp, "system") in NAMES
     assert theme_name() in NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", [QCheckBox, QRadioButton])
+def test_a_box_to_tick_is_seen(qapp: QApplication, qtbot, name: str, kind: type[QWidget]) -> None:
+    apply_theme(qapp, name)
+    box = kind()
+    qtbot.addWidget(box)
+    box.show()
+    image, colors = box.grab().toImage(), theme_colors(name)
+    across = {image.pixelColor(x, image.height() // 2).name() for x in range(image.width())}
+    for background in (colors.window, colors.base):
+        assert max(contrast_ratio(pixel, background) for pixel in across) > 3
+    apply_theme(qapp, "light")
