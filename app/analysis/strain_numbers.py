@@ -16,7 +16,7 @@ _TIPS = (
     "",
     "Largest strain between neighbouring dots, with its standard deviation",
     "Middle between both dots, in pixels of the tactile colour image; marked in the map",
-    "The simulator's own largest strain between neighbours of which the tactile camera sees both dots",
+    "The simulator's own largest strain between neighbours of which the tactile camera sees both dots whole",
     "The simulator's own largest strain between all neighbours; hidden dots cannot be measured",
 )
 _NOTHING = "–"
