@@ -55,7 +55,7 @@ class QualityPage(QWidget):
         layout.addWidget(self._words_column(), 2)
         self.units.idClicked.connect(lambda _: self._draw())
         self._job.done.connect(self._show_map)
-        self._job.failed.connect(lambda words: self.map.set_image(None, words))
+        self._job.failed.connect(self._show_no_map)
         session.changed.connect(lambda _: self._draw())
         session.selectionChanged.connect(lambda _: self._show_marks())
         self.map.pressed.connect(lambda key, _: session.select([key]))
@@ -166,10 +166,9 @@ class QualityPage(QWidget):
         if not self.isVisible():
             return
         if report is None or snapshot is None:
-            self._drawn, self._mapped = (), False
-            self._show_marks()
+            self._drawn = ()
             why = "A snapshot is needed to draw the map" if report is not None else "No calibration yet"
-            self.map.set_image(None, why)
+            self._show_no_map(why)
             self.map.header.set_legend(None)
             return
         unit = self._unit()
@@ -186,6 +185,11 @@ class QualityPage(QWidget):
         self._show_marks()
         unit = self._unit()
         self.map.header.set_legend(ColorBar(f"{drawn.low:.2f} {unit}", f"{drawn.high:.2f} {unit}", uncertainty_lut()))
+
+    def _show_no_map(self, why: str) -> None:
+        self.map.set_image(None, why)
+        self._mapped = False
+        self._show_marks()
 
     def _show_marks(self) -> None:
         """Mark the points on the map; without one they would cover the words that stand for it."""
