@@ -76,6 +76,23 @@ class AlignmentModel:
         )
         return aligned
 
+    def tactile_pixels(self, pixels: npt.NDArray[np.intp], depth_m: DepthImage, rig: Rig) -> tuple[Floats, Floats]:
+        """Return the tactile pixels ``u``, ``v``, shape (N,), of flat proximity pixels at some depths.
+
+        nan where there is none, as behind the camera; they may lie outside the image.
+        """
+        rigid, units, planes, table, *_ = self.tables
+        if not rigid:
+            partners = table[pixels]
+            width = self.size[2]
+            u, v = (np.where(partners >= 0, part, np.nan) for part in (partners % width, partners // width))
+            return u.astype(np.float32), v.astype(np.float32)
+        count = self.size[0] * self.size[1]
+        points = np.stack([planes[axis * count + pixels] * depth_m + units[3 + axis] for axis in range(3)], axis=1)
+        points[points[:, 2] <= 0] = np.nan
+        u, v = rig.tactile.intrinsics.project(points).astype(np.float32).T
+        return u, v
+
 
 def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     """Build the model that a preset asks for, with its tables.

@@ -11,6 +11,8 @@ from . import kernels
 from .alignment import AlignmentModel, make_alignment
 from .calibrated import stages as calibrated_stages
 from .calibrated.differences import DifferenceFinder
+from .calibrated.press import pressed_contact
+from .calibrated.steady import SteadyDepth
 from .candidates import (
     CandidateBuffers,
     CandidateFinder,
@@ -33,7 +35,7 @@ __all__ = ["CALIBRATED_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "St
 #: Of the tolerance test. The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
 STAGES = ("fusion", "outliers", "clusters")
 #: Of the calibrated test. Here the fusion aligns and tests difference and colour.
-CALIBRATED_STAGES = ("fusion", "gaps", "edge", "clusters", "points")
+CALIBRATED_STAGES = ("fusion", "gaps", "edge", "press", "clusters", "points")
 
 #: Reasons in `ContactPatch.skipped`.
 UNCHANGED = "nothing changed"
@@ -96,6 +98,7 @@ class ContactPipeline:
         self._buffers = CandidateBuffers(rig)
         self._neighbours = NeighbourMemory()
         self._memory = _Memory()
+        self._steady = _make_steady(preset, rig)
 
     @property
     def preset(self) -> Preset:
@@ -116,6 +119,8 @@ class ContactPipeline:
             alignment = make_alignment(preset.alignment, self.rig)
         if _fusion_key(preset) != _fusion_key(self._preset):
             self._finder = _make_finder(preset, self.rig, alignment)
+        if averaged_frames(preset) != averaged_frames(self._preset):
+            self._steady, self._memory = _make_steady(preset, self.rig), _Memory()
         self.warnings = warnings
         self._preset = preset
 
@@ -134,7 +139,9 @@ class ContactPipeline:
                 ms = dict.fromkeys(stages_of(self._preset), 0.0) | {"fusion": (time.perf_counter_ns() - started) / 1e6}
                 assert self._memory.patch is not None
                 return self._memory.patch.again(frame.sequence, ms, (STILL,))
-            self._memory = _Memory(frame)
+            self._memory = _Memory(frame, self._steady.add(frame) if self._steady else frame)
+        assert self._memory.shown is not None
+        frame = self._memory.shown
         stage = _StageRunner(self._memory, stages_of(self._preset))
         self._memory.preset = self._preset
         if isinstance(self._finder, DifferenceFinder):
@@ -175,15 +182,19 @@ class ContactPipeline:
             "edge", (section.gap_m, section.retreat, section.core, section.most_px),
             calibrated_stages.within_edge, gaps, section,
         )  # fmt: skip
+        pressed = stage(
+            "press", (section.curvature, section.curvature_px),
+            pressed_contact, within, gaps, frame, self._preset, self.rig, finder.alignment,
+        )  # fmt: skip
         large = stage(
             "clusters", section.least_area_mm2,
-            calibrated_stages.large_contacts, within, gaps, section, self.rig,
+            calibrated_stages.large_contacts, pressed, gaps, section, self.rig,
         )  # fmt: skip
         contact = stage(
             "points", (section.smooth_px, section.tactile_weight),
             calibrated_stages.surface_points, large, gaps, section, self.rig, self._buffers,
         )  # fmt: skip
-        steps = differences, gaps, section, within, large, contact
+        steps = differences, gaps, section, pressed, large, contact
         return Found(contact, lambda: calibrated_stages.full_provenance(finder.classify(frame), *steps))
 
     def _shows_the_same(self, frame: SensorFrame) -> bool:
@@ -212,6 +223,16 @@ def _make_finder(preset: Preset, rig: Rig, alignment: AlignmentModel) -> Candida
     return make(preset, rig, alignment)
 
 
+def averaged_frames(preset: Preset) -> int:
+    """Return over how many frames depth is averaged at most; with 1 no result depends on earlier frames."""
+    return preset.calibrated.frames if preset.contact_test == "calibrated" else 1
+
+
+def _make_steady(preset: Preset, rig: Rig) -> SteadyDepth | None:
+    frames = averaged_frames(preset)
+    return SteadyDepth(rig, frames) if frames > 1 else None
+
+
 def _fusion_key(preset: Preset) -> tuple[Any, ...]:
     """Return all that decides what the first stage gives."""
     common = preset.contact_test, preset.alignment.geometry, preset.region, preset.range, preset.mask
@@ -223,9 +244,10 @@ def _fusion_key(preset: Preset) -> tuple[Any, ...]:
 
 @dataclass
 class _Memory:
-    """What each stage gave for the present frame, and the patch assembled from it."""
+    """What each stage gave for the present frame, shown as its depths are averaged, and the patch made of it."""
 
     frame: SensorFrame | None = None
+    shown: SensorFrame | None = None
     results: dict[str, tuple[Any, Any]] = field(default_factory=dict)
     patch: ContactPatch | None = None
     preset: Preset | None = None

@@ -117,7 +117,7 @@ class CalibratedSection(Section):
             step=0.0001,
         ),
         Field(ge=0.0, le=0.02),
-    ] = 0.0018
+    ] = 0.0014
     retreat: Annotated[
         float,
         described(
@@ -159,11 +159,33 @@ class CalibratedSection(Section):
             "Smallest contact",
             "Connected contacts with a smaller area are dropped. 0 keeps all.",
             unit="mm2",
-            slider=(0.0, 500.0),
-            step=5.0,
+            slider=(0.0, 100.0),
+            step=1.0,
         ),
         Field(ge=0.0, le=1e6),
-    ] = 25.0
+    ] = 2.0
+    curvature: Annotated[
+        float,
+        described(
+            "Largest curvature",
+            "Where an object presses, the membrane bulges less than where it is free. Contact is only where its "
+            "curvature is below this share of the free membrane's; 0 does not ask. It tells touching from hovering.",
+            slider=(0.0, 1.5),
+            step=0.05,
+        ),
+        Field(ge=0.0, le=10.0),
+    ] = 0.7
+    frames: Annotated[
+        int,
+        described(
+            "Averaged frames",
+            "Depth is averaged over so many frames while the membrane keeps still, which brings out small contacts; "
+            "where it moves, averaging begins anew. With 1 each frame stands for itself, whatever came before.",
+            unit="frames",
+            slider=(1, 30),
+        ),
+        Field(ge=1, le=300),
+    ] = 1
     difference_m: Annotated[
         float,
         described(
@@ -173,7 +195,7 @@ class CalibratedSection(Section):
             hidden=True,
         ),
         Field(gt=0.0, le=0.1),
-    ] = 0.005
+    ] = 0.008
     slope: Annotated[
         bool,
         described("Along the normal", "Take gaps along the surface's normal, not along the optical axis.", hidden=True),
@@ -186,12 +208,22 @@ class CalibratedSection(Section):
             hidden=True,
         ),
         Field(ge=0.0, le=1.0),
-    ] = 0.6
+    ] = 0.5
     most_px: Annotated[
         float,
         described("Longest retreat", "No wider rim than this is taken away.", unit="px", hidden=True),
         Field(ge=0.0, le=100.0),
     ] = 16.0
+    curvature_px: Annotated[
+        float,
+        described(
+            "Window of the curvature",
+            "Sigma of the window over which the membrane's curvature is averaged, tactile pixels.",
+            unit="px",
+            hidden=True,
+        ),
+        Field(ge=1.0, le=50.0),
+    ] = 11.0
     smooth_px: Annotated[
         float,
         described(

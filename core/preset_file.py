@@ -45,15 +45,18 @@ def _add_cameras(document: Document) -> Document:
 def _add_contact_test(document: Document) -> Document:
     """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
     calibrated = {
-        "gap_m": 0.0018,
+        "gap_m": 0.0014,
         "retreat": 0.9,
         "window_px": 2.5,
         "bias_m": 0.0012,
-        "least_area_mm2": 25.0,
-        "difference_m": 0.005,
+        "least_area_mm2": 2.0,
+        "curvature": 0.7,
+        "frames": 1,
+        "difference_m": 0.008,
         "slope": True,
-        "core": 0.6,
+        "core": 0.5,
         "most_px": 16.0,
+        "curvature_px": 11.0,
         "smooth_px": 2.0,
         "tactile_weight": 0.5,
     }

@@ -45,9 +45,12 @@ class ContactMethod(ABC):
     ----------
     name : str
         As the command line and tables write it.
+    remembers : int
+        How many frames, the present one included, a result depends on.
     """
 
     name: str
+    remembers: int = 1
 
     @abstractmethod
     def find(self, frame: SensorFrame) -> MethodPatch:

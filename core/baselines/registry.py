@@ -8,7 +8,7 @@ from typing import Any
 
 from ..errors import TactuneError
 from ..frames import Rig, SensorFrame
-from ..pipeline import ContactPipeline
+from ..pipeline import ContactPipeline, averaged_frames
 from ..preset import Preset
 from .membrane_mechanics import MembraneMechanics
 from .method import ContactMethod, MethodPatch
@@ -37,6 +37,7 @@ class Fusion(ContactMethod):
         self.name = name
         self._values = values
         self._pipeline = ContactPipeline(preset.with_values(values), rig)
+        self.remembers = averaged_frames(self._pipeline.preset)
 
     def update(self, preset: Preset) -> None:
         """Take another preset, without making anew what does not depend on what has changed.
@@ -47,6 +48,7 @@ class Fusion(ContactMethod):
             As the constructor does; the old preset then stays in force.
         """
         self._pipeline.update(preset.with_values(self._values))
+        self.remembers = averaged_frames(self._pipeline.preset)
 
     def find(self, frame: SensorFrame) -> MethodPatch:
         """Return the pipeline's patch."""
@@ -79,7 +81,9 @@ def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
         return pose
     values = FUSION_FIELDS[name]
     by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
-    own = (preset.calibrated,) if values["contact_test"] == "calibrated" else (preset.tolerance, preset.outliers)
+    own: tuple[Any, ...] = (preset.tolerance, preset.outliers)
+    if values["contact_test"] == "calibrated":
+        own = (preset.with_values(values).calibrated,)
     return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 
@@ -116,7 +120,8 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
 FUSION_FIELDS: dict[str, dict[str, Any]] = {
     "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
-    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid"},
+    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 1},
+    "fusion-averaged": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 15},
 }
 _AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,

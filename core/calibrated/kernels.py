@@ -20,7 +20,7 @@ EXCLUDED: Final = 3
 
 _NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
 _NONE = np.int32(0)
-_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _SHORTEST = np.float32(1e-9)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
 
@@ -133,33 +133,124 @@ def turn_to_normal(
 
 
 @kernel
-def spread_ways(
-    near: Any,
-    labels: Any,
-    gradients: Any,
-    known: Any,
-    twice_gap: Any,
-    flattest: Any,
-    most: Any,
-    of_label: Any,
-    ways: Any,
-) -> None:
-    """Write the way that is taken away at each pixel: that of the pixel outside whose label it bears.
+def spread_ways(near: Any, labels: Any, between: Any, factor: Any, most: Any, of_label: Any, ways: Any) -> None:
+    """Write the way that is taken away at each pixel: that of the pixel outside ``near`` whose label it bears.
 
-    ``near`` (uint8) and ``labels`` have a border of one pixel more than ``gradients`` and ``known`` (H, W).
+    There it is ``factor`` times ``between``, the way to the second line, and at most ``most``. Images are (H, W).
     """
     height, width = labels.shape
     for v in range(height):
         for u in range(width):
-            if near[v, u] != 0:
-                continue
-            way = _ZERO
-            if 0 < v < height - 1 and 0 < u < width - 1 and known[v - 1, u - 1]:
-                way = min(twice_gap / max(gradients[v - 1, u - 1], flattest), most)
-            of_label[labels[v, u]] = way
+            if near[v, u] == 0:
+                of_label[labels[v, u]] = min(factor * between[v, u], most)
     for v in range(height):
         for u in range(width):
             ways[v, u] = of_label[labels[v, u]]
+
+
+@kernel
+def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
+    """Write the mean count of the pixels that have a depth, by square of ``side`` pixels, and which share has one."""
+    for row in range(means.shape[0]):
+        for column in range(means.shape[1]):
+            total, known = 0, 0
+            for v in range(row * side, (row + 1) * side):
+                for u in range(column * side, (column + 1) * side):
+                    count = int(counts[v, u])
+                    if 0 < count < 65535:
+                        total += count
+                        known += 1
+            means[row, column] = np.float32(total / (known if known > 0 else 1))
+            shares[row, column] = np.float32(known / (side * side))
+
+
+@kernel
+def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
+    """Write twice the mean curvature of a surface by its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
+
+    ``points`` (3, H, W) go to the right and down; derivatives are differences over one place to either side. Positive
+    where the surface bulges away from the camera; nan at the border and where ``known`` is below ``least``.
+    """
+    height, width = known.shape
+    out[:] = np.float32(np.nan)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            if known[v, u] < least:
+                continue
+            ee, ff, gg = 0.0, 0.0, 0.0
+            p_u, p_v, p_uu, p_uv, p_vv = ((0.0, 0.0, 0.0),) * 5
+            for axis in range(3):
+                p, middle = points[axis], np.float64(points[axis, v, u])
+                left, right = np.float64(p[v, u - 1]), np.float64(p[v, u + 1])
+                above, below = np.float64(p[v - 1, u]), np.float64(p[v + 1, u])
+                across = np.float64(p[v + 1, u + 1]) - p[v + 1, u - 1] - p[v - 1, u + 1] + p[v - 1, u - 1]
+                a, b = (right - left) / 2, (below - above) / 2
+                ee, ff, gg = ee + a * a, ff + a * b, gg + b * b
+                p_u, p_v = (p_u[1], p_u[2], a), (p_v[1], p_v[2], b)
+                p_uu, p_vv = (
+                    (p_uu[1], p_uu[2], right - 2 * middle + left),
+                    (p_vv[1], p_vv[2], below - 2 * middle + above),
+                )
+                p_uv = (p_uv[1], p_uv[2], across / 4)
+            area = ee * gg - ff * ff
+            if area <= 0.0:
+                continue
+            nx, ny = p_u[1] * p_v[2] - p_u[2] * p_v[1], p_u[2] * p_v[0] - p_u[0] * p_v[2]
+            nz = p_u[0] * p_v[1] - p_u[1] * p_v[0]
+            ll = p_uu[0] * nx + p_uu[1] * ny + p_uu[2] * nz
+            mm = p_uv[0] * nx + p_uv[1] * ny + p_uv[2] * nz
+            nn = p_vv[0] * nx + p_vv[1] * ny + p_vv[2] * nz
+            out[v, u] = np.float32(-(ee * nn - 2 * ff * mm + gg * ll) / (area * np.sqrt(area)))
+
+
+@kernel
+def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, jump: Any) -> Any:
+    """Set ``frames`` to 0 in the squares of ``side`` pixels whose depth has moved; return how many there are.
+
+    A square has moved if the mean change of its depths is more than ``share`` of their mean; a pixel's change counts
+    as at most ``jump`` of its depth. Squares of which a quarter or less has depth then and now are not judged.
+    """
+    height, width = counts.shape
+    found = 0
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            change, depth, known = _ZERO, _ZERO, 0
+            for v in range(top, min(top + side, height)):
+                for u in range(left, min(left + side, width)):
+                    count = counts[v, u]
+                    if not 0 < count < 65535 or frames[v, u] == _ZERO:
+                        continue
+                    mean = means[v, u]
+                    change += min(max(np.float32(count) - mean, -jump * mean), jump * mean)
+                    depth += mean
+                    known += 1
+            if 4 * known <= side * side or abs(change) <= share * depth:
+                continue
+            found += 1
+            frames[top : top + side, left : left + side] = _ZERO
+    return found
+
+
+@kernel
+def add_to_means(counts: Any, means: Any, frames: Any, most: Any, jump: Any, out: Any) -> None:
+    """Add an image of counts to the means over ``frames`` frames, and write these as counts; 0 where there is none.
+
+    A pixel that differs by more than ``jump`` of its mean begins anew; one without depth counts a frame less.
+    """
+    height, width = counts.shape
+    for v in range(height):
+        for u in range(width):
+            count, before, mean = counts[v, u], frames[v, u], means[v, u]
+            value = np.float32(count)
+            if not 0 < count < 65535:
+                before = max(before - _ONE, _ZERO)
+            elif before == _ZERO or abs(value - mean) > jump * mean:
+                before, mean = _ONE, value
+            else:
+                before = min(before + _ONE, most)
+                mean += (value - mean) / before
+            frames[v, u], means[v, u] = before, mean
+            out[v, u] = np.uint16(mean + _HALF) if before > _ZERO else np.uint16(0)
 
 
 @kernel

@@ -16,7 +16,7 @@ from ..provenance import Provenance
 from ..simd import LANES
 from . import kernels
 from .differences import Differences
-from .steps import EDGE_MARGIN_PX, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
+from .steps import EDGE_MARGIN_PX, FAR, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
 
 Bools = npt.NDArray[np.bool_]
 
@@ -69,7 +69,8 @@ def within_edge(gaps: Gaps, section: CalibratedSection) -> Bools:
     near = near_pixels(gaps, section)
     if section.retreat == 0:
         return near
-    return retreat(near, gaps.known, gaps.gap_m, section.gap_m, section.retreat, section.core, section.most_px)
+    wide = gaps.known & (gaps.gap_m < np.float32(FAR * section.gap_m))
+    return retreat(near, wide, section.retreat, section.core, section.most_px)
 
 
 def near_pixels(gaps: Gaps, section: CalibratedSection) -> Bools:

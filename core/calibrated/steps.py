@@ -6,8 +6,9 @@ small difference between them, and no print that hides the object.
 
 from __future__ import annotations
 
+import math
 from copy import copy
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -27,8 +28,10 @@ _FEWEST = 200
 _BIN_M, _SMOOTH_BINS = 1e-4, 3.0
 #: The steepest slope for which the gap along the optical axis is turned into one along the normal.
 _LEAST_FACING = np.float32(0.25)
-#: The flattest gradient of the gap, metres a pixel.
-_LEAST_GRADIENT_M = np.float32(8e-5)
+#: By which factor the gaps on the two lines differ from which the edge of contact is found.
+FAR: Final = 2.5
+#: How far inside the first line the edge is, as a multiple of the way between both.
+_WAY_BETWEEN = np.float32(1 / (math.sqrt(FAR) - 1))
 #: How far the estimated distances to the edge are smoothed along it, sigma in pixels.
 _ALONG_EDGE_PX = 2.0
 #: How far beyond the pixels that may be contact an image must reach so that its own border changes nothing: as far
@@ -152,44 +155,38 @@ def turn_to_normal(
 
 def retreat(
     near: BoolArray,
-    known: BoolArray,
-    gap_m: Float32Array,
-    gap_limit_m: float,
+    wide: BoolArray,
     share: float,
     core: float,
     most_px: float,
 ) -> BoolArray:
     """Take away the rim where a membrane that leaves tangentially is still near the object.
 
-    There the gap grows with the square of the way s from the edge of contact, g = k s^2 / 2, so where it is
-    g with the gradient g', the edge lies s = 2 g / g' further in. That many pixels are taken away from where the
-    gap reaches its limit; nothing is where the object ends or the image does.
+    There the gap grows with the square of the way s from the edge of contact, so its root grows with s. Between the
+    lines where the gap is g and `FAR` g lies a way w, so the edge is s = w / (sqrt(FAR) - 1) inside the first. Where
+    the object ends both lines are one, and nothing is taken away.
 
     Parameters
     ----------
-    near : bool, shape (H, W)
-        Gap below the limit.
-    known : bool, shape (H, W)
-        Where there is a gap at all.
-    gap_m : float32, shape (H, W)
-        Smooth.
-    gap_limit_m : float
+    near, wide : bool, shape (H, W)
+        Gap below the limit, and below `FAR` times the limit.
     share : float
         Which share of s is taken.
     core : float
         Pixels that are at least this share as far from the border as the farthest one within 0.65 ``most_px``
-        stay: noise makes the gap of narrow contacts look flat.
+        stay: noise bends the lines about narrow contacts.
     most_px : float
         The largest s.
     """
     import cv2
 
-    padded = cv2.copyMakeBorder(near.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    padded, padded_wide = (
+        cv2.copyMakeBorder(image.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0) for image in (near, wide)
+    )
     inside, labels = cv2.distanceTransformWithLabels(padded, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
-    gradient = cv2.magnitude(*(cv2.Sobel(gap_m, cv2.CV_32F, *order, scale=1 / 8) for order in ((1, 0), (0, 1))))
+    between = cv2.distanceTransform(padded_wide, cv2.DIST_L2, 5)
     of_label, ways = scratch("ways", padded.size + 1, np.float32), np.empty(padded.shape, np.float32)
-    limits = np.float32(2 * gap_limit_m), _LEAST_GRADIENT_M, np.float32(most_px)
-    kernels.spread_ways(padded, labels, gradient, known, *limits, of_label, ways)
+    kernels.spread_ways(padded, labels, between, _WAY_BETWEEN, np.float32(most_px), of_label, ways)
     taken = cv2.GaussianBlur(ways, (0, 0), _ALONG_EDGE_PX)
     window = 2 * int(np.ceil(0.65 * most_px)) + 1
     middle = cv2.dilate(inside, np.ones((window, window), np.uint8))

@@ -46,8 +46,9 @@ _BATCHES_A_WORKER: Final = 4
 STAGE_OF: Final = {
     **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "calibrated.bias_m", "calibrated.slope"), 1),
     **dict.fromkeys(("calibrated.gap_m", "calibrated.retreat", "calibrated.core", "calibrated.most_px"), 2),
-    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 3),
-    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 4),
+    **dict.fromkeys(("calibrated.curvature", "calibrated.curvature_px"), 3),
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 4),
+    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 5),
 }
 
 

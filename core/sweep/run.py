@@ -14,13 +14,13 @@ from typing import Any, Final
 
 import cv2
 
-from ..baselines.method import MethodPatch
-from ..baselines.registry import make_method, needs_reference
+from ..baselines.method import ContactMethod, MethodPatch
+from ..baselines.registry import Fusion, make_method, needs_reference
 from ..errors import TactuneError
 from ..evaluation.cells import code_version
 from ..evaluation.untouched import untouched_frame
 from ..frames import SensorFrame
-from ..pipeline import ContactPipeline
+from ..pipeline import ContactPipeline, averaged_frames
 from ..preset import Preset
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
@@ -118,24 +118,26 @@ class _OpenTake:
         """Return how a run finds patches; None, and the tally knows why, where it cannot."""
         with _failures_of(tally):
             preset = batch.base.with_values(values)
-            return _fusion_find(shared, preset) if method == FUSION else self._method_find(method, preset, batch)
+            if method != FUSION:
+                return _find_by(make_method(method, preset, self.source.rig, self._reference_for(method, batch)))
+            if averaged_frames(preset) > 1:
+                return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it remembers frames: not to be shared
+            return lambda frame: shared.find(preset, frame)
         return None
 
-    def _method_find(self, method: str, preset: Preset, batch: Batch) -> Find:
+    def _reference_for(self, method: str, batch: Batch) -> SensorFrame | None:
         if needs_reference(method) and self._reference is None:
             self._reference = batch.reference or untouched_frame(self.source)
-        made = make_method(method, preset, self.source.rig, self._reference)
-
-        def find(frame: SensorFrame) -> tuple[MethodPatch, float]:
-            started = time.perf_counter_ns()
-            patch = made.find(frame)
-            return patch, (time.perf_counter_ns() - started) / 1e6
-
-        return find
+        return self._reference
 
 
-def _fusion_find(shared: _SharedPipeline, preset: Preset) -> Find:
-    return lambda frame: shared.find(preset, frame)
+def _find_by(method: ContactMethod) -> Find:
+    def find(frame: SensorFrame) -> tuple[MethodPatch, float]:
+        started = time.perf_counter_ns()
+        patch = method.find(frame)
+        return patch, (time.perf_counter_ns() - started) / 1e6
+
+    return find
 
 
 class _SharedPipeline:

@@ -13,6 +13,7 @@ NAMES = (
     "fusion-rigid",
     "fusion-homography",
     "fusion-calibrated",
+    "fusion-averaged",
     "proximity-only",
     "tactile-only",
     "tactile-threshold",
@@ -22,7 +23,7 @@ NAMES = (
 
 def test_names():
     assert method_names() == NAMES
-    assert [name for name in NAMES if not needs_reference(name)] == list(NAMES[:3])
+    assert [name for name in NAMES if not needs_reference(name)] == list(NAMES[:4])
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -97,6 +98,9 @@ OTHERS = {
     "calibrated.difference_m": 0.001,
     "calibrated.slope": False,
     "calibrated.core": 0.0,
+    "calibrated.curvature": 0.3,
+    "calibrated.curvature_px": 4.0,
+    "calibrated.frames": 7,
     "calibrated.most_px": 0.0,
     "calibrated.smooth_px": 0.0,
     "calibrated.tactile_weight": 1.0,
@@ -122,7 +126,7 @@ def test_every_field_of_a_preset_is_looked_at():
     assert leaves(Preset().model_dump()) - set(OTHERWISE) == set(OTHERS)
 
 
-@pytest.mark.parametrize("name", [*NAMES[:3], "proximity-only", "tactile-threshold"])
+@pytest.mark.parametrize("name", [*NAMES[:4], "proximity-only", "tactile-threshold"])
 def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, name):
     rig, reference, pressed = bulged.rig, bulged.frame(0.0), bulged.frame(0.05, 0.0003)
     preset = Preset()
@@ -142,8 +146,9 @@ def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, nam
     ("path", "concerned"),
     [
         ("tolerance.t", {"fusion-rigid", "fusion-homography"}),
-        ("calibrated.gap_m", {"fusion-calibrated"}),
-        ("mask.hue", set(NAMES[:3])),
+        ("calibrated.gap_m", {"fusion-calibrated", "fusion-averaged"}),
+        ("calibrated.frames", set()),
+        ("mask.hue", set(NAMES[:4])),
         ("alignment.homography.plane_distance_m", {"fusion-homography"}),
         ("alignment.depth_offset_m", set(NAMES)),
         ("contact_test", set()),
@@ -155,7 +160,7 @@ def test_a_field_concerns_only_the_methods_that_use_it(path, concerned):
     assert {name for name in NAMES if settings_of(name, other) != settings_of(name, preset)} == concerned
 
 
-@pytest.mark.parametrize("name", NAMES[:3])
+@pytest.mark.parametrize("name", NAMES[:4])
 def test_a_fusion_that_takes_another_preset_is_the_one_made_with_it(bulged, name):
     rig, pressed = bulged.rig, bulged.frame(0.05, 0.0003)
     method = make_method(name, Preset(), rig)

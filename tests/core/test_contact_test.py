@@ -125,9 +125,11 @@ def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
     [
         ("calibrated.tactile_weight", 0.2, {"points"}),
         ("calibrated.least_area_mm2", 5.0, {"clusters", "points"}),
-        ("calibrated.gap_m", 0.001, {"edge", "clusters", "points"}),
-        ("calibrated.retreat", 0.0, {"edge", "clusters", "points"}),
-        ("calibrated.bias_m", 0.001, {"gaps", "edge", "clusters", "points"}),
+        ("calibrated.gap_m", 0.001, {"edge", "press", "clusters", "points"}),
+        ("calibrated.retreat", 0.0, {"edge", "press", "clusters", "points"}),
+        ("calibrated.curvature", 0.5, {"press", "clusters", "points"}),
+        ("calibrated.curvature_px", 5.0, {"press", "clusters", "points"}),
+        ("calibrated.bias_m", 0.001, {"gaps", "edge", "press", "clusters", "points"}),
         ("calibrated.difference_m", 0.004, set(CALIBRATED_STAGES)),
         ("calibrated.window_px", 4.0, set(CALIBRATED_STAGES)),
         ("mask.value", (120, 255), set(CALIBRATED_STAGES)),
@@ -169,6 +171,8 @@ choices = st.fixed_dictionaries(
         "calibrated.gap_m": st.sampled_from([0.0, 0.0018, 0.005]),
         "calibrated.window_px": st.sampled_from([0.0, 0.5, 2.5]),
         "calibrated.retreat": st.sampled_from([0.0, 0.9]),
+        "calibrated.curvature": st.sampled_from([0.0, 0.5, 0.9]),
+        "calibrated.curvature_px": st.sampled_from([2.0, 10.0]),
         "calibrated.bias_m": st.sampled_from([0.0, 0.0012]),
         "calibrated.smooth_px": st.sampled_from([0.0, 2.0]),
         "calibrated.slope": st.booleans(),
@@ -215,7 +219,11 @@ def test_differences_are_those_of_whole_images(
     aligned = finder.aligned(frame)
     difference = aligned.expected_m - aligned.measured_m
     depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
-    usable = (np.abs(difference) < np.float32(0.005)) & (depth >= np.float32(0.27)) & (depth <= np.float32(0.5))
+    usable = (
+        (np.abs(difference) < np.float32(preset.calibrated.difference_m))
+        & (depth >= np.float32(0.27))
+        & (depth <= np.float32(0.5))
+    )
     if mask:
         points = np.dstack([ray_table(rig.proximity.intrinsics) * depth[..., None], depth]).reshape(-1, 3)
         colors, seen = colors_at(points.astype(np.float32), np.arange(depth.size), frame.proximity_color, rig)

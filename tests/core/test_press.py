@@ -1,0 +1,129 @@
+"""Where the membrane is pressed, told from its curvature."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactune.core.alignment import make_alignment
+from tactune.core.calibrated.press import bulge_per_m
+from tactune.core.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.intrinsics import Intrinsics
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
+from tactune.core.provenance import Provenance
+
+WIDTH, HEIGHT, UNIT_M = 320, 240, 1e-5
+CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """Two cameras in one place, so that pixels compare one by one."""
+    lens = Intrinsics(width=WIDTH, height=HEIGHT, fx=230.0, fy=225.0, cx=159.5, cy=119.5)
+    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
+    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+
+
+def sphere_from_inside(rig: Rig, radius_m: float, middle_m: tuple[float, float, float]) -> np.ndarray:
+    """Depth of a sphere's far side along each pixel's ray."""
+    rays = np.dstack([rig.tactile.intrinsics.rays(), np.ones((HEIGHT, WIDTH))])
+    middle = np.array(middle_m)
+    along, square = rays @ middle, (rays**2).sum(axis=2)
+    return (along + np.sqrt(along**2 - square * (middle @ middle - radius_m**2))) / square
+
+
+def counts(depth_m: np.ndarray) -> np.ndarray:
+    return np.rint(depth_m / UNIT_M).astype(np.uint16)
+
+
+@pytest.mark.parametrize(("radius_m", "middle_m"), [(0.30, (0.0, 0.0, 0.0)), (0.25, (0.02, -0.03, 0.05))])
+@pytest.mark.parametrize(("scale", "offset_m"), [(1.0, 0.0), (1.02, 0.004)])
+def test_a_sphere_bulges_by_two_over_its_radius(rig, radius_m, middle_m, scale, offset_m):
+    depth = (sphere_from_inside(rig, radius_m, middle_m) - offset_m) / scale
+    frame = SensorFrame(0, counts(depth), counts(depth), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    preset = CALIBRATED.with_values({"alignment.depth_scale": scale, "alignment.depth_offset_m": offset_m})
+    bulge = bulge_per_m(frame, preset, rig)
+    assert bulge.shape == (HEIGHT // 4, WIDTH // 4)
+    np.testing.assert_allclose(bulge, 2 / radius_m, rtol=0.25)  # at the very border windows end
+    np.testing.assert_allclose(bulge[9:-9, 9:-9], 2 / radius_m, rtol=0.03)
+
+
+def test_where_too_little_depth_is_known_nothing_is_told(rig):
+    depth = counts(sphere_from_inside(rig, 0.3, (0, 0, 0)))
+    depth[:, 160:] = 0
+    frame = SensorFrame(0, depth, depth, np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    bulge = bulge_per_m(frame, CALIBRATED, rig)
+    assert np.isnan(bulge[:, 48:]).all()
+    np.testing.assert_allclose(bulge[8:-8, 8:32], 2 / 0.3, rtol=0.12)
+
+
+@pytest.fixture(scope="module")
+def scenes(rig) -> tuple[SensorFrame, SensorFrame]:
+    """A round membrane that a plate flattens on the left, and to which one fits on the right without touching."""
+    free = sphere_from_inside(rig, 0.3, (0.0, 0.0, 0.0))
+    rays = rig.tactile.intrinsics.rays()
+    normal = np.array([-0.28, 0.0, 1.0]) / np.hypot(0.28, 1.0)
+    plate = 0.293 / (rays @ normal[:2] + normal[2])
+    pressed = np.minimum(free, plate)
+    left = np.hypot(rays[..., 0] + 0.28, rays[..., 1]) < 0.20
+    right = np.hypot(rays[..., 0] - 0.28, rays[..., 1]) < 0.14
+    color = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    touching = np.where(left, np.maximum(plate, pressed), np.where(right, free + 0.0005, 0.9))
+    return (
+        SensorFrame(0, counts(touching), counts(pressed), color),
+        SensorFrame(1, counts(np.where(right, free + 0.0005, 0.9)), counts(free), color),
+    )
+
+
+def test_what_presses_is_contact_and_what_is_close_is_not(rig, scenes):
+    both, hovering = scenes
+    asked, unasked = CALIBRATED, CALIBRATED.with_value("calibrated.curvature", 0.0)
+    patch = ContactPipeline(asked, rig).process(both)
+    assert patch.mask[:, :140].sum() > 2000
+    assert patch.mask[20:-20, 180:300].sum() == 0
+    assert (patch.provenance[115:125, 215:230] == Provenance.RIM).all()
+    assert ContactPipeline(asked, rig).process(hovering).mask[20:-20, 180:300].sum() == 0
+    for scene in scenes:
+        assert ContactPipeline(unasked, rig).process(scene).mask[20:-20, 180:300].sum() > 1000
+
+
+def test_a_membrane_that_does_not_bulge_tells_nothing(rig):
+    flat = np.full((HEIGHT, WIDTH), 0.3)
+    touched = flat + np.where(np.hypot(*(np.mgrid[:HEIGHT, :WIDTH] - 100)) < 30, 0.0, 0.5)
+    frame = SensorFrame(0, counts(touched), counts(flat), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
+    unasked = CALIBRATED.with_value("calibrated.curvature", 0.0)
+    one, other = (ContactPipeline(preset, rig).process(frame) for preset in (unasked, CALIBRATED))
+    assert one.mask.sum() > 2000
+    np.testing.assert_array_equal(one.mask, other.mask)
+
+
+@pytest.mark.parametrize("model", ["rigid", "homography"])
+@pytest.mark.parametrize("distortion", ["none", "brown_conrady", "inverse_brown_conrady"])
+def test_tactile_pixels_are_those_whose_depth_is_compared(make_rig, make_frame, model, distortion):
+    rig = make_rig(distortion=distortion, bend=0.02)
+    frame = make_frame(rig, 3, share_missing=0.0)
+    # every tactile pixel has a depth of its own, so that the depth tells which one was taken
+    numbered = np.arange(1, frame.tactile_depth.size + 1, dtype=np.uint16).reshape(frame.tactile_depth.shape)
+    preset = Preset().with_value("alignment.model", model)
+    alignment = make_alignment(preset.alignment, rig)
+    height, width = frame.proximity_depth.shape
+    measured = alignment.align(frame.proximity_depth, numbered, np.array([0, 0, width, height])).measured_m.reshape(-1)
+    depth = (frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)).reshape(-1)
+    u, v = alignment.tactile_pixels(np.arange(depth.size), depth, rig)
+    tactile_height, tactile_width = numbered.shape
+    column, row = np.floor(u + 0.5), np.floor(v + 0.5)
+    inside = (column >= 0) & (column < tactile_width) & (row >= 0) & (row < tactile_height)
+    taken = np.rint(measured / rig.tactile.depth_unit_m) - 1
+    assert inside.sum() > 1000
+    same = (row * tactile_width + column)[inside] == taken[inside]
+    assert same.mean() > 0.999  # float32 and float64 may fall on either side of a pixel's border
+    assert np.isnan(measured[~inside]).all()
+
+
+def test_behind_the_camera_there_is_no_tactile_pixel(rig):
+    pose = np.eye(4)
+    pose[2, 3] = 1.0  # the tactile camera stands a metre in front of the proximity camera
+    far = rig.model_copy(update={"T_proximity_tactile": pose.tolist()})
+    u, v = make_alignment(Preset().alignment, far).tactile_pixels(np.arange(5), np.full(5, 0.3, np.float32), far)
+    assert np.isnan([u, v]).all()

@@ -1,0 +1,123 @@
+"""Depth averaged over frames while the membrane keeps still."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.core.calibrated.steady import SteadyDepth
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
+
+AVERAGED = Preset().with_values({"contact_test": "calibrated", "calibrated.frames": 10})
+
+
+@pytest.fixture(scope="module")
+def rig(make_rig):
+    return make_rig(width=160, height=120)
+
+
+def frames_of(make_frame, rig, count: int, noise_m: float = 0.0008, share_missing: float = 0.1):
+    return [make_frame(rig, seed, noise_m, share_missing) for seed in range(count)]
+
+
+def test_the_mean_is_that_of_the_frames(make_frame, rig):
+    frames = frames_of(make_frame, rig, 8, share_missing=0.0)
+    steady = SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+    for name in ("proximity_depth", "tactile_depth"):
+        mean = np.mean([getattr(frame, name).astype(float) for frame in frames], axis=0)
+        assert np.abs(getattr(shown, name) - mean).max() <= 0.51
+    assert shown.sequence == frames[-1].sequence
+
+
+def test_no_more_than_so_many_frames_weigh(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    later = replace(still, tactile_depth=still.tactile_depth + np.uint16(3))  # 0.3 mm, below what counts as movement
+    steady = SteadyDepth(rig, 4)
+    for _ in range(50):
+        steady.add(still)
+    shown = [int(np.median(steady.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
+    assert shown[0] == 1
+    assert shown[-1] == 3
+
+
+def test_noise_fades_and_holes_are_filled(make_frame, rig):
+    clean = make_frame(rig, 0, 0.0, 0.0).tactile_depth.astype(float)
+    frames = frames_of(make_frame, rig, 10)
+    steady = SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+    seen = (frames[-1].tactile_depth > 0) & (frames[-1].tactile_depth < 65535)
+    before, after = (np.std((image - clean)[seen]) for image in (frames[-1].tactile_depth, shown.tactile_depth))
+    assert after < 0.45 * before
+    assert (shown.tactile_depth > 0).mean() > 0.999 > seen.mean() + 0.05
+
+
+def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    for _ in range(5):
+        steady.add(still)
+    pressed = still.tactile_depth.copy()
+    pressed[32:96, 32:96] -= np.uint16(12)  # 1.2 mm, in four squares
+    nearer = still.proximity_depth - np.uint16(1)  # 0.25 mm, which alone would be averaged
+    moved = replace(still, tactile_depth=pressed, proximity_depth=nearer)
+    shown = steady.add(moved)
+    np.testing.assert_array_equal(shown.tactile_depth, pressed)
+    np.testing.assert_array_equal(shown.proximity_depth, nearer)
+
+
+def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    for _ in range(5):
+        steady.add(replace(still, tactile_depth=still.tactile_depth + np.uint16(2)))
+    behind = still.proximity_depth.copy()
+    behind[:32, :32] += np.uint16(8)  # 2 mm
+    behind[70, 70] += np.uint16(100)  # one pixel
+    shown = steady.add(replace(still, proximity_depth=behind))
+    np.testing.assert_array_equal(shown.proximity_depth, behind)
+    assert (shown.tactile_depth > still.tactile_depth).mean() > 0.99
+
+
+def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    blind = replace(still, tactile_depth=np.full_like(still.tactile_depth, 65535))
+    steady = SteadyDepth(rig, 3)
+    steady.add(still)
+    steady.add(still)
+    assert (steady.add(blind).tactile_depth > 0).all()
+    assert (steady.add(blind).tactile_depth == 0).all()
+
+
+def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
+    frames = frames_of(make_frame, rig, 6)
+    alone = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig)
+    averaging, steady = ContactPipeline(AVERAGED, rig), SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+        for _ in range(3):
+            patch = averaging.process(frame)
+        single = alone.process(frame)
+    expected = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig).process(shown)
+    np.testing.assert_array_equal(patch.points, expected.points)
+    fresh = ContactPipeline(AVERAGED, rig).process(frames[-1])
+    np.testing.assert_array_equal(single.points, fresh.points)
+    assert patch.points.shape != single.points.shape or not np.array_equal(patch.points, single.points)
+
+
+def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
+    frames = frames_of(make_frame, rig, 4)
+    contact = ContactPipeline(AVERAGED, rig)
+    for frame in frames:
+        contact.process(frame)
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    off = contact.process(frames[-1])
+    np.testing.assert_array_equal(off.points, ContactPipeline(contact.preset, rig).process(frames[-1]).points)
+    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.002))
+    other_gap = contact.process(frames[-1])
+    assert len(other_gap.points) >= len(off.points)
