@@ -19,6 +19,7 @@ _DROPPED = {
     "calibrated": {
         Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
         Provenance.RIM: ("the retreat from the edge", "right while nothing touches; else lower it"),
+        Provenance.NOT_PRESSED: ("the membrane's curvature", "right while nothing presses; else raise the largest one"),
         Provenance.SMALL_CLUSTER: ("the limit on small contacts", "lower the smallest contact"),
     },
 }

@@ -36,6 +36,8 @@ __all__ = ["CALIBRATED_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "St
 STAGES = ("fusion", "outliers", "clusters")
 #: Of the calibrated test. Here the fusion aligns and tests difference and colour.
 CALIBRATED_STAGES = ("fusion", "gaps", "edge", "press", "clusters", "points")
+#: Comes before them where depth is averaged over frames.
+AVERAGE = "average"
 
 #: Reasons in `ContactPatch.skipped`.
 UNCHANGED = "nothing changed"
@@ -98,7 +100,8 @@ class ContactPipeline:
         self._buffers = CandidateBuffers(rig)
         self._neighbours = NeighbourMemory()
         self._memory = _Memory()
-        self._steady = _make_steady(preset, rig)
+        self._steady: SteadyDepth | None = None
+        self._average(averaged_frames(preset))
 
     @property
     def preset(self) -> Preset:
@@ -119,8 +122,7 @@ class ContactPipeline:
             alignment = make_alignment(preset.alignment, self.rig)
         if _fusion_key(preset) != _fusion_key(self._preset):
             self._finder = _make_finder(preset, self.rig, alignment)
-        if averaged_frames(preset) != averaged_frames(self._preset):
-            self._steady, self._memory = _make_steady(preset, self.rig), _Memory()
+        self._average(averaged_frames(preset))
         self.warnings = warnings
         self._preset = preset
 
@@ -139,16 +141,26 @@ class ContactPipeline:
                 ms = dict.fromkeys(stages_of(self._preset), 0.0) | {"fusion": (time.perf_counter_ns() - started) / 1e6}
                 assert self._memory.patch is not None
                 return self._memory.patch.again(frame.sequence, ms, (STILL,))
-            self._memory = _Memory(frame, self._steady.add(frame) if self._steady else frame)
-        assert self._memory.shown is not None
-        frame = self._memory.shown
+            self._memory = _Memory(frame)
         stage = _StageRunner(self._memory, stages_of(self._preset))
+        if self._steady is not None:
+            frame = stage(AVERAGE, None, self._steady.add, frame)
         self._memory.preset = self._preset
         if isinstance(self._finder, DifferenceFinder):
             found = self._calibrated_test(frame, self._finder, stage)
         else:
             found = self._tolerance_test(frame, self._finder, stage)
         return self._memory.patch_of(frame, self.rig, self._finder, found, stage)
+
+    def _average(self, frames: int) -> None:
+        """Average so many frames from now on; what is remembered stays, unless none shall be averaged."""
+        if frames == 1:
+            if self._steady is not None:
+                self._steady, self._memory = None, _Memory()
+        elif self._steady is None:
+            self._steady = SteadyDepth(self.rig, frames)
+        else:
+            self._steady.most = frames
 
     def _tolerance_test(self, frame: SensorFrame, finder: CandidateFinder, stage: _StageRunner) -> Found:
         outliers = self._preset.outliers
@@ -194,13 +206,15 @@ class ContactPipeline:
             "points", (section.smooth_px, section.tactile_weight),
             calibrated_stages.surface_points, large, gaps, section, self.rig, self._buffers,
         )  # fmt: skip
-        steps = differences, gaps, section, pressed, large, contact
+        steps = differences, gaps, section, within, pressed, large, contact
         return Found(contact, lambda: calibrated_stages.full_provenance(finder.classify(frame), *steps))
 
     def _shows_the_same(self, frame: SensorFrame) -> bool:
         """Tell whether the patch in memory, made with the present preset, may stand for a new frame."""
         before = self._memory.frame
         if self._still is None or before is None or self._memory.preset is not self._preset:
+            return False
+        if self._steady is not None and not self._steady.full:
             return False
         pairs = (
             (before.proximity_depth, frame.proximity_depth, self.rig.proximity.depth_unit_m),
@@ -215,7 +229,9 @@ class ContactPipeline:
 
 def stages_of(preset: Preset) -> tuple[str, ...]:
     """Return the names of the stages of a preset's contact test, in their order."""
-    return CALIBRATED_STAGES if preset.contact_test == "calibrated" else STAGES
+    if preset.contact_test == "tolerance":
+        return STAGES
+    return (AVERAGE, *CALIBRATED_STAGES) if averaged_frames(preset) > 1 else CALIBRATED_STAGES
 
 
 def _make_finder(preset: Preset, rig: Rig, alignment: AlignmentModel) -> CandidateFinder | DifferenceFinder:
@@ -226,11 +242,6 @@ def _make_finder(preset: Preset, rig: Rig, alignment: AlignmentModel) -> Candida
 def averaged_frames(preset: Preset) -> int:
     """Return over how many frames depth is averaged at most; with 1 no result depends on earlier frames."""
     return preset.calibrated.frames if preset.contact_test == "calibrated" else 1
-
-
-def _make_steady(preset: Preset, rig: Rig) -> SteadyDepth | None:
-    frames = averaged_frames(preset)
-    return SteadyDepth(rig, frames) if frames > 1 else None
 
 
 def _fusion_key(preset: Preset) -> tuple[Any, ...]:
@@ -244,10 +255,9 @@ def _fusion_key(preset: Preset) -> tuple[Any, ...]:
 
 @dataclass
 class _Memory:
-    """What each stage gave for the present frame, shown as its depths are averaged, and the patch made of it."""
+    """What each stage gave for the present frame, and the patch assembled from it."""
 
     frame: SensorFrame | None = None
-    shown: SensorFrame | None = None
     results: dict[str, tuple[Any, Any]] = field(default_factory=dict)
     patch: ContactPatch | None = None
     preset: Preset | None = None

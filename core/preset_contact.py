@@ -104,7 +104,7 @@ class OutlierSection(Section):
 
 
 class CalibratedSection(Section):
-    """The contact test on local means of dp - dt. Chosen on the simulator's cube, cup and octopus, seeds 0 to 2."""
+    """The contact test on local means of dp - dt. Chosen on the simulator's cube, cup, octopus, knobs and star."""
 
     gap_m: Annotated[
         float,
@@ -113,7 +113,7 @@ class CalibratedSection(Section):
             "Where the local mean of the gap between membrane and object is smaller, they are near; contact lies "
             "within. Smaller than about 1 mm it is lost in the sensors' noise.",
             unit="m",
-            slider=(0.0002, 0.005),
+            slider=(0.0002, 0.003),
             step=0.0001,
         ),
         Field(ge=0.0, le=0.02),
@@ -180,7 +180,7 @@ class CalibratedSection(Section):
         described(
             "Averaged frames",
             "Depth is averaged over so many frames while the membrane keeps still, which brings out small contacts; "
-            "where it moves, averaging begins anew. With 1 each frame stands for itself, whatever came before.",
+            "where it moves, averaging begins anew. With 1 each frame stands for itself; more count once frames run.",
             unit="frames",
             slider=(1, 30),
         ),

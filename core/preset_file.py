@@ -22,7 +22,7 @@ from .preset import Preset
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[4] = 4
+SCHEMA_VERSION: Literal[5] = 5
 
 #: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
 _MOST_TOLD = 9
@@ -42,36 +42,58 @@ def _add_cameras(document: Document) -> Document:
     return {"cameras": {"proximity": camera, "tactile": camera, "tactile_delay_s": 0.0}, **document}
 
 
+#: The calibrated test's parameters that came with version 4.
+_CALIBRATED_4: Document = {
+    "gap_m": 0.0018,
+    "retreat": 0.9,
+    "window_px": 2.5,
+    "bias_m": 0.0012,
+    "least_area_mm2": 25.0,
+    "difference_m": 0.005,
+    "slope": True,
+    "core": 0.6,
+    "most_px": 16.0,
+    "smooth_px": 2.0,
+    "tactile_weight": 0.5,
+}
+#: What was chosen anew when version 5 asked for the membrane's curvature, too.
+_CHOSEN_ANEW_5: Document = {
+    "gap_m": 0.0014, "least_area_mm2": 2.0, "difference_m": 0.008, "core": 0.5, "curvature": 0.7,
+}  # fmt: skip
+
+
 def _add_contact_test(document: Document) -> Document:
     """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
-    calibrated = {
-        "gap_m": 0.0014,
-        "retreat": 0.9,
-        "window_px": 2.5,
-        "bias_m": 0.0012,
-        "least_area_mm2": 2.0,
-        "curvature": 0.7,
-        "frames": 1,
-        "difference_m": 0.008,
-        "slope": True,
-        "core": 0.5,
-        "most_px": 16.0,
-        "curvature_px": 11.0,
-        "smooth_px": 2.0,
-        "tactile_weight": 0.5,
-    }
-    return {"contact_test": "tolerance", "calibrated": calibrated, "reference": None, **document}
+    return {"contact_test": "tolerance", "calibrated": {**_CALIBRATED_4}, "reference": None, **document}
+
+
+def _add_curvature(document: Document) -> Document:
+    """Version 5: the calibrated test asks for the curvature and may average frames.
+
+    A test that nobody had tuned takes the values chosen with it; one that somebody had goes on without it.
+    """
+    calibrated = document.get("calibrated")
+    if not isinstance(calibrated, dict):
+        return document
+    news = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
+    chosen = _CHOSEN_ANEW_5 if calibrated == _CALIBRATED_4 else {}
+    return {**document, "calibrated": {**news, **calibrated, **chosen}}
 
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
-MIGRATIONS: tuple[Callable[[Document], Document], ...] = (_add_calibration, _add_cameras, _add_contact_test)
+MIGRATIONS: tuple[Callable[[Document], Document], ...] = (
+    _add_calibration,
+    _add_cameras,
+    _add_contact_test,
+    _add_curvature,
+)
 
 
 class PresetDocument(Preset):
     """A preset as it stands in a file: the preset and what identifies the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
-    schema_version: Literal[4] = SCHEMA_VERSION
+    schema_version: Literal[5] = SCHEMA_VERSION
     tool_version: str = ""
 
 

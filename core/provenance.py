@@ -8,7 +8,7 @@ from enum import IntEnum
 class Provenance(IntEnum):
     """The verdict on one proximity pixel, in the order in which the tests are made.
 
-    RIM, of the calibrated test only, stands at the end, so that the others keep their numbers.
+    RIM and NOT_PRESSED, of the calibrated test only, stand at the end, so that the others keep their numbers.
     """
 
     NO_PROXIMITY_DEPTH = 0
@@ -21,6 +21,7 @@ class Provenance(IntEnum):
     SMALL_CLUSTER = 7
     CONTACT = 8
     RIM = 9
+    NOT_PRESSED = 10
 
     @property
     def label(self) -> str:
@@ -44,4 +45,5 @@ _EXPLANATIONS = {
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
     Provenance.RIM: "Dropped: near the object, but the membrane is leaving it here; contact ends further in.",
+    Provenance.NOT_PRESSED: "Dropped: near the object, but the membrane bulges as it does where nothing touches it.",
 }

@@ -75,6 +75,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
         lambda: colors_at(points, pixels, frame.proximity_color, rig),
         lambda: in_hsv_range(frame.proximity_color, preset.mask),
         lambda: ContactPipeline(calibrated, rig).process(frame).provenance,
+        lambda: ContactPipeline(calibrated.with_value("calibrated.frames", 2), rig).process(frame).mask,
     ]
     for done, step in enumerate(steps):
         progress((done + 1) / (len(steps) + 1), COMPILING)

@@ -93,7 +93,9 @@ def measure(builds: dict[str, Build], cell: Cell, seeds: Sequence[int]) -> dict[
     for seed in seeds:
         frame = frame_of(cell, seed)
         truth = truth_cloud(frame.truth, rig).points
-        for label, method in methods.items():
+        for label, method in list(methods.items()):
+            if method.remembers > 1:
+                method = methods[label] = builds[label](rig, untouched())  # noqa: PLW2901 - one seed's frames only
             for earlier in range(frame.sequence - method.remembers + 1, frame.sequence):
                 method.find(source(cell, seed).read(earlier))
             patch = method.find(replace(frame, truth=None))

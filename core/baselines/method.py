@@ -46,7 +46,7 @@ class ContactMethod(ABC):
     name : str
         As the command line and tables write it.
     remembers : int
-        How many frames, the present one included, a result depends on.
+        How many frames should be shown before, and with, one that is judged.
     """
 
     name: str

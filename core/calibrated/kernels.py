@@ -224,7 +224,8 @@ def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, ju
                     change += min(max(np.float32(count) - mean, -jump * mean), jump * mean)
                     depth += mean
                     known += 1
-            if 4 * known <= side * side or abs(change) <= share * depth:
+            pixels = (min(top + side, height) - top) * (min(left + side, width) - left)
+            if 4 * known <= pixels or abs(change) <= share * depth:
                 continue
             found += 1
             frames[top : top + side, left : left + side] = _ZERO
@@ -232,7 +233,7 @@ def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, ju
 
 
 @kernel
-def add_to_means(counts: Any, means: Any, frames: Any, most: Any, jump: Any, out: Any) -> None:
+def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump: Any) -> None:
     """Add an image of counts to the means over ``frames`` frames, and write these as counts; 0 where there is none.
 
     A pixel that differs by more than ``jump`` of its mean begins anew; one without depth counts a frame less.

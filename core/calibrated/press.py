@@ -41,7 +41,8 @@ def pressed_contact(
 ) -> Bools:
     """Return contact without pixels at which the membrane is as curved as where it is free.
 
-    Contact stays where the curvature is not known, as at the tactile image's border.
+    Contact stays where the curvature is not known. What is neither in the region and range nor near an object counts
+    as free.
 
     Parameters
     ----------
@@ -49,7 +50,8 @@ def pressed_contact(
         Like the images of ``gaps``. Where the gap is small the membrane is not taken for free.
     """
     section = preset.calibrated
-    if section.curvature == 0 or not contact.any():
+    too_small = min(rig.tactile.intrinsics.shape) < _SIDE_PX
+    if section.curvature == 0 or too_small or not contact.any():
         return contact
     import cv2
 
@@ -77,7 +79,8 @@ def bulge_per_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
     Returns
     -------
     float32, shape (h, w)
-        1/m, of squares of four by four tactile pixels, smoothed; nan where too little depth is known.
+        1/m, of squares of four by four tactile pixels, smoothed; nan farther than two windows' sigma from where
+        enough depth is known.
     """
     import cv2
 
@@ -129,6 +132,6 @@ def _squares(some: Bools, gaps: Gaps, rig: Rig, alignment: AlignmentModel) -> np
     pixels = (2 * rows + top) * rig.proximity.intrinsics.width + 2 * columns + left
     u, v = alignment.tactile_pixels(pixels, depth, rig)
     with np.errstate(invalid="ignore"):
-        column, row = np.floor(u / _SIDE_PX), np.floor(v / _SIDE_PX)
+        column, row = np.floor((u + 0.5) / _SIDE_PX), np.floor((v + 0.5) / _SIDE_PX)
         inside = (column >= 0) & (column < across) & (row >= 0) & (row < down)
     return np.where(inside, np.where(inside, row * across + column, 0).astype(np.intp), -1)

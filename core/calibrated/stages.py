@@ -16,12 +16,17 @@ from ..provenance import Provenance
 from ..simd import LANES
 from . import kernels
 from .differences import Differences
-from .steps import EDGE_MARGIN_PX, FAR, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
+from .steps import EDGE_MARGIN_PX, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
 
 Bools = npt.NDArray[np.bool_]
 
 #: Share of a pixel's surroundings that must be usable for a gap, and of contact for a point.
 _LEAST_SHARE, _LEAST_SHARE_OF_POINT = np.float32(0.4), np.float32(0.05)
+#: The edge of contact is found from the lines where the gap is the largest one and where it is so many times that,
+#: which must be below this share of the largest difference between both depths, beyond which nothing is known.
+_FAR, _FARTHEST_SHARE = 2.5, 0.9
+#: Lines that are nearer tell no edge.
+_LEAST_FAR = 1.3
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,10 +72,11 @@ def mean_gaps(everywhere: Differences, section: CalibratedSection, rig: Rig) -> 
 def within_edge(gaps: Gaps, section: CalibratedSection) -> Bools:
     """Return the pixels that are near the object, without the rim where the membrane only leaves it."""
     near = near_pixels(gaps, section)
-    if section.retreat == 0:
+    far = min(_FAR, _FARTHEST_SHARE * section.difference_m / section.gap_m) if section.gap_m > 0 else _FAR
+    if section.retreat == 0 or far < _LEAST_FAR:
         return near
-    wide = gaps.known & (gaps.gap_m < np.float32(FAR * section.gap_m))
-    return retreat(near, wide, section.retreat, section.core, section.most_px)
+    wide = gaps.known & (gaps.gap_m < np.float32(far * section.gap_m))
+    return retreat(near, wide, far, section.retreat, section.core, section.most_px)
 
 
 def near_pixels(gaps: Gaps, section: CalibratedSection) -> Bools:
@@ -117,6 +123,7 @@ def full_provenance(
     gaps: Gaps,
     section: CalibratedSection,
     within: Bools,
+    pressed: Bools,
     large: Bools,
     contact: Candidates,
 ) -> npt.NDArray[np.uint8]:
@@ -125,7 +132,8 @@ def full_provenance(
     part, usable = verdicts[gaps.differences.place], gaps.differences.usable
     part[usable & gaps.known] = Provenance.OUTSIDE_TOLERANCE
     part[usable & near_pixels(gaps, section)] = Provenance.RIM
-    part[usable & within] = Provenance.SMALL_CLUSTER
+    part[usable & within] = Provenance.NOT_PRESSED
+    part[usable & pressed] = Provenance.SMALL_CLUSTER
     part[usable & large] = Provenance.OUTLIER
     verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
     return verdicts

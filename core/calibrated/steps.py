@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from copy import copy
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -28,10 +28,6 @@ _FEWEST = 200
 _BIN_M, _SMOOTH_BINS = 1e-4, 3.0
 #: The steepest slope for which the gap along the optical axis is turned into one along the normal.
 _LEAST_FACING = np.float32(0.25)
-#: By which factor the gaps on the two lines differ from which the edge of contact is found.
-FAR: Final = 2.5
-#: How far inside the first line the edge is, as a multiple of the way between both.
-_WAY_BETWEEN = np.float32(1 / (math.sqrt(FAR) - 1))
 #: How far the estimated distances to the edge are smoothed along it, sigma in pixels.
 _ALONG_EDGE_PX = 2.0
 #: How far beyond the pixels that may be contact an image must reach so that its own border changes nothing: as far
@@ -156,6 +152,7 @@ def turn_to_normal(
 def retreat(
     near: BoolArray,
     wide: BoolArray,
+    far: float,
     share: float,
     core: float,
     most_px: float,
@@ -163,13 +160,15 @@ def retreat(
     """Take away the rim where a membrane that leaves tangentially is still near the object.
 
     There the gap grows with the square of the way s from the edge of contact, so its root grows with s. Between the
-    lines where the gap is g and `FAR` g lies a way w, so the edge is s = w / (sqrt(FAR) - 1) inside the first. Where
+    lines where the gap is g and ``far`` g lies a way w, so the edge is s = w / (sqrt(far) - 1) inside the first. Where
     the object ends both lines are one, and nothing is taken away.
 
     Parameters
     ----------
     near, wide : bool, shape (H, W)
-        Gap below the limit, and below `FAR` times the limit.
+        Gap below the limit, and below ``far`` times the limit.
+    far : float
+        Above 1.
     share : float
         Which share of s is taken.
     core : float
@@ -183,10 +182,11 @@ def retreat(
     padded, padded_wide = (
         cv2.copyMakeBorder(image.view(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0) for image in (near, wide)
     )
+    factor = np.float32(1 / (math.sqrt(far) - 1))
     inside, labels = cv2.distanceTransformWithLabels(padded, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     between = cv2.distanceTransform(padded_wide, cv2.DIST_L2, 5)
     of_label, ways = scratch("ways", padded.size + 1, np.float32), np.empty(padded.shape, np.float32)
-    kernels.spread_ways(padded, labels, between, _WAY_BETWEEN, np.float32(most_px), of_label, ways)
+    kernels.spread_ways(padded, labels, between, factor, np.float32(most_px), of_label, ways)
     taken = cv2.GaussianBlur(ways, (0, 0), _ALONG_EDGE_PX)
     window = 2 * int(np.ceil(0.65 * most_px)) + 1
     middle = cv2.dilate(inside, np.ones((window, window), np.uint8))

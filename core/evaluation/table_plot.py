@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -16,7 +17,7 @@ from ..errors import ExportError, MissingExtraError, TactuneError
 from ..preset import Preset
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from .cells import NO_CONTACT_FOUND, MakeMethod, build_method
+from .cells import FRAMES_A_CELL, NO_CONTACT_FOUND, MakeMethod, build_method
 from .metrics import symmetric_rmse_m, truth_cloud
 from .scene_plan import PlannedScene
 from .untouched import untouched_frame
@@ -115,18 +116,19 @@ def _panel(
     make: MakeMethod,
     open_scene: Callable[[str], FrameSource],
 ) -> Panel:
-    """Find every method's patch in the first frame of a scene."""
+    """Find every method's patch in the frame of a scene that the table judges."""
     with open_scene(f"{scene.source}&seed={seed}") as source:
-        reference, frame = untouched_frame(source), source.next_frame()
-        if frame is None or frame.truth is None:
+        reference, frames = untouched_frame(source), list(itertools.islice(source, FRAMES_A_CELL))
+        if not frames or frames[-1].truth is None:
             raise TactuneError(
                 f"{source.name} gives no frame with truth, so it cannot be drawn; choose a simulated one"
             )
-        truth = truth_cloud(frame.truth, source.rig).points
+        truth = truth_cloud(frames[-1].truth, source.rig).points
         found: dict[str, Points | str] = {}
         for name in methods:
             try:
-                patch = build_method(name, preset, source.rig, reference, make).find(frame)
+                method = build_method(name, preset, source.rig, reference, make)
+                patch = [method.find(frame) for frame in frames[-method.remembers :]][-1]
             except TactuneError as error:
                 found[name] = str(error)
             else:

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from ..baselines.registry import method_names, needs_reference
+from ..baselines.registry import FUSION_FIELDS, method_names, needs_reference
 from ..evaluation.cells import check_methods, code_version
 from ..frames import SensorFrame
 from ..preset import Preset
@@ -21,6 +21,7 @@ from .values import (
     Choice,
     SweepError,
     check_contact_test,
+    check_free,
     check_switched_on,
     checked_axis,
     grid,
@@ -91,7 +92,7 @@ class Setting:
     values : dict
         Path and plain value of each swept field.
     parameters : dict
-        Path and plain value of every field that results depend on.
+        Path and plain value of every field that results depend on, as the method has it.
     """
 
     method: str
@@ -212,6 +213,7 @@ def make_plan(
     if not request.sources:
         raise SweepError("there is nothing to run over; give --source, such as --source 'sim:cup?press=medium'")
     axes = [checked_axis(axis, base) for axis in request.axes]
+    check_free(axes, request.methods)
     check_switched_on(axes, base)
     if set(request.methods) == {FUSION}:
         check_contact_test(axes, base)
@@ -237,6 +239,28 @@ def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
     ))  # fmt: skip
 
 
+def little_averaged(plan: Plan) -> list[str]:
+    """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
+    averaged = {
+        setting.parameters["calibrated.frames"] for setting in plan.settings
+        if setting.parameters["contact_test"] == "calibrated" and not needs_reference(setting.method)
+    }  # fmt: skip
+    most, said = max(averaged, default=1), []
+    for take in plan.takes:
+        count, step = len(take.frames), take.frames.step
+        if step > 1 < min(most, count):
+            said.append(
+                f"{take.source} gives one frame in {step}, so calibrated.frames {most} averages frames that do not "
+                "follow each other; leave the step out of --frames"
+            )
+        elif count < most:
+            said.append(
+                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so calibrated.frames {most} averages "
+                "no more than that; take more frames"
+            )
+    return list(dict.fromkeys(said))
+
+
 def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Setting]:
     if request.sample is None:
         _check_size(grid_size(axes) * len(request.methods) * len(request.sources) * request.seeds, request)
@@ -248,7 +272,7 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
         combinations = sample(axes, base, request.sample, request.sample_seed)
     fixed = {path: plain_value(base, path) for path in result_paths()}
     found = [
-        Setting(method, values, fixed | values)
+        Setting(method, values, fixed | values | FUSION_FIELDS.get(method, {}))
         for values in combinations
         for method in dict.fromkeys(request.methods)
     ]  # fmt: skip

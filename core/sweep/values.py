@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from ..baselines.registry import FUSION_FIELDS
 from ..errors import TactuneError
 from ..preset import Preset
 from ..preset_file import preset_paths, set_path
@@ -149,6 +150,24 @@ def check_contact_test(axes: Sequence[Axis], base: Preset) -> None:
             raise SweepError(
                 f"{axis.path} changes nothing while contact_test is {tests[0]}; add --set contact_test={test}"
             )
+
+
+def check_free(axes: Sequence[Axis], methods: Sequence[str]) -> None:
+    """Refuse fields that a method sets itself, whatever a preset says.
+
+    Raises
+    ------
+    SweepError
+        Names the field and the method.
+    """
+    for axis in axes:
+        for method in methods:
+            own = FUSION_FIELDS.get(method, {})
+            if axis.path in own:
+                raise SweepError(
+                    f"{method} always has {axis.path} {own[axis.path]}, so other values would change nothing; "
+                    f"use --method fusion, which takes what is set, or leave --set {axis.path} out"
+                )
 
 
 def grid_size(axes: Sequence[Axis]) -> int:

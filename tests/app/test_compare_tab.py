@@ -282,6 +282,7 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
     class Slow:
         def __init__(self, method) -> None:
             self._method = method
+            self.remembers = method.remembers
 
         def find(self, frame):
             go_on.wait(10)

@@ -81,6 +81,7 @@ def test_the_rim_has_a_colour_of_its_own_and_a_name():
         legend = {name: color.getRgb() for name, color in provenance_legend(theme)}
         assert len(set(legend.values())) == len(legend) == len(Provenance)
         assert provenance_legend(theme, {Provenance.RIM})[0][0] == "rim"
+        assert provenance_legend(theme, {Provenance.NOT_PRESSED})[0][0] == "not pressed"
 
 
 def test_an_empty_patch_says_what_the_calibrated_test_has_dropped():
@@ -88,6 +89,9 @@ def test_an_empty_patch_says_what_the_calibrated_test_has_dropped():
     assert "largest gap" in why_no_contact(provenance, "calibrated")
     provenance[0] = Provenance.RIM
     assert "the retreat from the edge dropped all" in why_no_contact(provenance, "calibrated")
+    provenance[:2] = Provenance.NOT_PRESSED
+    assert "the membrane's curvature dropped all" in why_no_contact(provenance, "calibrated")
+    provenance[0] = Provenance.RIM
     provenance[1:3] = Provenance.SMALL_CLUSTER
     assert "dropped 10 of 15: lower the smallest contact" in why_no_contact(provenance, "calibrated")
 

@@ -195,6 +195,17 @@ def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
         read.with_value("cameras.tactile_delay_s", 3.0)
 
 
+def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_file._CALIBRATED_4)
+    tuned = untouched | {"gap_m": 0.0015}
+    sections = []
+    for section in (untouched, tuned):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 4, "calibrated": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
+    assert sections[0] == Preset().calibrated
+    assert sections[1].model_dump() == tuned | {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
+
+
 @pytest.mark.parametrize("found", [1, 2, 3])
 def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))

@@ -82,7 +82,7 @@ def test_what_presses_is_contact_and_what_is_close_is_not(rig, scenes):
     patch = ContactPipeline(asked, rig).process(both)
     assert patch.mask[:, :140].sum() > 2000
     assert patch.mask[20:-20, 180:300].sum() == 0
-    assert (patch.provenance[115:125, 215:230] == Provenance.RIM).all()
+    assert (patch.provenance[115:125, 215:230] == Provenance.NOT_PRESSED).all()
     assert ContactPipeline(asked, rig).process(hovering).mask[20:-20, 180:300].sum() == 0
     for scene in scenes:
         assert ContactPipeline(unasked, rig).process(scene).mask[20:-20, 180:300].sum() > 1000
@@ -127,3 +127,19 @@ def test_behind_the_camera_there_is_no_tactile_pixel(rig):
     far = rig.model_copy(update={"T_proximity_tactile": pose.tolist()})
     u, v = make_alignment(Preset().alignment, far).tactile_pixels(np.arange(5), np.full(5, 0.3, np.float32), far)
     assert np.isnan([u, v]).all()
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 3), (40, 3), (4, 4), (5, 7), (17, 9), (31, 33), (97, 65)])
+@pytest.mark.parametrize("kind", ["flat", "zero", "saturated", "random"])
+def test_images_of_any_size_and_content_are_judged(width, height, kind):
+    lens = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=width / 2, cy=height / 2)
+    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
+    rig = Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+    image = np.full((height, width), {"flat": 30_000, "saturated": 65_535}.get(kind, 0), np.uint16)
+    if kind == "random":
+        image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)
+    frame = SensorFrame(0, image, image, np.zeros((height, width, 3), np.uint8))
+    loose = CALIBRATED.with_values({"calibrated.least_area_mm2": 0.0, "calibrated.frames": 3})
+    patch = ContactPipeline(loose, rig).process(frame)
+    assert patch.mask.shape == (height, width)
+    assert np.isfinite(patch.points).all()

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactune.core.calibrated.steady import SteadyDepth
-from tactune.core.pipeline import ContactPipeline
+from tactune.core.pipeline import CALIBRATED_STAGES, ContactPipeline, Still
 from tactune.core.preset import Preset
 
 AVERAGED = Preset().with_values({"contact_test": "calibrated", "calibrated.frames": 10})
@@ -119,5 +119,72 @@ def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
     off = contact.process(frames[-1])
     np.testing.assert_array_equal(off.points, ContactPipeline(contact.preset, rig).process(frames[-1]).points)
     contact.update(AVERAGED.with_value("calibrated.gap_m", 0.002))
-    other_gap = contact.process(frames[-1])
-    assert len(other_gap.points) >= len(off.points)
+    begun = ContactPipeline(contact.preset, rig).process(frames[-1])
+    np.testing.assert_array_equal(contact.process(frames[-1]).points, begun.points)
+
+
+def test_a_still_scene_is_averaged_before_its_patch_is_given_again(make_frame, rig):
+    frames = frames_of(make_frame, rig, 9, share_missing=0.0)
+    preset = AVERAGED.with_value("calibrated.frames", 4)
+    contact, every = ContactPipeline(preset, rig, still=Still(0.01)), ContactPipeline(preset, rig)
+    patches = [contact.process(frame) for frame in frames]
+    expected = [every.process(frame) for frame in frames]
+    for patch, full in zip(patches[:4], expected, strict=False):
+        assert patch.skipped == ()
+        np.testing.assert_array_equal(patch.points, full.points)
+    for patch in patches[4:]:
+        assert patch.skipped == ("no depth changed beyond noise",)
+        assert patch.points is patches[3].points
+
+
+def test_the_average_is_a_stage_of_its_own(make_frame, rig):
+    first, second = frames_of(make_frame, rig, 2)
+    contact = ContactPipeline(AVERAGED, rig)
+    contact.process(first)
+    patch = contact.process(second)
+    assert tuple(patch.stage_ms) == ("average", *CALIBRATED_STAGES)
+    assert patch.stage_ms["average"] > 0
+    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.001))
+    assert contact.process(second).stage_ms["average"] == 0
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    assert tuple(contact.process(second).stage_ms) == CALIBRATED_STAGES
+
+
+def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
+    frames = frames_of(make_frame, rig, 7)
+    changed, constant = (
+        ContactPipeline(AVERAGED, rig),
+        ContactPipeline(AVERAGED.with_value("calibrated.frames", 12), rig),
+    )
+    for frame in frames[:5]:
+        changed.process(frame)
+        constant.process(frame)
+    changed.update(constant.preset)
+    for frame in frames[5:]:
+        np.testing.assert_array_equal(changed.process(frame).points, constant.process(frame).points)
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 104), (72, 120), (16, 16)])
+def test_squares_cut_off_by_the_border_are_judged_too(make_rig, make_frame, width, height):
+    rig = make_rig(width=width, height=height)
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    steady.add(still)
+    moved = still.tactile_depth.copy()
+    moved[-8:, -8:] += np.uint16(30)  # 3 mm
+    shown = steady.add(replace(still, tactile_depth=moved))
+    np.testing.assert_array_equal(shown.tactile_depth, moved)
+
+
+def test_what_moves_slowly_together_stays_together(make_frame, rig):
+    """The difference of both depths tells contact, so one may not lag behind the other."""
+    still = make_frame(rig, 0, 0.0, 0.0)
+    nearer = replace(still, proximity_depth=(still.proximity_depth * 0.93).astype(np.uint16))
+    steady = SteadyDepth(rig, 15)
+    cameras = ("proximity_depth", rig.proximity.depth_unit_m), ("tactile_depth", rig.tactile.depth_unit_m)
+    for step in range(60):
+        way_m = 0.00005 * step
+        moved = {name: np.rint(getattr(nearer, name) + way_m / unit_m).astype(np.uint16) for name, unit_m in cameras}
+        shown = steady.add(replace(still, **moved))
+        lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
+        assert abs(lags_m[0] - lags_m[1]) < 0.0003
