@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from tactune.app.playback import PlaybackState
 from tactune.app.processing import FrameProcessor
 from tactune.app.results import SourceInfo, Wanted
 from tactune.core.baselines.registry import Fusion, make_method
+from tactune.core.calibrated.steady import SteadyDepth
 from tactune.core.preset import Preset
 
 from .conftest import tiny_frame, tiny_rig
@@ -89,6 +91,20 @@ def test_the_time_after_a_step_is_that_of_a_whole_frame(preset, monkeypatch):
     seen = asked[0]
     assert seen is not FRAMES[3]  # else stages that are remembered would not be timed
     assert np.array_equal(seen.proximity_depth, FRAMES[3].proximity_depth)
+
+
+def test_a_method_that_averages_counts_each_frame_once(preset, monkeypatch):
+    added = []
+    add = SteadyDepth.add
+    monkeypatch.setattr(SteadyDepth, "add", lambda steady, frame: added.append(frame.sequence) or add(steady, frame))
+    compare = Comparer().compare
+    for index in (1, 2, 3):
+        for gap_m in (0.002, 0.003):
+            asked = replace(task(preset.with_value("calibrated.gap_m", gap_m), index), methods=("fusion-averaged",))
+            (outcome,) = compare(asked).outcomes
+            assert outcome.note == "" or outcome.scores.points == 0
+    assert added == [1, 2, 3]
+    assert outcome.ms is not None
 
 
 def test_a_preset_that_does_not_fit_is_said_and_the_next_one_works(preset):
