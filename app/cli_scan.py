@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import itertools
 import json
-import re
-from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Final
@@ -15,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from ..core.atomic import atomic_path
-from ..core.errors import SourceError, TactuneError
+from ..core.errors import TactuneError
 from . import defaults
 
 if TYPE_CHECKING:
@@ -116,9 +113,10 @@ def evaluate_recording(
     from ..core.preset_file import load_preset
     from .cli_progress import CliProgress
     from .cli_run import number_of_frames, open_with_progress
+    from .cli_scan_frames import frame_range, frames_between, remembered_frames
 
     unit_m = UNITS_M[unit]
-    first, last = _frame_range(frame, frames)
+    first, last = frame_range(frame, frames)
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
     names = _methods(method or [], reference)
@@ -132,8 +130,14 @@ def evaluate_recording(
         if opened.length is None and last is None:
             raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
         steps = _steps(names, opened, chosen, origin, reference)
+        remembered = {name: remembered_frames(name, chosen) for name in names}
         total = number_of_frames(opened, None if last is None else last + 1)
-        for each in _frames(opened, first, last):
+        for index, each in frames_between(opened, first, last, before=max(remembered.values()) - 1):
+            if index < first:
+                for name in names:
+                    if first - index < remembered[name]:
+                        steps[name](each)
+                continue
             if refine and refined is None:
                 refined = _refined(loaded, contact, pose, steps[names[0]], each)
                 pose = refined.T_proximity_scan
@@ -222,16 +226,6 @@ def parse_paint(words: list[str]) -> PaintSettings:
     return PaintSettings(**values)
 
 
-def _frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]:
-    """Return the first and the last frame asked for; None is the source's last."""
-    if frames is None:
-        return (0, None) if frame is None else (frame, frame)
-    match = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", frames)
-    if match is None or int(match[1]) > int(match[2]) or frame is not None:
-        raise TactuneError(f"--frames is {frames!r}; give first:last, such as 0:9, and no --frame beside it")
-    return int(match[1]), int(match[2])
-
-
 def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
     """Return ``T_proximity_scan`` as the options say it."""
     from ..core.evaluation.scan_pairs import read_pairs
@@ -286,29 +280,6 @@ def _steps(
     needing = [name for name in names if needs_reference(name)]
     untouched = read_reference(needing[0], reference) if needing else None
     return {name: make_step(name, preset, origin, source, untouched, warn) for name in names}
-
-
-def _frames(source: FrameSource, first: int, last: int | None) -> Iterator[SensorFrame]:
-    """Yield the frames from first to last; at least one.
-
-    Raises
-    ------
-    SourceError
-        The source ends before.
-    """
-    if source.length is not None and max(first, last or 0) >= source.length:
-        raise SourceError(f"{source.name} has no frame {max(first, last or 0)}; it has {source.length} of them")
-    if source.length is not None:
-        source.seek(first)
-    else:
-        for _ in itertools.islice(source, first):
-            pass
-    index = first
-    for frame in itertools.islice(source, None if last is None else last + 1 - first):
-        yield frame
-        index += 1
-    if index == first or (last is not None and index <= last):
-        raise SourceError(f"{source.name} has no frame {index}; it ended after {index} of them")
 
 
 def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: SensorFrame) -> RefinedPose:

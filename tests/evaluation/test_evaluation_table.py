@@ -266,6 +266,28 @@ def test_figure_is_drawn_and_wrong_names_are_refused_first(tmp_path, monkeypatch
         check_plot(tmp_path / "grid.xyz")
 
 
+def test_the_figure_shows_what_the_table_judges(tmp_path, monkeypatch):
+    """A method that remembers is shown as many frames as it remembers; the last one's patch is drawn."""
+    shown: dict[str, list[int]] = {}
+    words: list[str] = []
+
+    class Remembering(Shifted):
+        def find(self, frame):
+            shown.setdefault(self.name, []).append(frame.sequence)
+            return super().find(frame) if frame.sequence == 5 else failed((48, 64), "it has seen too little")
+
+    def make(name, preset, rig, reference):
+        method = Remembering(name, 1.0, [])
+        method.remembers = 4 if name == "fusion-averaged" else 1
+        return method
+
+    monkeypatch.setattr("matplotlib.axes.Axes.text", lambda axis, x, y, text, **looks: words.append(text))
+    scenes = plan_scenes(["cup"], ["medium"], extra=False)
+    draw_patches(tmp_path / "grid.png", ["fusion-averaged", "fusion-rigid"], scenes, Preset(), 0, make, Bench().open)
+    assert shown == {"fusion-averaged": [2, 3, 4, 5], "fusion-rigid": [5]}
+    assert "Fail" not in words
+
+
 def test_the_simulators_reference_is_a_measured_untouched_membrane():
     with open_source("sim:cup?press=medium") as source:
         reference, pressed = untouched_frame(source), source.read(0)

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tactune.app.cli import main
+from tactune.core.baselines.registry import make_method
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.distances import cloud_distances
 from tactune.core.evaluation.metrics import compare_with_truth, truth_cloud
@@ -154,6 +155,22 @@ def test_methods_frames_and_a_csv(tactune, scans, tmp_path):
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [(row["sequence"], row["method"]) for row in rows[:2]] == [("2", "fusion-rigid"), ("2", "fusion-homography")]
     assert float(rows[0]["symmetric_rmse_mm"]) < float(rows[1]["symmetric_rmse_mm"])
+
+
+@pytest.mark.parametrize("frames, shown", [("--frame=3", (0, 3)), ("--frame=16", (2, 16)), ("--frames=16:17", (2, 17))])
+def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scans, frames, shown):
+    status, out, _ = tactune(
+        "evaluate", "recording", "--source", SOURCE, "--scan", scans["clean"][0], "--transform", scans["clean"][-1],
+        frames, "--method", "fusion-averaged", "--method", "fusion-calibrated", "--json",
+    )  # fmt: skip
+    assert status == 0
+    found = [record["points"] for record in json.loads(out)["results"] if record["method"] == "fusion-averaged"]
+    preset = load_preset("simulator")
+    method = make_method("fusion-averaged", preset, source.rig)
+    expected = [len(method.find(source.read(index)).points) for index in range(shown[0], shown[1] + 1)]
+    assert found == expected[-len(found) :]
+    alone = make_method("fusion-averaged", preset, source.rig).find(source.read(shown[1]))
+    assert found[-1] != len(alone.points)
 
 
 @pytest.mark.parametrize(
