@@ -106,7 +106,7 @@ def sweep(
     from ..core.sources.registry import open_source
     from ..core.sweep.best import best_preset, check_presentable, choose_objective, edges, effects, rank
     from ..core.sweep.journal import Journal
-    from ..core.sweep.plan import make_plan, short_takes
+    from ..core.sweep.plan import little_averaged, make_plan, short_takes
     from ..core.sweep.table import check_replaced, check_table, sweep_rows, write_table
     from .cli_run import counted, warn
     from .sweep_text import outcome_as_json, print_outcome
@@ -130,7 +130,7 @@ def sweep(
             check_presentable(plan)
         if options.request.seeds > 1 and len(plan.takes) == len(options.request.sources):
             warn("--seeds changes the noise of simulated sources only; there is none")
-        for sentence in short_takes(plan, options.request.frames):
+        for sentence in (*short_takes(plan, options.request.frames), *little_averaged(plan)):
             warn(sentence)
         with Journal(kept) as journal:
             _measure(plan, journal, engine, workers, progress)

@@ -109,6 +109,32 @@ def test_frames_that_a_source_does_not_have_are_said(sweep, recording):
     assert f"{recording} ends after 3 frames, so of --frames 1:99 only 2 are taken" in done.err
 
 
+def test_frames_that_are_few_or_far_apart_to_average_are_said(sweep, recording):
+    few = f"{recording} gives 3 frames, so calibrated.frames 15 averages no more than that"
+    done = sweep("-s", recording, "--method", "fusion-averaged", "-p", "default")
+    assert done.status == 0 and done.err.count(few) == 1
+    far = f"{recording} gives one frame in 2, so calibrated.frames 2 averages frames that do not follow each other"
+    sets = ("--set", "contact_test=calibrated", "--set", "calibrated.frames=1,2", "-p", "default")
+    assert sweep("-s", recording, *sets, "--frames", "::2", "-o", "far.parquet").err.count(far) == 1
+    for words in (sets, ("--method", "fusion-calibrated", "-p", "default", "--frames", "::2")):
+        assert "calibrated.frames" not in sweep("-s", recording, *words, "--replace").err
+
+
+def test_the_table_tells_the_values_that_a_method_sets_itself(sweep, recording, tmp_path):
+    methods = ("--method", "fusion-homography", "--method", "fusion-averaged", "--method", "fusion")
+    assert sweep("-s", recording, *methods, "-p", "default", "--set", "range.enabled=false").status == 0
+    base = load_preset("default")
+    usual = base.contact_test, base.alignment.model, base.calibrated.frames
+    assert {
+        row["method"]: (row["contact_test"], row["alignment.model"], row["calibrated.frames"])
+        for row in rows_of(tmp_path / "work" / "sweep.parquet")
+    } == {
+        "fusion-homography": ("tolerance", "homography", base.calibrated.frames),
+        "fusion-averaged": ("calibrated", "rigid", 15),
+        "fusion": usual,
+    }
+
+
 def test_a_best_value_at_the_edge_is_said_in_words_and_json(sweep, recording):
     words = ("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou", "-p", "default")
     assert "The best tolerance.t, 0.004, is the largest tried; try larger ones, too." in sweep(*words).out
@@ -150,6 +176,15 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
         (("-s", "REC", "--method", "magic"), "there is no method 'magic'"),
+        (
+            ("-s", "REC", "--method", "fusion", "--method", "fusion-averaged", "--set", "calibrated.frames=1,5"),
+            "fusion-averaged always has calibrated.frames 15, so other values would change nothing; use",
+        ),
+        (("-s", "REC", "--method", "fusion-rigid", "--set", "contact_test=calibrated"), "contact_test tolerance"),
+        (
+            ("-s", "REC", "--method", "fusion-homography", "--set", "alignment.model=rigid,homography"),
+            "leave --set alignment.model out",
+        ),
         (("-s", "REC", "--method", "mechanics", "--best", "b.json"), "no preset can name the method mechanics"),
         (("-s", "REC", "--frames", "9:"), "has 3 frames"),
         (("-s", "REC", "--out", "sweep.csv"), "ends in .parquet"),
