@@ -48,13 +48,17 @@ class Capture(QObject):
     failed(sentence: str)
         Empty where it was cancelled.
     pausedChanged(paused: bool)
-        Frames have stopped coming, because playback was paused; or they come again, or are no longer needed.
+        Frames have stopped coming, because playback was paused, or one more was taken while they had; or they come
+        again, or are no longer needed.
+    averaging()
+        No more frames are taken; those that came are averaged now.
     """
 
     progress = pyqtSignal(float, str)
     captured = pyqtSignal(object)
     failed = pyqtSignal(str)
     pausedChanged = pyqtSignal(bool)
+    averaging = pyqtSignal()
 
     def __init__(self, feed: FrameFeed, store: ReferenceStore, parent: QObject | None = None) -> None:
         super().__init__(parent)
@@ -65,6 +69,8 @@ class Capture(QObject):
         self.taken = 0
         self._last: SensorFrame | None = None
         self._played = False
+        self._running = False
+        self._taken_before = 0
         self._paused = False
         self._return_to: int | None = None
         self._job = Job(self)
@@ -79,6 +85,11 @@ class Capture(QObject):
         """Whether frames are being taken or averaged."""
         return self._job.busy
 
+    @property
+    def taking(self) -> bool:
+        """Whether frames of the feed are still to come."""
+        return self._wanted > 0
+
     def start(self, count: int) -> None:
         """Average the frame that is shown and those that follow it, ``count`` in all, or the whole recording once."""
         frame, playback, name = self._feed.frame, self._feed.playback, self._feed.info.name
@@ -91,7 +102,8 @@ class Capture(QObject):
         self._queue, self._wanted, self.taken, self._last = SimpleQueue(), different, 0, None
         queue, still = self._queue, not playback.running
         self._return_to = playback.index if still and playback.seekable else None
-        self._played = not still
+        self._played = self._running = not still
+        self._taken_before = 0
         self._job.start(lambda progress: self._average(_arriving(queue, different, progress), count))
         self._take(frame)
         if self._wanted and still:
@@ -105,7 +117,7 @@ class Capture(QObject):
         """Take no more frames: average those that came."""
         if self._wanted:
             self._queue.put(None)
-            self._stand_as_before()
+            self._take_no_more()
 
     def cancel(self) -> None:
         """Stop; the preset keeps what it has."""
@@ -125,14 +137,25 @@ class Capture(QObject):
         self._wanted -= 1
         self.taken += 1
         if not self._wanted:
-            self._stand_as_before()
+            self._take_no_more()
+        elif self._paused:
+            self.pausedChanged.emit(True)
 
     def _playback_changed(self) -> None:
-        """Make do with what there is where a recording has ended; wait where playback was paused."""
+        """Make do with what there is where a recording has ended; wait where playback was paused.
+
+        A recording that ends before the length that it states pauses like any other, but gives no frame when it
+        is played on.
+        """
         playback = self._feed.playback
-        stopped = self._played and not playback.running
+        if playback.running and not self._running:
+            self._taken_before = self.taken
+        halted = self._running and not playback.running
+        self._running = playback.running
         self._played = self._played or playback.running
-        if stopped and playback.at_end and not playback.loop:
+        stopped = self._played and not playback.running
+        nothing_came = halted and playback.seekable and self.taken == self._taken_before
+        if nothing_came or (stopped and playback.at_end and not playback.loop):
             self.make_do()
         self._set_paused(stopped and self._wanted > 0)
 
@@ -140,6 +163,10 @@ class Capture(QObject):
         if paused != self._paused:
             self._paused = paused
             self.pausedChanged.emit(paused)
+
+    def _take_no_more(self) -> None:
+        self._stand_as_before()
+        self.averaging.emit()
 
     def _stand_as_before(self) -> None:
         self._wanted = 0
@@ -186,7 +213,7 @@ def _arriving(queue: SimpleQueue[SensorFrame | None], count: int, progress: Prog
                 frame = queue.get(timeout=_WAIT_S)
                 arrived = True
         if frame is None:
-            return
+            break
         yield frame
     progress(1.0, "Averaging")
 

@@ -30,6 +30,8 @@ _SIMULATED: Final = " The simulator takes its object away for these frames."
 _NONE: Final = "This preset has no reference yet"
 _UNREAD: Final = "The preset's reference cannot be found: capture it anew"
 _CAPTURING: Final = "Capturing: leave the membrane alone."
+_AVERAGING: Final = "Averaging the frames that came; the membrane may be touched again."
+_OTHER_SOURCE: Final = "Capturing was stopped, because another source was opened."
 
 
 class CaptureWindow(QDialog):
@@ -150,6 +152,7 @@ class CaptureWindow(QDialog):
         self.leave.clicked.connect(self.reject)
         self.capture.progress.connect(self._show_progress)
         self.capture.pausedChanged.connect(self._show_paused)
+        self.capture.averaging.connect(lambda: self.sentence.setText(_AVERAGING))
         self.capture.captured.connect(self._use)
         self.capture.failed.connect(self._fail)
 
@@ -170,7 +173,7 @@ class CaptureWindow(QDialog):
         """Stop: frames of another source are another membrane's."""
         if self.capture.busy:
             self.capture.cancel()
-            self.sentence.setText("Capturing was stopped, because another source was opened.")
+            self.sentence.setText(_OTHER_SOURCE)
 
     def _start(self) -> None:
         self._show_busy(True)
@@ -188,7 +191,7 @@ class CaptureWindow(QDialog):
         self._show_busy(False)
         if sentence:
             self.sentence.setText(f"{sentence[:1].upper()}{sentence[1:]}.")
-        elif self.sentence.text() == _CAPTURING:
+        elif self.sentence.text() != _OTHER_SOURCE:
             self.sentence.setText("Capturing was cancelled; the preset is as before.")
 
     def _show_busy(self, busy: bool) -> None:
@@ -209,7 +212,7 @@ class CaptureWindow(QDialog):
                 "main window, to take the others."
             )
             self.go_on.setFocus()
-        elif self.capture.busy:
+        elif self.capture.taking:
             self.sentence.setText(_CAPTURING)
 
     def _show_state(self) -> None:

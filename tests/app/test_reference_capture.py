@@ -41,6 +41,13 @@ class Moving(TinySource):
         return replace(frame, tactile_depth=pushed)
 
 
+class Truncated(TinySource):
+    """States 8 frames and has 5."""
+
+    def next_frame(self) -> SensorFrame | None:
+        return super().next_frame() if self.position < 5 else None
+
+
 def open_capture(qtbot, window):
     QTest.keyClick(window, Qt.Key.Key_R, CONTROL | SHIFT)
     opened = window.analysis.reference.window
@@ -150,9 +157,63 @@ def test_what_came_before_a_pause_can_be_used(qtbot, window):
 def test_capturing_can_be_cancelled_in_a_pause(qtbot, window):
     opened = pause_capturing(qtbot, window)
     QTest.keyClick(opened, Qt.Key.Key_Escape)
+    assert "leave the membrane alone" not in opened.sentence.text()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert "cancelled" in opened.sentence.text() and not opened.go_on.isVisible()
     assert window.document.preset.reference is None
+
+
+def test_stepping_in_a_pause_takes_a_frame_and_says_so(qtbot, window):
+    opened = pause_capturing(qtbot, window, 8)
+    taken = opened.capture.taken
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_Period)
+    qtbot.waitUntil(lambda: f"Paused after {taken + 1} frames" in opened.sentence.text())
+    assert opened.go_on.isVisible()
+
+
+def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window, monkeypatch):
+    go_on = Event()
+
+    def slow(frames):
+        came = list(frames)
+        go_on.wait(30)
+        return average_untouched(came)
+
+    monkeypatch.setattr("tactune.app.reference.capture.average_untouched", slow)
+    opened = pause_capturing(qtbot, window)
+    QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
+    assert "may be touched again" in opened.sentence.text() and not opened.make_do.isVisible()
+    qtbot.waitUntil(lambda: opened.progress.text() == "Averaging")
+    go_on.set()
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+    go_on.clear()
+    opened.frames.setValue(2)
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: "may be touched again" in opened.sentence.text())  # enough came without a pause, too
+    go_on.set()
+    qtbot.waitUntil(lambda: not opened.capture.busy)
+
+
+@pytest.mark.parametrize("start", [0, 4])
+def test_a_recording_shorter_than_it_states_ends_where_no_frame_comes(qtbot, window, start):
+    source = Truncated()
+    source.name = "truncated"
+    open_source(qtbot, window, source)
+    window.worker.pause()
+    window.worker.seek(start)
+    qtbot.waitUntil(lambda: at_rest(window, start))
+    opened = open_capture(qtbot, window)
+    opened.frames.setValue(7)
+    QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
+    qtbot.waitUntil(lambda: opened.go_on.isVisible() or not opened.capture.busy)
+    if opened.capture.busy:
+        assert "Paused after 5 frames" in opened.sentence.text()
+        QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
+        qtbot.waitUntil(lambda: not opened.capture.busy)
+    assert window.document.preset.reference.frames == 5 - start
+    assert "because no more came" in opened.sentence.text()
 
 
 @pytest.mark.parametrize("length", [1, 3])
