@@ -70,13 +70,14 @@ def _add_contact_test(document: Document) -> Document:
 def _add_curvature(document: Document) -> Document:
     """Version 5: the calibrated test asks for the curvature and may average frames.
 
-    A test that nobody had tuned takes the values chosen with it; one that somebody had goes on without it.
+    A test that is neither chosen nor tuned takes the values chosen with it; any other goes on as before.
     """
     calibrated = document.get("calibrated")
     if not isinstance(calibrated, dict):
         return document
     news = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
-    chosen = _CHOSEN_ANEW_5 if calibrated == _CALIBRATED_4 else {}
+    unused = document.get("contact_test") == "tolerance" and calibrated == _CALIBRATED_4
+    chosen = _CHOSEN_ANEW_5 if unused else {}
     return {**document, "calibrated": {**news, **calibrated, **chosen}}
 
 

@@ -178,6 +178,9 @@ def hover() -> None:
 
 def main(arguments: Sequence[str]) -> None:
     """Print what the arguments name."""
+    if "-h" in arguments or "--help" in arguments:
+        print(__doc__)
+        return
     names = [name for name in arguments if not name.startswith("--")] or ["table", "ablation"]
     seeds = (0, 1, 2)
     for option in arguments:
