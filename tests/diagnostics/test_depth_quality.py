@@ -211,7 +211,8 @@ def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
     ],
 )
 def test_a_bias_is_judged_by_the_calibrated_test(rig, make_frame, bias_m, bias_taken_off_m, verdict, limit):
-    preset = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": bias_taken_off_m})
+    parameters = {"calibrated.bias_m": bias_taken_off_m, "calibrated.gap_m": 0.0018}
+    preset = Preset().with_values({"contact_test": "calibrated", **parameters})
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
     reading = judge_bias(quality, preset)
     assert (reading.verdict, reading.limit) == (verdict, limit)
