@@ -114,6 +114,7 @@ def _record(method: str, frame: SensorFrame, patch: MethodPatch, ms: float, rig:
         "points": len(points),
         "area_mm2": method_area_mm2(patch, rig),
         "centroid_m": tuple(map(float, points.mean(axis=0, dtype="float64"))) if len(points) else None,
+        "averaged_frames": patch.averaged_frames,
         "stage_ms": {method: round(ms, 4)},
         "method": method,
         "failure": patch.failure,

@@ -15,6 +15,7 @@ def patch_record(patch: ContactPatch) -> dict[str, Any]:
         "points": len(patch.points),
         "area_mm2": finite_or_none(patch.area_mm2),
         "centroid_m": patch.centroid_m,
+        "averaged_frames": patch.averaged_frames,
         "stage_ms": {stage: round(ms, 4) for stage, ms in patch.stage_ms.items()},
     }
 

@@ -67,9 +67,7 @@ class FrameStatus(QStatusBar):
         if running and now - self._last_s < INTERVAL_S:
             return
         self._last_s = now
-        rates = (
-            f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "standing still"
-        )
+        rates = f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "paused"
         self._rates.setText(rates)
         self._show_losses(result.dropped, result.unmatched)
         self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
@@ -79,7 +77,9 @@ class FrameStatus(QStatusBar):
             return
         times = result.patch.stage_ms
         computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
-        self._stages.setText("  ".join(computed) + " ms" if computed else "nothing computed anew")
+        averaged = result.patch.averaged_frames
+        mean = f"mean of {averaged} frames  " if averaged > 1 else ""
+        self._stages.setText(mean + ("  ".join(computed) + " ms" if computed else "nothing computed anew"))
         self._stages.setToolTip(
             "Milliseconds per stage (0: cached or skipped)\n"
             + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())

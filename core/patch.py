@@ -51,6 +51,8 @@ class ContactPatch:
         Milliseconds of each of `pipeline.stages_of` the preset; 0 for a stage that was cached or skipped.
     skipped : tuple of str
         What this frame did not need, in words, such as "no tile can hold contact".
+    averaged_frames : int
+        Over how many frames the depths were averaged, this one included.
     """
 
     def __init__(
@@ -63,11 +65,13 @@ class ContactPatch:
         stage_ms: Mapping[str, float],
         skipped: tuple[str, ...] = (),
         mask: Once[npt.NDArray[np.bool_]] | None = None,
+        averaged_frames: int = 1,
     ) -> None:
         self.sequence = sequence
         self.rig = rig
         self.stage_ms = dict(stage_ms)
         self.skipped = skipped
+        self.averaged_frames = averaged_frames
         self._points = points
         self._provenance = provenance
         self._aligned = aligned
@@ -76,8 +80,9 @@ class ContactPatch:
     def again(self, sequence: int, stage_ms: Mapping[str, float], skipped: tuple[str, ...]) -> ContactPatch:
         """Return the same patch as the result of another call."""
         return ContactPatch(
-            sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask
-        )
+            sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
+            self.averaged_frames,
+        )  # fmt: skip
 
     @property
     def points(self) -> npt.NDArray[np.float32]:

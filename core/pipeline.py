@@ -150,7 +150,8 @@ class ContactPipeline:
             found = self._calibrated_test(frame, self._finder, stage)
         else:
             found = self._tolerance_test(frame, self._finder, stage)
-        return self._memory.patch_of(frame, self.rig, self._finder, found, stage)
+        averaged = self._steady.count if self._steady is not None else 1
+        return self._memory.patch_of(frame, self.rig, self._finder, found, stage, averaged)
 
     def _average(self, frames: int) -> None:
         """Average so many frames from now on; what is remembered stays, unless none shall be averaged."""
@@ -269,6 +270,7 @@ class _Memory:
         finder: CandidateFinder | DifferenceFinder,
         found: Found,
         stages: _StageRunner,
+        averaged_frames: int,
     ) -> ContactPatch:
         """Assemble the patch from what the contact test has found."""
         if self.patch is not None and not stages.stale:
@@ -282,6 +284,7 @@ class _Memory:
             stages.ms,
             found.skipped,
             mask=Once(lambda: contact_mask(frame.proximity_depth.shape, found.contact)),
+            averaged_frames=averaged_frames,
         )
         return self.patch
 

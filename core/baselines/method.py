@@ -26,11 +26,14 @@ class MethodPatch:
         Metres, proximity depth frame.
     failure : str
         Why the method gave up on this frame, as a sentence; empty where it did not.
+    averaged_frames : int
+        Over how many frames the depths were averaged, this one included.
     """
 
     points: Points
     make_mask: Callable[[], Bools]
     failure: str = ""
+    averaged_frames: int = 1
 
     @cached_property
     def mask(self) -> Bools:

@@ -53,7 +53,7 @@ class Fusion(ContactMethod):
     def find(self, frame: SensorFrame) -> MethodPatch:
         """Return the pipeline's patch."""
         patch = self._pipeline.process(frame)
-        return MethodPatch(patch.points, lambda: patch.mask)
+        return MethodPatch(patch.points, lambda: patch.mask, averaged_frames=patch.averaged_frames)
 
 
 def method_names() -> tuple[str, ...]:

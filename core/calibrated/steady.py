@@ -68,6 +68,11 @@ class SteadyDepth:
         """Whether as many frames as shall be have come since the membrane last moved."""
         return self._count >= self.most
 
+    @property
+    def count(self) -> int:
+        """Over how many frames the mean goes, as far as they weigh alike."""
+        return min(self._count, self.most)
+
 
 class _Means:
     """The mean of one camera's depth, in counts, and over how many frames it goes; 0 where there is none."""

@@ -80,7 +80,16 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     lines = json_lines(finished.out)
     assert finished.status == 0
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
-    assert set(lines[0]) == {"sequence", "points", "area_mm2", "centroid_m", "stage_ms", "method", "failure"}
+    assert set(lines[0]) == {
+        "sequence",
+        "points",
+        "area_mm2",
+        "centroid_m",
+        "averaged_frames",
+        "stage_ms",
+        "method",
+        "failure",
+    }
     assert lines[0]["points"] == 0
     assert lines[0]["centroid_m"] is None
     assert lines[0]["area_mm2"] == 0

@@ -188,3 +188,12 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
         shown = steady.add(replace(still, **moved))
         lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
         assert abs(lags_m[0] - lags_m[1]) < 0.0003
+
+
+def test_a_patch_says_over_how_many_frames_it_is(make_frame, rig):
+    frames = frames_of(make_frame, rig, 4, share_missing=0.0)
+    contact = ContactPipeline(AVERAGED.with_value("calibrated.frames", 3), rig)
+    assert [contact.process(frame).averaged_frames for frame in frames] == [1, 2, 3, 3]
+    assert contact.process(frames[-1]).averaged_frames == 3
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    assert contact.process(frames[-1]).averaged_frames == 1
