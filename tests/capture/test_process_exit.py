@@ -15,7 +15,6 @@ HERE = Path(__file__).parent
 OPEN = f"""
 import signal, sys, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it, as nohup does
-signal.signal(signal.SIGINT, signal.default_int_handler)  # or this, as a shell does in the background
 sys.path.append({str(HERE)!r})
 from functools import partial
 from pathlib import Path
