@@ -126,8 +126,10 @@ def _covered(
             continue
         left, right = max(math.floor(min(ua, ub, uc)), 0), min(math.floor(max(ua, ub, uc)), width - 1)
         top, bottom = max(math.floor(min(va, vb, vc)), 0), min(math.floor(max(va, vb, vc)), height - 1)
+        if right < left:  # beside the picture, where there are no starts to read
+            continue
         for row in range(top, bottom + 1):
-            for point in range(starts[row * width + left], starts[row * width + right + 1] if right >= left else 0):
+            for point in range(starts[row * width + left], starts[row * width + right + 1]):
                 u, v = pixels[point, 0], pixels[point, 1]
                 kb = ((u - ua) * (vc - va) - (uc - ua) * (v - va)) / doubled
                 kc = ((ub - ua) * (v - va) - (u - ua) * (vb - va)) / doubled
