@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +19,13 @@ from tactune.core.preset import Preset
 from tactune.core.preset_file import load_preset, save_preset
 
 Tactune = Callable[..., Any]
+LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
 
 
 @pytest.fixture
 def mine(tmp_path: Path) -> Path:
-    """A preset in a folder of its own."""
-    save_preset(Preset(name="mine"), tmp_path / "presets" / "mine.json")
+    """A preset of last year in a folder of its own."""
+    save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR), tmp_path / "presets" / "mine.json")
     return tmp_path / "presets" / "mine.json"
 
 
@@ -48,7 +50,7 @@ def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Pa
     assert preset.reference is not None
     assert preset.reference.frames == 3
     assert (load_reference(preset.reference, mine).tactile_depth == 3000).all()
-    assert preset.modified >= Preset().created
+    assert preset.created == LAST_YEAR < preset.modified
 
 
 def test_fewer_frames_than_asked_for_are_said(tactune: Tactune, recording: Path, mine: Path) -> None:
