@@ -76,7 +76,12 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
         playback = context.load_device(file)
         playback.set_real_time(False)
         ended = threading.Event()
-        playback.set_status_changed_callback(lambda now: now == rs.playback_status.stopped and ended.set())
+
+        def look_whether_ended(now: Any) -> None:
+            if now == rs.playback_status.stopped:
+                ended.set()
+
+        playback.set_status_changed_callback(look_whether_ended)
         syncer = rs.syncer()
         sensors = playback.query_sensors()
         for sensor in sensors:
