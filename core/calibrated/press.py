@@ -32,6 +32,10 @@ _LEAST_SHARE: Final = np.float32(0.7)
 #: A free membrane that bulges less, 1/m, tells nothing; nor does one of which so few squares are seen.
 _LEAST_BULGE: Final = 1.0
 _FEWEST_FREE: Final = 200
+#: A group of contact presses lightly if no larger share of it is firm.
+_LIGHT_SHARE: Final = 0.2
+#: Fewer pixels of firm contact tell nothing about its gap.
+_FEWEST_FIRM: Final = 100
 #: As far as this, in every other pixel, what surrounds pressed pixels is believed to be pressed.
 _EDGE: Final = 3
 
@@ -41,8 +45,9 @@ def pressed_contact(
 ) -> Bools:
     """Return contact without pixels at which the membrane is as curved as where it is free.
 
-    Contact stays where the curvature is not known. What is neither in the region and range nor near an object counts
-    as free.
+    Contact stays where the curvature is not known, and a group of it that presses too lightly to be told stays where
+    its gap is like that of pressed contact elsewhere. What is neither in the region and range nor near an object
+    counts as free.
 
     Parameters
     ----------
@@ -70,7 +75,29 @@ def pressed_contact(
     # the window blurs the edge of contact, and a plate's edge bulges as much as what is free
     pressed = cv2.dilate(pressed.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).astype(bool)
     height, width = contact.shape
-    return np.asarray(contact & pressed.repeat(2, axis=0).repeat(2, axis=1)[:height, :width])
+    firm = contact & pressed.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
+    return _with_light_contact(firm, contact, gaps.gap_m, section.gap_m)
+
+
+def _with_light_contact(firm: Bools, contact: Bools, gap_m: Float32Array, most_m: float) -> Bools:
+    """Return firm contact and the connected groups with hardly any that are as near: by the median no farther than it.
+
+    An object that seems to be more than ``most_m`` before the membrane is none.
+    """
+    import cv2
+
+    count, groups, boxes, _ = cv2.connectedComponentsWithStats(contact.view(np.uint8))
+    firm_px = np.bincount(groups[firm], minlength=count)
+    light = firm_px <= _LIGHT_SHARE * boxes[:, cv2.CC_STAT_AREA]
+    light[0] = False
+    if not light.any() or firm_px.sum() < _FEWEST_FIRM:
+        return firm
+    usual = np.median(gap_m[firm])
+    for group in np.flatnonzero(light):
+        left, top, width, height = boxes[group, :4]
+        box = slice(top, top + height), slice(left, left + width)
+        light[group] = usual - most_m <= np.median(gap_m[box][groups[box] == group]) <= usual
+    return np.asarray(firm | light[groups])
 
 
 def bulge_per_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:

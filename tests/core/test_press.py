@@ -14,6 +14,7 @@ from tactune.core.preset import Preset
 from tactune.core.provenance import Provenance
 
 WIDTH, HEIGHT, UNIT_M = 320, 240, 1e-5
+BEHIND_M = 0.6
 CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
 
 
@@ -58,9 +59,8 @@ def test_where_too_little_depth_is_known_nothing_is_told(rig):
     np.testing.assert_allclose(bulge[8:-8, 8:32], 2 / 0.3, rtol=0.12)
 
 
-@pytest.fixture(scope="module")
-def scenes(rig) -> tuple[SensorFrame, SensorFrame]:
-    """A round membrane that a plate flattens on the left, and to which one fits on the right without touching."""
+def plates(rig: Rig, right_gap_m: float) -> tuple[SensorFrame, SensorFrame]:
+    """A round membrane that a plate flattens on the left, and to which one fits on the right; then the latter alone."""
     free = sphere_from_inside(rig, 0.3, (0.0, 0.0, 0.0))
     rays = rig.tactile.intrinsics.rays()
     normal = np.array([-0.28, 0.0, 1.0]) / np.hypot(0.28, 1.0)
@@ -69,15 +69,15 @@ def scenes(rig) -> tuple[SensorFrame, SensorFrame]:
     left = np.hypot(rays[..., 0] + 0.28, rays[..., 1]) < 0.20
     right = np.hypot(rays[..., 0] - 0.28, rays[..., 1]) < 0.14
     color = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    touching = np.where(left, np.maximum(plate, pressed), np.where(right, free + 0.0005, 0.9))
+    touching = np.where(left, np.maximum(plate, pressed), np.where(right, free + right_gap_m, BEHIND_M))
     return (
         SensorFrame(0, counts(touching), counts(pressed), color),
-        SensorFrame(1, counts(np.where(right, free + 0.0005, 0.9)), counts(free), color),
+        SensorFrame(1, counts(np.where(right, free + right_gap_m, BEHIND_M)), counts(free), color),
     )
 
 
-def test_what_presses_is_contact_and_what_is_close_is_not(rig, scenes):
-    both, hovering = scenes
+def test_what_presses_is_contact_and_what_is_close_is_not(rig):
+    both, hovering = scenes = plates(rig, 0.0005)
     asked, unasked = CALIBRATED, CALIBRATED.with_value("calibrated.curvature", 0.0)
     patch = ContactPipeline(asked, rig).process(both)
     assert patch.mask[:, :140].sum() > 2000
@@ -86,6 +86,20 @@ def test_what_presses_is_contact_and_what_is_close_is_not(rig, scenes):
     assert ContactPipeline(asked, rig).process(hovering).mask[20:-20, 180:300].sum() == 0
     for scene in scenes:
         assert ContactPipeline(unasked, rig).process(scene).mask[20:-20, 180:300].sum() > 1000
+
+
+def test_what_presses_too_lightly_to_be_told_is_contact_beside_firm_contact_with_its_gap(rig):
+    both, alone = plates(rig, -0.0001)
+    pipeline = ContactPipeline(CALIBRATED, rig)
+    patch = pipeline.process(both)
+    assert patch.mask[115:125, 215:230].all()
+    assert patch.mask[:, :140].sum() > 2000
+    assert pipeline.process(alone).mask[20:-20, 180:300].sum() == 0
+
+
+def test_what_seems_to_be_before_the_membrane_is_no_light_contact(rig):
+    both, _ = plates(rig, -0.003)
+    assert ContactPipeline(CALIBRATED, rig).process(both).mask[20:-20, 180:300].sum() == 0
 
 
 def test_a_membrane_that_does_not_bulge_tells_nothing(rig):
