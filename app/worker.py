@@ -8,7 +8,6 @@ The window never waits for it. Orders go in through a queue; results come out of
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -32,9 +31,6 @@ from .processing import FrameProcessor
 from .reader import FrameReader
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
-
-#: Python's 5 ms between thread switches would make the window wait for the worker's Python code.
-SWITCH_INTERVAL_S = 0.0005
 
 
 class Worker(QThread):
@@ -179,7 +175,6 @@ class Worker(QThread):
 
     def run(self) -> None:
         """Obey orders and play frames until told to stop."""
-        sys.setswitchinterval(SWITCH_INTERVAL_S)
         leave_room_for_the_window()
         try:
             while True:

@@ -19,6 +19,8 @@ PINK, PURPLE = (235, 80, 160), (90, 60, 150)
 SIDE, HALF_M = 61, 0.06
 #: Where the disc of the tiny recording's frame 3 lies, and how large it is.
 DISC_M, DISC_CENTRE = 7 * 0.252 / 60, (0.5 * 0.252 / 60, 0.5 * 0.252 / 60, 0.2522)
+#: A place that lies beside it.
+DISC_CENTRE_BESIDE = (-0.04, 0.03, 0.2522)
 
 
 def true_pose() -> np.ndarray:
@@ -129,3 +131,14 @@ def click_three_pairs(tab: TruthTab) -> None:
     """Align by three pairs."""
     for point in corners(tab):
         click_pair(tab, point)
+
+
+def pose_of(tab: TruthTab) -> np.ndarray:
+    """T_proximity_scan as the tab has it."""
+    return np.array(tab.flow.state.pose)
+
+
+def corner_errors_mm(tab: TruthTab) -> np.ndarray:
+    """How far the corners of the plate lie from their true places."""
+    plate = np.array([(x, y, 0.0, 1.0) for x in (-HALF_M, HALF_M) for y in (-HALF_M, HALF_M)])
+    return 1e3 * np.linalg.norm((plate @ (pose_of(tab) - true_pose()).T)[:, :3], axis=1)
