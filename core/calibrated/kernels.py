@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..colors import lanes_in_range
-from ..compiling import kernel
+from ..compiling import inline, kernel
 from ..kernels import TILE_ROWS, both_depths, colors_seen, is_depth, lane_columns, vector_place, within
 from ..simd import LANES, absolute, bits, flags, floats, ints, load, store, to_floats, where
 from ..simd_memory import float_scratch, int_scratch
@@ -164,6 +164,16 @@ def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
             shares[row, column] = np.float32(known / (side * side))
 
 
+@inline
+def _derivatives(image: Any, v: Any, u: Any) -> Any:
+    """Return the first differences along u and v at a pixel, and the second along u, both, and v."""
+    middle = np.float64(image[v, u])
+    left, right = np.float64(image[v, u - 1]), np.float64(image[v, u + 1])
+    above, below = np.float64(image[v - 1, u]), np.float64(image[v + 1, u])
+    across = np.float64(image[v + 1, u + 1]) - image[v + 1, u - 1] - image[v - 1, u + 1] + image[v - 1, u - 1]
+    return (right - left) / 2, (below - above) / 2, right - 2 * middle + left, across / 4, below - 2 * middle + above
+
+
 @kernel
 def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
     """Write twice the mean curvature of a surface by its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
@@ -177,29 +187,18 @@ def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
         for u in range(1, width - 1):
             if known[v, u] < least:
                 continue
-            ee, ff, gg = 0.0, 0.0, 0.0
-            p_u, p_v, p_uu, p_uv, p_vv = ((0.0, 0.0, 0.0),) * 5
-            for axis in range(3):
-                p, middle = points[axis], np.float64(points[axis, v, u])
-                left, right = np.float64(p[v, u - 1]), np.float64(p[v, u + 1])
-                above, below = np.float64(p[v - 1, u]), np.float64(p[v + 1, u])
-                across = np.float64(p[v + 1, u + 1]) - p[v + 1, u - 1] - p[v - 1, u + 1] + p[v - 1, u - 1]
-                a, b = (right - left) / 2, (below - above) / 2
-                ee, ff, gg = ee + a * a, ff + a * b, gg + b * b
-                p_u, p_v = (p_u[1], p_u[2], a), (p_v[1], p_v[2], b)
-                p_uu, p_vv = (
-                    (p_uu[1], p_uu[2], right - 2 * middle + left),
-                    (p_vv[1], p_vv[2], below - 2 * middle + above),
-                )
-                p_uv = (p_uv[1], p_uv[2], across / 4)
+            x_u, x_v, x_uu, x_uv, x_vv = _derivatives(points[0], v, u)
+            y_u, y_v, y_uu, y_uv, y_vv = _derivatives(points[1], v, u)
+            z_u, z_v, z_uu, z_uv, z_vv = _derivatives(points[2], v, u)
+            ee, gg = x_u * x_u + y_u * y_u + z_u * z_u, x_v * x_v + y_v * y_v + z_v * z_v
+            ff = x_u * x_v + y_u * y_v + z_u * z_v
             area = ee * gg - ff * ff
             if area <= 0.0:
                 continue
-            nx, ny = p_u[1] * p_v[2] - p_u[2] * p_v[1], p_u[2] * p_v[0] - p_u[0] * p_v[2]
-            nz = p_u[0] * p_v[1] - p_u[1] * p_v[0]
-            ll = p_uu[0] * nx + p_uu[1] * ny + p_uu[2] * nz
-            mm = p_uv[0] * nx + p_uv[1] * ny + p_uv[2] * nz
-            nn = p_vv[0] * nx + p_vv[1] * ny + p_vv[2] * nz
+            nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
+            ll = x_uu * nx + y_uu * ny + z_uu * nz
+            mm = x_uv * nx + y_uv * ny + z_uv * nz
+            nn = x_vv * nx + y_vv * ny + z_vv * nz
             out[v, u] = np.float32(-(ee * nn - 2 * ff * mm + gg * ll) / (area * np.sqrt(area)))
 
 
