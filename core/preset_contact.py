@@ -182,7 +182,6 @@ class CalibratedSection(Section):
             "Averaged frames",
             "Depth is averaged over so many frames while the membrane keeps still, which brings out small contacts; "
             "where it moves, averaging begins anew. With 1 each frame stands for itself; more count once frames run.",
-            unit="frames",
             slider=(1, 30),
         ),
         Field(ge=1, le=300),

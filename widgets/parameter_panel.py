@@ -47,7 +47,7 @@ SECTIONS = (
 #: The sections that have a say in each contact test only, and what else there is to say of it.
 _OF_TEST = {
     "tolerance": (("tolerance", "outliers"), "Each pixel by itself, as published."),
-    "calibrated": (("calibrated",), "By local means of the gap; tolerance and outliers have no say."),
+    "calibrated": (("calibrated",), "By mean gaps, where the membrane is pressed; tolerance and outliers have no say."),
 }
 
 _EYEDROPPERS = {
