@@ -169,8 +169,8 @@ class CalibratedSection(Section):
         described(
             "Largest curvature",
             "Where an object presses, the membrane bulges less than where it is free. Contact is only where its "
-            "curvature is below this share of the free membrane's, and where something as near touches lightly beside "
-            "it; 0 does not ask. It tells touching from hovering.",
+            "curvature is below this share of the free membrane's, and in lightly touching parts with a gap that is no "
+            "larger than there; 0 does not ask. It tells touching from hovering.",
             slider=(0.0, 1.5),
             step=0.05,
         ),

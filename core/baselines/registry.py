@@ -83,8 +83,8 @@ def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
     by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
     own: tuple[Any, ...] = (preset.tolerance, preset.outliers)
     if values["contact_test"] == "calibrated":
-        frames = values.get("calibrated.frames", preset.calibrated.frames)
-        own = (preset.calibrated.model_copy(update={"frames": frames}),)
+        fixed = {path.partition(".")[2]: value for path, value in values.items() if path.startswith("calibrated.")}
+        own = (preset.calibrated.model_copy(update=fixed),)
     return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 

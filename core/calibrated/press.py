@@ -34,8 +34,9 @@ _LEAST_BULGE: Final = 1.0
 _FEWEST_FREE: Final = 200
 #: A group of contact presses lightly if no larger share of it is firm.
 _LIGHT_SHARE: Final = 0.2
-#: Fewer pixels of firm contact tell nothing about its gap.
+#: Fewer pixels of firm contact tell nothing about its gap, and fewer of a light one nothing about its own.
 _FEWEST_FIRM: Final = 100
+_FEWEST_LIGHT: Final = 10
 #: As far as this, in every other pixel, what surrounds pressed pixels is believed to be pressed.
 _EDGE: Final = 3
 
@@ -45,8 +46,8 @@ def pressed_contact(
 ) -> Bools:
     """Return contact without pixels at which the membrane is as curved as where it is free.
 
-    Contact stays where the curvature is not known, and a group of it that presses too lightly to be told stays where
-    its gap is like that of pressed contact elsewhere. What is neither in the region and range nor near an object
+    Contact stays where the curvature is not known, and a group of it that presses too lightly to be told stays if its
+    gap is no larger than that of pressed contact elsewhere. What is neither in the region and range nor near an object
     counts as free.
 
     Parameters
@@ -76,23 +77,34 @@ def pressed_contact(
     pressed = cv2.dilate(pressed.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).astype(bool)
     height, width = contact.shape
     firm = contact & pressed.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
-    return _with_light_contact(firm, contact, gaps.gap_m, section.gap_m)
+    return with_light_contact(firm, contact, gaps.gap_m, section.gap_m)
 
 
-def _with_light_contact(firm: Bools, contact: Bools, gap_m: Float32Array, most_m: float) -> Bools:
-    """Return firm contact and the connected groups with hardly any that are as near: by the median no farther than it.
+def with_light_contact(firm: Bools, contact: Bools, gap_m: Float32Array, most_m: float) -> Bools:
+    """Return firm contact, and connected groups with hardly any of it that are as near as the others' firm contact.
 
-    An object that seems to be more than ``most_m`` before the membrane is none.
+    These are the groups whose median gap is no larger than the median of that, and smaller by ``most_m`` at most.
+
+    Parameters
+    ----------
+    firm, contact : bool, shape (H, W)
+        Firm contact is part of contact.
+    gap_m : float32, shape (H, W)
+    most_m : float
     """
     import cv2
 
     count, groups, boxes, _ = cv2.connectedComponentsWithStats(contact.view(np.uint8))
-    firm_px = np.bincount(groups[firm], minlength=count)
-    light = firm_px <= _LIGHT_SHARE * boxes[:, cv2.CC_STAT_AREA]
+    area = boxes[:, cv2.CC_STAT_AREA]
+    light = np.bincount(groups[firm], minlength=count) <= _LIGHT_SHARE * area
     light[0] = False
-    if not light.any() or firm_px.sum() < _FEWEST_FIRM:
+    if not light.any():
         return firm
-    usual = np.median(gap_m[firm])
+    others = firm & ~light[groups]
+    if np.count_nonzero(others) < _FEWEST_FIRM:
+        return firm
+    usual = np.median(gap_m[others])
+    light &= area >= _FEWEST_LIGHT
     for group in np.flatnonzero(light):
         left, top, width, height = boxes[group, :4]
         box = slice(top, top + height), slice(left, left + width)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.alignment import make_alignment
-from tactune.core.calibrated.press import bulge_per_m
+from tactune.core.calibrated.press import bulge_per_m, with_light_contact
 from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.pipeline import ContactPipeline
@@ -14,7 +14,7 @@ from tactune.core.preset import Preset
 from tactune.core.provenance import Provenance
 
 WIDTH, HEIGHT, UNIT_M = 320, 240, 1e-5
-BEHIND_M = 0.6
+BEHIND_M = 0.6  # in these units uint16 ends at 0.655 m
 CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
 
 
@@ -100,6 +100,58 @@ def test_what_presses_too_lightly_to_be_told_is_contact_beside_firm_contact_with
 def test_what_seems_to_be_before_the_membrane_is_no_light_contact(rig):
     both, _ = plates(rig, -0.003)
     assert ContactPipeline(CALIBRATED, rig).process(both).mask[20:-20, 180:300].sum() == 0
+
+
+FIRM, LIGHT, MOST_M = np.s_[2:12, 2:12], np.s_[20:30, 20:30], 0.0014
+
+
+def groups_of_contact(firm_gap_m=0.0004, light_gap_m=0.0004, light_is_firm=0, firm_is_firm=100) -> tuple:
+    """Two groups of 100 pixels each with one gap, of which so many are firm, and a background as near."""
+    contact, firm = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
+    gap_m = np.zeros((40, 40), np.float32)
+    for place, gap, count in ((FIRM, firm_gap_m, firm_is_firm), (LIGHT, light_gap_m, light_is_firm)):
+        contact[place], gap_m[place] = True, gap
+        firm[place] = (np.arange(100) < count).reshape(10, 10)
+    return firm, contact, gap_m
+
+
+@pytest.mark.parametrize(
+    ("light_gap_m", "kept"), [(0.0004, True), (0.0005, False), (-0.0006, True), (-0.0009, True), (-0.0011, False)]
+)
+def test_light_contact_has_no_larger_gap_than_firm_contact_and_none_far_smaller(light_gap_m, kept):
+    firm, contact, gap_m = groups_of_contact(light_gap_m=light_gap_m)
+    found = with_light_contact(firm, contact, gap_m, MOST_M)
+    assert found[LIGHT].all() if kept else not found[LIGHT].any()
+    assert found[FIRM].all()
+    assert not found[~contact].any()
+
+
+@pytest.mark.parametrize(("light_is_firm", "kept"), [(20, True), (21, False)])
+def test_a_group_of_which_more_is_firm_is_not_taken_whole(light_is_firm, kept):
+    firm, contact, gap_m = groups_of_contact(light_gap_m=0.0, light_is_firm=light_is_firm)
+    assert with_light_contact(firm, contact, gap_m, MOST_M)[LIGHT].sum() == (100 if kept else 21)
+
+
+@pytest.mark.parametrize(("firm_is_firm", "kept"), [(100, True), (99, False)])
+def test_little_firm_contact_is_no_measure_of_others(firm_is_firm, kept):
+    firm, contact, gap_m = groups_of_contact(firm_is_firm=firm_is_firm)
+    assert with_light_contact(firm, contact, gap_m, MOST_M)[LIGHT].any() == kept
+
+
+def test_a_group_is_no_measure_of_itself():
+    contact, firm = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
+    contact[2:32, 2:32], firm[2:32, 2:7] = True, True
+    found = with_light_contact(firm, contact, np.zeros((40, 40), np.float32), MOST_M)
+    np.testing.assert_array_equal(found, firm)
+
+
+def test_light_groups_are_judged_one_by_one():
+    firm, contact, gap_m = groups_of_contact()
+    contact[16:34, 16], contact[16, 16:34] = True, True  # an angle around the other group
+    gap_m[16:34, 16], gap_m[16, 16:34] = 0.001, 0.001
+    contact[36, 20:29], gap_m[36, 20:29] = True, 0.0  # too few pixels
+    found = with_light_contact(firm, contact, gap_m, MOST_M)
+    assert found[LIGHT].all() and found.sum() == 200
 
 
 def test_a_membrane_that_does_not_bulge_tells_nothing(rig):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import tempfile
-import threading
 import time
 from pathlib import Path
 from typing import Any
@@ -19,8 +18,6 @@ from ..scenes import BenchScene
 
 #: The first frameset may hold one image only.
 _PAIRS = 8
-#: How long a recording of these pairs plays at most, and between looks for the next one, seconds.
-_LONGEST_S, _PAUSE_S = 20.0, 0.001
 
 _MODELS = {
     Distortion.NONE: "none",
@@ -75,29 +72,22 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
         context = rs.context()
         playback = context.load_device(file)
         playback.set_real_time(False)
-        ended = threading.Event()
-
-        def look_whether_ended(now: Any) -> None:
-            if now == rs.playback_status.stopped:
-                ended.set()
-
-        playback.set_status_changed_callback(look_whether_ended)
-        syncer = rs.syncer()
+        # room for all that is recorded: while the driver waits for room it can neither be stopped nor freed
+        syncer = rs.syncer(2 * _PAIRS)
         sensors = playback.query_sensors()
         for sensor in sensors:
             sensor.open(sensor.get_stream_profiles())
             sensor.start(syncer)
         found = None
-        deadline_s = time.monotonic() + _LONGEST_S
-        # to its end: the driver waits for room in the syncer, and could not be stopped while it does
-        while not ended.is_set() and time.monotonic() < deadline_s:
-            frames = syncer.poll_for_frames()
-            if frames.size() == 2 and found is None:
-                found = frames
+        for _ in range(_PAIRS):
+            found = syncer.wait_for_frames(2000)
+            if found.size() == 2:
                 found.keep()
-            time.sleep(_PAUSE_S)
-        # its sensors are never closed: the driver would free what its frames still refer to
-    if found is None:
+                break
+        playback.pause()
+        for sensor in sensors:  # never closed: the driver would free what its frames still refer to
+            sensor.stop()
+    if found is None or found.size() != 2:
         raise TactuneError("librealsense's software device gave no pair of frames; leave its engines out")
     return found, (context, playback, syncer, sensors)
 
