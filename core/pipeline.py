@@ -10,6 +10,7 @@ from typing import Any, ParamSpec, TypeVar
 from . import kernels
 from .alignment import AlignmentModel, make_alignment
 from .calibrated import stages as calibrated_stages
+from .calibrated.balance import balanced_contact
 from .calibrated.differences import DifferenceFinder
 from .calibrated.press import pressed_contact
 from .calibrated.steady import SteadyDepth
@@ -35,7 +36,7 @@ __all__ = ["CALIBRATED_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "St
 #: Of the tolerance test. The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
 STAGES = ("fusion", "outliers", "clusters")
 #: Of the calibrated test. Here the fusion aligns and tests difference and colour.
-CALIBRATED_STAGES = ("fusion", "gaps", "edge", "press", "clusters", "points")
+CALIBRATED_STAGES = ("fusion", "gaps", "edge", "press", "balance", "clusters", "points")
 #: Comes before them where depth is averaged over frames.
 AVERAGE = "average"
 
@@ -196,18 +197,19 @@ class ContactPipeline:
             calibrated_stages.within_edge, gaps, section,
         )  # fmt: skip
         pressed = stage(
-            "press", (section.curvature, section.curvature_px),
+            "press", (section.curvature, section.curvature_px, section.balance),
             pressed_contact, within, gaps, frame, self._preset, self.rig, finder.alignment,
         )  # fmt: skip
+        balanced = stage("balance", section.balance, balanced_contact, pressed, gaps, section, self.rig)
         large = stage(
             "clusters", section.least_area_mm2,
-            calibrated_stages.large_contacts, pressed, gaps, section, self.rig,
+            calibrated_stages.large_contacts, balanced, gaps, section, self.rig,
         )  # fmt: skip
         contact = stage(
             "points", (section.smooth_px, section.tactile_weight),
             calibrated_stages.surface_points, large, gaps, section, self.rig, self._buffers,
         )  # fmt: skip
-        steps = differences, gaps, section, within, pressed, large, contact
+        steps = differences, gaps, section, within, pressed.contact, balanced, large, contact
         return Found(contact, lambda: calibrated_stages.full_provenance(finder.classify(frame), *steps))
 
     def _shows_the_same(self, frame: SensorFrame) -> bool:

@@ -163,7 +163,7 @@ class CalibratedSection(Section):
             step=1.0,
         ),
         Field(ge=0.0, le=1e6),
-    ] = 2.0
+    ] = 5.0
     curvature: Annotated[
         float,
         described(
@@ -176,6 +176,14 @@ class CalibratedSection(Section):
         ),
         Field(ge=0.0, le=10.0),
     ] = 0.7
+    balance: Annotated[
+        bool,
+        described(
+            "Balance at the edge",
+            "End contact where the membrane, drawn by its tension and pushed by the pressure, leaves an object of the "
+            "shape seen; narrows light contacts, which else come out too wide.",
+        ),
+    ] = True
     frames: Annotated[
         int,
         described(

@@ -22,7 +22,7 @@ from .preset import Preset
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[5] = 5
+SCHEMA_VERSION: Literal[6] = 6
 
 #: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
 _MOST_TOLD = 9
@@ -60,6 +60,7 @@ _CALIBRATED_4: Document = {
 _CHOSEN_ANEW_5: Document = {
     "gap_m": 0.0014, "least_area_mm2": 2.0, "difference_m": 0.008, "core": 0.5, "curvature": 0.7,
 }  # fmt: skip
+_CALIBRATED_5: Document = {**_CALIBRATED_4, **_CHOSEN_ANEW_5, "frames": 1, "curvature_px": 11.0}
 
 
 def _add_contact_test(document: Document) -> Document:
@@ -81,12 +82,23 @@ def _add_curvature(document: Document) -> Document:
     return {**document, "calibrated": {**news, **calibrated, **chosen}}
 
 
+def _add_balance(document: Document) -> Document:
+    """Version 6: the calibrated test ends contact by the membrane's balance; one chosen or tuned goes on without."""
+    calibrated = document.get("calibrated")
+    if not isinstance(calibrated, dict):
+        return document
+    unused = document.get("contact_test") == "tolerance" and calibrated == _CALIBRATED_5
+    chosen = {"least_area_mm2": 5.0} if unused else {}
+    return {**document, "calibrated": {"balance": unused, **calibrated, **chosen}}
+
+
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
 MIGRATIONS: tuple[Callable[[Document], Document], ...] = (
     _add_calibration,
     _add_cameras,
     _add_contact_test,
     _add_curvature,
+    _add_balance,
 )
 
 
@@ -94,7 +106,7 @@ class PresetDocument(Preset):
     """A preset as it stands in a file: the preset and what identifies the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
-    schema_version: Literal[5] = SCHEMA_VERSION
+    schema_version: Literal[6] = SCHEMA_VERSION
     tool_version: str = ""
 
 

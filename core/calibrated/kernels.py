@@ -165,7 +165,7 @@ def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
 
 
 @inline
-def _derivatives(image: Any, v: Any, u: Any) -> Any:
+def derivatives(image: Any, v: Any, u: Any) -> Any:
     """Return the first differences along u and v at a pixel, and the second along u, both, and v."""
     middle = np.float64(image[v, u])
     left, right = np.float64(image[v, u - 1]), np.float64(image[v, u + 1])
@@ -187,9 +187,9 @@ def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
         for u in range(1, width - 1):
             if known[v, u] < least:
                 continue
-            x_u, x_v, x_uu, x_uv, x_vv = _derivatives(points[0], v, u)
-            y_u, y_v, y_uu, y_uv, y_vv = _derivatives(points[1], v, u)
-            z_u, z_v, z_uu, z_uv, z_vv = _derivatives(points[2], v, u)
+            x_u, x_v, x_uu, x_uv, x_vv = derivatives(points[0], v, u)
+            y_u, y_v, y_uu, y_uv, y_vv = derivatives(points[1], v, u)
+            z_u, z_v, z_uu, z_uv, z_vv = derivatives(points[2], v, u)
             ee, gg = x_u * x_u + y_u * y_u + z_u * z_u, x_v * x_v + y_v * y_v + z_v * z_v
             ff = x_u * x_v + y_u * y_v + z_u * z_v
             area = ee * gg - ff * ff

@@ -8,6 +8,7 @@ both cameras has a part in it.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
@@ -41,10 +42,25 @@ _FEWEST_LIGHT: Final = 10
 _EDGE: Final = 3
 
 
+@dataclass(frozen=True, eq=False)
+class Pressed:
+    """Contact where the membrane is pressed, and how it bulges where it is free.
+
+    Attributes
+    ----------
+    contact : bool, shape (H, W)
+    free_per_m : float
+        Twice the mean curvature of the free membrane, 1/m; nan where too little of it is seen or nothing asks for it.
+    """
+
+    contact: Bools
+    free_per_m: float
+
+
 def pressed_contact(
     contact: Bools, gaps: Gaps, frame: SensorFrame, preset: Preset, rig: Rig, alignment: AlignmentModel
-) -> Bools:
-    """Return contact without pixels at which the membrane is as curved as where it is free.
+) -> Pressed:
+    """Leave out pixels of contact at which the membrane is as curved as where it is free.
 
     Contact stays where the curvature is not known, and a group of it that presses too lightly to be told stays if its
     gap is no larger than that of pressed contact elsewhere. What is neither in the region and range nor near an object
@@ -57,8 +73,9 @@ def pressed_contact(
     """
     section = preset.calibrated
     too_small = min(rig.tactile.intrinsics.shape) < _SIDE_PX
-    if section.curvature == 0 or too_small or not contact.any():
-        return contact
+    asked = section.curvature > 0 or section.balance
+    if not asked or too_small or not contact.any():
+        return Pressed(contact, np.nan)
     import cv2
 
     near = near_pixels(gaps, section).view(np.uint8)
@@ -70,14 +87,16 @@ def pressed_contact(
     free[squares[squares >= 0]] = np.nan
     free = free[~np.isnan(free)]
     if len(free) < _FEWEST_FREE or (usual := float(np.median(free))) < _LEAST_BULGE:
-        return contact
+        return Pressed(contact, np.nan)
+    if section.curvature == 0:
+        return Pressed(contact, usual)
     pressed = np.zeros(some.shape, np.bool_)
     pressed[some] = ~(np.where(squares >= 0, bulge[squares], np.float32(np.nan)) > section.curvature * usual)
     # the window blurs the edge of contact, and a plate's edge bulges as much as what is free
     pressed = cv2.dilate(pressed.view(np.uint8), np.ones((_EDGE, _EDGE), np.uint8)).astype(bool)
     height, width = contact.shape
     firm = contact & pressed.repeat(2, axis=0).repeat(2, axis=1)[:height, :width]
-    return with_light_contact(firm, contact, gaps.gap_m, section.gap_m)
+    return Pressed(with_light_contact(firm, contact, gaps.gap_m, section.gap_m), usual)
 
 
 def with_light_contact(firm: Bools, contact: Bools, gap_m: Float32Array, most_m: float) -> Bools:
@@ -134,10 +153,10 @@ def bulge_per_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
     known, z, x, y = (cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for part in parts)
     bulge = np.empty(shape, np.float32)
     kernels.bulges(np.stack([x, y, z]) / np.maximum(known, np.float32(1e-6)), known, _LEAST_SHARE, bulge)
-    return _with_nearest(bulge, 2 * sigma + 1)
+    return with_nearest(bulge, 2 * sigma + 1)
 
 
-def _with_nearest(image: Float32Array, reach_px: float) -> Float32Array:
+def with_nearest(image: Float32Array, reach_px: float) -> Float32Array:
     """Return an image in which what is unknown has the value of the nearest known pixel that is within reach."""
     import cv2
 

@@ -39,12 +39,15 @@ class Gaps:
         Free of the sensors' bias, along the surface's normal.
     known : bool, shape (H, W)
         Where enough pixels are usable.
+    bias_m : float
+        What was taken off the differences before they were turned to the normal.
     differences : Differences
         What they are means of, cut to the surroundings of the known ones.
     """
 
     gap_m: npt.NDArray[np.float32]
     known: Bools
+    bias_m: float
     differences: Differences
 
 
@@ -61,12 +64,14 @@ def mean_gaps(everywhere: Differences, section: CalibratedSection, rig: Rig) -> 
     gap = means.of(differences.difference_m - np.float32(bias_m))
     if section.bias_m > 0:
         # half of it: with little contact the most frequent gap is not that of contact
-        gap -= np.float32(contact_bias_m(gap, known, section.bias_m) / 2)
+        contact_m = np.float32(contact_bias_m(gap, known, section.bias_m) / 2)
+        gap -= contact_m
+        bias_m += float(contact_m)
     if section.slope:
         smoothing = means if section.window_px >= 1 else LocalMean(differences.usable, 1.0)
         depth = smoothing.of(differences.depth_m)
         turn_to_normal(gap, depth, ray_table(camera), differences.corner, (camera.fx, camera.fy))
-    return Gaps(gap, known, differences)
+    return Gaps(gap, known, bias_m, differences)
 
 
 def within_edge(gaps: Gaps, section: CalibratedSection) -> Bools:
@@ -124,6 +129,7 @@ def full_provenance(
     section: CalibratedSection,
     within: Bools,
     pressed: Bools,
+    balanced: Bools,
     large: Bools,
     contact: Candidates,
 ) -> npt.NDArray[np.uint8]:
@@ -133,7 +139,8 @@ def full_provenance(
     part[usable & gaps.known] = Provenance.OUTSIDE_TOLERANCE
     part[usable & near_pixels(gaps, section)] = Provenance.RIM
     part[usable & within] = Provenance.NOT_PRESSED
-    part[usable & pressed] = Provenance.SMALL_CLUSTER
+    part[usable & pressed] = Provenance.RIM
+    part[usable & balanced] = Provenance.SMALL_CLUSTER
     part[usable & large] = Provenance.OUTLIER
     verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
     return verdicts

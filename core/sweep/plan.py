@@ -48,8 +48,9 @@ STAGE_OF: Final = {
     **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "calibrated.bias_m", "calibrated.slope"), 1),
     **dict.fromkeys(("calibrated.gap_m", "calibrated.retreat", "calibrated.core", "calibrated.most_px"), 2),
     **dict.fromkeys(("calibrated.curvature", "calibrated.curvature_px"), 3),
-    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 4),
-    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 5),
+    "calibrated.balance": 4,
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 5),
+    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 6),
 }
 
 

@@ -99,6 +99,7 @@ OTHERS = {
     "calibrated.slope": False,
     "calibrated.core": 0.0,
     "calibrated.curvature": 0.3,
+    "calibrated.balance": False,
     "calibrated.curvature_px": 4.0,
     "calibrated.frames": 7,
     "calibrated.most_px": 0.0,

@@ -73,7 +73,7 @@ def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: P
     finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")
     assert finished.status == 0
     records = [json.loads(line) for line in finished.out.splitlines()]
-    assert set(records[0]["stage_ms"]) == {"fusion", "gaps", "edge", "press", "clusters", "points"}
+    assert set(records[0]["stage_ms"]) == {"fusion", "gaps", "edge", "press", "balance", "clusters", "points"}
     assert records[0]["points"] == 0
     assert all(record["iou"] > 0.8 for record in records[2:])
 

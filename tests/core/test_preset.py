@@ -203,9 +203,21 @@ def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new
         old = json.loads(preset_json(Preset())) | {"schema_version": 4, "contact_test": test, "calibrated": section}
         sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
     assert sections[0] == Preset().calibrated
-    before = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
+    before = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0, "balance": False}
     assert sections[1].model_dump() == tuned | before
     assert sections[2].model_dump() == untouched | before
+
+
+def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_file._CALIBRATED_5)
+    tuned = untouched | {"gap_m": 0.0015}
+    sections = []
+    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 5, "contact_test": test, "calibrated": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
+    assert sections[0] == Preset().calibrated
+    assert sections[1].model_dump() == tuned | {"balance": False}
+    assert sections[2].model_dump() == untouched | {"balance": False}
 
 
 @pytest.mark.parametrize("found", [1, 2, 3])

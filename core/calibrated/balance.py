@@ -1,0 +1,275 @@
+"""Where contact ends: there the membrane leaves the object, as its tension and the pressure make it.
+
+A free membrane of tension T under the pressure p bulges by p / T (Young and Laplace), twice its mean curvature. Between
+it and an object that bulges by k there is a gap g, whose second derivatives on the surface add up to p / T - k. Where
+the object touches, g is 0, and nowhere is it negative: an obstacle problem, as in Kinderlehrer and Stampacchia 1980,
+"An Introduction to Variational Inequalities and Their Applications", chapter 1. The proximity camera tells k, the
+tactile camera p / T, and both their depths the gap, with noise and a bias that is another one in each part of the
+image. The solution is drawn to what is measured; the bias is that with which it comes nearest.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from ..clouds import ray_table
+from ..frames import Rig
+from ..preset import CalibratedSection
+from . import balance_kernels, kernels
+from .press import Pressed, with_nearest
+from .stages import Gaps
+
+Float32Array = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+
+#: Over so many cells of two by two pixels the object's shape is averaged, sigma.
+_SHAPE_CELLS: Final = 2.0
+#: Share of such a window that must be usable for the curvature, and for the slope.
+_LEAST_SHARE, _LEAST_SHARE_OF_SLOPE = np.float32(0.5), np.float32(0.05)
+#: How far the object's curvature is carried on to where it is not known, cells.
+_REACH_CELLS: Final = 8.0
+#: The gap is solved for where it is at most so many times the largest gap of what is near; cells at the border of what
+#: is known are held at what is measured from the largest gap itself on.
+_FARTHEST: Final = 2.5
+#: Over this length what is measured draws the gap to it, metres.
+_TRUST_M: Final = 0.008
+#: The least by which the membrane is pushed against the object, 1/m; a flat one is pushed by p / T, some 10/m.
+_LEAST_PUSH: Final = 5.0
+#: A larger gap is none of contact, metres; and how exactly it is solved for.
+_TOUCHING_M: Final = 5e-5
+_EXACT_M: Final = 2e-5
+_RELAX, _MOST_SWEEPS = np.float32(1.6), 300
+#: So many biases are tried, evenly spaced up to the largest believed, and those with fewer cells of contact left out.
+_BIASES: Final = 9
+_FEWEST_TOUCHING: Final = 6
+#: A larger group of contact of which nothing is left was no speck, and stays, pixels.
+_SPECK_PX: Final = 80
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Squares of two by two pixels, with what the balance needs; images are (H, W).
+
+    Attributes
+    ----------
+    measured_m : float32
+        Gap along the normal, free of the bias that prints tell.
+    smooth_m : float32
+        Its local mean.
+    weight : float32
+        Share of the pixels that tell it.
+    known : bool
+        Whether there is a local mean.
+    push_per_m : float32
+        How much less the object bulges than the free membrane.
+    sides_m : float32, shape (2, H, W)
+        Length along the surface to the right and down.
+    facing : float32
+        Share of a difference along the ray that is along the normal.
+    """
+
+    measured_m: Float32Array
+    smooth_m: Float32Array
+    weight: Float32Array
+    known: Bools
+    push_per_m: Float32Array
+    sides_m: Float32Array
+    facing: Float32Array
+
+
+def balanced_contact(pressed: Pressed, gaps: Gaps, section: CalibratedSection, rig: Rig) -> Bools:
+    """Return contact without the pixels at which a membrane in balance has left the object.
+
+    Specks of which nothing would be left go; larger groups stay, and the only ones do.
+
+    Parameters
+    ----------
+    pressed : Pressed
+        Its images are those of ``gaps``.
+    """
+    contact = pressed.contact
+    if not section.balance or np.isnan(pressed.free_per_m) or min(contact.shape) < 6 or not contact.any():
+        return contact
+    import cv2
+
+    cells = cells_of(gaps, pressed.free_per_m, section, rig)
+    left = left_cells(cells, _halved(contact), section)
+    stays = contact & ~_doubled(left, contact.shape)
+    if not stays.any():
+        return contact
+    count, groups, boxes, _ = cv2.connectedComponentsWithStats(contact.view(np.uint8))
+    gone = np.bincount(groups[stays], minlength=count) == 0
+    gone &= boxes[:, cv2.CC_STAT_AREA] > _SPECK_PX
+    gone[0] = False
+    return np.asarray(stays | gone[groups])
+
+
+def cells_of(gaps: Gaps, free_per_m: float, section: CalibratedSection, rig: Rig) -> Cells:
+    """Average over squares of two by two pixels and measure the object's shape.
+
+    Parameters
+    ----------
+    free_per_m : float
+        Twice the mean curvature of the free membrane.
+    """
+    import cv2
+
+    differences, camera = gaps.differences, rig.proximity.intrinsics
+    height, width = differences.usable.shape
+    means = np.empty((7, height // 2, width // 2), np.float32)
+    balance_kernels.average_cells(
+        differences.difference_m, differences.usable, differences.depth_m, gaps.gap_m, gaps.known, ray_table(camera),
+        *differences.corner, means,
+    )  # fmt: skip
+    difference, weight, *_, gap, seen = means
+    share, x, y, z = (
+        cv2.GaussianBlur(part, (0, 0), _SHAPE_CELLS, borderType=cv2.BORDER_CONSTANT) for part in means[1:5]
+    )
+    points = np.stack([x, y, z]) / np.maximum(share, np.float32(1e-6))
+    bulge, sides, facing = np.empty_like(weight), np.empty((2, *weight.shape), np.float32), np.empty_like(weight)
+    kernels.bulges(points, share, _LEAST_SHARE, bulge)
+    flat_m = 2 / camera.fx, 2 / camera.fy
+    balance_kernels.measure_cells(points, share, _LEAST_SHARE_OF_SLOPE, flat_m, section.slope, sides, facing)
+    bias_m = gaps.differences.print_bias_m if section.bias_m > 0 else 0.0
+    push = np.nan_to_num(np.float32(free_per_m) - with_nearest(bulge, _REACH_CELLS), nan=free_per_m)
+    return Cells(
+        (difference - np.float32(bias_m)) * facing,
+        gap + np.float32(gaps.bias_m - bias_m) * facing,
+        weight,
+        seen > 0,
+        np.maximum(push, np.float32(_LEAST_PUSH)),
+        sides,
+        facing,
+    )
+
+
+def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
+    """Return the cells that the membrane has left, in groups of cells with a small gap that are firm contact in part.
+
+    Parameters
+    ----------
+    firm : bool, shape (H, W)
+    """
+    inside, groups = _inside(cells, firm, section.gap_m)
+    left = np.zeros_like(firm)
+    size = int(np.count_nonzero(inside))
+    if size == 0:
+        return left
+    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
+    even = balance_kernels.link_cells(
+        inside, cells.known, cells.sides_m, cells.weight, np.float32(_TRUST_M), places, links
+    )
+    balance = _Balance(cells, section.gap_m, places, links, even)
+    biases = _biases_of_groups(balance, groups, firm, section.bias_m)
+    told = ~np.isnan(biases)
+    gap = balance.gaps(np.where(told, biases, np.float32(0))[groups])
+    return np.asarray(inside & (gap > np.float32(_TOUCHING_M)) & told[groups])
+
+
+def _inside(cells: Cells, firm: Bools, gap_m: float) -> tuple[Bools, npt.NDArray[np.int32]]:
+    """Return the cells whose gap is solved for, and the number of each one's group."""
+    import cv2
+
+    inside = cells.known & (cells.smooth_m < np.float32(_FARTHEST * gap_m))
+    rim = cv2.erode(cells.known.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
+    inside &= ~(rim & (cells.smooth_m > np.float32(gap_m)))
+    inside[[0, -1]] = inside[:, [0, -1]] = False
+    count, groups = cv2.connectedComponents(inside.view(np.uint8))
+    counts = np.bincount(groups[firm & inside], minlength=count) > 0
+    return inside & counts[groups], groups.astype(np.int32, copy=False)
+
+
+@dataclass(frozen=True, eq=False)
+class _Balance:
+    """The equations of the cells inside."""
+
+    cells: Cells
+    gap_m: float
+    places: npt.NDArray[np.int32]
+    links: Float32Array
+    even: int
+
+    def gaps(self, bias_m: Float32Array | np.float32, start: Float32Array | None = None) -> Float32Array:
+        """Return the gap of all cells with a bias, one or one for each cell; where it is not solved for, the mean."""
+        cells, shift = self.cells, bias_m * self.cells.facing
+        measured = (cells.measured_m - shift).reshape(-1)[self.places]
+        loads = self.links[4] * measured - self.links[5] * cells.push_per_m.reshape(-1)[self.places]
+        gaps = np.maximum(cells.smooth_m - shift, np.float32(0))
+        if start is not None:
+            gaps.reshape(-1)[self.places] = start.reshape(-1)[self.places]
+        balance_kernels.settle(
+            gaps.reshape(-1), gaps.shape[1], self.places, self.links, loads, self.even, _RELAX, np.float32(_EXACT_M),
+            _MOST_SWEEPS,
+        )  # fmt: skip
+        return gaps
+
+
+def _biases_of_groups(
+    balance: _Balance, groups: npt.NDArray[np.int32], firm: Bools, most_m: float
+) -> npt.NDArray[np.float32]:
+    """Return the bias of each group with which its gaps come nearest to what is measured; nan where none is told.
+
+    From the largest bias down, until the misfit of every group grows or it touches nowhere any more.
+    """
+    cells, count = balance.cells, int(groups.max()) + 1
+    tried = np.linspace(most_m, -most_m, _BIASES if most_m > 0 else 1).astype(np.float32)
+    misfits = np.full((len(tried), count), np.inf)
+    gap = None
+    along_ray = np.float32(1) / cells.facing
+    for i, bias_m in enumerate(tried):
+        gap = balance.gaps(bias_m, gap)
+        misfit, touching = np.zeros(count), np.zeros(count, np.int64)
+        balance_kernels.misfit_of_groups(
+            (gap * along_ray).reshape(-1), (cells.measured_m * along_ray).reshape(-1) - bias_m,
+            cells.weight.reshape(-1), balance.places, groups.reshape(-1), firm.reshape(-1), misfit, touching,
+        )  # fmt: skip
+        misfits[i] = np.where(touching >= _FEWEST_TOUCHING, misfit, np.inf)
+        if i > 0 and (np.isinf(misfits[i]) | (misfits[i] > misfits[i - 1])).all():
+            break
+    return lowest(tried, misfits)
+
+
+def lowest(tried: Float32Array, misfits: npt.NDArray[np.float64]) -> Float32Array:
+    """Return where each column is lowest, by the parabola through its least value and the two beside it.
+
+    Parameters
+    ----------
+    tried : float32, shape (N,)
+        Evenly spaced.
+    misfits : float64, shape (N, M)
+
+    Returns
+    -------
+    float32, shape (M,)
+        nan where no value is finite.
+    """
+    best = misfits.argmin(axis=0)
+    columns = np.arange(misfits.shape[1])
+    found = np.where(np.isfinite(misfits[best, columns]), tried[best], np.float32(np.nan))
+    middle = np.clip(best, 1, max(len(tried) - 2, 1))
+    if len(tried) < 3:
+        return found
+    before, here, after = (misfits[middle + step, columns] for step in (-1, 0, 1))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        bend = before - 2 * here + after
+        shift = (before - after) / (2 * bend) * (tried[1] - tried[0])
+    told = (best == middle) & np.isfinite(shift) & (bend > 0)
+    return np.where(told, found + shift.astype(np.float32), found)
+
+
+def _halved(image: Bools) -> Bools:
+    """Return which cells of two by two pixels are set in at least half."""
+    height, width = (side // 2 * 2 for side in image.shape)
+    pixels = image[:height, :width].view(np.uint8)
+    count = pixels[::2, ::2] + pixels[::2, 1::2] + pixels[1::2, ::2] + pixels[1::2, 1::2]
+    return np.asarray(count >= 2)
+
+
+def _doubled(cells: Bools, shape: tuple[int, ...]) -> Bools:
+    """Return an image of pixels from one of cells; a last odd row or column is that before it."""
+    image = np.pad(cells, ((0, shape[0] % 2), (0, shape[1] % 2)), mode="edge")
+    return image.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]

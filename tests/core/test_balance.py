@@ -1,0 +1,181 @@
+"""Where contact ends by the membrane's balance: against solutions on paper, another solver, and scenes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.optimize import lsq_linear
+
+from tactune.core.calibrated import balance, balance_kernels
+from tactune.core.calibrated.balance import Cells, balanced_contact, left_cells, lowest
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset_contact import CalibratedSection
+from tactune.core.preset_file import load_preset
+from tactune.core.provenance import Provenance
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+
+SIDE_M, CELLS = 0.001, 61
+SECTION = CalibratedSection()
+CALIBRATED = load_preset("simulator").with_values({"contact_test": "calibrated", "alignment.model": "rigid"})
+
+
+def disc(radius_m: float, push_per_m: float, bias_m: float = 0.0, noise_m: float = 0.0, seed: int = 0) -> Cells:
+    """A round object that touches within a radius, beyond which the gap is f / 4 (r^2 - a^2 - 2 a^2 ln(r / a)).
+
+    That is the solution of g'' + g' / r = f with g = g' = 0 at r = a.
+    """
+    v, u = np.indices((CELLS, CELLS)) - CELLS // 2
+    r = np.maximum(np.hypot(u, v) * SIDE_M, radius_m)
+    gap = push_per_m / 4 * (r**2 - radius_m**2 - 2 * radius_m**2 * np.log(r / radius_m))
+    noise = np.random.default_rng(seed).normal(0, noise_m, gap.shape) if noise_m else 0.0
+    measured = (gap + bias_m + noise).astype(np.float32)
+    return Cells(
+        measured_m=measured,
+        smooth_m=(gap + bias_m).astype(np.float32),
+        weight=np.ones_like(measured),
+        known=gap < 0.006,
+        push_per_m=np.full_like(measured, push_per_m),
+        sides_m=np.full((2, CELLS, CELLS), SIDE_M, np.float32),
+        facing=np.ones_like(measured),
+    )
+
+
+def contact_of(cells: Cells, section: CalibratedSection = SECTION) -> np.ndarray:
+    """Cells of the firm ones, which reach 3 cells farther than contact, that the membrane has not left."""
+    firm = cells.known & (cells.smooth_m < section.gap_m)
+    return firm & ~left_cells(cells, firm, section)
+
+
+def radius_of(contact: np.ndarray) -> float:
+    return float(np.sqrt(contact.sum() / np.pi)) * SIDE_M
+
+
+@pytest.mark.parametrize(("push_per_m", "most_m"), [(40.0, 0.003), (100.0, 0.0018), (250.0, 0.0011)])
+@pytest.mark.parametrize("radius_m", [0.003, 0.006, 0.010])
+@pytest.mark.parametrize("bias_m", [0.0, 0.0005, -0.0004])
+def test_a_disc_s_contact_ends_near_its_radius_whatever_the_bias(radius_m, push_per_m, most_m, bias_m):
+    """The less the membrane is pushed, the farther it stays within the gap that still counts as none."""
+    cells = disc(radius_m, push_per_m, bias_m)
+    near = cells.smooth_m < SECTION.gap_m
+    found = radius_of(contact_of(cells))
+    assert radius_m - SIDE_M / 2 < found < radius_m + most_m
+    assert found - radius_m < 0.5 * (radius_of(near) - radius_m)
+
+
+def test_noise_of_the_sensors_moves_the_edge_by_less_than_two_cells():
+    radii = [radius_of(contact_of(disc(0.006, 120.0, 0.0004, 0.0004, seed))) for seed in range(8)]
+    assert np.mean(radii) == pytest.approx(0.006, abs=0.001)
+    assert np.ptp(radii) < 0.003
+
+
+def test_no_larger_bias_is_sought_than_is_believed():
+    cells = disc(0.006, 120.0, 0.0008)
+    radii = [radius_of(contact_of(cells, CalibratedSection(bias_m=most_m))) for most_m in (0.0, 0.0004, 0.0012)]
+    assert radii[0] < radii[1] < radii[2]
+    assert radii[2] == pytest.approx(0.006, abs=0.001)
+
+
+def test_groups_that_are_not_firm_contact_are_left_alone():
+    cells = disc(0.006, 120.0)
+    assert not left_cells(cells, np.zeros((CELLS, CELLS), bool), SECTION).any()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_gap_is_that_of_another_solver(seed):
+    rng = np.random.default_rng(seed)
+    size = 14
+    inside = np.zeros((size, size), bool)
+    inside[1:-1, 1:-1] = rng.random((size - 2, size - 2)) > 0.1
+    known = inside | (rng.random((size, size)) > 0.5)
+    sides = rng.uniform(0.0008, 0.0015, (2, size, size)).astype(np.float32)
+    weight = rng.choice([0.0, 0.5, 1.0], (size, size)).astype(np.float32)
+    count = int(inside.sum())
+    places, links = np.empty(count, np.int32), np.empty((7, count), np.float32)
+    even = balance_kernels.link_cells(inside, known, sides, weight, np.float32(0.004), places, links)
+    assert sorted(places) == sorted(np.flatnonzero(inside))
+    assert ((places[:even] // size + places[:even] % size) % 2).max() == 0
+    gaps = rng.uniform(0, 0.003, (size, size)).astype(np.float32)
+    measured, push = rng.normal(0, 0.001, count), rng.uniform(50, 900, count)
+    loads = (links[4] * measured - links[5] * push).astype(np.float32)
+    index = {int(place): i for i, place in enumerate(places)}
+    matrix, right = np.diag(links[:5].sum(axis=0)).astype(np.float64), loads.astype(np.float64)
+    for i, place in enumerate(places):
+        for link, step in zip(links[:4, i], (-1, 1, -size, size), strict=True):
+            if (neighbour := index.get(int(place) + step)) is None:
+                right[i] += link * gaps.reshape(-1)[place + step]
+            else:
+                matrix[i, neighbour] -= link
+    np.testing.assert_allclose(matrix, matrix.T, atol=1e-6)
+    root = np.linalg.cholesky(matrix).T
+    expected = lsq_linear(root, np.linalg.solve(root.T, right), (0, np.inf), tol=1e-14).x
+    balance_kernels.settle(gaps.reshape(-1), size, places, links, loads, even, np.float32(1.5), np.float32(1e-8), 5000)
+    found = gaps.reshape(-1)[places]
+    assert 0 < (expected > 1e-6).sum() < count
+    np.testing.assert_allclose(found, expected, atol=2e-6)
+
+
+@given(st.floats(-0.9, 0.9), st.floats(0.1, 100.0), st.floats(0.0, 10.0), st.integers(5, 15), st.booleans())
+def test_the_lowest_point_of_a_parabola_is_found(middle, bend, least, count, falling):
+    tried = np.linspace(-1, 1, count)[:: -1 if falling else 1].astype(np.float32)
+    misfits = np.stack([bend * (tried.astype(float) - middle) ** 2 + least, np.full(count, np.inf)], axis=1)
+    found = lowest(tried, misfits)
+    step = 2 / (count - 1)
+    assert found[0] == pytest.approx(middle, abs=step / 2 + 1e-6 if abs(middle) > 1 - step else 1e-4)
+    assert np.isnan(found[1])
+
+
+def test_one_bias_alone_is_the_lowest():
+    assert lowest(np.zeros(1, np.float32), np.array([[3.0, np.inf]])) == pytest.approx([0.0, np.nan], nan_ok=True)
+
+
+@pytest.fixture(scope="module")
+def light_press() -> SimulatorSource:
+    return SimulatorSource("cup", seed=3, variant=Variant(press="low"))
+
+
+def test_a_light_press_is_narrowed_to_where_it_touches(light_press):
+    frame = light_press.read(0)
+    truth, seen = frame.truth.contact, replace(frame, truth=None)
+    with_it = ContactPipeline(CALIBRATED, light_press.rig).process(seen)
+    without = ContactPipeline(CALIBRATED.with_value("calibrated.balance", False), light_press.rig).process(seen)
+    assert not (with_it.mask & ~without.mask).any()
+    falsely, missed = np.count_nonzero(with_it.mask & ~truth), np.count_nonzero(truth & ~with_it.mask)
+    assert falsely < 0.6 * np.count_nonzero(without.mask & ~truth)
+    assert missed < 0.15 * np.count_nonzero(truth)
+    taken = without.mask & ~with_it.mask
+    assert np.count_nonzero(with_it.provenance[taken] == Provenance.RIM) > 0.9 * taken.sum()
+
+
+def test_the_balance_does_without_the_test_of_the_curvature(light_press):
+    unasked = CALIBRATED.with_value("calibrated.curvature", 0.0)
+    frame = replace(light_press.read(0), truth=None)
+    with_it = ContactPipeline(unasked, light_press.rig).process(frame).mask
+    without = ContactPipeline(unasked.with_value("calibrated.balance", False), light_press.rig).process(frame).mask
+    assert 0 < with_it.sum() < 0.9 * without.sum()
+
+
+def test_specks_of_which_nothing_is_left_go_and_larger_groups_stay(monkeypatch, light_press):
+    seen: dict[str, tuple] = {}
+
+    def remember(*arguments: object) -> np.ndarray:
+        seen["arguments"] = arguments
+        return balanced_contact(*arguments)
+
+    monkeypatch.setattr("tactune.core.pipeline.balanced_contact", remember)
+    ContactPipeline(CALIBRATED, light_press.rig).process(light_press.read(0))
+    pressed, *rest = seen["arguments"]
+    shape = pressed.contact.shape
+    kept, speck, large = (np.zeros(shape, bool) for _ in range(3))
+    kept[2:12, 2:12] = speck[2:10, 20:30] = large[2:12, 40:50] = True
+    everything = replace(pressed, contact=kept | speck | large)
+    gone = np.zeros((shape[0] // 2, shape[1] // 2), bool)
+    gone[:, 9:] = True
+    monkeypatch.setattr(balance, "left_cells", lambda *_: gone)
+    np.testing.assert_array_equal(balanced_contact(everything, *rest), kept | large)
+    monkeypatch.setattr(balance, "left_cells", lambda *_: np.ones_like(gone))
+    np.testing.assert_array_equal(balanced_contact(everything, *rest), everything.contact)
