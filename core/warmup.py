@@ -76,6 +76,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
         lambda: in_hsv_range(frame.proximity_color, preset.mask),
         lambda: ContactPipeline(calibrated, rig).process(frame).provenance,
         lambda: ContactPipeline(calibrated.with_value("calibrated.frames", 2), rig).process(frame).mask,
+        lambda: ContactPipeline(calibrated, rig).process(_bulging_frame()).mask,
     ]
     for done, step in enumerate(steps):
         progress((done + 1) / (len(steps) + 1), COMPILING)
@@ -103,3 +104,13 @@ def _frame() -> SensorFrame:
     depth[:, 60:] = 0
     depth[0, -1] = 9000
     return SensorFrame(0, depth, depth.copy(), np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8))
+
+
+def _bulging_frame() -> SensorFrame:
+    """Return a frame of a bulging membrane that is a little flattened where an object touches its middle."""
+    v, u = np.mgrid[:_HEIGHT, :_WIDTH] - np.array([_HEIGHT, _WIDTH])[:, None, None] / 2
+    square = np.maximum(u * u + v * v, 400.0)
+    membrane = 3000 - square / 16
+    behind = np.where(square < 500, membrane, membrane + 2000)
+    color = np.full((_HEIGHT, _WIDTH, 3), 128, np.uint8)
+    return SensorFrame(1, behind.astype(np.uint16), membrane.astype(np.uint16), color)
