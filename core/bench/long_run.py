@@ -82,6 +82,7 @@ def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
         "contact_test": lambda: str(random.choice(("tolerance", "calibrated"))),
         "calibrated.gap_m": lambda: float(random.uniform(0.0, 0.005)),
         "calibrated.retreat": lambda: float(random.choice((0.0, 0.9, 2.0))),
+        "calibrated.balance": lambda: not preset.calibrated.balance,
         "calibrated.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
     }
     name = str(random.choice(list(choices)))

@@ -154,6 +154,8 @@ def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
     ----------
     firm : bool, shape (H, W)
     """
+    import cv2
+
     inside, groups = _inside(cells, firm, section.gap_m)
     left = np.zeros_like(firm)
     size = int(np.count_nonzero(inside))
@@ -165,9 +167,13 @@ def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
     )
     balance = _Balance(cells, section.gap_m, places, links, even)
     biases = _biases_of_groups(balance, groups, firm, section.bias_m)
+    # cells beside a group, which are held at what is measured, have its bias
+    groups = np.where(inside, groups, 0)
+    groups = cv2.dilate(groups.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
+    biases[0] = np.nan
     told = ~np.isnan(biases)
     gap = balance.gaps(np.where(told, biases, np.float32(0))[groups])
-    return np.asarray(inside & (gap > np.float32(_TOUCHING_M)) & told[groups])
+    return np.asarray((gap > np.float32(_TOUCHING_M)) & told[groups])
 
 
 def _inside(cells: Cells, firm: Bools, gap_m: float) -> tuple[Bools, npt.NDArray[np.int32]]:
