@@ -197,7 +197,7 @@ class ContactPipeline:
             calibrated_stages.within_edge, gaps, section,
         )  # fmt: skip
         pressed = stage(
-            "press", (section.curvature, section.curvature_px, section.balance),
+            "press", (section.curvature, section.curvature_px, section.curvature > 0 or section.balance),
             pressed_contact, within, gaps, frame, self._preset, self.rig, finder.alignment,
         )  # fmt: skip
         balanced = stage("balance", section.balance, balanced_contact, pressed, gaps, section, self.rig)

@@ -84,12 +84,13 @@ def _add_curvature(document: Document) -> Document:
 
 def _add_balance(document: Document) -> Document:
     """Version 6: the calibrated test ends contact by the membrane's balance; one chosen or tuned goes on without."""
-    calibrated = document.get("calibrated")
+    calibrated = document.get("calibrated", {})
     if not isinstance(calibrated, dict):
         return document
-    unused = document.get("contact_test") == "tolerance" and calibrated == _CALIBRATED_5
-    chosen = {"least_area_mm2": 5.0} if unused else {}
-    return {**document, "calibrated": {"balance": unused, **calibrated, **chosen}}
+    complete = {**_CALIBRATED_5, **calibrated}
+    unused = document.get("contact_test", "tolerance") == "tolerance" and complete == _CALIBRATED_5
+    chosen = {"balance": True, "least_area_mm2": 5.0} if unused else {"balance": False}
+    return {**document, "calibrated": {**complete, **chosen}}
 
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.

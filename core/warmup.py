@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from . import kernels
+from .calibrated.balance_kernels import settle
 from .calibrated.kernels import find_differences
 from .colors import color_lookup
 from .compiling import Compiled, compiled_so_far, is_kept
@@ -32,7 +33,8 @@ _WIDTH, _HEIGHT = 96, 64
 
 def is_compiled() -> bool:
     """Tell, without compiling anything, whether the largest kernels lie ready on the disk."""
-    return all(map(is_kept, (kernels.find_candidates, search_tiles, search_single, color_lookup, find_differences)))
+    largest = kernels.find_candidates, search_tiles, search_single, color_lookup, find_differences, settle
+    return all(map(is_kept, largest))
 
 
 def warm_up_if_needed(progress: Progress) -> None:

@@ -10,8 +10,9 @@ image. The solution is drawn to what is measured; the bias is that with which it
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final
+import math
+from dataclasses import dataclass, fields
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -43,9 +44,11 @@ _LEAST_PUSH: Final = 5.0
 _TOUCHING_M: Final = 5e-5
 _EXACT_M: Final = 2e-5
 _RELAX, _MOST_SWEEPS = np.float32(1.6), 300
-#: So many biases are tried, evenly spaced up to the largest believed, and those with fewer cells of contact left out.
-_BIASES: Final = 9
+#: Biases are tried up to the largest believed, so far apart, metres; those with fewer cells of contact are left out. No
+#: larger one is sought in any case.
+_BIAS_STEP_M: Final = 0.0003
 _FEWEST_TOUCHING: Final = 6
+_LARGEST_BIAS_M: Final = 0.003
 #: A larger group of contact of which nothing is left was no speck, and stays, pixels.
 _SPECK_PX: Final = 80
 
@@ -147,6 +150,17 @@ def cells_of(gaps: Gaps, free_per_m: float, section: CalibratedSection, rig: Rig
     )
 
 
+def _framed(cells: Cells) -> Cells:
+    """Return the same with a frame of unknown cells about it, so that those at the border are solved for, too."""
+
+    def framed(image: npt.NDArray[Any]) -> npt.NDArray[Any]:
+        return np.pad(image, [(0, 0)] * (image.ndim - 2) + [(1, 1)] * 2, mode="edge")
+
+    wide = Cells(*(framed(getattr(cells, field.name)) for field in fields(cells)))
+    wide.known[[0, -1]] = wide.known[:, [0, -1]] = False
+    return wide
+
+
 def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
     """Return the cells that the membrane has left, in groups of cells with a small gap that are firm contact in part.
 
@@ -156,37 +170,36 @@ def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
     """
     import cv2
 
+    cells, firm = _framed(cells), np.pad(firm, 1)
     inside, groups = _inside(cells, firm, section.gap_m)
-    left = np.zeros_like(firm)
     size = int(np.count_nonzero(inside))
     if size == 0:
-        return left
+        return np.zeros_like(firm[1:-1, 1:-1])
     places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
     even = balance_kernels.link_cells(
         inside, cells.known, cells.sides_m, cells.weight, np.float32(_TRUST_M), places, links
     )
-    balance = _Balance(cells, section.gap_m, places, links, even)
+    balance = _Balance(cells, places, links, even)
     biases = _biases_of_groups(balance, groups, firm, section.bias_m)
     # cells beside a group, which are held at what is measured, have its bias
-    groups = np.where(inside, groups, 0)
     groups = cv2.dilate(groups.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
-    biases[0] = np.nan
     told = ~np.isnan(biases)
     gap = balance.gaps(np.where(told, biases, np.float32(0))[groups])
-    return np.asarray((gap > np.float32(_TOUCHING_M)) & told[groups])
+    left = cells.known & (gap > np.float32(_TOUCHING_M)) & told[groups]
+    return np.asarray(left[1:-1, 1:-1])
 
 
 def _inside(cells: Cells, firm: Bools, gap_m: float) -> tuple[Bools, npt.NDArray[np.int32]]:
-    """Return the cells whose gap is solved for, and the number of each one's group."""
+    """Return the cells whose gap is solved for, and the number of each one's group, 0 for none."""
     import cv2
 
     inside = cells.known & (cells.smooth_m < np.float32(_FARTHEST * gap_m))
     rim = cv2.erode(cells.known.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
     inside &= ~(rim & (cells.smooth_m > np.float32(gap_m)))
-    inside[[0, -1]] = inside[:, [0, -1]] = False
     count, groups = cv2.connectedComponents(inside.view(np.uint8))
-    counts = np.bincount(groups[firm & inside], minlength=count) > 0
-    return inside & counts[groups], groups.astype(np.int32, copy=False)
+    firm_in_part = np.bincount(groups[firm & inside], minlength=count) > 0
+    inside &= firm_in_part[groups]
+    return inside, np.where(inside, groups, 0).astype(np.int32, copy=False)
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +207,6 @@ class _Balance:
     """The equations of the cells inside."""
 
     cells: Cells
-    gap_m: float
     places: npt.NDArray[np.int32]
     links: Float32Array
     even: int
@@ -222,7 +234,8 @@ def _biases_of_groups(
     From the largest bias down, until the misfit of every group grows or it touches nowhere any more.
     """
     cells, count = balance.cells, int(groups.max()) + 1
-    tried = np.linspace(most_m, -most_m, _BIASES if most_m > 0 else 1).astype(np.float32)
+    most_m = min(most_m, _LARGEST_BIAS_M)
+    tried = np.linspace(most_m, -most_m, 2 * math.ceil(most_m / _BIAS_STEP_M) + 1).astype(np.float32)
     misfits = np.full((len(tried), count), np.inf)
     gap = None
     along_ray = np.float32(1) / cells.facing

@@ -13,7 +13,7 @@ from .kernels import derivatives
 _STEEPEST: Final = 2.0
 _SHORTEST_M: Final = 1e-5
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_LEAST_FACING = np.float32(0.25)
+_LEAST_FACING, _LEAST_TURN = np.float32(0.25), 0.25
 
 
 @kernel
@@ -29,8 +29,8 @@ def average_cells(
     rays : float32, shape (h, w, 2)
         Of the whole image.
     out : float32, shape (7, H // 2, W // 2)
-        Mean difference of usable pixels, the share of these, and times that share their x, y and z; the mean gap; and
-        how many of four pixels have a known one.
+        Mean difference of usable pixels, the share of these, and times that share their x, y and z; the mean of known
+        gaps; and how many of four pixels have one.
     """
     for row in range(out.shape[1]):
         for column in range(out.shape[2]):
@@ -38,8 +38,8 @@ def average_cells(
             difference, x, y, z, gap = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             for v in range(2 * row, 2 * row + 2):
                 for u in range(2 * column, 2 * column + 2):
-                    gap += gaps[v, u]
                     if known[v, u]:
+                        gap += gaps[v, u]
                         seen += _ONE
                     if usable[v, u]:
                         count += _ONE
@@ -52,7 +52,7 @@ def average_cells(
             out[2, row, column] = x / 4
             out[3, row, column] = y / 4
             out[4, row, column] = z / 4
-            out[5, row, column] = gap / 4
+            out[5, row, column] = gap / max(seen, _ONE)
             out[6, row, column] = seen
 
 
@@ -71,7 +71,7 @@ def measure_cells(points: Any, shares: Any, least: Any, flat_m: Any, slope: Any,
     points : float32, shape (3, H, W)
         Of a smooth surface, going to the right and down.
     shares : float32, shape (H, W)
-        Where it is below ``least``, and at the border, a cell is one of ``flat_m`` and faces the camera.
+        Where it is below ``least``, and at the border, a cell has sides of 1 mm and faces the camera.
     flat_m : tuple of float
         Width and height at a depth of 1 m of a cell that faces the camera.
     slope : bool
@@ -91,11 +91,18 @@ def measure_cells(points: Any, shares: Any, least: Any, flat_m: Any, slope: Any,
             # where a window ends, the mean of its points moves less than a cell, but along the surface
             right, down = _slope_of(z_u, x_u), _slope_of(z_v, y_v)
             z = points[2, v, u]
-            sides[0, v, u] = flat_m[0] * z * np.sqrt(1 + right * right)
-            sides[1, v, u] = flat_m[1] * z * np.sqrt(1 + down * down)
+            ray_x, ray_y = points[0, v, u] / z, points[1, v, u] / z
+            # from x = ray_x z and y = ray_y z, where ray_x grows along the row only and ray_y down the column only
+            x_u = flat_m[0] * z / max(1 - right * ray_x, _LEAST_TURN)
+            y_v = flat_m[1] * z / max(1 - down * ray_y, _LEAST_TURN)
+            z_u, z_v = right * x_u, down * y_v
+            y_u, x_v = ray_y * z_u, ray_x * z_v
+            sides[0, v, u] = np.sqrt(x_u * x_u + y_u * y_u + z_u * z_u)
+            sides[1, v, u] = np.sqrt(x_v * x_v + y_v * y_v + z_v * z_v)
             if slope:
-                along = abs(right * points[0, v, u] / z + down * points[1, v, u] / z - 1)
-                facing[v, u] = min(max(along / np.sqrt(1 + right * right + down * down), _LEAST_FACING), _ONE)
+                nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
+                along = abs(nx * ray_x + ny * ray_y + nz) / np.sqrt(nx * nx + ny * ny + nz * nz)
+                facing[v, u] = min(max(np.float32(along), _LEAST_FACING), _ONE)
 
 
 @kernel

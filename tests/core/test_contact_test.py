@@ -125,7 +125,7 @@ def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
     [
         ("calibrated.tactile_weight", 0.2, {"points"}),
         ("calibrated.least_area_mm2", 9.0, {"clusters", "points"}),
-        ("calibrated.balance", False, {"press", "balance", "clusters", "points"}),
+        ("calibrated.balance", False, {"balance", "clusters", "points"}),
         ("calibrated.gap_m", 0.001, {"edge", "press", "balance", "clusters", "points"}),
         ("calibrated.retreat", 0.0, {"edge", "press", "balance", "clusters", "points"}),
         ("calibrated.curvature", 0.5, {"press", "balance", "clusters", "points"}),

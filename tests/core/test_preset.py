@@ -220,6 +220,18 @@ def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new
     assert sections[2].model_dump() == untouched | {"balance": False}
 
 
+def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
+    old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "calibrated"}
+    old |= {"schema_version": 5}
+    before = CalibratedSection.model_validate(preset_file._CALIBRATED_5 | {"balance": False})
+    for left_out in ({"contact_test": "calibrated"}, {"contact_test": "calibrated", "calibrated": {}}):
+        assert preset_from_text(json.dumps(old | left_out), "old.json").calibrated == before
+    tuned = preset_from_text(json.dumps(old | {"calibrated": {"gap_m": 0.001}}), "old.json").calibrated
+    assert tuned == before.model_copy(update={"gap_m": 0.001})
+    for unused in ({}, {"calibrated": {}}):
+        assert preset_from_text(json.dumps(old | unused), "old.json").calibrated == CalibratedSection()
+
+
 @pytest.mark.parametrize("found", [1, 2, 3])
 def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))

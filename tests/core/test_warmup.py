@@ -68,7 +68,9 @@ def test_the_command_says_what_it_did():
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("values", [{}, {"calibrated.frames": 2}, {"calibrated.slope": False, "calibrated.bias_m": 0.0}])
+@pytest.mark.parametrize(
+    "values", [{}, {"calibrated.frames": 2}, {"calibrated.slope": False, "calibrated.bias_m": 0.0}]
+)
 def test_no_frame_of_the_calibrated_test_waits_for_a_compiler(values):
     program = f"""
 from tactune.core.compiling import compiled_so_far
