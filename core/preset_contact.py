@@ -179,7 +179,7 @@ class CalibratedSection(Section):
     balance: Annotated[
         bool,
         described(
-            "Balance at the edge",
+            "Balanced edge",
             "End contact where the membrane, drawn by its tension and pushed by the pressure, leaves an object of the "
             "shape seen; narrows light contacts, which else come out too wide.",
         ),

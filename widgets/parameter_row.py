@@ -61,7 +61,7 @@ class ChoiceEditor(QComboBox):
 
 
 class FlagEditor(QCheckBox):
-    """Turns a section on or off."""
+    """Turns something on or off."""
 
     edited = pyqtSignal(object, int)
 
@@ -185,6 +185,8 @@ class ParameterRow(QObject):
         self.label = QLabel(f"{spec.title} ({unit.strip()})" if unit else spec.title)
         self.label.setBuddy(getattr(self.widget, "entry", self.tab_stops[0]))
         self.label.setToolTip(spec.tooltip)
+        if spec.kind == "flag" and not self.in_header:
+            cast(FlagEditor, self.widget).setText("")  # the label stands beside it
         self.reset = QToolButton()
         self.reset.setText("↺")
         self.reset.setAutoRaise(True)

@@ -239,6 +239,18 @@ def test_millimetres_are_shown_and_metres_are_told(panel: ParameterPanel, seen: 
     assert seen.edits[-1][:2] == ("range.limits_m", (0.1, 0.3335))
 
 
+def test_a_flag_is_turned_off_by_its_box_and_by_its_reset(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(contact_test="calibrated"))
+    row = panel.rows["calibrated.balance"]
+    assert (row.label.text(), row.widget.text()) == ("Balanced edge", "")
+    panel.ensureWidgetVisible(row.widget)
+    QTest.keyClick(row.widget, Qt.Key.Key_Space)
+    assert seen.edits[-1][:2] == ("calibrated.balance", False)
+    QTest.mouseClick(row.reset, LEFT)
+    assert seen.edits[-1][:2] == ("calibrated.balance", True)
+    assert row.widget.isChecked()
+
+
 def test_a_section_is_reset_at_once(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(outliers=OutlierSection(k=33, ratio=1.5)))
     QTest.mouseClick(panel._section_resets["outliers"], LEFT)
