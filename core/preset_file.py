@@ -89,8 +89,8 @@ def _add_balance(document: Document) -> Document:
         return document
     complete = {**_CALIBRATED_5, **calibrated}
     unused = document.get("contact_test", "tolerance") == "tolerance" and complete == _CALIBRATED_5
-    chosen = {"balance": True, "least_area_mm2": 5.0} if unused else {"balance": False}
-    return {**document, "calibrated": {**complete, **chosen}}
+    chosen = {"least_area_mm2": 5.0} if unused else {}
+    return {**document, "calibrated": {"balance": unused, **complete, **chosen}}
 
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
@@ -344,6 +344,8 @@ def _explain(error: Any) -> str:
     shown = repr(error["input"])
     shown = shown if len(shown) <= 80 else shown[:77] + "..."
     message = error["msg"].removeprefix("Value error, ").removesuffix(" after validation")
+    if error["type"] in {"bool_type", "bool_parsing"}:
+        message = "it should be true or false"
     message = re.sub(r"^(Input|String|Tuple) should", "it should", message)
     return f"{path} is {shown}: {message}{_allowed(location)}"
 

@@ -269,9 +269,9 @@ def lowest(tried: Float32Array, misfits: npt.NDArray[np.float64]) -> Float32Arra
     best = misfits.argmin(axis=0)
     columns = np.arange(misfits.shape[1])
     found = np.where(np.isfinite(misfits[best, columns]), tried[best], np.float32(np.nan))
-    middle = np.clip(best, 1, max(len(tried) - 2, 1))
     if len(tried) < 3:
         return found
+    middle = np.clip(best, 1, len(tried) - 2)
     before, here, after = (misfits[middle + step, columns] for step in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         bend = before - 2 * here + after

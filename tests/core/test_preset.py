@@ -228,6 +228,12 @@ def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
         assert preset_from_text(json.dumps(old | left_out), "old.json").calibrated == before
     tuned = preset_from_text(json.dumps(old | {"calibrated": {"gap_m": 0.001}}), "old.json").calibrated
     assert tuned == before.model_copy(update={"gap_m": 0.001})
+    asked = preset_from_text(
+        json.dumps(old | {"contact_test": "calibrated", "calibrated": {"balance": True}}), "old.json"
+    )
+    assert asked.calibrated == before.model_copy(update={"balance": True})
+    with pytest.raises(PresetError, match=r"calibrated\.balance is 'maybe': it should be true or false"):
+        preset_from_text(json.dumps(old | {"calibrated": {"balance": "maybe"}}), "old.json")
     for unused in ({}, {"calibrated": {}}):
         assert preset_from_text(json.dumps(old | unused), "old.json").calibrated == CalibratedSection()
 
