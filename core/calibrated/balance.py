@@ -105,10 +105,10 @@ def balanced_contact(pressed: Pressed, gaps: Gaps, section: CalibratedSection, r
     if not stays.any():
         return contact
     count, groups, boxes, _ = cv2.connectedComponentsWithStats(contact.view(np.uint8))
-    gone = np.bincount(groups[stays], minlength=count) == 0
-    gone &= boxes[:, cv2.CC_STAT_AREA] > _SPECK_PX
-    gone[0] = False
-    return np.asarray(stays | gone[groups])
+    whole = np.bincount(groups[stays], minlength=count) == 0
+    whole &= boxes[:, cv2.CC_STAT_AREA] > _SPECK_PX
+    whole[0] = False
+    return np.asarray(stays | whole[groups])
 
 
 def cells_of(gaps: Gaps, free_per_m: float, section: CalibratedSection, rig: Rig) -> Cells:
@@ -172,15 +172,10 @@ def left_cells(cells: Cells, firm: Bools, section: CalibratedSection) -> Bools:
 
     cells, firm = _framed(cells), np.pad(firm, 1)
     inside, groups = _inside(cells, firm, section.gap_m)
-    size = int(np.count_nonzero(inside))
-    if size == 0:
+    if not inside.any():
         return np.zeros_like(firm[1:-1, 1:-1])
-    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
-    even = balance_kernels.link_cells(
-        inside, cells.known, cells.sides_m, cells.weight, np.float32(_TRUST_M), places, links
-    )
-    balance = _Balance(cells, places, links, even)
-    biases = _biases_of_groups(balance, groups, firm, section.bias_m)
+    balance = _Balance(cells, inside, firm, groups)
+    biases = _biases_of_groups(balance, int(groups.max()) + 1, section.bias_m)
     # cells beside a group, which are held at what is measured, have its bias
     groups = cv2.dilate(groups.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
     told = ~np.isnan(biases)
@@ -202,49 +197,53 @@ def _inside(cells: Cells, firm: Bools, gap_m: float) -> tuple[Bools, npt.NDArray
     return inside, np.where(inside, groups, 0).astype(np.int32, copy=False)
 
 
-@dataclass(frozen=True, eq=False)
 class _Balance:
-    """The equations of the cells inside."""
+    """The equations of the cells inside, in their order."""
 
-    cells: Cells
-    places: npt.NDArray[np.int32]
-    links: Float32Array
-    even: int
+    def __init__(self, cells: Cells, inside: Bools, firm: Bools, groups: npt.NDArray[np.int32]) -> None:
+        size = int(np.count_nonzero(inside))
+        self.places, self._links = np.empty(size, np.int32), np.empty((7, size), np.float32)
+        self._even = balance_kernels.link_cells(
+            inside, cells.known, cells.sides_m, cells.weight, np.float32(_TRUST_M), self.places, self._links
+        )
+        self._cells = cells
+        measured, push, facing, self.weight, self.firm, self.groups = (
+            image.reshape(-1)[self.places]
+            for image in (cells.measured_m, cells.push_per_m, cells.facing, cells.weight, firm, groups)
+        )
+        self._measured_m, self._load = measured, self._links[5] * push
+        self.along_ray = np.float32(1) / facing
+        self.measured_along_ray_m = measured * self.along_ray
 
     def gaps(self, bias_m: Float32Array | np.float32, start: Float32Array | None = None) -> Float32Array:
         """Return the gap of all cells with a bias, one or one for each cell; where it is not solved for, the mean."""
-        cells, shift = self.cells, bias_m * self.cells.facing
-        measured = (cells.measured_m - shift).reshape(-1)[self.places]
-        loads = self.links[4] * measured - self.links[5] * cells.push_per_m.reshape(-1)[self.places]
+        cells, shift = self._cells, bias_m * self._cells.facing
+        loads = self._links[4] * (self._measured_m - shift.reshape(-1)[self.places]) - self._load
         gaps = np.maximum(cells.smooth_m - shift, np.float32(0))
         if start is not None:
             gaps.reshape(-1)[self.places] = start.reshape(-1)[self.places]
         balance_kernels.settle(
-            gaps.reshape(-1), gaps.shape[1], self.places, self.links, loads, self.even, _RELAX, np.float32(_EXACT_M),
+            gaps.reshape(-1), gaps.shape[1], self.places, self._links, loads, self._even, _RELAX, np.float32(_EXACT_M),
             _MOST_SWEEPS,
         )  # fmt: skip
         return gaps
 
 
-def _biases_of_groups(
-    balance: _Balance, groups: npt.NDArray[np.int32], firm: Bools, most_m: float
-) -> npt.NDArray[np.float32]:
+def _biases_of_groups(balance: _Balance, count: int, most_m: float) -> npt.NDArray[np.float32]:
     """Return the bias of each group with which its gaps come nearest to what is measured; nan where none is told.
 
     From the largest bias down, until the misfit of every group grows or it touches nowhere any more.
     """
-    cells, count = balance.cells, int(groups.max()) + 1
     most_m = min(most_m, _LARGEST_BIAS_M)
     tried = np.linspace(most_m, -most_m, 2 * math.ceil(most_m / _BIAS_STEP_M) + 1).astype(np.float32)
     misfits = np.full((len(tried), count), np.inf)
     gap = None
-    along_ray = np.float32(1) / cells.facing
     for i, bias_m in enumerate(tried):
         gap = balance.gaps(bias_m, gap)
         misfit, touching = np.zeros(count), np.zeros(count, np.int64)
         balance_kernels.misfit_of_groups(
-            (gap * along_ray).reshape(-1), (cells.measured_m * along_ray).reshape(-1) - bias_m,
-            cells.weight.reshape(-1), balance.places, groups.reshape(-1), firm.reshape(-1), misfit, touching,
+            gap.reshape(-1)[balance.places], balance.along_ray, balance.measured_along_ray_m - bias_m, balance.weight,
+            balance.groups, balance.firm, misfit, touching,
         )  # fmt: skip
         misfits[i] = np.where(touching >= _FEWEST_TOUCHING, misfit, np.inf)
         if i > 0 and (np.isinf(misfits[i]) | (misfits[i] > misfits[i - 1])).all():

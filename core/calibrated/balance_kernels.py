@@ -200,15 +200,15 @@ def settle(
 
 @kernel
 def misfit_of_groups(
-    gaps: Any, measured: Any, weight: Any, places: Any, groups: Any, firm: Any, misfits: Any, touching: Any
+    gaps: Any, along_ray: Any, measured: Any, weight: Any, groups: Any, firm: Any, misfits: Any, touching: Any
 ) -> None:
     """Add each group's weighed squares of what is measured less the gap, and count its firm cells without a gap.
 
-    All but the last two are flat; ``misfits`` and ``touching`` have an entry for each group.
+    All but the last two have an entry for each cell; ``misfits`` and ``touching`` have one for each group. What is
+    measured is along the ray, and ``along_ray`` times a gap is so, too.
     """
-    for i in range(len(places)):
-        place = places[i]
-        off = measured[place] - gaps[place]
-        misfits[groups[place]] += weight[place] * off * off
-        if firm[place] and gaps[place] == _ZERO:
-            touching[groups[place]] += 1
+    for i in range(len(gaps)):
+        off = measured[i] - gaps[i] * along_ray[i]
+        misfits[groups[i]] += weight[i] * off * off
+        if firm[i] and gaps[i] == _ZERO:
+            touching[groups[i]] += 1

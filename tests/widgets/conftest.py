@@ -1,14 +1,17 @@
-"""Cloud views of both back ends: software anywhere, OpenGL where there is a display."""
+"""Cloud views of both back ends, software anywhere, OpenGL where there is a display; and a parameter panel."""
 
 from __future__ import annotations
 
 import pytest
 from PyQt6.QtWidgets import QApplication
+from pyqtgraph import setConfigOptions
 from pytestqt.qtbot import QtBot
 
 from tactune.widgets import gl_backend
 from tactune.widgets.cloud_view import BackendChoice, CloudView
+from tactune.widgets.parameter_panel import ParameterPanel
 
+from .panel_steering import Recorder
 from .seen_clouds import shown
 
 
@@ -32,3 +35,21 @@ def backend(request: pytest.FixtureRequest) -> BackendChoice:
 @pytest.fixture
 def view(backend: BackendChoice, qtbot: QtBot) -> CloudView:
     return shown(qtbot, CloudView("Proximity", backend))
+
+
+@pytest.fixture
+def panel(qtbot: QtBot) -> ParameterPanel:
+    setConfigOptions(mouseRateLimit=-1)
+    widget = ParameterPanel()
+    qtbot.addWidget(widget)
+    widget.resize(340, 1000)
+    widget.show()
+    qtbot.waitExposed(widget)
+    widget.activateWindow()
+    qtbot.waitUntil(widget.isActiveWindow)
+    return widget
+
+
+@pytest.fixture
+def seen(panel: ParameterPanel) -> Recorder:
+    return Recorder(panel)

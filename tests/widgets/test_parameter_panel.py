@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -9,8 +9,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QComboBox, QLabel, QWidget
-from pyqtgraph import setConfigOptions
+from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 
 from tactune.core.preset import (
     AlignmentSection,
@@ -26,55 +25,7 @@ from tactune.core.preset import (
 )
 from tactune.widgets.parameter_panel import SECTIONS, ParameterPanel, fields_of
 
-LEFT = Qt.MouseButton.LeftButton
-EYE4 = ((1.0, 0.0, 0.0, 0.04), (0.0, 1.0, 0.0, -0.00123), (0.0, 0.0, 1.0, 0.003), (0.0, 0.0, 0.0, 1.0))
-EYE3 = ((1.01, 0.0, 12.5), (0.0, 0.99, -3.25), (1e-5, 0.0, 1.0))
-
-
-class Recorder:
-    """Everything a panel emitted."""
-
-    def __init__(self, panel: ParameterPanel) -> None:
-        self.edits: list[tuple[str, Any, int]] = []
-        self.resets: list[tuple[dict[str, Any], int]] = []
-        self.modes: list[str] = []
-        panel.valueEdited.connect(lambda path, value, gesture: self.edits.append((path, value, gesture)))
-        panel.valuesEdited.connect(lambda values, gesture: self.resets.append((values, gesture)))
-        panel.eyedropperRequested.connect(self.modes.append)
-
-
-@pytest.fixture
-def panel(qtbot) -> ParameterPanel:
-    setConfigOptions(mouseRateLimit=-1)
-    widget = ParameterPanel()
-    qtbot.addWidget(widget)
-    widget.resize(340, 1000)
-    widget.show()
-    qtbot.waitExposed(widget)
-    widget.activateWindow()
-    qtbot.waitUntil(widget.isActiveWindow)
-    return widget
-
-
-@pytest.fixture
-def seen(panel: ParameterPanel) -> Recorder:
-    return Recorder(panel)
-
-
-def drag(widget: QWidget, *xs: float) -> None:
-    points = [QPoint(round(x), widget.height() // 2) for x in xs]
-    QTest.mousePress(widget, LEFT, pos=points[0])
-    for point in points[1:]:
-        QTest.mouseMove(widget, point)
-    QTest.mouseRelease(widget, LEFT, pos=points[-1])
-
-
-def type_into(entry: Any, text: str) -> None:
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, text)
-    QTest.keyClick(entry, Qt.Key.Key_Return)
-
+from .panel_steering import EYE3, EYE4, LEFT, Recorder, drag, type_into
 
 hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
 spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))
@@ -281,70 +232,6 @@ def test_a_typing_error_is_explained_below_the_row(panel: ParameterPanel, seen: 
     assert "1 to 1000" in row.message.text()
     panel.set_preset(Preset(outliers=OutlierSection(k=21)))
     assert not row.message.isVisible()
-
-
-def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
-    QTest.mouseClick(panel.sections["mask"].button, LEFT)
-    assert panel.collapsed_sections() == ["mask"]
-    assert not panel.rows["mask.hue"].widget.isVisible()
-    panel.show_error("mask.enabled", "no")
-    assert panel.rows["mask.enabled"].message.isVisible()
-    panel.set_collapsed_sections(["alignment", "region"])
-    assert panel.collapsed_sections() == ["alignment", "region"]
-
-
-def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) -> None:
-    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
-    assert panel.rows["mask.hue"].widget.isEnabled()
-    QTest.mouseClick(panel.rows["mask.enabled"].widget, LEFT, pos=QPoint(8, 8))
-    assert seen.edits[-1][:2] == ("mask.enabled", False)
-    assert not panel.rows["mask.hue"].widget.isEnabled()
-    assert panel.rows["tolerance.t"].widget.isEnabled()
-    assert not panel._eyedroppers["set"].isEnabled()
-
-
-def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
-    pose, plane = (
-        panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
-    )
-    assert pose.isVisible()
-    assert not plane.isVisible()
-    assert pose.text() == "from the rig"
-    box = panel.rows["alignment.model"].widget
-    assert isinstance(box, QComboBox)
-    box.setFocus()
-    QTest.keyClick(box, Qt.Key.Key_Down)
-    assert seen.edits[-1][:2] == ("alignment.model", "homography")
-    assert not pose.isVisible()
-    assert plane.isVisible()
-    assert plane.isEnabled()
-    panel.set_preset(Preset(alignment=AlignmentSection(model="homography", homography=HomographyAlignment(H_p_t=EYE3))))
-    assert not plane.isEnabled()
-    assert "12.5" in panel.rows["alignment.homography.H_p_t"].widget.text()
-    panel.set_preset(Preset(alignment=AlignmentSection(rigid=RigidAlignment(T_proximity_tactile=EYE4))))
-    assert "40.00 mm" in pose.text()
-    assert "-1.23 mm" in pose.text()
-
-
-def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:
-    def shown() -> set[str]:
-        return {name for name in ("tolerance", "outliers", "calibrated") if panel.sections[name].isVisible()}
-
-    assert shown() == {"tolerance", "outliers"}
-    assert panel.histogram.isVisible()
-    box = panel.rows["contact_test"].widget
-    assert isinstance(box, QComboBox)
-    assert "as published" in box.toolTip()
-    box.setFocus()
-    QTest.keyClick(box, Qt.Key.Key_Down)
-    assert seen.edits[-1][:2] == ("contact_test", "calibrated")
-    assert shown() == {"calibrated"}
-    assert not panel.histogram.isVisible()
-    assert "no say" in panel._test_note.text()
-    type_into(panel.rows["calibrated.gap_m"].widget.entry, "1.1")
-    assert seen.edits[-1][:2] == ("calibrated.gap_m", 0.0011)
-    panel.set_preset(Preset())
-    assert shown() == {"tolerance", "outliers"}
 
 
 def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:

@@ -1,0 +1,42 @@
+"""A parameter panel's edits as they are told, and the mouse and keys that make them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QWidget
+
+from tactune.widgets.parameter_panel import ParameterPanel
+
+LEFT = Qt.MouseButton.LeftButton
+EYE4 = ((1.0, 0.0, 0.0, 0.04), (0.0, 1.0, 0.0, -0.00123), (0.0, 0.0, 1.0, 0.003), (0.0, 0.0, 0.0, 1.0))
+EYE3 = ((1.01, 0.0, 12.5), (0.0, 0.99, -3.25), (1e-5, 0.0, 1.0))
+
+
+class Recorder:
+    """Everything a panel emitted."""
+
+    def __init__(self, panel: ParameterPanel) -> None:
+        self.edits: list[tuple[str, Any, int]] = []
+        self.resets: list[tuple[dict[str, Any], int]] = []
+        self.modes: list[str] = []
+        panel.valueEdited.connect(lambda path, value, gesture: self.edits.append((path, value, gesture)))
+        panel.valuesEdited.connect(lambda values, gesture: self.resets.append((values, gesture)))
+        panel.eyedropperRequested.connect(self.modes.append)
+
+
+def drag(widget: QWidget, *xs: float) -> None:
+    points = [QPoint(round(x), widget.height() // 2) for x in xs]
+    QTest.mousePress(widget, LEFT, pos=points[0])
+    for point in points[1:]:
+        QTest.mouseMove(widget, point)
+    QTest.mouseRelease(widget, LEFT, pos=points[-1])
+
+
+def type_into(entry: Any, text: str) -> None:
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, text)
+    QTest.keyClick(entry, Qt.Key.Key_Return)

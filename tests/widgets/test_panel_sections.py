@@ -1,0 +1,76 @@
+"""Which sections of the parameter panel are shown, open, grey or folded."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QComboBox
+
+from tactune.core.preset import AlignmentSection, HomographyAlignment, MaskSection, Preset, RigidAlignment
+from tactune.widgets.parameter_panel import ParameterPanel
+
+from .panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
+
+
+def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:
+    QTest.mouseClick(panel.sections["mask"].button, LEFT)
+    assert panel.collapsed_sections() == ["mask"]
+    assert not panel.rows["mask.hue"].widget.isVisible()
+    panel.show_error("mask.enabled", "no")
+    assert panel.rows["mask.enabled"].message.isVisible()
+    panel.set_collapsed_sections(["alignment", "region"])
+    assert panel.collapsed_sections() == ["alignment", "region"]
+
+
+def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(mask=MaskSection(enabled=True)))
+    assert panel.rows["mask.hue"].widget.isEnabled()
+    QTest.mouseClick(panel.rows["mask.enabled"].widget, LEFT, pos=QPoint(8, 8))
+    assert seen.edits[-1][:2] == ("mask.enabled", False)
+    assert not panel.rows["mask.hue"].widget.isEnabled()
+    assert panel.rows["tolerance.t"].widget.isEnabled()
+    assert not panel._eyedroppers["set"].isEnabled()
+
+
+def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:
+    pose, plane = (
+        panel.rows[f"alignment.{name}"].widget for name in ("rigid.T_proximity_tactile", "homography.plane_distance_m")
+    )
+    assert pose.isVisible()
+    assert not plane.isVisible()
+    assert pose.text() == "from the rig"
+    box = panel.rows["alignment.model"].widget
+    assert isinstance(box, QComboBox)
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Down)
+    assert seen.edits[-1][:2] == ("alignment.model", "homography")
+    assert not pose.isVisible()
+    assert plane.isVisible()
+    assert plane.isEnabled()
+    panel.set_preset(Preset(alignment=AlignmentSection(model="homography", homography=HomographyAlignment(H_p_t=EYE3))))
+    assert not plane.isEnabled()
+    assert "12.5" in panel.rows["alignment.homography.H_p_t"].widget.text()
+    panel.set_preset(Preset(alignment=AlignmentSection(rigid=RigidAlignment(T_proximity_tactile=EYE4))))
+    assert "40.00 mm" in pose.text()
+    assert "-1.23 mm" in pose.text()
+
+
+def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:
+    def shown() -> set[str]:
+        return {name for name in ("tolerance", "outliers", "calibrated") if panel.sections[name].isVisible()}
+
+    assert shown() == {"tolerance", "outliers"}
+    assert panel.histogram.isVisible()
+    box = panel.rows["contact_test"].widget
+    assert isinstance(box, QComboBox)
+    assert "as published" in box.toolTip()
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Down)
+    assert seen.edits[-1][:2] == ("contact_test", "calibrated")
+    assert shown() == {"calibrated"}
+    assert not panel.histogram.isVisible()
+    assert "no say" in panel._test_note.text()
+    type_into(panel.rows["calibrated.gap_m"].widget.entry, "1.1")
+    assert seen.edits[-1][:2] == ("calibrated.gap_m", 0.0011)
+    panel.set_preset(Preset())
+    assert shown() == {"tolerance", "outliers"}
