@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Mapping
 
 from PyQt6.QtWidgets import QLabel, QStatusBar, QWidget
 
@@ -12,6 +13,8 @@ from .results import RateMeter, Result, SourceInfo, SourceState
 #: Numbers that change thirty times a second cannot be read; a few times is enough.
 INTERVAL_S = 0.2
 _WORTH_SAYING_MS = 0.05
+#: Times of the stages that would take a larger share of the bar's width are summed up.
+_WIDEST_SHARE = 0.45
 
 
 class FrameStatus(QStatusBar):
@@ -76,10 +79,9 @@ class FrameStatus(QStatusBar):
                 label.setText("")
             return
         times = result.patch.stage_ms
-        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
         averaged = result.patch.averaged_frames
         mean = f"mean of {averaged} frames  " if averaged > 1 else ""
-        self._stages.setText(mean + ("  ".join(computed) + " ms" if computed else "nothing computed anew"))
+        self._stages.setText(mean + self._in_words(times))
         self._stages.setToolTip(
             "Milliseconds per stage (0: cached or skipped)\n"
             + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())
@@ -87,6 +89,17 @@ class FrameStatus(QStatusBar):
         )
         self._points.setText(f"{len(result.patch.points)} points")
         self._area.setText(f"patch {result.area_mm2 / 100:.1f} cm²")
+
+    def _in_words(self, times: Mapping[str, float]) -> str:
+        """Return the time of each stage, or of all and the longest where that is too much for the bar."""
+        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
+        if not computed:
+            return "nothing computed anew"
+        each = "  ".join(computed) + " ms"
+        if self.fontMetrics().horizontalAdvance(each) <= _WIDEST_SHARE * self.width():
+            return each
+        longest = max(times, key=lambda stage: times[stage])
+        return f"{sum(times.values()):.1f} ms, {longest} {times[longest]:.1f} of it"
 
     def _number(self, widest: str, tip: str) -> QLabel:
         """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
