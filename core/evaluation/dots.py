@@ -74,25 +74,28 @@ def find_dots(image: npt.NDArray[Any], width_px: int, surface: SeenSurface) -> S
     reach = max(width_px // 4, 1) * 2 + 1
     peak = cv2.dilate(smooth, np.ones((reach, reach), np.uint8))
     labels, stats = surface.regions((smooth > _EDGE_SHARE * peak) & (peak > least))
-    weight = np.maximum(smooth - grain, 0.0) * surface.area_m2
-    rows, columns = np.nonzero(labels)
-    label, share = labels[rows, columns], weight[rows, columns]
-    total, u, v, area, beside = (
-        np.bincount(label, of, len(stats))
-        for of in (
-            share,
-            share * columns,
-            share * rows,
-            surface.area_m2[rows, columns],
-            surface.near_step(1)[rows, columns],
-        )
-    )
+    total, means = _means(labels, np.maximum(contrast - float(np.median(contrast)), 0.0) * surface.area_m2, len(stats))
     numbers = _dot_like(stats, gray.shape, width_px)
     numbers = numbers[total[numbers] > 0]
-    means = np.column_stack([u, v])[numbers] / total[numbers, None]
-    middles = bent_middles(surface, weight, labels, stats, numbers, means)
-    covered = np.asarray(area[numbers], np.float64)
-    return Spots(middles, covered, beside[numbers] > 0)
+    weight = np.maximum(smooth - grain, 0.0) * surface.area_m2
+    middles = bent_middles(surface, weight, labels, stats, numbers, means[numbers])
+    area, beside = (
+        np.bincount(labels.ravel(), of.ravel(), len(stats))[numbers] for of in (surface.area_m2, surface.near_step(1))
+    )
+    return Spots(middles, np.asarray(area, np.float64), beside > 0)
+
+
+def _means(labels: npt.NDArray[np.int32], weight: Float64Array, count: int) -> tuple[Float64Array, Float64Array]:
+    """Return the weight of each region, (K,), and its mean pixel, (K, 2), with the half-dark pixels around it.
+
+    Without these the mean moves by up to 0.15 pixels with how the outline falls on the pixels.
+    """
+    around = cv2.dilate(labels.astype(np.float32), cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3)))
+    wider = np.where(labels > 0, labels, around.astype(np.int32))
+    rows, columns = np.nonzero(wider)
+    label, share = wider[rows, columns], weight[rows, columns]
+    total, u, v = (np.bincount(label, of, count) for of in (share, share * columns, share * rows))
+    return total, np.column_stack([u, v]) / np.maximum(total, 1e-300)[:, None]
 
 
 def _dot_like(stats: npt.NDArray[Any], shape: tuple[int, ...], width_px: int) -> npt.NDArray[np.intp]:

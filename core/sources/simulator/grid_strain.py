@@ -44,7 +44,8 @@ def grid_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Grid
     """Measure the grid of a membrane whose nodes, shape (N, 3), are given; the camera looks at it."""
     design = membrane.design
     columns, rows = dot_counts(design.width_m, design.height_m)
-    dots = membrane.at(dot_grid(design.width_m, design.height_m), nodes).reshape(rows, columns, 3)
+    flat = dot_grid(design.width_m, design.height_m)
+    dots = _on_triangles(membrane.mesh, design.cells, flat, membrane.surface(nodes)).reshape(rows, columns, 3)
     whole = (dots_shown(membrane, nodes, camera) >= WHOLE_SHARE).reshape(rows, columns)
     largest = []
     for axis in (1, 0):
