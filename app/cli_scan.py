@@ -129,7 +129,8 @@ def evaluate_recording(
     with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
         if opened.length is None and last is None:
             raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
-        steps = _steps(names, opened, chosen, origin, reference)
+        steps = _steps(names, opened, chosen, origin, reference, leave_out="all" in (method or []))
+        names = list(steps)
         remembered = {name: remembered_frames(name, chosen) for name in names}
         total = number_of_frames(opened, None if last is None else last + 1)
         for index, each in frames_between(opened, first, last, before=max(remembered.values()) - 1):
@@ -271,15 +272,26 @@ def _methods(asked: list[str], reference: str | None) -> list[str]:
 
 
 def _steps(
-    names: list[str], source: FrameSource, preset: Preset, origin: str, reference: str | None
+    names: list[str], source: FrameSource, preset: Preset, origin: str, reference: str | None, *, leave_out: bool
 ) -> dict[str, Step]:
+    """Build what each method does with a frame; one that cannot work here is left out with a warning, or refused."""
     from ..core.baselines.registry import needs_reference
     from .cli_method import make_step, read_reference
     from .cli_run import warn
 
     needing = [name for name in names if needs_reference(name)]
     untouched = read_reference(needing[0], reference) if needing else None
-    return {name: make_step(name, preset, origin, source, untouched, warn) for name in names}
+    steps = {}
+    for name in names:
+        try:
+            steps[name] = make_step(name, preset, origin, source, untouched, warn)
+        except TactuneError as error:
+            if not leave_out:
+                raise
+            warn(f"left out: {error}")
+    if not steps:
+        raise TactuneError(f"no method can work with {source.name} and this preset; see the warnings above")
+    return steps
 
 
 def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: SensorFrame) -> RefinedPose:

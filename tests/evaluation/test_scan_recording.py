@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tactune.app.cli import main
-from tactune.core.baselines.registry import make_method
+from tactune.core.baselines.registry import make_method, method_names, needs_reference
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.distances import cloud_distances
 from tactune.core.evaluation.metrics import compare_with_truth, truth_cloud
@@ -22,6 +22,7 @@ from tactune.core.evaluation.scan_simulated import PaintFlaws, export_painted_sc
 from tactune.core.outliers.clusters import pixel_areas_m2
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset_file import load_preset
+from tactune.core.recording.writer import SessionWriter
 from tactune.core.sources.registry import open_source
 
 pytest.importorskip("trimesh")
@@ -155,6 +156,24 @@ def test_methods_frames_and_a_csv(tactune, scans, tmp_path):
     rows = list(csv.DictReader(table.read_text().splitlines()))
     assert [(row["sequence"], row["method"]) for row in rows[:2]] == [("2", "fusion-rigid"), ("2", "fusion-homography")]
     assert float(rows[0]["symmetric_rmse_mm"]) < float(rows[1]["symmetric_rmse_mm"])
+
+
+def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path):
+    recording = tmp_path / "no reference.mcap"
+    with SessionWriter(recording, source.rig) as writer:
+        writer.put(source.read(FRAME), wait=True)
+    command = ["evaluate", "recording", "--source", recording, "--scan", scans["clean"][0], "--preset", "simulator"]
+    command += ["--transform", scans["clean"][-1], "--json", "--method"]
+    status, out, err = tactune(*command, "all")
+    assert status == 0
+    found = {record["method"] for record in json.loads(out)["results"]}
+    left_out = {name for name in method_names() if needs_reference(name)}
+    assert found == {"fusion", *method_names()} - left_out
+    assert err.count("left out: ") == len(left_out) and all(
+        f"left out: {name} compares with" in err for name in left_out
+    )
+    status, out, err = tactune(*command, "proximity-only")
+    assert (status, out) == (2, "") and "proximity-only compares with the untouched membrane" in err
 
 
 @pytest.mark.parametrize("frames, shown", [("--frame=3", (0, 3)), ("--frame=16", (2, 16)), ("--frames=16:17", (2, 17))])
