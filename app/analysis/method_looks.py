@@ -21,11 +21,11 @@ _RGB: dict[str, tuple[int, int, int]] = {
     "fusion-averaged": (119, 68, 255),
     "proximity-only": (0, 114, 178),
     "tactile-only": (86, 180, 233),
-    "tactile-threshold": (240, 228, 66),
+    "tactile-threshold": (105, 60, 90),
     "mechanics": (110, 40, 0),
 }
-#: On a dark background brown is hardly seen.
-_DARK_RGB: dict[str, tuple[int, int, int]] = _RGB | {"mechanics": (210, 180, 110)}
+#: On a dark background brown is hardly seen, and on a light one yellow, for which plum stands.
+_DARK_RGB: dict[str, tuple[int, int, int]] = _RGB | {"mechanics": (210, 180, 110), "tactile-threshold": (240, 228, 66)}
 _UNKNOWN_RGB = (130, 80, 220)
 _TRUTH_RGB: dict[Theme, tuple[int, int, int]] = {"light": (20, 20, 20), "dark": (250, 250, 250)}
 

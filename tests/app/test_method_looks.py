@@ -49,9 +49,10 @@ def test_patches_stand_out_from_the_scene_around_them(eye, theme):
             assert nearest({"patch": method_rgb(name, theme), "scene": patch_lut(theme)[row, :3]}, eye)[0] > 10
 
 
-def test_patches_are_seen_on_a_dark_background():
+@pytest.mark.parametrize("theme, least", [("light", 2), ("dark", 3)])
+def test_patches_are_seen_on_the_background(theme, least):
     for name in (TRUTH, *method_names()):
-        assert contrast_ratio("#" + bytes(method_rgb(name, "dark")).hex(), theme_colors("dark").base) > 3, name
+        assert contrast_ratio("#" + bytes(method_rgb(name, theme)).hex(), theme_colors(theme).base) > least, name
 
 
 @pytest.mark.parametrize("eye", EYES)
