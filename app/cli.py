@@ -179,6 +179,10 @@ def run(
             metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
         ),
     ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="As in tactune preset new, for this run; may be repeated."),
+    ] = None,
 ) -> None:
     """Compute contact patches without a window."""
     from .cli_run import RunOptions, run_frames
@@ -188,7 +192,10 @@ def run(
             "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
         )
     preset = preset or defaults.default_preset(source)
-    run_frames(RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference))
+    changed = tuple(settings or ())
+    run_frames(
+        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference, changed)
+    )
 
 
 @commands.command("export-folder")

@@ -23,12 +23,17 @@ preset_commands = typer.Typer(
 def new(
     *,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write.")],
+    start: Annotated[
+        str | None,
+        typer.Option("--from", metavar="FILE|NAME", help="A preset to start from; default: the paper's values."),
+    ] = None,
     rig: Annotated[
-        str,
+        str | None,
         typer.Option(
-            metavar="FILE|SOURCE", help="The rig it is for: a rig.json, another preset, or a source of frames."
+            metavar="FILE|SOURCE",
+            help="The rig it is for: a rig.json, another preset, or a source of frames; default: that of --from.",
         ),
-    ],
+    ] = None,
     alignment: Annotated[
         str | None, typer.Option(metavar="homography|rigid", help="Short for --set alignment.model=...")
     ] = None,
@@ -45,19 +50,29 @@ def new(
     name: Annotated[str | None, typer.Option(metavar="NAME", help="Default: the file's name.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
 ) -> None:
-    """Write a new preset: the paper's values, changed as you say."""
-    from ..core.preset import Preset
-    from ..core.preset_file import save_preset
+    """Write a new preset: the paper's values or another preset's, changed as you say."""
+    from ..core.membrane_reference import copy_reference
+    from ..core.preset import Preset, now
+    from ..core.preset_file import load_preset, save_preset
+    from .cli_settings import parse_settings
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
     values: dict[str, Any] = {"name": name or out.stem}
     if alignment is not None:
         values["alignment.model"] = alignment
-    values |= _turning_sections_on(dict(_parse_setting(text) for text in settings or []))
-    preset = Preset(rig=find_rig(rig)).with_values(values)
+    values |= parse_settings(settings or [])
+    base = Preset() if start is None else load_preset(start)
+    made_for = base.rig if rig is None else find_rig(rig)
+    if made_for is None:
+        given = "the paper's values name" if start is None else f"the preset {start} names"
+        raise PresetError(f"{given} no rig; add --rig with a rig.json, another preset or a source of frames")
+    preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
+    if start is not None and preset.reference is not None:
+        copy_reference(preset.reference, Path(start), out)
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
+    _tell_notes(preset)
 
 
 @preset_commands.command()
@@ -71,7 +86,7 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
 @preset_commands.command()
 def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
     """Check preset files; the exit status is 2 if one of them cannot be used."""
-    from ..core.preset_file import load_preset
+    from ..core.preset_file import load_preset, version_note
 
     bad = 0
     for origin in presets:
@@ -81,7 +96,9 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
             bad += 1
             typer.echo(f"tactune: {error}", err=True)
         else:
-            typer.echo(f"{origin}: good, {_describe(preset)}")
+            older = version_note(origin)
+            typer.echo(f"{origin}: good, {_describe(preset)}" + (f", {older}" if older else ""))
+            _tell_notes(preset)
     if bad:
         raise typer.Exit(2)
 
@@ -116,28 +133,6 @@ def schema() -> None:
     typer.echo(json.dumps(json_schema(), indent=2))
 
 
-def _parse_setting(text: str) -> tuple[str, Any]:
-    """Split ``path=value``; the value is JSON, or else a bare word."""
-    path, separator, value = text.partition("=")
-    if not separator:
-        raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
-    try:
-        return path.strip(), json.loads(value)
-    except (ValueError, RecursionError):
-        return path.strip(), value
-
-
-def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
-    """Add ``section.enabled`` for every section that a value is set in, or its contact test, unless set as well."""
-    from ..core.preset_file import preset_paths
-
-    sections = {path.partition(".")[0] for path in values}
-    switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
-    if "calibrated" in sections:
-        switches["contact_test"] = "calibrated"
-    return switches | values
-
-
 def find_rig(name: str) -> Rig:
     """Return the rig of a rig file, of a preset or of a source of frames."""
     from ..core.preset_file import load_preset
@@ -156,6 +151,13 @@ def find_rig(name: str) -> Rig:
 
     with open_with_progress(name) as source:
         return source.rig
+
+
+def _tell_notes(preset: Preset) -> None:
+    from ..core.preset_notes import preset_notes
+
+    for sentence in preset_notes(preset):
+        typer.echo(f"note: {sentence}", err=True)
 
 
 def _describe(preset: Preset) -> str:

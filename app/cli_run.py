@@ -30,6 +30,7 @@ from ..core.sources.registry import open_source
 from ..core.warmup import warm_up_if_needed
 from .cli_method import FUSION, Step, make_step, read_reference
 from .cli_progress import CliProgress
+from .cli_settings import parse_settings
 from .cli_stop import WAIT_S, stop_on_signals
 from .patch_record import finite_or_none
 
@@ -65,11 +66,12 @@ class RunOptions:
     truth: bool
     method: str = FUSION
     reference: str | None = None
+    settings: tuple[str, ...] = ()
 
 
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
-    preset = load_preset(options.preset)
+    preset = load_preset(options.preset).with_values(parse_settings(options.settings))
     reference = read_reference(options.method, options.reference)
     if options.out is not None and options.out.suffix != MCAP_SUFFIX:
         make_folder(options.out)

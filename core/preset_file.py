@@ -1,4 +1,4 @@
-"""Presets as files: strict parsing, migration of older versions, atomic saving, shipped presets."""
+"""Presets as files: strict parsing, atomic saving, shipped presets; older versions are migrated on reading."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import importlib.resources
 import json
 import re
 import reprlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -18,89 +18,14 @@ from pydantic import Field, ValidationError
 from .atomic import atomic_path
 from .errors import ExportError, PresetError
 from .preset import Preset
+from .preset_migrations import SCHEMA_VERSION, migrate, migration_note
 
 Document = dict[str, Any]
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
-SCHEMA_VERSION: Literal[6] = 6
 
 #: A message names no more bad fields than this; each needs the schema, and nobody reads a thousand.
 _MOST_TOLD = 9
-
-
-def _add_calibration(document: Document) -> Document:
-    """Version 2: the alignment keeps the record of its calibration; version 1 had none."""
-    alignment = document.get("alignment", {})
-    if not isinstance(alignment, dict):
-        return document
-    return {**document, "alignment": {**alignment, "calibration": None}}
-
-
-def _add_cameras(document: Document) -> Document:
-    """Version 3: presets name the cameras of a live source; up to version 2 any that fits is taken."""
-    camera = {"serial": "", "options": {}}
-    return {"cameras": {"proximity": camera, "tactile": camera, "tactile_delay_s": 0.0}, **document}
-
-
-#: The calibrated test's parameters that came with version 4.
-_CALIBRATED_4: Document = {
-    "gap_m": 0.0018,
-    "retreat": 0.9,
-    "window_px": 2.5,
-    "bias_m": 0.0012,
-    "least_area_mm2": 25.0,
-    "difference_m": 0.005,
-    "slope": True,
-    "core": 0.6,
-    "most_px": 16.0,
-    "smooth_px": 2.0,
-    "tactile_weight": 0.5,
-}
-#: What was chosen anew when version 5 asked for the membrane's curvature, too.
-_CHOSEN_ANEW_5: Document = {
-    "gap_m": 0.0014, "least_area_mm2": 2.0, "difference_m": 0.008, "core": 0.5, "curvature": 0.7,
-}  # fmt: skip
-_CALIBRATED_5: Document = {**_CALIBRATED_4, **_CHOSEN_ANEW_5, "frames": 1, "curvature_px": 11.0}
-
-
-def _add_contact_test(document: Document) -> Document:
-    """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
-    return {"contact_test": "tolerance", "calibrated": {**_CALIBRATED_4}, "reference": None, **document}
-
-
-def _add_curvature(document: Document) -> Document:
-    """Version 5: the calibrated test asks for the curvature and may average frames.
-
-    A test that is neither chosen nor tuned takes the values chosen with it; any other goes on as before.
-    """
-    calibrated = document.get("calibrated")
-    if not isinstance(calibrated, dict):
-        return document
-    news = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
-    unused = document.get("contact_test") == "tolerance" and calibrated == _CALIBRATED_4
-    chosen = _CHOSEN_ANEW_5 if unused else {}
-    return {**document, "calibrated": {**news, **calibrated, **chosen}}
-
-
-def _add_balance(document: Document) -> Document:
-    """Version 6: the calibrated test ends contact by the membrane's balance; one chosen or tuned goes on without."""
-    calibrated = document.get("calibrated", {})
-    if not isinstance(calibrated, dict):
-        return document
-    complete = {**_CALIBRATED_5, **calibrated}
-    unused = document.get("contact_test", "tolerance") == "tolerance" and complete == _CALIBRATED_5
-    chosen = {"least_area_mm2": 5.0} if unused else {}
-    return {**document, "calibrated": {"balance": unused, **complete, **chosen}}
-
-
-#: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
-MIGRATIONS: tuple[Callable[[Document], Document], ...] = (
-    _add_calibration,
-    _add_cameras,
-    _add_contact_test,
-    _add_curvature,
-    _add_balance,
-)
 
 
 class PresetDocument(Preset):
@@ -126,14 +51,39 @@ def load_preset(path_or_name: Path | str) -> Preset:
         No such file, not a preset, or a field that is unknown or out of range.
     """
     path = Path(path_or_name)
-    if str(path_or_name) in shipped_presets() and not path.is_file():
-        resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
-        return preset_from_text(resource.read_text("utf-8"), origin=f"shipped preset {path_or_name}")
     if path.suffix == ".mcap" and path.is_file():
         preset = recorded_preset(path)
         if preset is None:
             raise PresetError(f"{path} holds no preset: it was recorded without; name a preset file")
         return preset
+    return preset_from_text(*_text_and_origin(path_or_name))
+
+
+def version_note(path_or_name: Path | str) -> str:
+    """Say of which older schema version a preset that loads is, and what reading it leaves different.
+
+    Parameters
+    ----------
+    path_or_name : path or str
+        As `load_preset` takes it.
+
+    Returns
+    -------
+    str
+        Such as ``"written as schema 5, read as 6: the balanced edge stays off (...)"``; empty for the present version
+        and for a recording.
+    """
+    if Path(path_or_name).suffix == ".mcap":
+        return ""
+    return migration_note(_parse_document(*_text_and_origin(path_or_name)))
+
+
+def _text_and_origin(path_or_name: Path | str) -> tuple[str, str]:
+    """Return the text of a preset file or of a shipped preset, and what messages call it."""
+    path = Path(path_or_name)
+    if str(path_or_name) in shipped_presets() and not path.is_file():
+        resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
+        return resource.read_text("utf-8"), f"shipped preset {path_or_name}"
     try:
         if path.is_char_device():  # /dev/zero would never end
             raise PresetError(f"{path} is no preset: it is a device; choose a .json file")
@@ -147,7 +97,7 @@ def load_preset(path_or_name: Path | str) -> Preset:
         raise PresetError(
             f"{path} is no preset: it is not a text file (byte {error.start}); choose a .json file"
         ) from error
-    return preset_from_text(text, origin=str(path))
+    return text, str(path)
 
 
 def recorded_preset(path: Path) -> Preset | None:
@@ -175,6 +125,10 @@ def shipped_presets() -> list[str]:
 
 def preset_from_text(text: str, origin: str) -> Preset:
     """Parse the text of a preset file; ``origin`` names it in messages."""
+    return parse_preset(migrate(_parse_document(text, origin), origin), origin)
+
+
+def _parse_document(text: str, origin: str) -> Document:
     try:
         document = json.loads(text)
     except json.JSONDecodeError as error:
@@ -189,24 +143,7 @@ def preset_from_text(text: str, origin: str) -> Preset:
     if document.get("schema") != SCHEMA_NAME:
         found = reprlib.repr(document.get("schema"))
         raise PresetError(f'{origin} is no preset: "schema" should be "{SCHEMA_NAME}", it is {found}')
-    return parse_preset(migrate(document, origin), origin)
-
-
-def migrate(document: Document, origin: str) -> Document:
-    """Bring a document of an older schema version to the present one, step by step."""
-    found = document.get("schema_version")
-    if not isinstance(found, int) or isinstance(found, bool) or found < 1:
-        raise PresetError(
-            f"{origin}: schema_version is {reprlib.repr(found)}; it should be a whole number from 1 to {SCHEMA_VERSION}"
-        )
-    if found > SCHEMA_VERSION:
-        raise PresetError(
-            f"{origin}: schema_version is {reprlib.repr(found)}, this Tactune reads up to {SCHEMA_VERSION}; "
-            f"update Tactune (the file was written by version {document.get('tool_version', 'unknown')})"
-        )
-    for step in MIGRATIONS[found - 1 :]:
-        document = step(document)
-    return {**document, "schema_version": SCHEMA_VERSION}
+    return document
 
 
 def parse_preset(document: Document, origin: str) -> Preset:

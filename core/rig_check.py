@@ -8,6 +8,7 @@ from .errors import RigMismatchError
 from .frames import ColorCamera, DepthCamera, Rig
 from .intrinsics import Intrinsics
 from .preset import Preset
+from .preset_notes import homography_notes
 
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
@@ -25,12 +26,7 @@ def check_rig(preset: Preset, rig: Rig) -> list[str]:
             warnings += _compare(preset.name, role, getattr(preset.rig, role), getattr(rig, role))
         warnings += _compare_color(preset.name, preset.rig.proximity_color, rig.proximity_color)
     _check_region(preset, rig)
-    if preset.contact_test == "calibrated" and preset.alignment.model == "homography":
-        warnings.append(
-            f"Preset {preset.name!r} tests contact by gaps of a millimetre, which a homography tells on one plane "
-            "only; choose the rigid alignment, or the tolerance test."
-        )
-    return warnings
+    return warnings + homography_notes(preset)
 
 
 def _compare(name: str, role: str, made_for: DepthCamera, found: DepthCamera) -> list[str]:

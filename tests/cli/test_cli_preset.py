@@ -9,9 +9,13 @@ from typing import Any
 
 import pytest
 
+from tactune.core.membrane_reference import load_reference, save_reference
 from tactune.core.preset import Preset
-from tactune.core.preset_file import json_schema, load_preset, save_preset
+from tactune.core.preset_file import json_schema, load_preset, preset_json, save_preset
+from tactune.core.preset_migrations import _CALIBRATED_4, _CALIBRATED_5
+from tactune.core.preset_notes import preset_notes
 from tactune.core.rig_file import load_rig
+from tactune.core.sources.registry import open_source
 
 Tactune = Callable[..., Any]
 
@@ -83,6 +87,79 @@ def test_the_rig_comes_from_a_source_or_another_preset_too(tactune: Tactune, rec
     assert tactune("preset", "new", "--rig", f"folder:{recording}", "--out", first).status == 0
     assert tactune("preset", "new", "--rig", first, "--out", second).status == 0
     assert load_preset(second).rig == load_rig(recording / "rig.json")
+
+
+def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    first, second, third = (tmp_path / f"{name}.json" for name in ("first", "second", "third"))
+    rig = load_rig(recording / "rig.json")
+    values = {"notes": "by hand", "tolerance.t": 0.011, "outliers.k": 7, "created": "2020-01-02T03:04:05Z"}
+    save_preset(Preset(name="named", rig=rig).with_values(values), first)
+
+    assert tactune("preset", "new", "--from", first, "--set", "outliers.k=9", "--out", second).status == 0
+    preset = load_preset(second)
+    assert (preset.name, preset.rig, preset.notes) == ("second", rig, "by hand")
+    assert (preset.tolerance.t, preset.outliers.k) == (0.011, 9)
+    assert preset.created.year > 2020
+
+    words = ["--rig", recording / "rig.json", "--alignment", "homography", "--name", "other"]
+    assert tactune("preset", "new", "--from", "simulator", *words, "--out", third).status == 0
+    preset, shipped = load_preset(third), load_preset("simulator")
+    assert (preset.name, preset.rig, preset.alignment.model) == ("other", rig, "homography")
+    assert (preset.mask, preset.tolerance) == (shipped.mask, shipped.tolerance)
+
+
+def test_without_a_rig_anywhere_or_with_nothing_to_start_from_is_one_sentence(tactune: Tactune, tmp_path: Path) -> None:
+    out = tmp_path / "mine.json"
+    assert "--rig" in tactune("preset", "new", "--out", out).sentence
+    sentence = tactune("preset", "new", "--from", "default", "--out", out).sentence
+    assert "preset default names no rig" in sentence
+    assert "--rig" in sentence
+    assert "nothing" in tactune("preset", "new", "--from", "nothing", "--out", out).sentence
+    assert not out.exists()
+
+
+def test_the_reference_goes_along_with_the_preset_that_new_starts_from(
+    tactune: Tactune, recording: Path, tmp_path: Path
+) -> None:
+    first, second = tmp_path / "first.json", tmp_path / "elsewhere" / "second.json"
+    second.parent.mkdir()
+    with open_source(str(recording)) as source:
+        frame = source.next_frame()
+    assert frame is not None
+    record = save_reference(frame, 1, first)
+    save_preset(Preset(rig=source.rig, reference=record), first)
+    assert tactune("preset", "new", "--from", first, "--out", second).status == 0
+    load_reference(record, second)
+
+    (first.parent / record.file).unlink()
+    third = tmp_path / "third.json"
+    assert "reference" in tactune("preset", "new", "--from", first, "--out", third).sentence
+    assert not third.exists()
+
+
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ([], []),
+        (["alignment.model=homography"], []),
+        (["calibrated.gap_m=0.001", "mask.hue=[150,170]"], []),
+        (["contact_test=calibrated"], ["mask.hue"]),
+        (["contact_test=calibrated", "mask.hue=[150,170]", "alignment.model=homography"], ["one plane"]),
+        (["contact_test=calibrated", "alignment.model=homography"], ["mask.hue", "one plane"]),
+    ],
+)
+def test_what_is_probably_not_meant_is_noted_and_nothing_else(
+    tactune: Tactune, recording: Path, tmp_path: Path, settings: list[str], words: list[str]
+) -> None:
+    file = tmp_path / "mine.json"
+    options = [word for setting in settings for word in ("--set", setting)]
+    new = tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *options)
+    checked = tactune("preset", "validate", file)
+    assert (new.status, checked.status) == (0, 0)
+    assert new.err == checked.err == "".join(f"note: {note}\n" for note in preset_notes(load_preset(file)))
+    assert new.err.count("note: ") == len(words)
+    for line, word in zip(new.err.splitlines(), words, strict=True):
+        assert word in line
 
 
 def test_a_file_is_replaced_only_by_force(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
@@ -160,6 +237,36 @@ def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -
     assert f"{good}: good, preset 'fine'" in finished.out
     assert "bad.json: tolerance.t is -1" in finished.err
     assert "missing.json" in finished.err
+
+
+_NO_CURVATURE = "the calibrated test goes on without the curvature (calibrated.curvature is 0)"
+_NO_BALANCE = "the balanced edge stays off (calibrated.balance is false)"
+
+
+@pytest.mark.parametrize(
+    ("found", "test", "calibrated", "said"),
+    [
+        (6, "calibrated", {}, ""),
+        (5, "tolerance", _CALIBRATED_5, ", written as schema 5, read as 6"),
+        (5, "calibrated", _CALIBRATED_5, f", written as schema 5, read as 6: {_NO_BALANCE}"),
+        (5, "tolerance", {"gap_m": 0.001}, f", written as schema 5, read as 6: {_NO_BALANCE}"),
+        (5, "calibrated", {"balance": True}, ", written as schema 5, read as 6"),
+        (4, "tolerance", _CALIBRATED_4, ", written as schema 4, read as 6"),
+        (4, "calibrated", _CALIBRATED_4, f", written as schema 4, read as 6: {_NO_CURVATURE}; {_NO_BALANCE}"),
+        (3, None, None, ", written as schema 3, read as 6"),
+        (1, None, None, ", written as schema 1, read as 6"),
+    ],
+)
+def test_validate_says_what_reading_an_older_file_leaves_different(
+    tactune: Tactune, tmp_path: Path, found: int, test: str | None, calibrated: dict[str, Any] | None, said: str
+) -> None:
+    file = tmp_path / "old.json"
+    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": found}
+    document |= {"contact_test": test, "calibrated": calibrated}
+    file.write_text(json.dumps({key: value for key, value in document.items() if value is not None}))
+    finished = tactune("preset", "validate", file)
+    assert finished.status == 0
+    assert finished.out == f"{file}: good, preset 'old' for any rig{said}\n"
 
 
 def test_schema_is_the_schema(tactune: Tactune) -> None:

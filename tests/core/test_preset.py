@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactune.core import preset_file
+from tactune.core import preset_file, preset_migrations
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset import CalibratedSection, CamerasSection, Preset
 from tactune.core.preset_file import (
@@ -160,9 +160,10 @@ def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatc
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.04))) | {"schema_version": 1}
     path = tmp_path / "cup.json"
     path.write_text(json.dumps(old))
-    monkeypatch.setattr(preset_file, "MIGRATIONS", (rename_t, rename_back_and_halve))
-    monkeypatch.setattr(preset_file, "SCHEMA_VERSION", 3)
-    migrated = preset_file.migrate(old, "cup.json")
+    monkeypatch.setattr(preset_migrations, "MIGRATIONS", (rename_t, rename_back_and_halve))
+    for module in (preset_file, preset_migrations):
+        monkeypatch.setattr(module, "SCHEMA_VERSION", 3)
+    migrated = preset_migrations.migrate(old, "cup.json")
     assert migrated["schema_version"] == 3
     assert migrated["tolerance"] == {"t": 0.02}
 
@@ -196,7 +197,7 @@ def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
 
 
 def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_file._CALIBRATED_4)
+    untouched = dict(preset_migrations._CALIBRATED_4)
     tuned = untouched | {"gap_m": 0.0015}
     sections = []
     for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
@@ -209,7 +210,7 @@ def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new
 
 
 def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_file._CALIBRATED_5)
+    untouched = dict(preset_migrations._CALIBRATED_5)
     tuned = untouched | {"gap_m": 0.0015}
     sections = []
     for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
@@ -223,7 +224,7 @@ def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new
 def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
     old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "calibrated"}
     old |= {"schema_version": 5}
-    before = CalibratedSection.model_validate(preset_file._CALIBRATED_5 | {"balance": False})
+    before = CalibratedSection.model_validate(preset_migrations._CALIBRATED_5 | {"balance": False})
     for left_out in ({"contact_test": "calibrated"}, {"contact_test": "calibrated", "calibrated": {}}):
         assert preset_from_text(json.dumps(old | left_out), "old.json").calibrated == before
     tuned = preset_from_text(json.dumps(old | {"calibrated": {"gap_m": 0.001}}), "old.json").calibrated
@@ -243,7 +244,7 @@ def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
     for part in ("contact_test", "calibrated", "reference"):
         del old[part]
-    migrated = preset_file.migrate(old | {"schema_version": found}, "old.json")
+    migrated = preset_migrations.migrate(old | {"schema_version": found}, "old.json")
     assert set(migrated["calibrated"]) == set(CalibratedSection.model_fields)
     read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
     assert (read.contact_test, read.tolerance.t, read.reference) == ("tolerance", 0.0123, None)
