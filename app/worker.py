@@ -8,6 +8,7 @@ The window never waits for it. Orders go in through a queue; results come out of
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -23,7 +24,8 @@ from ..core.sources.base import CameraOption, CameraRole, FrameSource
 from .cores import leave_room_for_the_window
 from .error_hook import guarded
 from .explain import explain
-from .live_reader import LiveReader
+from .left_threads import leave_behind
+from .live_reader import PATIENCE_S, LiveReader
 from .mailbox import Mailbox
 from .opening import SourceRequest, open_requested
 from .playback import Playback
@@ -31,6 +33,9 @@ from .processing import FrameProcessor
 from .reader import FrameReader
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
+
+#: What does not end so long after it was told to is left behind; a live source that hangs is, too, by then.
+_PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
 
 
 class Worker(QThread):
@@ -166,10 +171,13 @@ class Worker(QThread):
         self._orders.put(lambda: self.recorder.stop(reason))
 
     def shut_down(self) -> None:
-        """Stop, finish a recording, release the source and wait until the thread has ended."""
+        """Stop, finish a recording, release the source; a source that does not let go is left behind."""
         self._request = None
         self._orders.put(lambda: setattr(self, "_stopping", True))
-        self.wait()
+        self.recorder.close()  # what was recorded is kept, however long its disk takes
+        if not self.wait(_PATIENCE_MS):
+            logging.getLogger(__name__).warning("The source was given up: it is still busy, and the window closes.")
+            leave_behind(self)
 
     # The thread
 
@@ -368,15 +376,10 @@ class Worker(QThread):
         not_taken = self._live.dropped if self._live is not None else 0
         try:
             result = self._processor.process(
-                self._info,
-                frame,
-                self._preset,
-                self._wanted,
-                self._playback.state,
+                self._info, frame, self._preset, self._wanted, self._playback.state,
                 dropped=self._mailbox.dropped + not_taken + health.dropped,
-                unmatched=health.unmatched,
-                read_ms=read_ms,
-            )
+                unmatched=health.unmatched, read_ms=read_ms,
+            )  # fmt: skip
         except Exception as error:
             number = self._playback.state.index + 1
             self._fail(explain(error, f"frame {number} of {self._info.name} could not be processed"))

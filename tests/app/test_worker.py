@@ -1,13 +1,17 @@
 from dataclasses import replace
+from threading import Event
 
 import numpy as np
 import pytest
 
+from tactune.app import worker as worker_module
+from tactune.app.left_threads import wait_for_left
 from tactune.app.results import CloudName, ColorBy, Wanted
 from tactune.app.worker import SourceRequest, Worker
 from tactune.core.errors import SourceError
 from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
+from tactune.core.sources.registry import open_source
 
 from .conftest import LiveSource, TinySource, tiny_frame, tiny_rig
 
@@ -199,6 +203,44 @@ def test_shutting_down_while_a_source_opens(qtbot, preset):
     qtbot.waitUntil(lambda: bool(watched.progress))
     watched.worker.shut_down()
     assert watched.worker.isFinished()
+
+
+class HangingSource(TinySource):
+    """A recording on a disk that answers no more from frame 3 on."""
+
+    def __init__(self):
+        super().__init__()
+        self.hangs, self.go_on = Event(), Event()
+
+    def read(self, index):
+        if index >= 3:
+            self.hangs.set()
+            self.go_on.wait(60)
+        return super().read(index)
+
+
+def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_is_kept(
+    qtbot, preset, monkeypatch, caplog, tmp_path
+):
+    monkeypatch.setattr(worker_module, "_PATIENCE_MS", 200)
+    watched, source = Watched(preset), HangingSource()
+    watched.worker.pause()
+    watched.open(source)
+    qtbot.waitUntil(lambda: watched.shows(0))
+    watched.worker.start_recording(tmp_path / "kept.mcap")
+    watched.worker.play()
+    qtbot.waitUntil(lambda: source.hangs.is_set() and watched.shows(2))
+    watched.worker.seek(5)  # the worker itself is stuck now, before it is told to stop
+    watched.worker.shut_down()
+    assert watched.worker.isRunning() and not wait_for_left(0.0)
+    assert not watched.worker.recorder.running, "the file is finished"
+    assert [record.levelname for record in caplog.records] == ["WARNING"]
+    assert "source was given up" in caplog.text
+    kept = open_source(f"mcap:{tmp_path / 'kept.mcap'}")
+    assert kept.length >= 2
+    kept.close()
+    source.go_on.set()
+    assert wait_for_left(20.0)
 
 
 def test_a_preset_for_another_size_is_said_and_the_cameras_still_show(watched, qtbot, preset):
