@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QColor
+from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
 
 from ..core.provenance import Provenance
@@ -57,10 +57,13 @@ class ViewArea(QWidget):
         self.views = {name: CloudView(title, backend) for name, title in TITLES.items()}
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
+        self._legend_lines = 1
+        self._lined_for: tuple[object, ...] = ()
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
         self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
             self.splitter.addWidget(view)
+        self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = QComboBox()
         self.color_by.setAccessibleName("Colour by")
         for choice in ColorBy:
@@ -110,6 +113,7 @@ class ViewArea(QWidget):
                 view.set_cloud(clouds[name])
                 self._show_legend(name, result, theme)
                 view.set_message(_why_empty(name, result))
+        self._fit_legends()
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
         """Mark views whose frame is old."""
@@ -129,6 +133,22 @@ class ViewArea(QWidget):
         if self._legends.get(name) != legend:
             self._legends[name] = legend
             self.views[name].set_legend(legend)
+
+    def _fit_legends(self) -> None:
+        """Give all legends as many lines as the longest needs: views of one height show clouds alike.
+
+        While colours mean the same there are never fewer again, so that nothing jumps when a reason does not occur.
+        """
+        shown = [view for view in self.views.values() if not view.isHidden()]
+        lined_for = self.chosen_colors(), *(view.width() for view in shown)
+        lines = max((view.legend_lines() for view in shown), default=1)
+        if lined_for == self._lined_for:
+            lines = max(lines, self._legend_lines)
+        self._lined_for = lined_for
+        if lines != self._legend_lines:
+            self._legend_lines = lines
+            for view in self.views.values():
+                view.set_legend_lines(lines)
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
         row = QHBoxLayout()
@@ -150,6 +170,11 @@ class ViewArea(QWidget):
             button.setText(text)
             row.addWidget(button)
         return row
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Make room for the legends."""
+        super().resizeEvent(event)
+        self._fit_legends()
 
     def _show_view(self, name: CloudName, shown: bool) -> None:
         self.views[name].setVisible(shown)

@@ -129,12 +129,22 @@ class CloudView(QWidget):
         self._canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
-        """Explain the colours in one line, the most important first."""
+        """Explain the colours, the most important first; what does not fit is in the tooltip."""
         self._legend.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
         """Return the entries of the legend."""
         return self._legend.value()
+
+    def legend_lines(self) -> int:
+        """Return on how many lines the whole legend fits."""
+        return self._legend.needed_lines()
+
+    def set_legend_lines(self, lines: int) -> None:
+        """Give the legend so many lines; the cloud is framed again, unless somebody steered."""
+        self._legend.set_lines(lines)
+        if not self._steered and self._scene.cloud is not None:
+            self._resized.start()
 
     def set_message(self, message: str) -> None:
         """Say what to do while the view states no points."""

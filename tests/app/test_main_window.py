@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea
+from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea, QWidget
 
 from tactune.app import rendering
 from tactune.app.no_contact import why_no_contact
@@ -145,6 +145,31 @@ def test_colours_have_a_legend(window, qtbot, choice):
         return all(word in words for word in expected)
 
     qtbot.waitUntil(explained)
+
+
+def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(window, qtbot):
+    views = list(window.views.views.values())
+    window.views.choose_colors(ColorBy.PROVENANCE)
+    qtbot.waitUntil(lambda: bool(window.result.rendered.verdicts))
+    few, many = (
+        replace(window.result, rendered=replace(window.result.rendered, verdicts=frozenset(verdicts)))
+        for verdicts in ([Provenance.CONTACT], Provenance)
+    )
+
+    def canvases() -> set[int]:
+        return {view.findChild(QWidget, "canvas").height() for view in views}
+
+    (high,) = canvases()
+    window.views.show_result(many, "light")
+    qtbot.waitUntil(lambda: canvases() != {high} and len(canvases()) == 1)
+    (low,) = canvases()
+    for view in views:
+        assert view._legend.fitting() == len(view.legend())
+    window.views.show_result(few, "light")
+    qtbot.wait(50)
+    assert canvases() == {low}, "nothing jumps when a reason does not occur"
+    window.views.choose_colors(ColorBy.CONTACT)
+    qtbot.waitUntil(lambda: canvases() == {high})
 
 
 def test_views_turn_together(window):

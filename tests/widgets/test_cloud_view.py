@@ -12,10 +12,12 @@ from PyQt6.QtWidgets import QLabel
 from pytestqt.qtbot import QtBot
 
 from tactune.core.intrinsics import Intrinsics
+from tactune.core.provenance import Provenance
 from tactune.widgets.cloud_data import DepthCloud
 from tactune.widgets.cloud_header import CloudHeader, short_count
+from tactune.widgets.cloud_legend import LegendLine
 from tactune.widgets.cloud_view import CloudView
-from tactune.widgets.colormaps import depth_lut
+from tactune.widgets.colormaps import depth_lut, provenance_legend
 from tactune.widgets.view_camera import ViewCamera
 
 from .seen_clouds import BLUE, FRONT, GREEN, RAYS, RED, cloud_of, colored, picture, pixels_of, shown, wall
@@ -265,6 +267,37 @@ def test_the_legend_shows_what_fits_and_lists_all(qtbot: QtBot) -> None:
     assert all(text in line.toolTip() for text, _ in entries)
     view.set_legend(entries[:1])
     assert line.fitting() == 1
+
+
+@pytest.mark.parametrize(("width", "lines"), [(297, 4), (800, 2), (1600, 1)])
+def test_a_legend_with_enough_lines_shows_all_names(qtbot: QtBot, width: int, lines: int) -> None:
+    legend = LegendLine()
+    qtbot.addWidget(legend)
+    legend.setValue(provenance_legend("light", set(Provenance) - {Provenance.NO_PROXIMITY_DEPTH}))
+    one = legend.sizeHint().height()
+    legend.resize(width, one)
+    assert legend.needed_lines() <= lines
+    assert width == 1600 or legend.fitting() < 10
+    legend.set_lines(legend.needed_lines())
+    legend.resize(width, legend.sizeHint().height())
+    assert legend.fitting() == 10
+    seen = legend.grab().toImage()
+    rgb = {seen.pixelColor(x, y).rgb() for x in range(seen.width()) for y in range(seen.height())}
+    assert all(color.rgb() in rgb for _, color in legend.value()), "each swatch is painted"
+
+
+def test_a_legend_beyond_its_lines_counts_the_rest_on_the_last_one(qtbot: QtBot) -> None:
+    legend = LegendLine()
+    qtbot.addWidget(legend)
+    legend.setValue(provenance_legend("light"))
+    legend.set_lines(2)
+    legend.resize(204, legend.sizeHint().height())
+    assert 2 <= legend.fitting() < len(Provenance)
+    said = []
+    legend._write = lambda painter, x, y, height, text: said.append((y, text))
+    legend.grab()
+    assert said[-1] == (legend.height() / 2, f"+{len(Provenance) - legend.fitting()}")
+    assert len(said) == legend.fitting() + 1
 
 
 def test_the_tooltip_explains_mouse_and_keys(qtbot: QtBot) -> None:
