@@ -9,7 +9,7 @@ from PyQt6.QtGui import QGuiApplication, QIcon, QKeyEvent, QKeySequence, QPixmap
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from ...widgets.colormaps import Theme
-from .compare_text import COLUMNS, cells, table_text
+from .compare_text import COLUMNS, cells, method_cell, table_text
 from .comparer import Outcome
 from .method_looks import TIPS, TRUTH, method_color
 
@@ -64,6 +64,7 @@ class CompareTable(QTableWidget):
         with QSignalBlocker(self):
             for row, name in enumerate(self._names):
                 outcome = outcomes.get(name)
+                self._show_name(row, name, outcome.averaged_frames if outcome is not None else 1)
                 texts = cells(outcome) if outcome is not None else ("",) * (len(COLUMNS) - 1)
                 for column, text in enumerate(texts, start=1):
                     item = self._at(row, column)
@@ -74,6 +75,13 @@ class CompareTable(QTableWidget):
         viewport = self.viewport()
         assert viewport is not None
         viewport.update()
+
+    def _show_name(self, row: int, name: str, averaged: int) -> None:
+        first, text = self._at(row, 0), method_cell(name, averaged)
+        if first.text() != text:
+            first.setText(text)
+            mean = f"\nAt the moment: mean of {averaged} frames" if averaged > 1 else ""
+            first.setToolTip(TIPS.get(name, "") + mean)
 
     def full_height(self) -> int:
         """Return the height at which no row is hidden."""
@@ -127,7 +135,8 @@ class CompareTable(QTableWidget):
         across.setStretchLastSection(True)
         across.setHighlightSections(False)
         metrics = self.fontMetrics()
-        widest = ("tactile-threshold" + 8 * "0", "00000.0", "000,000", "0000.0", "00.00", "0.000")
+        boxes = 4 * "0"  # as wide as the box to tick and the colour
+        widest = (method_cell("fusion-averaged", 15) + boxes, "00000.0", "000,000", "0000.0", "00.00", "0.000")
         for column, text in enumerate(widest):
             width = max(metrics.horizontalAdvance(shown) for shown in (text, self._heading(column)))
             self.setColumnWidth(column, width + _ROOM_PX)

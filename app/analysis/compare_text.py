@@ -38,6 +38,11 @@ def cells(outcome: Outcome) -> tuple[str, ...]:
     )
 
 
+def method_cell(name: str, averaged: int) -> str:
+    """Return the table's first column: the method, and over how many frames it has averaged where these are several."""
+    return f"{name} ({averaged} frames)" if averaged > 1 else name
+
+
 def caption(outcome: Outcome, truth: bool) -> str:
     """Return the lines beneath a view: time and size, and where truth is known, agreement with it."""
     time, points, area, rmse, iou, _ = cells(outcome)

@@ -70,13 +70,24 @@ class Scores:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """One method on one frame; ``note`` says why there is no patch, ``ms`` is the median of the last frames."""
+    """One method on one frame.
+
+    Attributes
+    ----------
+    ms : float or None
+        The median of the last frames.
+    note : str
+        Why there is no patch.
+    averaged_frames : int
+        Over how many frames the method has averaged, this one included.
+    """
 
     name: str
     scores: Scores
     cloud: DepthCloud
     ms: float | None = None
     note: str = ""
+    averaged_frames: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,7 +160,8 @@ class Comparer:
             entrant = self._entrant(name, task)
             found = self._find(name, entrant, task)
             ms = median(entrant.times_ms) if entrant.times_ms else None
-            outcomes.append(Outcome(name, found.scores, drawing.cloud(name, found.patch), ms, found.note))
+            cloud, averaged = drawing.cloud(name, found.patch), found.patch.averaged_frames
+            outcomes.append(Outcome(name, found.scores, cloud, ms, found.note, averaged))
         return Comparison(task, tuple(outcomes))
 
     def _entrant(self, name: str, task: Task) -> _Entrant:

@@ -114,7 +114,9 @@ class StrainTab(MeasuringTab):
             "Measure displacement against the membrane as it is now; do this while nothing touches it"
         )
         self.reset.setToolTip("Begin the curve anew; the former one can be brought back")
-        self.export.setToolTip("Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E)")
+        self.export.setToolTip(
+            "Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E); files count from 0"
+        )
         self.progress.setToolTip("Displacement is measured against it; strain does not need it")
         for button in (self.capture, self.reset):
             button.setAutoDefault(False)

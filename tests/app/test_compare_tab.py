@@ -302,6 +302,24 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
     qtbot.waitUntil(lambda: tab.comparison is not None)
 
 
+def test_the_table_says_over_how_many_frames_a_method_has_averaged_and_does_not_jump(qtbot, window, tab):
+    tick(tab, "fusion-averaged")
+    settle(qtbot, window, tab)
+    table, first = tab.table, tab.table.item(1 + method_names().index("fusion-averaged"), 0)
+    outcome, width = outcomes(tab)["fusion-averaged"], table.columnWidth(0)
+    assert first.text() == "fusion-averaged" and "At the moment" not in first.toolTip()
+    changes = []
+    table.chosenChanged.connect(lambda: changes.append(1))
+    for averaged in (7, 15):
+        table.show_outcomes({outcome.name: replace(outcome, averaged_frames=averaged)})
+        assert first.text() == f"fusion-averaged ({averaged} frames)"
+        assert f"mean of {averaged} frames" in first.toolTip()
+    assert table.columnWidth(0) == width >= table.sizeHintForColumn(0), "the longest name is seen in full"
+    assert not changes
+    table.show_outcomes({outcome.name: outcome})
+    assert first.text() == "fusion-averaged" and "At the moment" not in first.toolTip()
+
+
 def test_rows_are_copied_as_text(window, tab):
     table = tab.table
     row = 1 + method_names().index("fusion-rigid")

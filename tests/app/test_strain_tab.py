@@ -12,10 +12,12 @@ import pytest
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QMouseEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QPushButton
+from PyQt6.QtWidgets import QApplication, QLabel, QPushButton
 
 from tactune.app.analysis import strain_tab
+from tactune.app.analysis.strain_work import StrainTask, examine
 from tactune.app.opening import SourceRequest
+from tactune.core.errors import FrameError
 from tactune.core.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.sources.base import SeekableSource
@@ -212,6 +214,25 @@ def test_picture_and_points_are_written(qtbot, make_window, tmp_path):
     assert float(rows[1]["true_strain_length_percent"]) == 25.0
     tab.save_to(tmp_path / "strain.png" / "strain.csv")
     qtbot.waitUntil(lambda: tab.messages.message("failed") is not None)
+
+
+def test_what_cannot_be_measured_is_said_of_the_frame_that_the_window_shows(qtbot, make_window):
+    window = make_window()
+    tab = opened(qtbot, window, PressedGrid(dots=False))
+    assert "4 / 8" in [label.text() for label in window.transport.findChildren(QLabel)]
+    assert tab.numbers.verdict.text().startswith("Frame 4: no grid of dots")
+
+
+def test_errors_count_frames_as_windows_do_also_where_a_recording_begins_late():
+    frames = [sheet(index) for index in (502, 503)]
+    colorless = [replace(frame, tactile_color=None) for frame in frames]
+    assert examine(StrainTask(colorless, 4, RIG, 0.01, None)).problem.startswith("frame 4 has no tactile colour")
+    nothing = replace(sheet(0), tactile_depth=np.zeros((240, 320), np.uint16))
+    problem = examine(StrainTask(frames, 4, RIG, 0.01, nothing)).problem
+    assert problem.startswith("the untouched membrane and frame 4 have no pixel")
+    small = CAMERA.model_copy(update={"intrinsics": LENS.model_copy(update={"width": 300})})
+    with pytest.raises(FrameError, match=r"^frame 3: tactile_depth"):
+        examine(StrainTask(frames, 4, RIG.model_copy(update={"tactile": small}), 0.01, None))
 
 
 def test_frames_at_rest_are_averaged_and_moving_ones_are_not(qtbot, make_window):
