@@ -12,22 +12,12 @@ import numpy.typing as npt
 from ..clouds import valid_depth
 from ..frames import DepthCamera, Float64Array
 from ..intrinsics import Intrinsics
+from .dot_kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, is_smooth_between
 
 #: Radii of the surroundings over which inverse depth is fitted, pixels, and the degree of the fit.
-_RADII_PX: Final = (3, 5, 8, 12, 18)
-_TERMS: Final = (3, 6, 6, 6, 6)
-#: From this radius on every other row and column does, since neighbouring pixels share their noise.
-_SPARSE_FROM_PX: Final = 8
-#: Stereo matching smears noise over a window; so many pixels count as one measurement.
-_PIXELS_A_SAMPLE: Final = 70.0
-#: Pixels farther from the middle's median than so much of the depth belong to something else.
-_SAME_SURFACE: Final = 0.04
-#: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
-_AGREES_WITHIN: Final = 1.5
-_FEWEST_SHARE: Final = 0.35
-#: The median of so many nearest depths tells on which side of an edge a dot lies.
-_NEAREST: Final = 9
-#: Noise is the scatter over surroundings of this radius.
+_RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18))
+_TERMS: Final = np.array((6, 6, 6, 6, 6, 6))
+#: Noise is the scatter over surroundings of this radius, of every other row and column.
 _NOISE_RADIUS_PX: Final = 12
 #: Steepest surface on which neighbouring dots can still be told apart, as a slope against the image plane.
 STEEPEST: Final = 3.0
@@ -64,64 +54,29 @@ def dot_points(
     inverse = np.full(counts.shape, np.nan)
     valid = valid_depth(counts)
     inverse[valid] = 1.0 / (counts[valid] * camera.depth_unit_m)
-    noise = _noise(inverse, pixels)
-    fits = np.array([_inverse_depth(inverse, u, v, noise) for u, v in pixels]).reshape(-1, 2)
+    fits = np.empty((len(pixels), 2))
+    scratch, nearest = np.empty(SCRATCH_SHAPE), np.empty((2, NEAREST))
+    fit_inverse_depths(inverse, pixels, _noise(inverse, pixels), _RADII_PX, _TERMS, scratch, nearest, fits)
     depth = 1.0 / fits[:, 0]
     rays = camera.intrinsics.normalise(pixels)
     return np.column_stack([rays * depth[:, None], depth]), fits[:, 1] * depth**2
-
-
-def _window(inverse: Float64Array, u: float, v: float, radius: int) -> tuple[Float64Array, Float64Array]:
-    """Return places relative to a dot, (M, 2), and inverse depths, (M,), of the same surface."""
-    top, left = max(round(v) - radius, 0), max(round(u) - radius, 0)
-    stride = 2 if radius >= _SPARSE_FROM_PX else 1
-    window = inverse[top : round(v) + radius + 1 : stride, left : round(u) + radius + 1 : stride]
-    rows, columns = np.nonzero(np.isfinite(window))
-    places = np.column_stack([stride * columns + left - u, stride * rows + top - v])
-    values = window[rows, columns]
-    within = (places**2).sum(axis=1) <= (radius + 0.5) ** 2
-    return places[within], values[within]
-
-
-def _design(places: Float64Array, terms: int) -> Float64Array:
-    x, y = places.T
-    return np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y][:terms], axis=1)
 
 
 def _noise(inverse: Float64Array, pixels: Float64Array) -> float:
     """Return the standard deviation of inverse depth, 1/m: the scatter about local fits, half of it the surface's."""
     scatter = []
     for u, v in pixels[:: max(len(pixels) // 100, 1)]:
-        places, values = _window(inverse, u, v, _NOISE_RADIUS_PX)
+        top, left = max(round(v) - _NOISE_RADIUS_PX, 0), max(round(u) - _NOISE_RADIUS_PX, 0)
+        window = inverse[top : round(v) + _NOISE_RADIUS_PX + 1 : 2, left : round(u) + _NOISE_RADIUS_PX + 1 : 2]
+        rows, columns = np.nonzero(np.isfinite(window))
+        x, y, values = 2 * columns + left - u, 2 * rows + top - v, window[rows, columns]
+        within = x**2 + y**2 <= (_NOISE_RADIUS_PX + 0.5) ** 2
+        x, y, values = x[within], y[within], values[within]
         if len(values) >= 30:
-            design = _design(places, 6)
+            design = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], axis=1)
             rest = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
             scatter.append(float(np.sqrt(np.mean(rest**2))))
     return float(np.percentile(scatter, 30)) if scatter else math.nan
-
-
-def _inverse_depth(inverse: Float64Array, u: float, v: float, noise: float) -> tuple[float, float]:
-    """Return inverse depth under a dot and its standard deviation; nan without depth."""
-    best, low, high = (math.nan, math.nan), -math.inf, math.inf
-    for radius, terms in zip(_RADII_PX, _TERMS, strict=True):
-        places, values = _window(inverse, u, v, radius)
-        each = 4.0 if radius >= _SPARSE_FROM_PX else 1.0
-        if len(values) * each < _FEWEST_SHARE * math.pi * radius**2 or len(values) < terms + 3:
-            break
-        nearest = np.argsort((places**2).sum(axis=1))[:_NEAREST]
-        middle = float(np.sort(values[nearest])[len(nearest) // 2])
-        same = np.abs(values - middle) <= _SAME_SURFACE * middle
-        if same.sum() < max(_FEWEST_SHARE * len(values), terms + 3):
-            break
-        design = _design(places[same], terms)
-        inverted = np.linalg.inv(design.T @ design)
-        fit = inverted @ (design.T @ values[same])
-        sigma = noise * min(math.sqrt(inverted[0, 0] * max(_PIXELS_A_SAMPLE / each, 1.0)), 1.0)
-        low, high = max(low, fit[0] - _AGREES_WITHIN * sigma), min(high, fit[0] + _AGREES_WITHIN * sigma)
-        if low > high:
-            break
-        best = float(fit[0]), sigma
-    return best
 
 
 def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
@@ -191,14 +146,4 @@ def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array,
     start, end : float64, shape (2,)
         ``(u, v)``.
     """
-    count = max(int(np.hypot(*(end - start))), 1) + 1
-    u, v = np.rint(np.linspace(start, end, count)).astype(np.intp).T
-    inside = (u >= 0) & (v >= 0) & (u < depth_m.shape[1]) & (v < depth_m.shape[0])
-    depth = depth_m[v[inside], u[inside]]
-    seen = np.flatnonzero(np.isfinite(depth))
-    if len(seen) < count / 2:
-        return False
-    apart = min(_SLOPE_PX, len(seen) - 1)
-    steps = np.abs(depth[seen[apart:]] - depth[seen[: len(seen) - apart]])
-    across = (seen[apart:] - seen[: len(seen) - apart]) * depth[seen[apart:]] / focal_px
-    return bool((steps <= STEEPEST * across).all())
+    return bool(is_smooth_between(depth_m, focal_px, start, end, STEEPEST, _SLOPE_PX))

@@ -95,7 +95,7 @@ def _means(labels: npt.NDArray[np.int32], weight: Float64Array, count: int) -> t
     rows, columns = np.nonzero(wider)
     label, share = wider[rows, columns], weight[rows, columns]
     total, u, v = (np.bincount(label, of, count) for of in (share, share * columns, share * rows))
-    return total, np.column_stack([u, v]) / np.maximum(total, 1e-300)[:, None]
+    return np.asarray(total), np.asarray(np.column_stack([u, v]) / np.maximum(total, 1e-300)[:, None])
 
 
 def _dot_like(stats: npt.NDArray[Any], shape: tuple[int, ...], width_px: int) -> npt.NDArray[np.intp]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from statistics import median
 from typing import Final
 
 import numpy as np
@@ -117,8 +118,8 @@ def crossed(
     kept = np.zeros(len(pairs), bool)
     for number, (start, end) in enumerate(pairs):
         met = at.get(int(start), []) + at.get(int(end), [])
-        cosines = np.abs(across[met] @ along[number])
-        kept[number] = len(met) >= _FEWEST_CROSSINGS and float(np.median(cosines)) <= _LARGEST_COSINE
+        cosines = np.abs(across[met] @ along[number]).tolist()
+        kept[number] = len(met) >= _FEWEST_CROSSINGS and median(cosines) <= _LARGEST_COSINE
     return kept
 
 
