@@ -72,6 +72,9 @@ def new(
         copy_reference(preset.reference, Path(start), out)
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
+    if base.rig is not None and base.rig != made_for:
+        note = f"cameras, alignment and reference are still those of {start}, made for another rig; calibrate anew."
+        typer.echo(f"note: {note}", err=True)
     _tell_notes(preset)
 
 
@@ -86,17 +89,16 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
 @preset_commands.command()
 def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
     """Check preset files; the exit status is 2 if one of them cannot be used."""
-    from ..core.preset_file import load_preset, version_note
+    from ..core.preset_file import load_preset_and_note
 
     bad = 0
     for origin in presets:
         try:
-            preset = load_preset(origin)
+            preset, older = load_preset_and_note(origin)
         except TactuneError as error:
             bad += 1
             typer.echo(f"tactune: {error}", err=True)
         else:
-            older = version_note(origin)
             typer.echo(f"{origin}: good, {_describe(preset)}" + (f", {older}" if older else ""))
             _tell_notes(preset)
     if bad:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from threading import Thread
 
 from PyQt6.QtCore import QObject, QTimer, QUrl
 from PyQt6.QtGui import QAction, QDesktopServices
@@ -110,7 +111,10 @@ class RecordingControl(QObject):
     def finish(self, then: Callable[[], object]) -> None:
         """Finish the recording and do something else once the file is complete."""
         self._then = then
-        self.stop()
+        if self._path is not None:
+            self._bar.show_finishing(self._path.name)
+        # Not by an order to the worker, whose source may hang, nor here, where the disk may be behind.
+        Thread(target=self._worker.recorder.stop, name="recording stopper").start()
 
     def _toggle(self) -> None:
         self._show_action()  # what it shows is what is, not what was asked for

@@ -18,9 +18,7 @@ from pydantic import Field, ValidationError
 from .atomic import atomic_path
 from .errors import ExportError, PresetError
 from .preset import Preset
-from .preset_migrations import SCHEMA_VERSION, migrate, migration_note
-
-Document = dict[str, Any]
+from .preset_migrations import SCHEMA_VERSION, Document, migrate, migration_note
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 
@@ -50,32 +48,28 @@ def load_preset(path_or_name: Path | str) -> Preset:
     PresetError
         No such file, not a preset, or a field that is unknown or out of range.
     """
+    return load_preset_and_note(path_or_name)[0]
+
+
+def load_preset_and_note(path_or_name: Path | str) -> tuple[Preset, str]:
+    """Load a preset as `load_preset` does, and say of which older schema version it is.
+
+    Returns
+    -------
+    preset : Preset
+    note : str
+        Such as ``"written as schema 5, read as 6: the balanced edge stays off (...)"``; empty for the present version
+        and for a recording.
+    """
     path = Path(path_or_name)
     if path.suffix == ".mcap" and path.is_file():
         preset = recorded_preset(path)
         if preset is None:
             raise PresetError(f"{path} holds no preset: it was recorded without; name a preset file")
-        return preset
-    return preset_from_text(*_text_and_origin(path_or_name))
-
-
-def version_note(path_or_name: Path | str) -> str:
-    """Say of which older schema version a preset that loads is, and what reading it leaves different.
-
-    Parameters
-    ----------
-    path_or_name : path or str
-        As `load_preset` takes it.
-
-    Returns
-    -------
-    str
-        Such as ``"written as schema 5, read as 6: the balanced edge stays off (...)"``; empty for the present version
-        and for a recording.
-    """
-    if Path(path_or_name).suffix == ".mcap":
-        return ""
-    return migration_note(_parse_document(*_text_and_origin(path_or_name)))
+        return preset, ""
+    text, origin = _text_and_origin(path_or_name)
+    document = _parse_document(text, origin)
+    return parse_preset(migrate(document, origin), origin), migration_note(document)
 
 
 def _text_and_origin(path_or_name: Path | str) -> tuple[str, str]:

@@ -23,11 +23,6 @@ _SHIFT = 4
 #: The colours end at a multiple of this, 10 %.
 _ROUNDED = 0.10
 
-_NOTHING_IN_COMMON = (
-    "the untouched membrane and frame {number} have no pixel with tactile depth in common; "
-    "check that the tactile camera sees the membrane"
-)
-
 
 class MapOf(StrEnum):
     """What the map's colours mean."""
@@ -102,7 +97,7 @@ def examine(task: StrainTask) -> StrainView:
     displacement_mm = None
     try:
         if task.reference is not None:
-            displacement_mm = _displacement_mm(frame, task.reference, task.rig)
+            displacement_mm = 1e3 * indentation_m(frame, task.reference, task.rig)
         measured = measure_strain(frame, task.rig, task.spacing_m)
     except StrainError as error:
         return StrainView(
@@ -115,14 +110,6 @@ def _numbered(task: StrainTask) -> list[SensorFrame]:
     """Return the frames with the numbers that windows show, since errors name frames by their numbers."""
     shift = task.number - task.frame.sequence
     return [replace(frame, sequence=frame.sequence + shift) for frame in task.frames]
-
-
-def _displacement_mm(frame: SensorFrame, reference: SensorFrame, rig: Rig) -> float:
-    """Return the displacement; an error does not number the reference, which need not be a frame of the source."""
-    try:
-        return 1e3 * indentation_m(frame, reference, rig)
-    except StrainError as error:
-        raise StrainError(_NOTHING_IN_COMMON.format(number=frame.sequence)) from error
 
 
 def values_of(cells: StrainCells, shown: MapOf) -> npt.NDArray[np.float64]:

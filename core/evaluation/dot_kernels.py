@@ -13,9 +13,9 @@ from ..compiling import inline, kernel
 Float64Array = npt.NDArray[np.float64]
 Int64Array = npt.NDArray[np.int64]
 
-#: Terms of the largest fit, and columns of its equations: the right-hand sides are the values' and that of 1 at 0.
-_MOST_TERMS: Final = 6
-SCRATCH_SHAPE: Final = (_MOST_TERMS, _MOST_TERMS + 2)
+#: Terms of a quadratic, and the shape of a fit's equations: right-hand sides are the values', and that of 1 at 0.
+_TERMS: Final = 6
+SCRATCH_SHAPE: Final = (_TERMS, _TERMS + 2)
 #: The median of so many nearest depths tells on which side of an edge a dot lies.
 NEAREST: Final = 9
 #: From this radius on every other row and column does, since neighbouring pixels share their noise.
@@ -27,7 +27,7 @@ _SAME_SURFACE: Final = 0.04
 #: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
 _AGREES_WITHIN: Final = 1.5
 _FEWEST_SHARE: Final = 0.35
-_FEWEST_OVER_TERMS: Final = 3
+_FEWEST: Final = _TERMS + 3
 #: A pivot below this, of equations whose first entry is the number of pixels, means pixels in a line.
 _LEAST_PIVOT: Final = 1e-9
 
@@ -47,19 +47,19 @@ def _nearest_first(distances: Any, values: Any, count: int, distance: float, val
 
 
 @inline
-def _solve(equations: Any, terms: int) -> bool:
+def _solve(equations: Any) -> bool:
     """Solve symmetric equations with two right-hand sides in place; False where they say too little."""
-    for column in range(terms):
+    for column in range(_TERMS):
         pivot = equations[column, column]
         if not pivot > _LEAST_PIVOT:
             return False
-        for row in range(column + 1, terms):
+        for row in range(column + 1, _TERMS):
             share = equations[row, column] / pivot
-            for k in range(column, terms + 2):
+            for k in range(column, _TERMS + 2):
                 equations[row, k] -= share * equations[column, k]
-    for row in range(terms - 1, -1, -1):
-        for side in (terms, terms + 1):
-            for k in range(row + 1, terms):
+    for row in range(_TERMS - 1, -1, -1):
+        for side in (_TERMS, _TERMS + 1):
+            for k in range(row + 1, _TERMS):
                 equations[row, side] -= equations[row, k] * equations[k, side]
             equations[row, side] /= equations[row, row]
     return True
@@ -85,11 +85,11 @@ def _find_nearest(inverse: Any, u: float, v: float, radius: int, nearest: Any) -
 
 
 @inline
-def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, terms: int, equations: Any) -> int:
+def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, equations: Any) -> int:
     """Write the equations of a fit to the pixels of a disc that belong to one surface, and return how many do."""
     middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
     equations[:] = 0.0
-    equations[0, terms + 1] = 1.0
+    equations[0, _TERMS + 1] = 1.0
     same = 0
     for row in range(max(middle_v - radius, 0), min(middle_v + radius + 1, inverse.shape[0]), _stride(radius)):
         for column in range(max(middle_u - radius, 0), min(middle_u + radius + 1, inverse.shape[1]), _stride(radius)):
@@ -99,10 +99,10 @@ def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, terms:
                 continue
             same += 1
             powers = (1.0, x, y, x * x, x * y, y * y)
-            for i in range(terms):
-                for j in range(terms):
+            for i in range(_TERMS):
+                for j in range(_TERMS):
                     equations[i, j] += powers[i] * powers[j]
-                equations[i, terms] += powers[i] * value
+                equations[i, _TERMS] += powers[i] * value
     return same
 
 
@@ -124,12 +124,13 @@ def fit_inverse_depths(
     pixels: Float64Array,
     noise: float,
     radii: Int64Array,
-    terms: Int64Array,
     scratch: Float64Array,
     nearest: Float64Array,
     out: Float64Array,
 ) -> None:
-    """Fit polynomials to inverse depth around dots, over ever wider discs while they agree (Lepski's rule).
+    """Fit quadratics to inverse depth around dots, over ever wider discs while they agree (Lepski's rule).
+
+    Discs of which a hole leaves too little are passed over, until one has enough.
 
     Parameters
     ----------
@@ -139,8 +140,8 @@ def fit_inverse_depths(
         ``(u, v)``.
     noise : float
         Standard deviation of inverse depth, 1/m.
-    radii, terms : int64, shape (K,)
-        Radius of each disc, pixels, and terms of its fit: 3 for a plane, 6 for a quadratic.
+    radii : int64, shape (K,)
+        Of the discs, pixels.
     scratch, nearest : float64, shapes `SCRATCH_SHAPE` and (2, NEAREST)
         Overwritten.
     out : float64, shape (N, 2)
@@ -150,18 +151,18 @@ def fit_inverse_depths(
         u, v = pixels[dot, 0], pixels[dot, 1]
         out[dot, 0], out[dot, 1] = math.nan, math.nan
         low, high = -math.inf, math.inf
-        for size in range(len(radii)):
-            radius, order = radii[size], terms[size]
+        for radius in radii:
             stride = _stride(radius)
-            known = _find_nearest(inverse, u, v, radius, nearest)
-            fewest = order + _FEWEST_OVER_TERMS
-            if known * stride**2 < _FEWEST_SHARE * math.pi * radius**2 or known < fewest:
+            known, same = _find_nearest(inverse, u, v, radius, nearest), 0
+            if known * stride**2 >= _FEWEST_SHARE * math.pi * radius**2 and known >= _FEWEST:
+                same = _gather(inverse, u, v, radius, _median(nearest[1], min(known, NEAREST)), scratch)
+            if same < max(_FEWEST_SHARE * known, _FEWEST) or not _solve(scratch):
+                if math.isnan(out[dot, 0]):
+                    continue
                 break
-            middle = _median(nearest[1], min(known, NEAREST))
-            same = _gather(inverse, u, v, radius, middle, order, scratch)
-            if same < max(_FEWEST_SHARE * known, fewest) or not _solve(scratch, order):
-                break
-            fit, share = scratch[0, order], scratch[0, order + 1]
+            fit, share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
+            if share > 1.0:  # more noise than one pixel has: the dot lies in a hole, where this fit only extrapolates
+                continue
             sigma = noise * min(math.sqrt(share * max(_PIXELS_A_SAMPLE / stride**2, 1.0)), 1.0)
             low, high = max(low, fit - _AGREES_WITHIN * sigma), min(high, fit + _AGREES_WITHIN * sigma)
             if low > high:
@@ -220,6 +221,6 @@ def is_smooth_between(
 def _depth_on_way(depth_m: Any, start: Any, end: Any, place: int, count: int, height: int, width: int) -> float:
     share = place / (count - 1)
     u, v = np.rint(start[0] + share * (end[0] - start[0])), np.rint(start[1] + share * (end[1] - start[1]))
-    if u < 0 or v < 0 or u >= width or v >= height:
+    if not (0 <= u < width and 0 <= v < height):
         return math.nan
     return float(depth_m[int(v), int(u)])

@@ -16,7 +16,6 @@ from .dot_kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, is_smooth_b
 
 #: Radii of the surroundings over which inverse depth is fitted, pixels, and the degree of the fit.
 _RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18))
-_TERMS: Final = np.array((6, 6, 6, 6, 6, 6))
 #: Noise is the scatter over surroundings of this radius, of every other row and column.
 _NOISE_RADIUS_PX: Final = 12
 #: Steepest surface on which neighbouring dots can still be told apart, as a slope against the image plane.
@@ -56,7 +55,7 @@ def dot_points(
     inverse[valid] = 1.0 / (counts[valid] * camera.depth_unit_m)
     fits = np.empty((len(pixels), 2))
     scratch, nearest = np.empty(SCRATCH_SHAPE), np.empty((2, NEAREST))
-    fit_inverse_depths(inverse, pixels, _noise(inverse, pixels), _RADII_PX, _TERMS, scratch, nearest, fits)
+    fit_inverse_depths(inverse, pixels, _noise(inverse, pixels), _RADII_PX, scratch, nearest, fits)
     depth = 1.0 / fits[:, 0]
     rays = camera.intrinsics.normalise(pixels)
     return np.column_stack([rays * depth[:, None], depth]), fits[:, 1] * depth**2

@@ -170,7 +170,7 @@ def indentation_m(frame: SensorFrame, reference: SensorFrame, rig: Rig) -> float
     seen = np.isfinite(moved)
     if not seen.any():
         raise StrainError(
-            f"frames {reference.sequence} and {frame.sequence} have no pixel with tactile depth in common; "
+            f"frame {frame.sequence} and the untouched membrane have no pixel with tactile depth in common; "
             "check that the tactile camera sees the membrane"
         )
     weight, total = (

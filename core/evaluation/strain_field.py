@@ -22,7 +22,7 @@ _LARGEST_RATIO: Final = 1.35
 #: grid, or a spot that is no dot, has been taken for a side; and each side is crossed at least so often.
 _LARGEST_COSINE: Final = 0.5
 _FEWEST_CROSSINGS: Final = 2
-#: How well the middle of a dot is found in a colour image, pixels.
+#: How well the middle of a dot is found in a colour image, pixels: at edges; elsewhere better.
 PIXEL_SIGMA: Final = 0.1
 
 

@@ -80,6 +80,20 @@ class TinySource(SeekableSource):
         self.closed = True
 
 
+class HangingSource(TinySource):
+    """A recording on a disk that answers no more from frame 3 on."""
+
+    def __init__(self):
+        super().__init__()
+        self.hangs, self.go_on = Event(), Event()
+
+    def read(self, index):
+        if index >= 3:
+            self.hangs.set()
+            self.go_on.wait(60)
+        return super().read(index)
+
+
 class LiveSource(FrameSource):
     """Frames that come when the test lets them."""
 

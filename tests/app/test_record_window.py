@@ -8,12 +8,13 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from tactune.app import recording_control
+from tactune.app import recording_control, worker
+from tactune.app.left_threads import wait_for_left
 from tactune.app.worker import SourceRequest
 from tactune.core.recording import container
 from tactune.core.sources.registry import open_source
 
-from .conftest import TinySource, tiny_frame, tiny_rig
+from .conftest import HangingSource, TinySource, tiny_frame, tiny_rig
 from .fake_cameras import FakeCameras
 
 LEFT = Qt.MouseButton.LeftButton
@@ -242,3 +243,21 @@ def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot)
     qtbot.waitUntil(lambda: window.recording_bar._dropped.text() == "3 dropped")
     end(window, qtbot)
     assert "3 frames are missing: the cameras or this computer lost them" in told(window)
+
+
+def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):
+    monkeypatch.setattr(worker, "_PATIENCE_MS", 200)
+    source = HangingSource()
+    window.worker.pause()
+    window.open_request(SourceRequest(source.name, lambda progress: source))
+    qtbot.waitUntil(lambda: window.result is not None)
+    begin(window, qtbot)
+    window.worker.play()
+    qtbot.waitUntil(lambda: source.hangs.is_set() and window.result.playback.index == 2)
+    window.worker.seek(5)  # the worker itself is stuck now
+    window.close_without_asking()
+    qtbot.waitUntil(lambda: not window.isVisible())
+    (path,) = folder.glob("*.mcap")
+    assert len(frames_of(path)) >= 2
+    source.go_on.set()
+    assert wait_for_left(20.0)

@@ -229,7 +229,7 @@ def test_errors_count_frames_as_windows_do_also_where_a_recording_begins_late():
     assert examine(StrainTask(colorless, 4, RIG, 0.01, None)).problem.startswith("frame 4 has no tactile colour")
     nothing = replace(sheet(0), tactile_depth=np.zeros((240, 320), np.uint16))
     problem = examine(StrainTask(frames, 4, RIG, 0.01, nothing)).problem
-    assert problem.startswith("the untouched membrane and frame 4 have no pixel")
+    assert problem.startswith("frame 4 and the untouched membrane have no pixel")
     small = CAMERA.model_copy(update={"intrinsics": LENS.model_copy(update={"width": 300})})
     with pytest.raises(FrameError, match=r"^frame 3: tactile_depth"):
         examine(StrainTask(frames, 4, RIG.model_copy(update={"tactile": small}), 0.01, None))

@@ -1,5 +1,4 @@
 from dataclasses import replace
-from threading import Event
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.sources.registry import open_source
 
-from .conftest import LiveSource, TinySource, tiny_frame, tiny_rig
+from .conftest import HangingSource, LiveSource, TinySource, tiny_frame, tiny_rig
 
 
 class Watched:
@@ -203,20 +202,6 @@ def test_shutting_down_while_a_source_opens(qtbot, preset):
     qtbot.waitUntil(lambda: bool(watched.progress))
     watched.worker.shut_down()
     assert watched.worker.isFinished()
-
-
-class HangingSource(TinySource):
-    """A recording on a disk that answers no more from frame 3 on."""
-
-    def __init__(self):
-        super().__init__()
-        self.hangs, self.go_on = Event(), Event()
-
-    def read(self, index):
-        if index >= 3:
-            self.hangs.set()
-            self.go_on.wait(60)
-        return super().read(index)
 
 
 def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_is_kept(

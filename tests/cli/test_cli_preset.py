@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -106,6 +107,17 @@ def test_new_starts_from_another_preset_and_its_rig(tactune: Tactune, recording:
     preset, shipped = load_preset(third), load_preset("simulator")
     assert (preset.name, preset.rig, preset.alignment.model) == ("other", rig, "homography")
     assert (preset.mask, preset.tolerance) == (shipped.mask, shipped.tolerance)
+
+
+def test_a_start_that_was_made_for_another_rig_is_noted(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    first, second, third = (tmp_path / f"{name}.json" for name in ("first", "second", "third"))
+    rig = load_rig(recording / "rig.json")
+    other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"serial": "another"})})
+    save_preset(Preset(rig=other), first)
+    assert (
+        "calibrate anew" in tactune("preset", "new", "--from", first, "--rig", recording / "rig.json", "-o", second).err
+    )
+    assert tactune("preset", "new", "--from", first, "-o", third).err == ""
 
 
 def test_without_a_rig_anywhere_or_with_nothing_to_start_from_is_one_sentence(tactune: Tactune, tmp_path: Path) -> None:
@@ -267,6 +279,18 @@ def test_validate_says_what_reading_an_older_file_leaves_different(
     finished = tactune("preset", "validate", file)
     assert finished.status == 0
     assert finished.out == f"{file}: good, preset 'old' for any rig{said}\n"
+
+
+def test_validate_reads_what_can_be_read_only_once(tactune: Tactune, tmp_path: Path) -> None:
+    beside = tmp_path / "beside.json"
+    save_preset(Preset(name="beside"), beside)
+    read, write = os.pipe()
+    os.write(write, preset_json(Preset(name="from a pipe")).encode())
+    os.close(write)
+    found = tactune("preset", "validate", f"/dev/fd/{read}", beside)
+    os.close(read)
+    assert found.status == 0
+    assert "'from a pipe'" in found.out and "'beside'" in found.out
 
 
 def test_schema_is_the_schema(tactune: Tactune) -> None:

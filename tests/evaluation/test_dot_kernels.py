@@ -61,6 +61,18 @@ def test_a_bump_is_not_flattened_by_what_lies_around():
     assert points[0, 2] == pytest.approx(1 / 18.3, abs=0.04 / 18**2)
 
 
+@pytest.mark.parametrize("hole_px", [1.5, 2.0, 2.5, 3.0])
+def test_a_dot_whose_own_depth_is_missing_takes_that_around_it(hole_px):
+    """Stereo matching finds nothing in dark dots."""
+    v, u = np.indices(LENS.shape).astype(float)
+    counts = counts_of(quadratic(u, v))
+    for dot in PIXELS:
+        counts[np.hypot(u - dot[0], v - dot[1]) <= hole_px] = 0
+    inner = PIXELS[[0, 3]]
+    points, _ = dot_points(counts, CAMERA, inner)
+    assert np.abs(points[:, 2] - 1 / quadratic(*inner.T)).max() < 5e-5
+
+
 def test_where_there_is_no_depth_there_is_no_place():
     counts = np.full(LENS.shape, 50_000, np.uint16)
     counts[30:60, 40:80] = 0
@@ -76,6 +88,10 @@ def test_a_way_between_pixels_is_smooth_as_numpy_says(seed):
     depth[rng.random(depth.shape) < rng.choice([0.0, 0.3, 0.6])] = np.nan
     start, end = rng.uniform((-6, -6), (46, 36), (2, 2))
     assert surface_between(depth, 100.0, start, end) == numpy_says(depth, 100.0, start, end)
+
+
+def test_a_way_from_nowhere_is_not_smooth():
+    assert not surface_between(np.full((30, 40), 0.1), 100.0, np.array((np.nan, 5.0)), np.array((5.0, 5.0)))
 
 
 def numpy_says(depth, focal_px, start, end):
