@@ -41,12 +41,12 @@ class ToolBar(QToolBar):
 
     def show_source(self, name: str) -> None:
         """Name the source on its button."""
-        self.source.setText(f"Source: {_shortened(name)}")
+        self.source.setText(f"Source: {_literal(_shortened(name))}")
         self.source.setToolTip(f"Where the frames come from\n{name}")
 
     def show_preset(self, title: str, path: Path | None) -> None:
         """Name the preset on its button, with the unsaved mark."""
-        self.preset.setText(f"Preset: {_shortened(title)}")
+        self.preset.setText(f"Preset: {_literal(_shortened(title))}")
         self.preset.setToolTip(f"The preset being tuned\n{path or 'not saved to a file yet'}")
 
     def fill_menus(
@@ -73,7 +73,7 @@ def _fill(menu: QMenu, entries: Callable[[], list[str]], choose: Callable[[str],
     menu.clear()
     names = entries()
     for name in names:
-        entry = menu.addAction(name.replace("&", "&&"))
+        entry = menu.addAction(_literal(name))
         if entry is not None:
             entry.triggered.connect(partial(_chosen, choose, name))
     if not names:
@@ -97,3 +97,8 @@ def _menu_button(menu: QMenu, tip: str) -> QPushButton:
 def _shortened(text: str) -> str:
     """Keep the end of a long text: of a path, that is what tells it from others."""
     return text if len(text) <= _LONGEST_NAME else f"…{text[1 - _LONGEST_NAME :]}"
+
+
+def _literal(text: str) -> str:
+    """Double each &, which Qt would take for the mark of a key and not show."""
+    return text.replace("&", "&&")

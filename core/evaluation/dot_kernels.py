@@ -196,22 +196,18 @@ def is_smooth_between(
     if 2 * seen < count:
         return False
     apart = min(apart, seen - 1)
-    behind, behind_at, lag = math.nan, 0, 0
+    behind_at, lag = -1, 0
     for place in range(count):
         ahead = _depth_on_way(depth_m, start, end, place, count, height, width)
         if math.isnan(ahead):
             continue
         lag += 1
-        if lag == 1:
-            behind, behind_at = ahead, place
         if lag <= apart:
             continue
-        if lag > apart + 1:
+        behind = math.nan
+        while math.isnan(behind):
             behind_at += 1
             behind = _depth_on_way(depth_m, start, end, behind_at, count, height, width)
-            while math.isnan(behind):
-                behind_at += 1
-                behind = _depth_on_way(depth_m, start, end, behind_at, count, height, width)
         if abs(ahead - behind) > steepest * (place - behind_at) * ahead / focal_px:
             return False
     return True

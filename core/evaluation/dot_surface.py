@@ -14,7 +14,7 @@ from ..frames import DepthCamera, Float64Array
 from ..intrinsics import Intrinsics
 from .dot_kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, is_smooth_between
 
-#: Radii of the surroundings over which inverse depth is fitted, pixels, and the degree of the fit.
+#: Radii of the surroundings over which inverse depth is fitted, pixels.
 _RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18))
 #: Noise is the scatter over surroundings of this radius, of every other row and column.
 _NOISE_RADIUS_PX: Final = 12

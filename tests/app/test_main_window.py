@@ -298,6 +298,14 @@ def test_a_source_that_cannot_be_opened_is_said(window, qtbot):
     assert window.toolbar.source.text() == "Source: tiny"
 
 
+def test_names_on_buttons_keep_their_ampersands(window):
+    """Qt shows && as & and takes a single one for the mark of a key."""
+    window.toolbar.show_source("sim:cup?press=low&grid=dots")
+    window.toolbar.show_preset("dots & cup", None)
+    assert window.toolbar.source.text().endswith("press=low&&grid=dots")
+    assert window.toolbar.preset.text() == "Preset: dots && cup"
+
+
 def test_a_single_frame_has_nothing_to_play(make_window, qtbot):
     window = make_window()
     opened(window, TinySource(length=1), qtbot)
