@@ -18,9 +18,9 @@ def default_preset(source: str) -> str:
     plain = source.removeprefix("live:")
     path = user_path(plain.removeprefix("mcap:"))
     if path.suffix == ".mcap" and path.is_file():
-        from ..core.preset_file import recorded_preset
+        from ..core.preset_file import load_preset
 
         with suppress(TactuneError):  # opening the source tells what is wrong with it
-            if recorded_preset(path) is not None:
-                return str(path)
+            load_preset(path)
+            return str(path)
     return "simulator" if plain.partition(":")[0] == "sim" else "default"

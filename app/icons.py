@@ -107,6 +107,12 @@ def _record(painter: QPainter) -> None:
     painter.drawEllipse(QPointF(8, 8), 5, 5)
 
 
+def _more(painter: QPainter) -> None:
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    for left in (2.5, 8.5):
+        painter.drawPolyline(QPolygonF([QPointF(left, 5), QPointF(left + 4.5, 8), QPointF(left, 11)]))
+
+
 _DRAWINGS: dict[str, Draw] = {
     "play": _play,
     "pause": _pause,
@@ -117,9 +123,10 @@ _DRAWINGS: dict[str, Draw] = {
     "reset": _reset,
     "export": _export,
     "record": _record,
+    "more": _more,
 }
 
 
 def icon(name: str) -> QIcon:
-    """Return an icon by its name: play, pause, next, previous, loop, freeze, reset, export, record."""
+    """Return an icon by its name: play, pause, next, previous, loop, freeze, reset, export, record, more."""
     return QIcon(_PaletteIcon(_DRAWINGS[name]))

@@ -132,16 +132,19 @@ class Recorder:
         """Show frames to nobody else any more."""
         self._watcher = None
 
-    def put(self, frame: SensorFrame, *, wait: bool = False) -> None:
+    def put(self, frame: SensorFrame, number: int | None = None, *, wait: bool = False) -> None:
         """Record a frame, if there is a recording; one that does not fit its rig counts as dropped.
 
         Parameters
         ----------
         frame : SensorFrame
+        number : int, optional
+            As windows show it, for messages; default: that of a live frame.
         wait : bool
             Wait while the disk is behind. Live frames do not wait: what finds no room is counted.
         """
-        self._show(frame)
+        number = frame.sequence + 1 if number is None else number
+        self._show(frame, number)
         if self._writer is None:
             return
         problem = ""
@@ -152,7 +155,7 @@ class Recorder:
                 except FrameError:
                     self._refused += 1
                 except Exception as error:
-                    problem = explain(error, f"frame {frame.sequence} could not be recorded")
+                    problem = explain(error, f"frame {number} could not be recorded")
         if problem:
             self.stop(problem)
 
@@ -173,7 +176,7 @@ class Recorder:
             thread.join()
         self._finishing.clear()
 
-    def _show(self, frame: SensorFrame) -> None:
+    def _show(self, frame: SensorFrame, number: int) -> None:
         watcher = self._watcher
         if watcher is None:
             return
@@ -182,7 +185,7 @@ class Recorder:
         except Exception as error:  # the thread that reads must go on
             if self._watcher is watcher:
                 self._watcher = None
-            watcher.failed(explain(error, f"frame {frame.sequence} could not be watched"))
+            watcher.failed(explain(error, f"frame {number} could not be watched"))
 
     def _finish(self, writer: Writer, reason: str) -> None:
         try:

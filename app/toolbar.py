@@ -10,6 +10,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
 
 from .actions import Actions, Menus
+from .icons import icon
 from .transport import Transport
 
 _LONGEST_NAME = 28
@@ -37,7 +38,16 @@ class ToolBar(QToolBar):
             button.setDefaultAction(action)
             button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
             self.addWidget(button)
+        self._name_extension()
         self.show_source("none")
+
+    def _name_extension(self) -> None:
+        """Draw and name Qt's button for what finds no room; its own arrow is black in every theme, and nameless."""
+        extension = self.findChild(QToolButton, "qt_toolbar_ext_button")
+        assert extension is not None
+        extension.setIcon(icon("more"))
+        extension.setToolTip("More actions")
+        extension.setAccessibleName("More actions")
 
     def show_source(self, name: str) -> None:
         """Name the source on its button."""

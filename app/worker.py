@@ -325,7 +325,7 @@ class Worker(QThread):
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return
         if self._live is None and self._frame is not None:
-            self.recorder.put(self._frame, wait=True)  # a recording of a recording begins with what is shown
+            self.recorder.put(self._frame, self._playback.state.index + 1, wait=True)  # begins with what is shown
         self.recordingStarted.emit(path)
 
     def _stand_still(self) -> None:
@@ -346,7 +346,7 @@ class Worker(QThread):
     def _advance(self) -> None:
         index = self._playback.next_index()
         if index is not None and (frame := self._show(index)) is not None:
-            self.recorder.put(frame, wait=True)
+            self.recorder.put(frame, index + 1, wait=True)
 
     def _show(self, index: int) -> SensorFrame | None:
         """Read frame ``index`` of a recording, process and post it; return it."""

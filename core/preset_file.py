@@ -47,6 +47,8 @@ def load_preset(path_or_name: Path | str) -> Preset:
     ------
     PresetError
         No such file, not a preset, or a field that is unknown or out of range.
+    SourceError
+        The ``.mcap`` file is no recording.
     """
     return load_preset_and_note(path_or_name)[0]
 
@@ -58,23 +60,18 @@ def load_preset_and_note(path_or_name: Path | str) -> tuple[Preset, str]:
     -------
     preset : Preset
     note : str
-        Such as ``"written as schema 5, read as 6: the balanced edge stays off (...)"``; empty for the present version
-        and for a recording.
+        Such as ``"written as schema 5, read as 6: the balanced edge stays off (...)"``; empty for the present version.
     """
-    path = Path(path_or_name)
-    if path.suffix == ".mcap" and path.is_file():
-        preset = recorded_preset(path)
-        if preset is None:
-            raise PresetError(f"{path} holds no preset: it was recorded without; name a preset file")
-        return preset, ""
     text, origin = _text_and_origin(path_or_name)
     document = _parse_document(text, origin)
     return parse_preset(migrate(document, origin), origin), migration_note(document)
 
 
 def _text_and_origin(path_or_name: Path | str) -> tuple[str, str]:
-    """Return the text of a preset file or of a shipped preset, and what messages call it."""
+    """Return the text of a preset file, of a recording's preset or of a shipped one, and what messages call it."""
     path = Path(path_or_name)
+    if path.suffix == ".mcap" and path.is_file():
+        return _recorded_text(path)
     if str(path_or_name) in shipped_presets() and not path.is_file():
         resource = importlib.resources.files("tactune.presets") / f"{path_or_name}.json"
         return resource.read_text("utf-8"), f"shipped preset {path_or_name}"
@@ -94,20 +91,14 @@ def _text_and_origin(path_or_name: Path | str) -> tuple[str, str]:
     return text, str(path)
 
 
-def recorded_preset(path: Path) -> Preset | None:
-    """Return the preset inside a recording (``.mcap``), or None where it was recorded without.
-
-    Raises
-    ------
-    SourceError
-        The file is no recording.
-    PresetError
-        The preset is none that this version can use.
-    """
+def _recorded_text(path: Path) -> tuple[str, str]:
     from .sources.mcap import McapSource
 
     with McapSource(path) as recording:
-        return recording.preset()
+        found = recording.preset_text()
+    if found is None:
+        raise PresetError(f"{path} holds no preset: it was recorded without; name a preset file")
+    return found
 
 
 def shipped_presets() -> list[str]:

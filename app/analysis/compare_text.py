@@ -21,7 +21,7 @@ COLUMNS: tuple[tuple[str, str, str], ...] = (
 )
 MISSING = "–"
 _CSV_HEADER = (
-    "source,preset,frame,method,median_ms,points,area_mm2,symmetric_rmse_mm,iou,precision,recall,remark"
+    "source,preset,frame,method,averaged_frames,median_ms,points,area_mm2,symmetric_rmse_mm,iou,precision,recall,remark"
 )  # fmt: skip
 
 
@@ -67,7 +67,9 @@ def comparison_csv(comparison: Comparison) -> str:
     writer.writerow(_CSV_HEADER.split(","))
     for outcome in comparison.outcomes:
         scores = outcome.scores
+        averages = outcome.name != TRUTH and scores.points is not None
         numbers = (
+            outcome.averaged_frames if averages else None,
             outcome.ms,
             scores.points,
             scores.area_mm2,

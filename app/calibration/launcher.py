@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
@@ -92,7 +93,8 @@ class CalibrationLauncher(QObject):
     def _check(self) -> None:
         if self.recheck is not None and self._result is not None:
             document, result = self._document, self._result
-            self.recheck.check(document.preset, result.source.rig, result.frame, document.reference_home)
+            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
+            self.recheck.check(document.preset, result.source.rig, frame, document.reference_home)
 
     def _wizard_closed(self) -> None:
         if self.wizard is not None:

@@ -78,6 +78,12 @@ def find_proposals(
 
 
 def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Proposals:
+    for snapshot in snapshots:
+        if snapshot.frame.tactile_color is None:
+            raise CalibrationError(
+                f"{snapshot.name}: there is no tactile colour image, so no texture to match; "
+                "detect a target or click the points"
+            )
     progress(0.1, f"Matching droplets in {_snapshots(len(snapshots))}")
     matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
     pairs = tuple(

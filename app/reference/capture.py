@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from queue import Empty, SimpleQueue
 from typing import Final
 
@@ -104,7 +104,8 @@ class Capture(QObject):
         self._return_to = playback.index if still and playback.seekable else None
         self._played = self._running = not still
         self._taken_before = 0
-        self._job.start(lambda progress: self._average(_arriving(queue, different, progress), count))
+        shift = playback.index + 1 - frame.sequence
+        self._job.start(lambda progress: self._average(_arriving(queue, different, progress), count, shift))
         self._take(frame)
         if self._wanted and still:
             self._feed.play()
@@ -189,8 +190,10 @@ class Capture(QObject):
         with open_source(name, opening) as source, frames_to_average(source, count, untouched) as frames:
             return self._average(_counted_out(frames, count, progress), count)
 
-    def _average(self, frames: Iterator[SensorFrame], asked: int) -> Captured:
-        averaged = average_untouched(frames)
+    def _average(self, frames: Iterator[SensorFrame], asked: int, shift: int = 0) -> Captured:
+        """Average frames; errors name them by their numbers ``shift`` further on, the reference keeps its own."""
+        averaged = average_untouched(replace(frame, sequence=frame.sequence + shift) for frame in frames)
+        averaged = replace(averaged, frame=replace(averaged.frame, sequence=averaged.frame.sequence - shift))
         return Captured(averaged, self._store.keep(averaged.frame, averaged.frames), asked)
 
     def _done(self, captured: Captured) -> None:

@@ -110,8 +110,13 @@ class McapSource(SeekableSource):
         PresetError
             It is none that this version can use.
         """
+        found = self.preset_text()
+        return None if found is None else preset_from_text(*found)
+
+    def preset_text(self) -> tuple[str, str] | None:
+        """Return the text of the preset and what messages call it, or None where there is none."""
         data = self._file.attachment(PRESET_NAME)
-        return None if data is None else preset_from_text(_text(data), f"{PRESET_NAME} in {self._path}")
+        return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
 
     def reference(self) -> SensorFrame | None:
         """Return the frame of the untouched membrane, or None where there is none."""

@@ -14,6 +14,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel, QStyle, QStyleOptionViewItem
 
 from tactune.app.analysis import comparer
+from tactune.app.analysis.compare_text import comparison_csv
+from tactune.app.analysis.comparer import Scores
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.app.left_threads import wait_for_left
 from tactune.app.opening import SourceRequest
@@ -338,8 +340,16 @@ def test_a_comparison_is_saved_as_a_picture_and_as_numbers(qtbot, window, tab, t
     assert QImage(str(path)).width() > 400
     rows = list(csv.DictReader((tmp_path / "compared.csv").read_text().splitlines()))
     assert [row["method"] for row in rows] == [TRUTH, "fusion-rigid", "tactile-only"]
+    assert [row["averaged_frames"] for row in rows] == ["", "1", "1"]
     assert float(rows[1]["symmetric_rmse_mm"]) == pytest.approx(outcomes(tab)["fusion-rigid"].scores.rmse_mm, rel=1e-4)
     assert rows[0]["median_ms"] == "" and rows[0]["frame"] == "3"
+
+
+def test_numbers_say_over_how_many_frames_a_patch_was_averaged(tab):
+    averaged = [replace(outcome, averaged_frames=7) for outcome in tab.comparison.outcomes]
+    failed = replace(averaged[1], scores=Scores(), note="failed", averaged_frames=1)
+    text = comparison_csv(replace(tab.comparison, outcomes=(*averaged, failed)))
+    assert [row["averaged_frames"] for row in csv.DictReader(text.splitlines())] == ["", "7", "7", ""]
 
 
 def test_a_csv_of_somebody_else_is_not_replaced(qtbot, window, tab, tmp_path):

@@ -71,6 +71,29 @@ def test_an_order_that_fails_is_reported_and_the_worker_goes_on(watched, qtbot, 
     qtbot.waitUntil(lambda: watched.last is not None)
 
 
+class LateSource(TinySource):
+    """A recording that begins with frame 500 of its cameras."""
+
+    def read(self, index):
+        return tiny_frame(500 + index, self.rig)
+
+
+def test_what_goes_wrong_in_recording_is_said_of_the_frame_that_the_window_shows(watched, qtbot, tmp_path):
+    def refuse(frame):
+        raise RuntimeError("broken")
+
+    told, worker = [], watched.worker
+    worker.recorder.watch(refuse, told.append)
+    watched.open(LateSource())
+    qtbot.waitUntil(lambda: told == ["Frame 1 could not be watched (RuntimeError: broken)."])
+    worker.pause()
+    worker.seek(5)
+    qtbot.waitUntil(lambda: watched.shows(5))
+    worker.recorder.watch(refuse, told.append)
+    worker.start_recording(tmp_path / "a.mcap")
+    qtbot.waitUntil(lambda: told[1:] == ["Frame 6 could not be watched (RuntimeError: broken)."])
+
+
 def test_plays_loops_and_pauses(watched, qtbot):
     watched.open(TinySource(length=3))
     qtbot.waitUntil(lambda: {result.playback.index for result in watched.results} == {0, 1, 2})

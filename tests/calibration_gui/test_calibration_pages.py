@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -16,11 +17,12 @@ from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.overlay import OverlayMode, make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
 from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
-from tactune.app.calibration.proposals import Helper
+from tactune.app.calibration.proposals import Helper, HelperOptions, find_proposals
 from tactune.app.calibration.recheck_window import RecheckWindow
 from tactune.app.calibration.session import Session
-from tactune.app.calibration.state import PointPair, SessionState
+from tactune.app.calibration.state import Choices, PointPair, SessionState, Snapshot
 from tactune.app.playback import PlaybackState
+from tactune.core.errors import CalibrationError
 from tactune.core.frames import SensorFrame
 from tactune.core.preset import Preset
 
@@ -275,6 +277,12 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert document.preset.tolerance.t == pytest.approx(
         wizard.outcome.report.chosen.effect.supported_tolerance, abs=1e-4
     )
+
+
+def test_texture_without_a_colour_image_is_said_of_the_snapshot(scene, frames):
+    snapshot = Snapshot("digest", "Frames 3 to 7", replace(frames[0.2], tactile_color=None), 5, 0.0)
+    with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: there is no tactile colour image"):
+        find_proposals(HelperOptions(), [snapshot], Choices(), scene.rig, lambda *_: None)
 
 
 # Re-check

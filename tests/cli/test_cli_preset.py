@@ -281,6 +281,24 @@ def test_validate_says_what_reading_an_older_file_leaves_different(
     assert finished.out == f"{file}: good, preset 'old' for any rig{said}\n"
 
 
+def test_validate_says_the_same_of_a_preset_within_a_recording(
+    tactune: Tactune, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    old, new = tmp_path / "old.mcap", tmp_path / "new.mcap"
+    record = ("record", "--source", recording, "--preset", "default", "--out")
+    assert tactune(*record, new).status == 0
+    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": 5, "contact_test": "calibrated"}
+    text = json.dumps(document | {"calibrated": _CALIBRATED_5})
+    monkeypatch.setattr("tactune.core.recording.bag.preset_json", lambda preset: text)
+    assert tactune(*record, old).status == 0
+    finished = tactune("preset", "validate", old, new)
+    assert finished.status == 0
+    assert finished.out.splitlines() == [
+        f"{old}: good, preset 'old' for any rig, written as schema 5, read as 6: {_NO_BALANCE}",
+        f"{new}: good, preset 'default' for any rig",
+    ]
+
+
 def test_validate_reads_what_can_be_read_only_once(tactune: Tactune, tmp_path: Path) -> None:
     beside = tmp_path / "beside.json"
     save_preset(Preset(name="beside"), beside)
