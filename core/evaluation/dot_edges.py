@@ -1,4 +1,4 @@
-"""Dots at edges, where the surface turns away or is hidden: what is theirs, and where their middle is."""
+"""The surface that an image of depth shows, with its edges, and the dots of which these hide a part."""
 
 from __future__ import annotations
 
@@ -18,15 +18,12 @@ BoolArray = npt.NDArray[np.bool_]
 
 #: Neighbouring pixels whose slope against the image plane is beyond this show different parts of the surface.
 _STEP: Final = 2 * STEEPEST
-#: So near to a step slopes are fitted to the own side of it, and spots' middles are sought on the bent surface, pixels.
+#: So near to a step slopes are fitted to the own side of it, pixels.
 _SLOPES_NEAR_PX: Final = 5
-_BENT_NEAR_PX: Final = 8
 #: Radius of those fits, pixels, the fewest pixels in them, and the depth over which a side reaches at most, as a share.
 _RADIUS_PX: Final = 3
 _FEWEST_PX: Final = 10
 _SAME_SIDE: Final = 0.04
-#: A middle is moved at most by this share of its spot's size.
-_FARTHEST_SHARE: Final = 0.2
 #: A spot at a step is a whole dot where its area, over that of the square of the grid around it, is within these
 #: multiples of what it is elsewhere; below, a part is hidden, and beyond, more than a dot is in it.
 _WHOLE_AREA: Final = (0.75, 1.8)
@@ -68,6 +65,12 @@ class SeenSurface:
             )
         return cls(depth_m, intrinsics, area, right, down)
 
+    def slopes(self, pixels: Float64Array) -> Float64Array:
+        """Return the changes of depth, metres, to the next pixel along u and v at pixels, (N, 2); 0 where not known."""
+        columns, rows = np.rint(pixels).astype(np.intp).T
+        slopes, enough = _slopes_of_own_side(self.depth_m, rows, columns)
+        return np.where(enough[:, None], slopes, 0.0)
+
     def near_step(self, reach_px: int) -> BoolArray:
         """Tell the pixels so near to a step, shape (H, W)."""
         return _near(self.step_right, self.step_down, reach_px)
@@ -98,59 +101,26 @@ class SeenSurface:
         stats[:, 4] = np.bincount(labels.ravel(), minlength=count)
         return labels, stats
 
-    def middle(self, weight: Float64Array, left: int, top: int) -> Float64Array | None:
-        """Return the pixel, (u, v), that shows the middle of a spot, on the surface however it bends.
+    def part(self, part: tuple[slice, slice]) -> SeenSurface:
+        """Return a part of it, of rows and columns; its pixels are numbered anew, so it has no rays."""
+        rows, columns = part
+        depth = self.depth_m[part]
+        height, width = depth.shape
+        return SeenSurface(
+            depth,
+            self.intrinsics,
+            self.area_m2[part],
+            self.step_right[rows, columns][:, : width - 1],
+            self.step_down[rows, columns][: height - 1],
+        )
 
-        The mean of the pixels of a spot is not its middle where the surface turns away: the half that is seen at a
-        lower angle is shorter in the image. So the mean is taken in the tangent plane, and pixels are fitted over it.
-
-        Parameters
-        ----------
-        weight : float64, shape (h, w)
-            Of a part of the image, 0 outside of the spot.
-        left, top : int
-            Where that part begins.
-        """
-        depth = self.depth_m[top : top + weight.shape[0], left : left + weight.shape[1]]
-        own = (weight > 0) & np.isfinite(depth)
-        if not own.any():
-            return None
-        middle = float(np.median(depth[own]))
-        rows, columns = np.nonzero(np.abs(depth - middle) <= _SAME_SIDE * middle)
-        if len(rows) < _FEWEST_PX:
-            return None
-        pixels = np.column_stack([columns + left, rows + top]).astype(np.float64)
-        z, share = depth[rows, columns], weight[rows, columns]
-        points = np.column_stack([self.intrinsics.normalise(pixels) * z[:, None], z])
-        around = points - share @ points / share.sum()
-        _, directions = np.linalg.eigh((share[:, None] * around).T @ around)
-        tangent = around @ directions[:, 1:]
-        x, y = (tangent / np.abs(tangent).max()).T
-        design = np.stack([np.ones(len(x)), x, y, x * x, x * y, y * y], axis=1)
-        return np.asarray(np.linalg.lstsq(design, pixels, rcond=None)[0][0])
-
-
-def bent_middles(
-    surface: SeenSurface,
-    weight: Float64Array,
-    labels: npt.NDArray[np.int32],
-    stats: npt.NDArray[np.int32],
-    numbers: npt.NDArray[np.intp],
-    pixels: Float64Array,
-) -> Float64Array:
-    """Return the middles, (N, 2), of spots with numbers, (N,): those near a step on the bent surface."""
-    moved, near = pixels.copy(), surface.near_step(_BENT_NEAR_PX)
-    for place, number in enumerate(numbers):
-        u, v = np.rint(pixels[place]).astype(int)
-        if not near[v, u]:
-            continue
-        left, top, width, height = stats[number, :4]
-        left, top = left - 1, top - 1  # a dot at the image's rim is none, so there is a pixel around each
-        part = (slice(top, top + height + 2), slice(left, left + width + 2))
-        middle = surface.middle(np.where(labels[part] == number, weight[part], 0.0), left, top)
-        if middle is not None and (np.abs(middle - pixels[place]) <= _FARTHEST_SHARE * stats[number, 2:4]).all():
-            moved[place] = middle
-    return moved
+    def side_of(self, spot: BoolArray) -> BoolArray:
+        """Tell the pixels of the surface that a spot is on: about as far, and no step between; shape (H, W)."""
+        middle = float(np.median(self.depth_m[spot]))
+        labels, _ = self.regions(np.abs(self.depth_m - middle) <= _SAME_SIDE * middle)
+        own = np.bincount(labels[spot], minlength=1)
+        own[0] = 0
+        return np.asarray((labels == own.argmax()) & (labels > 0))
 
 
 def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Array, at_step: BoolArray) -> BoolArray:

@@ -11,7 +11,8 @@ import numpy.typing as npt
 
 from ..calibration.detect import to_gray
 from ..frames import Float64Array
-from .dot_edges import SeenSurface, bent_middles
+from .dot_edges import SeenSurface
+from .dot_middles import middles_on_bends
 
 #: Widest dots looked for, pixels; the search tries one after the other.
 DOT_WIDTHS_PX: Final = (11, 21, 41)
@@ -79,12 +80,28 @@ def find_dots(image: npt.NDArray[Any], width_px: int, surface: SeenSurface) -> S
     total, means = _means(labels, beside_step, darkness, len(stats))
     numbers = _dot_like(stats, gray.shape, width_px)
     numbers = numbers[total[numbers] > 0]
-    weight = np.maximum(smooth - grain, 0.0) * surface.area_m2
-    middles = bent_middles(surface, weight, labels, stats, numbers, means[numbers])
     area, beside = (
         np.bincount(labels.ravel(), of.ravel(), len(stats))[numbers] for of in (surface.area_m2, beside_step)
     )
-    return Spots(middles, np.asarray(area, np.float64), beside > 0)
+    ink = _ink(gray, contrast, labels, numbers)
+    middles, printed = middles_on_bends(surface, gray, labels, numbers, means[numbers], ink)
+    return Spots(middles, np.asarray(area, np.float64), beside > 0).some(printed)
+
+
+def _ink(
+    gray: npt.NDArray[np.uint8],
+    contrast: npt.NDArray[np.float32],
+    labels: npt.NDArray[np.int32],
+    numbers: npt.NDArray[np.intp],
+) -> float:
+    """Return how much darker the darkest pixel of most spots is than what surrounds it, as a share."""
+    if len(numbers) == 0:
+        return 0.0
+    inside = labels > 0
+    darker = contrast[inside] / np.maximum(gray[inside] + contrast[inside], 1.0)
+    most = np.zeros(int(labels.max()) + 1)
+    np.maximum.at(most, labels[inside], darker)
+    return float(np.median(most[numbers]))
 
 
 def _means(

@@ -10,7 +10,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import cv2
 import numpy as np
@@ -22,7 +22,9 @@ from ..errors import TactuneError
 from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
 from .dot_edges import SeenSurface, whole_dots
 from .dot_lattice import DotLattice, IntArray, order_dots
-from .dot_surface import dot_points, surface_between
+from .dot_proximity import TouchedPlaces
+from .dot_surface import dot_points, inverse_noise, surface_between
+from .dot_triangulation import PlacedDots, triangulate
 from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .strain_field import AxisStrain, axis_strain, crossed
 
@@ -31,10 +33,16 @@ SPACING_M: Final = 0.010
 SPACING_RANGE_M: Final = (0.001, 0.1)
 #: Dots in order below which there is no grid, and their share of all dark spots where they are.
 _FEWEST_DOTS, _FEWEST_SHARE = 16, 0.5
+#: A spot so near to the middle between two, as a share of their distance, lies between them.
+_BETWEEN_SHARE: Final = 0.25
 #: Spots of different sizes that are nearer are one.
 _SAME_SPOT_PX: Final = 3.0
 #: Depth is averaged over this much before indentations are compared, as a Gaussian's sigma, pixels.
 _INDENTATION_SIGMA_PX: Final = 4.0
+
+
+#: Finds spots in an image.
+Finder = Callable[[npt.NDArray[Any]], Spots]
 
 
 class StrainError(TactuneError):
@@ -87,8 +95,13 @@ class StrainMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Dots in order, where they are in space, and the neighbours along length and width that are believed."""
+    """Dots in order, where they are in space, and the neighbours along length and width that are believed.
 
+    ``find`` is how they were found in an image.
+    """
+
+    find: Finder
+    surface: SeenSurface
     pixels: Float64Array
     points_m: Float64Array
     depth_sigma_m: Float64Array
@@ -125,18 +138,18 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
     grid = _find_grid(frame, depth_m, camera)
-    pixels, points, lattice = grid.pixels, grid.points_m, grid.lattice
+    dots, lattice = _sharpened(grid, frame, rig), grid.lattice
     places = np.column_stack([lattice.piece, lattice.cells])
     axes = []
     for pairs, name in zip(grid.sides, ("length", "width"), strict=True):
-        strain = axis_strain(pairs, points, grid.depth_sigma_m, camera.intrinsics.fx, spacing_m, places)
+        strain = axis_strain(pairs, dots.points_m, dots.covariance_m2, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
-                f"frame {frame.sequence}: {len(pixels)} dots are seen, but no neighbours along the {name} have depth; "
-                "see that the tactile camera's depth covers the membrane"
+                f"frame {frame.sequence}: {len(dots.pixels)} dots are seen, but no neighbours along the {name} have "
+                "depth; see that the tactile camera's depth covers the membrane"
             )
         axes.append(strain)
-    return StrainMeasurement(pixels, points, lattice, *axes)
+    return StrainMeasurement(dots.pixels, dots.points_m, lattice, *axes)
 
 
 def check_spacing(spacing_m: float) -> None:
@@ -194,16 +207,29 @@ def _usable(depth_m: Float64Array, focal_px: float, pixels: Float64Array, points
 
 
 def _sides(
-    lattice: DotLattice, depth_m: Float64Array, focal_px: float, pixels: Float64Array, points: Float64Array
+    lattice: DotLattice,
+    depth_m: Float64Array,
+    focal_px: float,
+    pixels: Float64Array,
+    points: Float64Array,
+    all_spots: cKDTree,
 ) -> tuple[IntArray, IntArray]:
     """Return the neighbours along the length and along the width whose distance can be believed."""
     usable = []
     for axis in (1, 0):
-        pairs = lattice.neighbours(axis)
+        pairs = _without_one_between(lattice.neighbours(axis), pixels, all_spots)
         seen = [_usable(depth_m, focal_px, pixels[pair], points[pair]) for pair in pairs]
         usable.append(pairs[np.array(seen, bool)])
     along, across = usable
     return along[crossed(along, across, points)], across[crossed(across, along, points)]
+
+
+def _without_one_between(pairs: IntArray, pixels: Float64Array, all_spots: cKDTree) -> IntArray:
+    """Return the pairs that skip no dot: rows that have grown apart by a wrong step may do where they meet."""
+    ends = pixels[pairs]
+    gap, _ = all_spots.query(ends.mean(axis=1)) if len(pairs) else (np.empty(0), None)
+    kept: IntArray = pairs[gap > _BETWEEN_SHARE * np.hypot(*(ends[:, 1] - ends[:, 0]).T)]
+    return kept
 
 
 def _ordered_anew(
@@ -228,14 +254,20 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
     """Return the dots in order, from the dot size, or all together, that gives most neighbours to believe."""
     assert frame.tactile_color is not None
     surface = SeenSurface.of(depth_m, camera.intrinsics)
-    found = [find_dots(frame.tactile_color, width_px, surface) for width_px in DOT_WIDTHS_PX]
+    sizes: list[Finder] = [partial(find_dots, width_px=width_px, surface=surface) for width_px in DOT_WIDTHS_PX]
+    found = [find(frame.tactile_color) for find in sizes]
+
+    def find_all(image: npt.NDArray[Any]) -> Spots:
+        return _merged([find(image) for find in sizes])
+
     grids = []
-    for spots in [*found, _merged(found)]:
+    for find, spots in zip([*sizes, find_all], [*found, _merged(found)], strict=True):
         lattice = order_dots(spots.pixels, partial(_linked, depth_m, camera.intrinsics.fx, spots.pixels))
         ordered = lattice.piece >= 0
         if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(spots)):
             kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
-            grids.append(_in_space(spots.some(ordered), kept, frame.tactile_depth, depth_m, camera))
+            tree = cKDTree(spots.pixels)
+            grids.append(_in_space(find, spots.some(ordered), tree, kept, frame.tactile_depth, surface, camera))
     if not grids:
         most = max(map(len, found))
         raise StrainError(
@@ -247,21 +279,35 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
 
 
 def _in_space(
+    find: Finder,
     spots: Spots,
+    all_spots: cKDTree,
     lattice: DotLattice,
     counts: npt.NDArray[np.uint16],
-    depth_m: Float64Array,
+    surface: SeenSurface,
     camera: DepthCamera,
 ) -> _Grid:
     """Bring dots into space, and those that no neighbour there confirms in order once more."""
-    pixels, focal_px = spots.pixels, camera.intrinsics.fx
+    pixels, focal_px, depth_m = spots.pixels, camera.intrinsics.fx, surface.depth_m
     points, sigma = dot_points(counts, camera, pixels)
-    sides = _sides(lattice, depth_m, focal_px, pixels, points)
+    sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
     lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
     whole = whole_dots(lattice, points, spots.area_m2, spots.at_step)
-    along, across = (pairs[whole[pairs].all(axis=1)] for pairs in _sides(lattice, depth_m, focal_px, pixels, points))
-    return _Grid(pixels, points, sigma, lattice, (along, across))
+    sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
+    along, across = (pairs[whole[pairs].all(axis=1)] for pairs in sides)
+    return _Grid(find, surface, pixels, points, sigma, lattice, (along, across))
+
+
+def _sharpened(grid: _Grid, frame: SensorFrame, rig: Rig) -> PlacedDots:
+    """Return where the dots are, by all that both cameras see of them."""
+    points, sigma = grid.points_m, grid.depth_sigma_m
+    depth_m = grid.surface.depth_m
+    touched = TouchedPlaces.of(frame, rig, depth_m, inverse_noise(1.0 / depth_m, grid.pixels))
+    if touched is not None:
+        points, sigma = touched.sharpen(grid.pixels, points, sigma, rig.tactile.intrinsics)
+    dots = PlacedDots.of(grid.surface, grid.pixels, points, sigma)
+    return triangulate(dots, frame, rig, grid.surface, grid.find)
 
 
 def _merged(found: list[Spots]) -> Spots:

@@ -22,8 +22,8 @@ _LARGEST_RATIO: Final = 1.35
 #: grid, or a spot that is no dot, has been taken for a side; and each side is crossed at least so often.
 _LARGEST_COSINE: Final = 0.5
 _FEWEST_CROSSINGS: Final = 2
-#: How well the middle of a dot is found in a colour image, pixels: at edges; elsewhere better.
-PIXEL_SIGMA: Final = 0.1
+#: What no average over neighbours takes away: noise that is fixed to the scene, and bends of the strain between dots.
+_LASTING_SIGMA: Final = 0.007
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,8 +61,7 @@ class AxisStrain:
 def axis_strain(
     pairs: npt.NDArray[np.int64],
     points_m: Float64Array,
-    depth_sigma_m: Float64Array,
-    focal_px: float,
+    covariance_m2: Float64Array,
     spacing_m: float,
     places: npt.NDArray[np.int64],
 ) -> AxisStrain:
@@ -73,9 +72,8 @@ def axis_strain(
     pairs : int64, shape (M, 2)
     points_m : float64, shape (N, 3)
         The dots in the camera's frame.
-    depth_sigma_m : float64, shape (N,)
-        Standard deviation of their depths.
-    focal_px : float
+    covariance_m2 : float64, shape (N, 3, 3)
+        How well each is known.
     spacing_m : float
     places : int64, shape (N, 3)
         Piece, row and column of each dot.
@@ -83,16 +81,14 @@ def axis_strain(
     start, end = points_m[pairs[:, 0]], points_m[pairs[:, 1]]
     length = np.linalg.norm(end - start, axis=1)
     direction = (end - start) / length[:, None]
-    variance = np.zeros(len(pairs))
-    for side, point in zip(pairs.T, (start, end), strict=True):
-        depth = point[:, 2]
-        along_ray = np.abs((direction * point).sum(axis=1)) / depth
-        variance += (along_ray * depth_sigma_m[side]) ** 2 + (PIXEL_SIGMA * depth / focal_px) ** 2
+    both = covariance_m2[pairs[:, 0]] + covariance_m2[pairs[:, 1]]
+    variance = np.einsum("ni,nij,nj->n", direction, both, direction)
     raw, sigma = length / spacing_m - 1.0, np.sqrt(variance) / spacing_m
     where = places[pairs[:, 0]]
     kept = _plausible(where, raw)
     pairs, raw, sigma, where = pairs[kept], raw[kept], sigma[kept], where[kept]
-    return AxisStrain(pairs, *_smoothed(where, raw, sigma), raw)
+    strain, spread = _smoothed(where, raw, sigma)
+    return AxisStrain(pairs, strain, np.hypot(spread, _LASTING_SIGMA), raw)
 
 
 def crossed(

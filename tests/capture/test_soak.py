@@ -1,4 +1,7 @@
-"""The soak of `scripts/soak.py`, for a minute; run it for 30 to see that memory stays flat to 1 MB per minute."""
+"""The soak of `scripts/soak.py`, for a minute; where a busy machine leaves doubt about memory, for three.
+
+Run it for 30 to see that memory stays flat to 1 MB per minute.
+"""
 
 from __future__ import annotations
 
