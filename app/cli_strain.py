@@ -52,7 +52,9 @@ def strain(
     ] = "sim:cup?grid=dots",
     preset: Annotated[
         str | None,
-        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Its camera settings are used for live sources."),
+        typer.Option(
+            "--preset", "-p", metavar="FILE|NAME", help="Its calibrated pose is used, and its cameras for live sources."
+        ),
     ] = None,
     spacing_mm: Annotated[
         float, typer.Option("--spacing-mm", metavar="MM", help="Distance of neighbouring dots on the flat sheet.")
@@ -104,7 +106,7 @@ def strain(
         CliProgress(quiet=json_lines and sys.stdout.isatty()) as bar,
     ):
         total, kept = number_of_frames(opened, frames), kept_reference(chosen, origin, opened)
-        reference = kept.frame
+        reference, pose = kept.frame, chosen.alignment.rigid.T_proximity_tactile
         for sentence in kept.warnings:
             warn(sentence)
         for frame in itertools.islice(opened, total):
@@ -113,7 +115,7 @@ def strain(
             quiet, averaged = average_still(list(latest), opened.rig)
             try:
                 displacement = 1e3 * indentation_m(quiet, reference, opened.rig)
-                measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3)
+                measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3, pose)
                 record = _record(quiet, displacement, measured, averaged)
             except StrainError as error:
                 record = StrainRecord(frame.sequence, None, None, None, None, None, 0, str(error))

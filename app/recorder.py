@@ -166,7 +166,7 @@ class Recorder:
             if writer is None:
                 return
             thread = Thread(target=lambda: self._finish(writer, reason), name="recording finisher")
-            self._finishing.append(thread)
+            self._finishing = [*filter(Thread.is_alive, self._finishing), thread]
             thread.start()
 
     def close(self) -> None:

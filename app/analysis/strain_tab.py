@@ -194,7 +194,8 @@ class StrainTab(MeasuringTab):
         frames = list(self._frames)[-self.average.value() :]
         reference = self._captured or self.reference.frame
         result, spacing_m = self._result, self.spacing.value() / 1e3
-        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, reference)
+        pose = result.preset.alignment.rigid.T_proximity_tactile
+        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, reference, pose)
         self._job.start(lambda _: examine(task))
 
     def _show(self, view: StrainView) -> None:

@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ...core.evaluation.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
 from ...core.evaluation.strain_average import average_still
 from ...core.evaluation.strain_cells import StrainCells, strain_cells
-from ...core.frames import Rig, SensorFrame, TrueStrain
+from ...core.frames import Matrix4, Rig, SensorFrame, TrueStrain
 from ...widgets.colormaps import depth_lut
 from ..calibration.pictures import pack_rgb
 
@@ -44,6 +44,8 @@ class StrainTask:
         The newest one's, as windows show it: from 1.
     reference : SensorFrame or None
         The untouched membrane.
+    T_proximity_tactile : 4 x 4 or None
+        The preset's calibrated pose; None takes the rig's.
     """
 
     frames: Sequence[SensorFrame]
@@ -51,6 +53,7 @@ class StrainTask:
     rig: Rig
     spacing_m: float
     reference: SensorFrame | None
+    T_proximity_tactile: Matrix4 | None = None
 
     @property
     def frame(self) -> SensorFrame:
@@ -98,7 +101,7 @@ def examine(task: StrainTask) -> StrainView:
     try:
         if task.reference is not None:
             displacement_mm = 1e3 * indentation_m(frame, task.reference, task.rig)
-        measured = measure_strain(frame, task.rig, task.spacing_m)
+        measured = measure_strain(frame, task.rig, task.spacing_m, task.T_proximity_tactile)
     except StrainError as error:
         return StrainView(
             task, averaged, frame.tactile_color, displacement_mm=displacement_mm, truth=truth, problem=str(error)

@@ -24,7 +24,7 @@ BoolArray = npt.NDArray[np.bool_]
 #: A dot is looked for in the second image so near to where it is expected, pixels.
 _SEARCH_PX: Final = 4.0
 #: How well middles are found, pixels: elsewhere, and so near to a step of depth.
-MIDDLE_SIGMA_PX, EDGE_SIGMA_PX = 0.05, 0.12
+MIDDLE_SIGMA_PX, EDGE_SIGMA_PX = 0.07, 0.12
 _EDGE_NEAR_PX: Final = 8
 #: The same in the second image, whose surface at edges is known less well: there, over so many pixels, and elsewhere.
 _SECOND_EDGE_SIGMA_PX, _SECOND_FADES_PX, _SECOND_SIGMA_PX = 0.5, 2.0, 0.06
@@ -158,7 +158,7 @@ def triangulate(
 
 def _sampled(image: npt.NDArray[Any], where: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
     """Return an image, (H, W, C), between its pixels at ``where``, (h, w, 2); black beside it."""
-    return np.asarray(cv2.remap(image, where, np.empty(0, np.int16), cv2.INTER_LINEAR))
+    return np.asarray(cv2.remap(image, where[..., 0], where[..., 1], cv2.INTER_LINEAR))
 
 
 def _folds(where: npt.NDArray[np.float32]) -> BoolArray:

@@ -19,7 +19,7 @@ from scipy.spatial import cKDTree
 
 from ..clouds import valid_depth
 from ..errors import TactuneError
-from ..frames import DepthCamera, Float64Array, Rig, SensorFrame
+from ..frames import DepthCamera, Float64Array, Matrix4, Rig, SensorFrame
 from .dot_edges import SeenSurface, whole_dots
 from .dot_lattice import DotLattice, IntArray, order_dots
 from .dot_proximity import TouchedPlaces
@@ -109,8 +109,12 @@ class _Grid:
     sides: tuple[IntArray, IntArray]
 
 
-def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
+def measure_strain(
+    frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M, T_proximity_tactile: Matrix4 | None = None
+) -> StrainMeasurement:
     """Measure strain from the grid of dots in a frame.
+
+    Where the cameras' pose is known, the proximity camera's depth and colour place the dots better.
 
     Parameters
     ----------
@@ -119,6 +123,8 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     rig : Rig
     spacing_m : float
         Distance of neighbouring dots on the flat sheet.
+    T_proximity_tactile : 4 x 4, optional
+        The calibrated pose of the tactile camera in the proximity depth frame, metres; by default the rig's.
 
     Raises
     ------
@@ -133,6 +139,8 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         raise StrainError(
             f"frame {frame.sequence} has no tactile colour image; record the tactile camera's colour, too"
         )
+    if T_proximity_tactile is not None:
+        rig = rig.model_copy(update={"T_proximity_tactile": T_proximity_tactile})
     camera = rig.tactile
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():

@@ -75,6 +75,15 @@ def frame(index):
     return tiny_frame(index, tiny_rig())
 
 
+def test_a_finished_recording_leaves_no_thread_behind(recorder, tmp_path):
+    for _ in range(3):
+        recorder.start(request(tmp_path))
+        recorder.stop()
+        for thread in recorder._finishing:
+            thread.join()
+    assert len(recorder._finishing) == 1
+
+
 def test_without_a_recording_frames_pass_by(recorder, made):
     recorder.put(frame(0))
     assert made == []

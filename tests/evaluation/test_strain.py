@@ -1,10 +1,15 @@
 from __future__ import annotations
 
+from itertools import islice
+
 import numpy as np
 import pytest
+from scipy.spatial import cKDTree
 
 from tactune.core.errors import FrameError
+from tactune.core.evaluation import strain
 from tactune.core.evaluation.strain import StrainError, indentation_m, measure_strain
+from tactune.core.evaluation.strain_average import average_still
 from tactune.core.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.intrinsics import Intrinsics
 from tactune.core.sources.registry import open_source
@@ -138,6 +143,43 @@ def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape,
     assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
     assert measured.width.largest == pytest.approx(known.width_seen, abs=0.02)
     assert known.length > known.length_seen + 0.05
+
+
+@pytest.mark.parametrize(
+    "scene",
+    [
+        "cup?press=high&side=left&seed=3",
+        "cup?press=high&side=right&seed=8",
+        "cube?press=high&side=left&seed=5",
+        "stiff?press=high&object=cube&seed=8",
+    ],
+)
+def test_strain_from_frames_at_rest_is_measured_within_two_points(scene):
+    """Up to 112 %: dots on a lip, in the shade of a wall, and rows that meet one row apart."""
+    with open_source(f"sim:{scene}&grid=dots") as source:
+        frame, averaged = average_still(list(islice(source, 30)), source.rig)
+        measured, known = measure_strain(frame, source.rig), frame.truth.strain
+    assert averaged == 30
+    assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
+    assert measured.width.largest == pytest.approx(known.width_seen, abs=0.02)
+
+
+def test_a_calibrated_pose_counts_instead_of_the_rigs():
+    with open_source("sim:cup?press=high&grid=dots") as source:
+        frame, rig = source.next_frame(), source.rig
+    blind = rig.model_copy(update={"T_proximity_tactile": None})
+    by_rig, alone = measure_strain(frame, rig), measure_strain(frame, blind)
+    calibrated = measure_strain(frame, blind, T_proximity_tactile=rig.T_proximity_tactile)
+    assert np.array_equal(calibrated.points_m, by_rig.points_m)
+    assert not np.array_equal(calibrated.points_m, alone.points_m)
+
+
+def test_no_pair_skips_a_dot_that_is_seen_between():
+    """Two rows of a lattice that has grown apart meet; the dots between them are in no order, but seen."""
+    spots = np.array([[10.0, 10.0], [20.0, 10.0], [30.0, 10.0], [10.0, 20.0], [30.0, 21.0]])
+    kept = strain._without_one_between(np.array([[0, 1], [0, 2], [3, 4]]), spots, cKDTree(spots))
+    assert kept.tolist() == [[0, 1], [3, 4]]
+    assert strain._without_one_between(np.empty((0, 2), np.int64), spots, cKDTree(spots)).shape == (0, 2)
 
 
 def test_droplets_are_no_grid():
