@@ -172,9 +172,10 @@ class Recorder:
     def close(self) -> None:
         """Finish the file and wait until it lies on the disk."""
         self.stop()
-        for thread in self._finishing:
+        with self._lock:
+            finishing, self._finishing = self._finishing, []
+        for thread in finishing:
             thread.join()
-        self._finishing.clear()
 
     def _show(self, frame: SensorFrame, number: int) -> None:
         watcher = self._watcher

@@ -229,13 +229,15 @@ class AllocatorState(ctypes.Structure):
 
 
 LIBC = ctypes.CDLL(None)
-LIBC.mallinfo2.restype = AllocatorState
+MALLINFO = getattr(LIBC, "mallinfo2", None)  # older libraries have none: then all that is resident counts as in use
+if MALLINFO is not None:
+    MALLINFO.restype = AllocatorState
 
 
 def memory(minute: float, captures: set[int]) -> Memory:
     """Return what this process and those that capture take now."""
     resident = resident_mb(os.getpid())
-    in_use = resident - LIBC.mallinfo2().free / 1e6
+    in_use = resident - (MALLINFO().free / 1e6 if MALLINFO is not None else 0.0)
     return Memory(minute, in_use, resident, sum(map(resident_mb, captures)))
 
 

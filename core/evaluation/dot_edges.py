@@ -116,7 +116,8 @@ class SeenSurface:
 
     def side_of(self, spot: BoolArray) -> BoolArray:
         """Tell the pixels of the surface that a spot is on: about as far, and no step between; shape (H, W)."""
-        middle = float(np.median(self.depth_m[spot]))
+        known = self.depth_m[spot & np.isfinite(self.depth_m)]
+        middle = float(np.median(known)) if len(known) else np.nan
         labels, _ = self.regions(np.abs(self.depth_m - middle) <= _SAME_SIDE * middle)
         own = np.bincount(labels[spot], minlength=1)
         own[0] = 0

@@ -25,9 +25,9 @@ _STIFFNESS: Final = 0.1
 _RIM_PX, _SAMPLE_PX = 0.5, 0.1
 #: Brightness of the bare surface: pixels for its fit at least, and how far from dots.
 _FEWEST_BARE_PX, _BARE_PX = 15, 1
-#: The share of a spot's pixels that is darker than its ink, and the shares of ink that pixels without any, and with
-#: nothing else seem to have.
+#: A spot's ink is that of the pixel than which so many of its pixels are darker, percent.
 _INK_PERCENT: Final = 15.0
+#: Pixels that seem to have this share of the ink have none, and those that seem to have that one are full of it.
 _BARE_SHARE, _FULL_SHARE = 0.2, 0.9
 #: A spot with less than this share of the others' ink is a shadow.
 _LEAST_INK: Final = 0.6

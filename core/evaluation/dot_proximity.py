@@ -14,7 +14,7 @@ from ..frames import Float64Array, Rig, SensorFrame
 from ..intrinsics import Intrinsics
 
 #: Both cameras see the same surface where their depths are nearer than this, metres.
-_SAME_M: Final = 0.004
+_SAME_M: Final = 0.002
 #: Fewer such places, or fewer around a dot, say nothing.
 _FEWEST_PLACES, _FEWEST_AROUND = 100, 8
 #: The proximity camera's depth at a dot is that of a plane through its places within so many tactile pixels.
@@ -51,7 +51,7 @@ class TouchedPlaces:
 
     @classmethod
     def of(cls, frame: SensorFrame, rig: Rig, depth_m: Float64Array, tactile_noise: float) -> TouchedPlaces | None:
-        """Find them; None where there are too few, or the cameras' pose is not known.
+        """Find them; None where there are too few, or the cameras' pose or the noise is not known.
 
         Parameters
         ----------
@@ -61,13 +61,13 @@ class TouchedPlaces:
             Tactile depth, nan where there is none.
         tactile_noise : float
         """
-        if rig.T_proximity_tactile is None:
+        if rig.T_proximity_tactile is None or not np.isfinite(tactile_noise):
             return None
         pixels, depth = _in_tactile_camera(frame, rig)
-        near = np.rint(pixels).astype(np.intp)
         height, width = depth_m.shape
-        inside = (near >= 0).all(axis=1) & (near[:, 0] < width) & (near[:, 1] < height)
-        pixels, depth, near = pixels[inside], depth[inside], near[inside]
+        inside = ((pixels > -0.5) & (pixels < (width - 0.5, height - 0.5))).all(axis=1)
+        pixels, depth = pixels[inside], depth[inside]
+        near = np.rint(pixels).astype(np.intp)
         tactile = depth_m[near[:, 1], near[:, 0]]
         same = np.abs(depth - tactile) < _SAME_M
         if np.count_nonzero(same) < _FEWEST_PLACES:
@@ -138,7 +138,7 @@ class TouchedPlaces:
             cells = len(np.unique(np.rint(self.tree.data[places]), axis=0)) if places else 0
             if len(places) < _FEWEST_AROUND or cells < _LEAST_COVERED * math.pi * radius**2:
                 break
-            value = float(np.mean(self.ahead[places]))
+            value = float(np.median(self.ahead[places]))
             tactile = self.tactile_noise * min(math.sqrt(_PIXELS_A_SAMPLE / cells), 1.0)
             error = math.hypot(tactile, noise / math.sqrt(len(places)))
             low, high = max(low, value - _AGREES_WITHIN * error), min(high, value + _AGREES_WITHIN * error)

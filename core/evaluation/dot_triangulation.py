@@ -13,13 +13,15 @@ from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
-from ..frames import Float64Array, Rig, SensorFrame
+from ..frames import Float64Array, Rig, SensorFrame, rigid_transform
 from ..intrinsics import Intrinsics
 from .dot_edges import SeenSurface
 from .dot_surface import smooth_depth
 from .dots import Spots
 
 BoolArray = npt.NDArray[np.bool_]
+#: Finds spots in an image.
+Finder = Callable[[npt.NDArray[Any]], Spots]
 
 #: A dot is looked for in the second image so near to where it is expected, pixels.
 _SEARCH_PX: Final = 4.0
@@ -35,6 +37,10 @@ _GATE: Final = 9.0
 #: Dots from which the second camera's pose is adjusted, and the misfit from which on they count less, pixels.
 _FEWEST_FOR_POSE: Final = 30
 _POSE_MISFIT_PX: Final = 0.1
+#: What the second camera does not see counts as so far beside its image, pixels.
+_BESIDE_PX: Final = 1e4
+#: A pose adjusted by less was near enough to find all dots by it, pixels.
+_POSE_SETTLED_PX: Final = 1.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,44 +122,90 @@ class SecondCamera:
         return SecondCamera(self.intrinsics, rotation, self.translation_m + change[3:])
 
 
-def triangulate(
-    dots: PlacedDots, frame: SensorFrame, rig: Rig, surface: SeenSurface, find: Callable[[npt.NDArray[Any]], Spots]
-) -> PlacedDots:
-    """Find dots in the proximity camera's colour image, too, and move each to where both middles and its depth agree.
+@dataclass(frozen=True, eq=False)
+class SecondView:
+    """The dots as the second camera sees them.
 
-    The second image is brought to the pixels of the tactile one by the tactile depth, so that the same surface is
-    unrolled in both. The second camera's pose is adjusted first, since one that is off by little moves all dots.
-    Dots are returned as they are where the second image does not show them, or something else before them.
-
-    Parameters
+    Attributes
     ----------
-    dots : PlacedDots
-    frame : SensorFrame
-    rig : Rig
-    surface : SeenSurface
-        The tactile one.
-    find : callable
-        Finds spots in an image of that surface.
+    camera : SecondCamera
+        In the pose that fits the dots best.
+    numbers : intp, shape (M,)
+        Of the dots that it sees.
+    seen : float64, shape (M, 2)
+        Their middles in its image.
+    sigma_px : float64, shape (M,)
+        Standard deviation of these.
     """
-    camera = SecondCamera.of(rig)
-    if camera is None or frame.proximity_color is None:
-        return dots
-    rows, columns = np.indices(surface.depth_m.shape)
-    depth = smooth_depth(surface.depth_m).ravel()
-    rays = rig.tactile.intrinsics.normalise(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
-    where = camera.sees(np.column_stack([rays * depth[:, None], depth])).reshape(*rows.shape, 2).astype(np.float32)
-    spots = find(_sampled(frame.proximity_color, where))
-    numbers, matches = _matches(dots, spots.pixels)
-    if len(numbers) == 0:
-        return dots
-    seen = _sampled(where, spots.pixels[matches].astype(np.float32)[None])[0].astype(np.float64)
-    at = tuple(np.rint(spots.pixels[matches][:, ::-1]).astype(np.intp).T)
-    edges = _folds(where) | surface.near_step(0)
-    away_px = cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[at]
-    plain = away_px > _EDGE_NEAR_PX
-    camera = _adjusted(camera, dots.points_m[numbers][plain], seen[plain])
-    sigma_px = _SECOND_SIGMA_PX + _SECOND_EDGE_SIGMA_PX * np.exp(-away_px / _SECOND_FADES_PX)
-    return _updated(dots, numbers, camera, seen, sigma_px)
+
+    camera: SecondCamera
+    numbers: npt.NDArray[np.intp]
+    seen: Float64Array
+    sigma_px: Float64Array
+
+    @classmethod
+    def of(
+        cls, dots: PlacedDots, frame: SensorFrame, rig: Rig, surface: SeenSurface, find: Finder
+    ) -> SecondView | None:
+        """Find the dots in the proximity camera's colour image, and the pose from which it shows them.
+
+        The image is brought to the pixels of the tactile one by the tactile depth, so that the same surface is
+        unrolled in both. Without a pose, or where too few dots are seen to adjust it, there is None: a pose that is
+        off by little moves all dots, and one that is off by more finds none.
+
+        Parameters
+        ----------
+        dots : PlacedDots
+        frame : SensorFrame
+        rig : Rig
+        surface : SeenSurface
+            The tactile one.
+        find : callable
+            Finds spots in an image of that surface.
+        """
+        camera = SecondCamera.of(rig)
+        if camera is None:
+            return None
+        rows, columns = np.indices(surface.depth_m.shape)
+        depth = smooth_depth(surface.depth_m).ravel()
+        rays = rig.tactile.intrinsics.normalise(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
+        points = np.column_stack([rays * depth[:, None], depth])
+        for _ in range(2):  # again where the pose was so far off that dots were missed
+            where = np.clip(np.nan_to_num(camera.sees(points), nan=-_BESIDE_PX), -_BESIDE_PX, _BESIDE_PX)
+            where_px = where.reshape(*rows.shape, 2).astype(np.float32)
+            spots = find(_sampled(frame.proximity_color, where_px))
+            numbers, matches = _matches(dots, spots.pixels)
+            if len(numbers) == 0:
+                return None
+            seen = _sampled(where_px, spots.pixels[matches].astype(np.float32)[None])[0].astype(np.float64)
+            at = tuple(np.rint(spots.pixels[matches][:, ::-1]).astype(np.intp).T)
+            edges = _folds(where_px) | surface.near_step(0)
+            away_px = cv2.distanceTransform((~edges).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[at]
+            plain = away_px > _EDGE_NEAR_PX
+            if np.count_nonzero(plain) < _FEWEST_FOR_POSE:
+                return None
+            known = dots.points_m[numbers][plain]
+            former, camera = camera, _adjusted(camera, known, seen[plain])
+            if np.abs(camera.sees(known) - former.sees(known)).max(initial=0.0) < _POSE_SETTLED_PX:
+                break
+        return cls(
+            camera, numbers, seen, _SECOND_SIGMA_PX + _SECOND_EDGE_SIGMA_PX * np.exp(-away_px / _SECOND_FADES_PX)
+        )
+
+    def rig(self, rig: Rig) -> Rig:
+        """Return the rig with the pose of the tactile camera that this one's implies."""
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = self.camera.rotation, self.camera.translation_m
+        if rig.proximity_color is not None:
+            pose = np.linalg.inv(np.asarray(rig.proximity_color.T_color_depth)) @ pose
+        return rig.model_copy(update={"T_proximity_tactile": rigid_transform(pose)})
+
+    def sharpen(self, dots: PlacedDots) -> PlacedDots:
+        """Move each dot to where both middles and its depth agree: one step of a Kalman filter.
+
+        Dots are left where the second image shows something else before them.
+        """
+        return _updated(dots, self.numbers, self.camera, self.seen, self.sigma_px)
 
 
 def _sampled(image: npt.NDArray[Any], where: npt.NDArray[np.float32]) -> npt.NDArray[Any]:
@@ -189,8 +241,6 @@ def _matches(dots: PlacedDots, pixels: Float64Array) -> tuple[npt.NDArray[np.int
 
 def _adjusted(camera: SecondCamera, points_m: Float64Array, seen: Float64Array) -> SecondCamera:
     """Return the camera in the pose in which most dots lie where it sees them."""
-    if len(points_m) < _FEWEST_FOR_POSE:
-        return camera
 
     def misfit(change: Float64Array) -> Float64Array:
         return np.asarray((camera.turned(change).sees(points_m) - seen).ravel())

@@ -19,12 +19,12 @@ from scipy.spatial import cKDTree
 
 from ..clouds import valid_depth
 from ..errors import TactuneError
-from ..frames import DepthCamera, Float64Array, Matrix4, Rig, SensorFrame
+from ..frames import DepthCamera, Float64Array, Matrix4, Rig, SensorFrame, rigid_transform
 from .dot_edges import SeenSurface, whole_dots
 from .dot_lattice import DotLattice, IntArray, order_dots
 from .dot_proximity import TouchedPlaces
 from .dot_surface import dot_points, inverse_noise, surface_between
-from .dot_triangulation import PlacedDots, triangulate
+from .dot_triangulation import Finder, PlacedDots, SecondView
 from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .strain_field import AxisStrain, axis_strain, crossed
 
@@ -39,10 +39,6 @@ _BETWEEN_SHARE: Final = 0.25
 _SAME_SPOT_PX: Final = 3.0
 #: Depth is averaged over this much before indentations are compared, as a Gaussian's sigma, pixels.
 _INDENTATION_SIGMA_PX: Final = 4.0
-
-
-#: Finds spots in an image.
-Finder = Callable[[npt.NDArray[Any]], Spots]
 
 
 class StrainError(TactuneError):
@@ -132,6 +128,8 @@ def measure_strain(
         The frame has no tactile colour, or no grid is found, or there is no depth where it is.
     FrameError
         The frame belongs to another rig.
+    ValueError
+        The pose is no rigid transform.
     """
     check_spacing(spacing_m)
     frame.check_against(rig)
@@ -140,7 +138,7 @@ def measure_strain(
             f"frame {frame.sequence} has no tactile colour image; record the tactile camera's colour, too"
         )
     if T_proximity_tactile is not None:
-        rig = rig.model_copy(update={"T_proximity_tactile": T_proximity_tactile})
+        rig = rig.model_copy(update={"T_proximity_tactile": rigid_transform(T_proximity_tactile)})
     camera = rig.tactile
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():
@@ -309,13 +307,16 @@ def _in_space(
 
 def _sharpened(grid: _Grid, frame: SensorFrame, rig: Rig) -> PlacedDots:
     """Return where the dots are, by all that both cameras see of them."""
-    points, sigma = grid.points_m, grid.depth_sigma_m
-    depth_m = grid.surface.depth_m
-    touched = TouchedPlaces.of(frame, rig, depth_m, inverse_noise(1.0 / depth_m, grid.pixels))
+    points, sigma, depth_m = grid.points_m, grid.depth_sigma_m, grid.surface.depth_m
+    dots = PlacedDots.of(grid.surface, grid.pixels, points, sigma)
+    view = SecondView.of(dots, frame, rig, grid.surface, grid.find)
+    if view is None:
+        return dots
+    noise = inverse_noise(1.0 / depth_m, grid.pixels)
+    touched = TouchedPlaces.of(frame, view.rig(rig), depth_m, noise)
     if touched is not None:
         points, sigma = touched.sharpen(grid.pixels, points, sigma, rig.tactile.intrinsics)
-    dots = PlacedDots.of(grid.surface, grid.pixels, points, sigma)
-    return triangulate(dots, frame, rig, grid.surface, grid.find)
+    return view.sharpen(PlacedDots.of(grid.surface, grid.pixels, points, sigma))
 
 
 def _merged(found: list[Spots]) -> Spots:
