@@ -218,8 +218,6 @@ class SensorFrame:
             "tactile_depth": rig.tactile.intrinsics.shape,
             "proximity_color": rig.proximity_color_shape,
         }
-        if self.tactile_color is not None:
-            expected["tactile_color"] = rig.tactile.intrinsics.shape
         for name, shape in expected.items():
             found = getattr(self, name).shape[:2]
             if found != shape:

@@ -137,6 +137,12 @@ def measure_strain(
         raise StrainError(
             f"frame {frame.sequence} has no tactile colour image; record the tactile camera's colour, too"
         )
+    height, width = frame.tactile_color.shape[:2]
+    if (height, width) != frame.tactile_depth.shape:
+        raise StrainError(
+            f"frame {frame.sequence}: the tactile colour image is {width} x {height} pixels, the depth image "
+            f"{frame.tactile_depth.shape[1]} x {frame.tactile_depth.shape[0]}; align colour to depth"
+        )
     if T_proximity_tactile is not None:
         rig = rig.model_copy(update={"T_proximity_tactile": rigid_transform(T_proximity_tactile)})
     camera = rig.tactile

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import islice
 
 import numpy as np
@@ -204,6 +205,9 @@ def test_frames_that_cannot_be_measured_are_refused_in_words():
     small = np.zeros((40, 40), np.uint16)
     with pytest.raises(FrameError):
         measure_strain(SensorFrame(0, small, small, empty[:40, :40], empty[:40, :40]), RIG)
+    smaller = replace(grid_frame(), tactile_color=np.zeros((240, 320, 3), np.uint8))
+    with pytest.raises(StrainError, match="colour image is 320 x 240 pixels, the depth image 640 x 480"):
+        measure_strain(smaller, RIG)
 
 
 def test_indentation_is_how_far_the_membrane_came_nearer():
