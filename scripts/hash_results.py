@@ -1,0 +1,115 @@
+"""Print a hash of every result that a change of structure must leave as it is, bit for bit.
+
+Both contact tests on simulated presses, on still scenes, on a recording and, where it is there, on the real pair:
+points, provenance and the figures of ``tactune run --json``. Times are left out. Compare the output of two versions
+with ``diff``; equal lines are equal bits.
+
+    .venv/bin/python scripts/hash_results.py > before.txt
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactune.core import ContactPipeline, Preset, SensorFrame, load_preset, open_source
+
+OBJECTS = ("cube", "cup", "octopus")
+#: Frames of a press that are hashed: approach, touch, deep, release.
+PRESS_FRAMES = (0, 20, 35, 50, 65, 80)
+DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
+#: How the real pair's bias between its cameras is corrected, metres.
+REAL_OFFSET_M = 0.0169
+
+
+def second_test() -> str:
+    """Return the name of the contact test that is not the tolerance test."""
+    names = Preset.model_json_schema()["properties"]["contact_test"]["enum"]
+    return next(name for name in names if name != "tolerance")
+
+
+def digest(*parts: Any) -> str:
+    """Return the first sixteen digits of the SHA-256 of arrays and JSON values."""
+    content = hashlib.sha256()
+    for part in parts:
+        if isinstance(part, np.ndarray):
+            content.update(str((part.dtype, part.shape)).encode() + np.ascontiguousarray(part).tobytes())
+        else:
+            content.update(json.dumps(part).encode())
+    return content.hexdigest()[:16]
+
+
+def chosen_frames(source: str, wanted: tuple[int, ...]) -> Iterator[SensorFrame]:
+    """Yield some of a source's frames by their places."""
+    with open_source(source) as opened:
+        for place, frame in enumerate(opened):
+            if place in wanted:
+                yield frame
+            if place >= max(wanted):
+                return
+
+
+def print_patches(title: str, source: str, preset: Preset, wanted: tuple[int, ...]) -> None:
+    """Print a line a frame: points, provenance, area and relative difference of both contact tests."""
+    with open_source(source) as opened:
+        rig = opened.rig
+    tests: list[tuple[str, dict[str, Any]]] = [("tolerance", {"contact_test": "tolerance"})]
+    other = second_test()
+    tests.append(("membrane", {"contact_test": other, f"{other}.frames": 1}))
+    tests.append(("averaged", {"contact_test": other, f"{other}.frames": 5}))
+    for name, values in tests:
+        pipeline = ContactPipeline(preset.with_values(values), rig)
+        for frame in chosen_frames(source, wanted):
+            patch = pipeline.process(frame)
+            parts = patch.points, patch.provenance, patch.mask, patch.area_mm2, patch.relative_difference
+            print(title, name, frame.sequence, len(patch.points), digest(*parts), flush=True)
+
+
+def print_run(title: str, source: str, options: list[str]) -> None:
+    """Print the hash of what ``tactune run --json`` says, without its times."""
+    command = [str(Path(sys.executable).parent / "tactune"), "run", "--source", source, "--json", *options]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    lines = [json.loads(line) for line in done.stdout.splitlines()]
+    for line in lines:
+        for key in [key for key in line if key.endswith("_ms") or key in ("ms", "timestamp")]:
+            del line[key]
+    print(title, "exit", done.returncode, "lines", len(lines), digest(lines), flush=True)
+
+
+def main() -> None:
+    """Print all hashes."""
+    simulator = load_preset("simulator")
+    for name in OBJECTS:
+        print_patches(f"sim:{name}", f"sim:{name}", simulator, PRESS_FRAMES)
+        print_patches(f"sim:{name}?press=medium", f"sim:{name}?press=medium", simulator, (0, 1, 2, 3))
+        print_run(f"run sim:{name}", f"sim:{name}", ["--frames", "40", "--truth"])
+    test = ["--set", f"contact_test={second_test()}"]
+    print_run("run membrane", "sim:cup?press=high", ["--frames", "4", "--truth", *test])
+    for method in ("fusion-homography", "proximity-only", "tactile-only", "tactile-threshold", "mechanics"):
+        print_run(f"run {method}", "sim:cup?press=medium", ["--frames", "1", "--truth", "--method", method])
+    if (DATA / "real_pair").is_dir():
+        real = f"folder:{DATA / 'real_pair'}"
+        for offset in (0.0, REAL_OFFSET_M):
+            print_patches(f"real pair {offset}", real, Preset().with_value("alignment.depth_offset_m", offset), (0,))
+        print_run("run real pair", real, [])
+    else:
+        print(f"skipped: there is no {DATA / 'real_pair'}")
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(Path(folder) / "octopus.mcap")
+        record = [str(Path(sys.executable).parent / "tactune"), "record", "--source", "sim:octopus", "--out", path]
+        subprocess.run([*record, "--frames", "60", "--preset", "simulator"], check=True, capture_output=True)
+        print_patches("recording", path, simulator, (0, 30, 45, 59))
+        print_run("run recording", path, ["--truth"])
+
+
+if __name__ == "__main__":
+    main()
