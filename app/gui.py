@@ -13,15 +13,15 @@ from typing import cast
 from PyQt6.QtCore import QCoreApplication, QObject, Qt, QTimer
 from PyQt6.QtWidgets import QApplication
 
-from ..core.atomic import atomic_path
 from ..core.errors import ExportError, TactuneError
+from ..core.model.files import atomic_path
 from ..core.preset import Preset
-from ..core.preset_file import load_preset
-from ..widgets.theme import ThemeChoice
+from ..core.preset.file import load_preset
+from ..widgets.basics.theme import ThemeChoice
 from .defaults import default_preset
-from .left_threads import wait_for_left
-from .main_window import MainWindow
 from .settings import Settings, default_data_folder, default_settings_file
+from .window.main_window import MainWindow
+from .worker.abandoned_threads import wait_for_left
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000

@@ -10,25 +10,25 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from .contact.pipeline import ContactPatch, ContactPipeline
+    from .contact.provenance import Provenance
     from .errors import TactuneError
-    from .frames import Rig, SensorFrame
-    from .pipeline import ContactPatch, ContactPipeline
+    from .model.frames import Rig, SensorFrame
     from .preset import Preset
-    from .preset_file import load_preset, save_preset
-    from .provenance import Provenance
+    from .preset.file import load_preset, save_preset
     from .sources.registry import open_source
 
 _HOME = {
-    "ContactPatch": ".pipeline",
-    "ContactPipeline": ".pipeline",
+    "ContactPatch": ".contact.patch",
+    "ContactPipeline": ".contact.pipeline",
     "Preset": ".preset",
-    "Provenance": ".provenance",
-    "Rig": ".frames",
-    "SensorFrame": ".frames",
+    "Provenance": ".contact.provenance",
+    "Rig": ".model.frames",
+    "SensorFrame": ".model.frames",
     "TactuneError": ".errors",
-    "load_preset": ".preset_file",
+    "load_preset": ".preset.file",
     "open_source": ".sources.registry",
-    "save_preset": ".preset_file",
+    "save_preset": ".preset.file",
 }
 
 __all__ = [

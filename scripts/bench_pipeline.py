@@ -17,12 +17,12 @@ from dataclasses import replace
 import numpy as np
 
 from tactune.core import ContactPipeline
-from tactune.core.alignment import make_alignment
 from tactune.core.bench.scenes import BenchScene, make_scene
-from tactune.core.candidates import CandidateBuffers, CandidateFinder, drop_small_clusters
-from tactune.core.clouds import flat
-from tactune.core.outliers.statistical import statistical_inliers
-from tactune.core.threads import available_threads, set_threads
+from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.candidates import CandidateBuffers, CandidateFinder, drop_small_clusters
+from tactune.core.contact.kernels.threads import available_threads, set_threads
+from tactune.core.contact.outliers.statistical import statistical_inliers
+from tactune.core.model.clouds import flat
 
 SCENES = ("empty", "untouched", "light-touch", "cup-medium", "octopus-high", "noisy-51k", "full-contact")
 

@@ -19,12 +19,12 @@ from PyQt6.QtOpenGLWidgets import QOpenGLWidget
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QHBoxLayout, QWidget
 
-from tactune.core.intrinsics import Intrinsics
-from tactune.core.provenance import Provenance
-from tactune.widgets.cloud_data import DepthCloud
-from tactune.widgets.cloud_view import BackendChoice, CloudView, link_cameras
-from tactune.widgets.colormaps import depth_lut, difference_index, difference_lut, provenance_lut
-from tactune.widgets.gl_backend import probe_opengl
+from tactune.core.contact.provenance import Provenance
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.widgets.basics.colormaps import depth_lut, difference_index, difference_lut, provenance_lut
+from tactune.widgets.clouds.cloud_data import DepthCloud
+from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from tactune.widgets.clouds.gl_backend import probe_opengl
 
 LENS = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=320.0, cy=240.0)
 RAYS = LENS.rays()

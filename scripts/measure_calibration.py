@@ -307,9 +307,9 @@ def measure_patch():
     Still presses of medium depth, and deep ones at both sides of the middle, which count half each.
     """
     from tactune.core.calibration import calibrate
+    from tactune.core.contact.pipeline import ContactPipeline
     from tactune.core.evaluation.metrics import compare_with_truth
-    from tactune.core.pipeline import ContactPipeline
-    from tactune.core.preset_file import load_preset
+    from tactune.core.preset.file import load_preset
     from tactune.core.sources.registry import open_source
 
     base = load_preset("simulator")

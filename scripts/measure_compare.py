@@ -19,9 +19,9 @@ from PyQt6.QtCore import QObject, Qt, QTimer
 
 from tactune.app.analysis.compare_tab import CompareTab
 from tactune.app.gui import make_application, start_with
-from tactune.app.main_window import MainWindow
 from tactune.app.settings import Settings
-from tactune.core.baselines.registry import method_names
+from tactune.app.window.main_window import MainWindow
+from tactune.core.methods.registry import method_names
 
 HEARTBEAT_MS = 5
 

@@ -24,10 +24,10 @@ from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtWidgets import QWidget
 
 from tactune.app.gui import make_application, start_with
-from tactune.app.main_window import MainWindow
-from tactune.app.results import Result
 from tactune.app.settings import Settings
-from tactune.widgets.theme import ThemeChoice
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.results import Result
+from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30

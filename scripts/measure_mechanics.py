@@ -22,10 +22,10 @@ import time
 import numpy as np
 from scipy import sparse
 
-from tactune.core.baselines.membrane_mechanics import MembraneMechanics
-from tactune.core.baselines.membrane_solver import MembraneSolver
 from tactune.core.evaluation.distances import cloud_distances
 from tactune.core.evaluation.metrics import truth_cloud
+from tactune.core.methods.mechanics import MembraneMechanics
+from tactune.core.methods.mechanics_solver import MembraneSolver
 from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -21,12 +21,12 @@ from functools import cache, partial
 import numpy as np
 from turned_shapes import TURNED
 
-from tactune.core.baselines.method import ContactMethod, MethodPatch
-from tactune.core.baselines.registry import Fusion, make_method, method_names
 from tactune.core.bench.measure import time_in_turns
 from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
-from tactune.core.frames import Rig, SensorFrame
-from tactune.core.preset_file import load_preset
+from tactune.core.methods.method import ContactMethod, MethodPatch
+from tactune.core.methods.registry import Fusion, make_method, method_names
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.preset.file import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 

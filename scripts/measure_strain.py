@@ -15,9 +15,9 @@ import argparse
 import math
 from itertools import islice
 
-from tactune.core.evaluation.strain import measure_strain
-from tactune.core.evaluation.strain_average import average_still
 from tactune.core.sources.registry import open_source
+from tactune.core.strain.average import average_still
+from tactune.core.strain.strain import measure_strain
 
 _SCENES = {
     " ".join(filter(None, (shape, press, side))): f"sim:{shape}?press={press}&grid=dots" + f"&side={side}" * bool(side)

@@ -33,10 +33,10 @@ import numpy as np
 from PyQt6.QtCore import QCoreApplication, QEvent, QObject, Qt, QTimer
 
 from tactune.app.gui import make_application, start_with
-from tactune.app.main_window import MainWindow
-from tactune.app.recorder import RecordingEnd
-from tactune.app.results import SourceState
 from tactune.app.settings import Settings
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.recorder import RecordingEnd
+from tactune.app.worker.results import SourceState
 from tactune.core.errors import TactuneError
 from tactune.core.sources.registry import open_source
 

@@ -6,19 +6,17 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ...core.baselines.method import MethodPatch
-from ...core.clouds import ray_table
 from ...core.evaluation.metrics import truth_cloud
-from ...core.intrinsics import Intrinsics
-from ...widgets.cloud_data import DepthCloud
-from ...widgets.colormaps import Theme, patch_index
-from ..results import Result
+from ...core.methods.method import MethodPatch
+from ...core.model.arrays import BoolArray, Float32Array, Uint16Array
+from ...core.model.clouds import ray_table
+from ...core.model.intrinsics import Intrinsics
+from ...widgets.basics.colormaps import Theme, patch_index
+from ...widgets.clouds.cloud_data import DepthCloud
+from ..worker.results import Result
 from .method_looks import CONTACT_ROW, FALSE_ROW, HIDDEN_ROW, MISSED_ROW, agreement_lut, method_lut
 
-Counts = npt.NDArray[np.uint16]
-Bools = npt.NDArray[np.bool_]
 _IDENTITY = np.eye(4)
 _MOST_COUNTS = 65534
 
@@ -70,10 +68,10 @@ class Drawing:
             count=len(patch.points) or int(np.count_nonzero(patch.mask)),
         )
 
-    def _coarse(self, mask: Bools) -> Bools:
+    def _coarse(self, mask: BoolArray) -> BoolArray:
         return mask[:: self._step, :: self._step]
 
-    def _lift(self, depth: Counts, where: Bools, points: npt.NDArray[np.float32]) -> None:
+    def _lift(self, depth: Uint16Array, where: BoolArray, points: Float32Array) -> None:
         """Put pixels to the depth of the point that is projected nearest to each.
 
         Points need not be proximity pixels: those of tactile methods are another camera's.
@@ -83,7 +81,7 @@ class Drawing:
         inside = (columns >= 0) & (columns < depth.shape[1]) & (rows >= 0) & (rows < depth.shape[0])
         if not inside.any() or not where.any():
             return
-        known: Counts = np.zeros(depth.shape, np.uint16)
+        known: Uint16Array = np.zeros(depth.shape, np.uint16)
         counts = np.clip(np.rint(points[:, 2] / self._camera.depth_unit_m), 1, _MOST_COUNTS)
         known[rows[inside], columns[inside]] = counts[inside].astype(np.uint16)
         _, labels = cv2.distanceTransformWithLabels(
@@ -95,6 +93,6 @@ class Drawing:
 
 
 @lru_cache(maxsize=4)
-def _coarse_rays(intrinsics: Intrinsics, step: int) -> npt.NDArray[np.float32]:
+def _coarse_rays(intrinsics: Intrinsics, step: int) -> Float32Array:
     """Return the rays of every ``step``-th row and column, the same array each time."""
     return np.ascontiguousarray(ray_table(intrinsics)[::step, ::step])

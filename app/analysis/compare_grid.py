@@ -8,8 +8,8 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QResizeEvent
 from PyQt6.QtWidgets import QGridLayout, QLabel, QVBoxLayout, QWidget
 
-from ...widgets.cloud_view import BackendChoice, CloudView, link_cameras
-from ...widgets.colormaps import Theme
+from ...widgets.basics.colormaps import Theme
+from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from .compare_text import caption
 from .comparer import Outcome
 from .method_looks import TIPS, agreement_legend, method_color

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.frames import SensorFrame
-from ...core.membrane_reference import FoundReference
+from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, ReferenceRecord
-from ..calibration.jobs import Job
-from ..document import Document
-from ..results import Result, SourceInfo
+from ...core.rig.untouched import FoundReference
+from ..document.document import Document
+from ..worker.jobs import Job
+from ..worker.results import Result, SourceInfo
 
 CAPTURE = "Capture the reference while nothing touches the membrane: Ctrl+Shift+R"
 _SEARCHING = "Compares with the untouched membrane, which is being prepared…"

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSplitter
 
-from ...core.baselines.registry import method_names
-from ...widgets.theme import theme_name
-from ..results import CloudName, Result
+from ...core.methods.registry import method_names
+from ...widgets.basics.theme import theme_name
+from ..worker.results import CloudName, Result
 from .compare_grid import TileGrid
 from .compare_table import CompareTable
 from .compare_text import comparison_csv
@@ -20,7 +20,7 @@ from .measuring_tab import MeasuringTab
 from .method_looks import TRUTH
 
 if TYPE_CHECKING:
-    from ..main_window import MainWindow
+    from ..window.main_window import MainWindow
 
 _CHOSEN = "compare/methods"
 _AT_FIRST = ("fusion-rigid", "fusion-calibrated", "proximity-only", "tactile-only", "mechanics")

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QGuiApplication, QIcon, QKeyEvent, QKeySequence, QPixmap
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
-from ...widgets.colormaps import Theme
+from ...widgets.basics.colormaps import Theme
 from .compare_text import COLUMNS, cells, method_cell, table_text
 from .comparer import Outcome
 from .method_looks import TIPS, TRUTH, method_color

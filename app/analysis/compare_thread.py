@@ -7,10 +7,10 @@ from threading import Event
 
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
-from ..cores import leave_room_for_the_window
-from ..explain import explain
-from ..left_threads import leave_behind
-from ..mailbox import Mailbox
+from ..worker.abandoned_threads import leave_behind
+from ..worker.cores import leave_room_for_the_window
+from ..worker.explain import explain
+from ..worker.mailbox import Mailbox
 from .comparer import Comparer, Comparison, Task
 
 _LONGEST_REST_S = 0.5

@@ -12,14 +12,14 @@ from typing import Any
 
 import numpy as np
 
-from ...core.baselines.method import ContactMethod, MethodPatch, failed
-from ...core.baselines.registry import Fusion, make_method, needs_reference, settings_of
 from ...core.evaluation.metrics import compare_with_truth, method_area_mm2, truth_cloud
-from ...core.frames import GroundTruth, Rig, SensorFrame
-from ...widgets.cloud_data import DepthCloud
-from ...widgets.colormaps import Theme
-from ..explain import explain
-from ..results import Result
+from ...core.methods.method import ContactMethod, MethodPatch, failed
+from ...core.methods.registry import Fusion, make_method, needs_reference, settings_of
+from ...core.model.frames import GroundTruth, Rig, SensorFrame
+from ...widgets.basics.colormaps import Theme
+from ...widgets.clouds.cloud_data import DepthCloud
+from ..worker.explain import explain
+from ..worker.results import Result
 from .compare_drawing import Drawing
 from .method_looks import TRUTH
 

@@ -13,7 +13,7 @@ from .tab import AnalysisTab
 from .window import AnalysisWindow
 
 if TYPE_CHECKING:
-    from ..main_window import MainWindow
+    from ..window.main_window import MainWindow
 
 
 def _compare(window: MainWindow) -> AnalysisTab:

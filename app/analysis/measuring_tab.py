@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QSplitter, QVBoxLayout
 
-from ...widgets.elided_label import ElidedLabel
-from ..calibration.jobs import Job
-from ..message_bar import MessageBar, Severity
-from ..results import RateMeter, Result
+from ...widgets.basics.elided_label import ElidedLabel
+from ..window.message_bar import MessageBar, Severity
+from ..worker.jobs import Job
+from ..worker.results import RateMeter, Result
 from .compare_reference import Reference
 from .picture_export import write_picture
 from .tab import AnalysisTab
 
 if TYPE_CHECKING:
-    from ..main_window import MainWindow
+    from ..window.main_window import MainWindow
 
 _FOLDER = "folder/export"
 

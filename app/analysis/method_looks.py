@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import cache
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
 from PyQt6.QtGui import QColor
 
-from ...widgets.colormaps import Theme, patch_lut
+from ...core.model.arrays import Uint8Array
+from ...widgets.basics.colormaps import Theme, patch_lut
 
 TRUTH: Final = "truth"
 
@@ -62,13 +61,13 @@ def method_color(name: str, theme: Theme) -> QColor:
 
 
 @cache
-def method_lut(name: str, theme: Theme) -> npt.NDArray[np.uint8]:
+def method_lut(name: str, theme: Theme) -> Uint8Array:
     """Return the colours of one method's patch over the relief of the scene: uint8 (256, 4)."""
     return _lut(theme, method_rgb(name, theme))
 
 
 @cache
-def agreement_lut(theme: Theme) -> npt.NDArray[np.uint8]:
+def agreement_lut(theme: Theme) -> Uint8Array:
     """Return the colours of a patch that is compared with the truth: uint8 (256, 4)."""
     return _lut(theme, RIGHT_RGB)
 
@@ -78,7 +77,7 @@ def agreement_legend() -> list[tuple[str, QColor]]:
     return [("right", QColor(*RIGHT_RGB)), ("false", QColor(*FALSE_RGB)), ("missed", QColor(*MISSED_RGB))]
 
 
-def _lut(theme: Theme, contact: tuple[int, int, int]) -> npt.NDArray[np.uint8]:
+def _lut(theme: Theme, contact: tuple[int, int, int]) -> Uint8Array:
     lut = patch_lut(theme).copy()
     for row, rgb in ((CONTACT_ROW, contact), (FALSE_ROW, FALSE_RGB), (MISSED_ROW, MISSED_RGB)):
         lut[row] = (*rgb, 255)

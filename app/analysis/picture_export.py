@@ -6,8 +6,8 @@ from pathlib import Path
 
 from PyQt6.QtGui import QImage
 
-from ...core.atomic import atomic_path
 from ...core.errors import ExportError
+from ...core.model.files import atomic_path
 
 
 def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:

@@ -10,7 +10,7 @@ import pyqtgraph as pg
 from PyQt6.QtCore import QEvent
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
-from ...widgets.theme import theme_colors
+from ...widgets.basics.theme import theme_colors
 from .strain_map import LENGTH_RGB, WIDTH_RGB
 from .strain_work import StrainView
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 import pyqtgraph as pg
 from PyQt6.QtCore import pyqtSignal
 
-from ...core.evaluation.strain_field import AxisStrain
-from ...core.frames import Float64Array
-from ...widgets.image_pane import ImagePane
-from ...widgets.pane_header import ColorBar, Swatch
+from ...core.model.arrays import Float64Array, IndexArray
+from ...core.strain.field import AxisStrain
+from ...widgets.images.image_pane import ImagePane
+from ...widgets.images.pane_header import ColorBar, Swatch
 from .strain_work import MapOf, StrainView, color_range, map_lut, paint, values_of
 
 #: Where strain is largest along the length and along the width; also the colours of the curve.
@@ -115,7 +114,7 @@ def largest_pair(axis: AxisStrain, pixels: Float64Array) -> Float64Array:
     return np.asarray(pixels[axis.pairs[np.argmax(axis.strain)]])
 
 
-def _inside(corners: Float64Array, u: float, v: float) -> npt.NDArray[np.intp]:
+def _inside(corners: Float64Array, u: float, v: float) -> IndexArray:
     """Return the numbers of the convex quadrilaterals, shape (K, 4, 2), that contain a place."""
     edges = np.roll(corners, -1, axis=1) - corners
     to = np.array([u, v]) - corners

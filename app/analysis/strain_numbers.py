@@ -5,9 +5,9 @@ from __future__ import annotations
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QWidget
 
-from ...core.evaluation.strain_field import AxisStrain
-from ...core.frames import Float64Array
-from ..diagnostics.parts import make_verdict
+from ...core.model.arrays import Float64Array
+from ...core.strain.field import AxisStrain
+from ..rig.parts import make_verdict
 from .strain_map import LENGTH_RGB, WIDTH_RGB, largest_pair
 from .strain_work import StrainView
 

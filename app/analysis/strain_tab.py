@@ -20,11 +20,11 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.evaluation.strain import SPACING_M, SPACING_RANGE_M
-from ...core.frames import SensorFrame
-from ..calibration.jobs import Job
-from ..message_bar import Severity
-from ..results import Result, SourceInfo
+from ...core.model.frames import SensorFrame
+from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
+from ..window.message_bar import Severity
+from ..worker.jobs import Job
+from ..worker.results import Result, SourceInfo
 from .measuring_tab import MeasuringTab
 from .strain_curve import StrainCurve
 from .strain_map import StrainMap
@@ -32,7 +32,7 @@ from .strain_numbers import StrainNumbers
 from .strain_work import MapOf, StrainTask, StrainView, examine
 
 if TYPE_CHECKING:
-    from ..main_window import MainWindow
+    from ..window.main_window import MainWindow
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MOST_AVERAGED = 30

@@ -8,13 +8,13 @@ from enum import StrEnum
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ...core.evaluation.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
-from ...core.evaluation.strain_average import average_still
-from ...core.evaluation.strain_cells import StrainCells, strain_cells
-from ...core.frames import Matrix4, Rig, SensorFrame, TrueStrain
-from ...widgets.colormaps import depth_lut
+from ...core.model.arrays import Float64Array, Uint8Array
+from ...core.model.frames import Matrix4, Rig, SensorFrame, TrueStrain
+from ...core.strain.average import average_still
+from ...core.strain.grid_cells import StrainCells, strain_cells
+from ...core.strain.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
+from ...widgets.basics.colormaps import depth_lut
 from ..calibration.pictures import pack_rgb
 
 #: Share of the map's colour over the image, and the bits of a pixel's fraction in which squares are drawn.
@@ -79,7 +79,7 @@ class StrainView:
 
     task: StrainTask
     averaged: int
-    color: npt.NDArray[np.uint8] | None
+    color: Uint8Array | None
     measured: StrainMeasurement | None = None
     cells: StrainCells | None = None
     displacement_mm: float | None = None
@@ -115,12 +115,12 @@ def _numbered(task: StrainTask) -> list[SensorFrame]:
     return [replace(frame, sequence=frame.sequence + shift) for frame in task.frames]
 
 
-def values_of(cells: StrainCells, shown: MapOf) -> npt.NDArray[np.float64]:
+def values_of(cells: StrainCells, shown: MapOf) -> Float64Array:
     """Return what colours the squares, shape (K,)."""
     return {MapOf.LARGEST: cells.largest, MapOf.LENGTH: cells.length, MapOf.WIDTH: cells.width}[shown]
 
 
-def color_range(values: npt.NDArray[np.float64]) -> tuple[float, float]:
+def color_range(values: Float64Array) -> tuple[float, float]:
     """Return the strains at both ends of the colours: whole tens of percent around all values."""
     if len(values) == 0:
         return 0.0, _ROUNDED
@@ -128,7 +128,7 @@ def color_range(values: npt.NDArray[np.float64]) -> tuple[float, float]:
     return low, max(float(np.ceil(values.max() / _ROUNDED)) * _ROUNDED, low + _ROUNDED)
 
 
-def paint(view: StrainView, shown: MapOf) -> npt.NDArray[np.uint8] | None:
+def paint(view: StrainView, shown: MapOf) -> Uint8Array | None:
     """Return the colour image with the squares of the grid coloured, as ``QImage.Format_RGB32`` has it in memory."""
     if view.color is None:
         return None
@@ -145,6 +145,6 @@ def paint(view: StrainView, shown: MapOf) -> npt.NDArray[np.uint8] | None:
     return pack_rgb(image)
 
 
-def map_lut() -> npt.NDArray[np.uint8]:
+def map_lut() -> Uint8Array:
     """Return the map's colours, low to high: uint8 (256, 4)."""
     return np.ascontiguousarray(depth_lut()[::-1])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtWidgets import QWidget
 
-from ..results import Result
+from ..worker.results import Result
 
 
 class AnalysisTab(QWidget):

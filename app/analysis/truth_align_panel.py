@@ -7,7 +7,6 @@ from math import radians
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
@@ -24,11 +23,12 @@ from PyQt6.QtWidgets import (
 )
 from scipy.spatial.transform import Rotation
 
-from ...core.frames import Matrix4
-from ...widgets.collapsible import CollapsibleSection
-from ...widgets.fields import FieldSpec
-from ...widgets.number_entry import NumberEntry
-from ...widgets.parameter_row import MessageLabel
+from ...core.model.arrays import Float64Array
+from ...core.model.frames import Matrix4
+from ...widgets.basics.collapsible import CollapsibleSection
+from ...widgets.parameters.fields import FieldSpec
+from ...widgets.parameters.number_entry import NumberEntry
+from ...widgets.parameters.parameter_row import MessageLabel
 from .truth_state import PickedPair
 from .truth_work import Refinement
 
@@ -110,7 +110,7 @@ class AlignPanel(CollapsibleSection):
 
     def __init__(self) -> None:
         super().__init__("Alignment")
-        self._pose: npt.NDArray[np.float64] | None = None
+        self._pose: Float64Array | None = None
         self._pivot = np.zeros(3)
         self.table = QTableWidget(0, 2)
         self.remove = QPushButton("&Delete pair")
@@ -233,7 +233,7 @@ class AlignPanel(CollapsibleSection):
         self.clear.setEnabled(bool(pairs))
         self._selected()
 
-    def show_pose(self, pose: Matrix4 | None, pivot: npt.NDArray[np.float64] | None) -> None:
+    def show_pose(self, pose: Matrix4 | None, pivot: Float64Array | None) -> None:
         """Show a pose and what the scan turns about, in the proximity frame."""
         posed = pose is not None and pivot is not None
         for widget in (*self.places, *self.turns, self.refine, self.reach):
@@ -288,12 +288,12 @@ class AlignPanel(CollapsibleSection):
         self.poseEdited.emit(after, gesture)
 
 
-def _rotation(degrees: Sequence[float]) -> npt.NDArray[np.float64]:
+def _rotation(degrees: Sequence[float]) -> Float64Array:
     """Return the rotation of roll, pitch and yaw: about x, y and z, which stay where they are."""
     return np.asarray(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix())
 
 
-def _angles(rotation: npt.NDArray[np.float64]) -> list[float]:
+def _angles(rotation: Float64Array) -> list[float]:
     """Return roll, pitch and yaw in degrees; at a pitch of 90 degrees, where roll is yaw, roll is 0."""
     pitch = np.arcsin(np.clip(-rotation[2, 0], -1.0, 1.0))
     if abs(pitch) > radians(89.9999):

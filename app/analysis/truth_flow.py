@@ -7,17 +7,17 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.evaluation.scan import UNITS_M
-from ...core.evaluation.scan_paint import PaintSettings
-from ...core.evaluation.scan_pose import load_transform, pair_errors_m, save_transform
-from ...core.frames import Matrix4
-from ..calibration.jobs import Job
-from ..message_bar import Severity
-from ..results import Result
+from ...core.model.arrays import Float64Array
+from ...core.model.frames import Matrix4
+from ...core.scan.paint import PaintSettings
+from ...core.scan.pose import load_transform, pair_errors_m, save_transform
+from ...core.scan.scan import UNITS_M
+from ..window.message_bar import Severity
+from ..worker.jobs import Job
+from ..worker.results import Result
 from .truth_keeping import TruthKeeper
 from .truth_patch import FrozenPatch
 from .truth_state import Place, Side, TruthSession, TruthState
@@ -215,12 +215,12 @@ class TruthFlow(QObject):
             return
         self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Lay the scan on the patch", patch)
 
-    def pivot(self) -> npt.NDArray[np.float64] | None:
+    def pivot(self) -> Float64Array | None:
         """Return what the scan turns about, in the proximity frame; None without a pose."""
         if self.contact is None or self.state.pose is None:
             return None
         pose = np.asarray(self.state.pose)
-        middle: npt.NDArray[np.float64] = pose[:3, :3] @ pivot_of(self.contact) + pose[:3, 3]
+        middle: Float64Array = pose[:3, :3] @ pivot_of(self.contact) + pose[:3, 3]
         return middle
 
     def refine(self, reach_m: float) -> None:

@@ -15,12 +15,12 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
-from ...core.atomic import atomic_path
 from ...core.errors import TactuneError
-from ...core.evaluation.scan_paint import PaintSettings
-from ...core.evaluation.scan_pose import save_transform
-from ...core.frames import rigid_transform
+from ...core.model.files import atomic_path
+from ...core.model.frames import rigid_transform
 from ...core.preset import now
+from ...core.scan.paint import PaintSettings
+from ...core.scan.pose import save_transform
 from .truth_patch import FrozenPatch
 from .truth_state import PickedPair, Place, TruthSession, TruthState
 

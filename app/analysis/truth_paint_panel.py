@@ -5,21 +5,20 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any, Final, cast
 
-import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QCheckBox, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout
 
-from ...core.evaluation.scan_paint import PaintSettings
+from ...core.model.arrays import Uint8Array
 from ...core.preset import MaskSection
-from ...widgets.accent_button import AccentButton
-from ...widgets.collapsible import CollapsibleSection
-from ...widgets.eyedropper import HsvRanges, Mode, new_ranges
-from ...widgets.fields import FieldSpec, field_spec
-from ...widgets.gestures import new_gesture
-from ...widgets.hsv_colors import groove_colors
-from ...widgets.parameter_row import ParameterRow
-from ...widgets.range_row import RangeEditor
+from ...core.scan.paint import PaintSettings
+from ...widgets.basics.accent_button import AccentButton
+from ...widgets.basics.collapsible import CollapsibleSection
+from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
+from ...widgets.parameters.fields import FieldSpec, field_spec
+from ...widgets.parameters.gestures import new_gesture
+from ...widgets.parameters.hsv_colors import groove_colors
+from ...widgets.parameters.parameter_row import ParameterRow
+from ...widgets.parameters.range_row import RangeEditor
 
 _CHANNELS: Final = ("hue", "saturation", "value")
 _USUAL: Final = PaintSettings()
@@ -142,7 +141,7 @@ class PaintPanel(CollapsibleSection):
         """Put the eyedropper away."""
         self._take_up("off")
 
-    def pick(self, rgb: npt.NDArray[np.uint8]) -> None:
+    def pick(self, rgb: Uint8Array) -> None:
         """Change the ranges by colours around a click, uint8 (K, 3); raises `EyedropperError` where none are left."""
         paint = self._paint
         present = HsvRanges(paint.hue, paint.saturation, paint.value)

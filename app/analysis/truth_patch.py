@@ -7,12 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-import numpy.typing as npt
 
-from ...core.clouds import deproject, valid_depth
-from ..results import Result
-
-Float32Array = npt.NDArray[np.float32]
+from ...core.model.arrays import Float32Array
+from ...core.model.clouds import deproject, valid_depth
+from ..worker.results import Result
 
 #: Around the patch every so many rows and columns are kept, and points no farther from its box, metres.
 _CONTEXT_STEP = 3

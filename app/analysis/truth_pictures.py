@@ -6,14 +6,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 from PyQt6.QtGui import QColor
 
-from ...widgets.cloud_data import DepthCloud
-from ...widgets.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, patch_lut
-from ...widgets.free_points import free_cloud
-from ...widgets.marks import MarkKind
-from ...widgets.pick_view import Spot
+from ...core.model.arrays import Float64Array, Uint8Array
+from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, patch_lut
+from ...widgets.clouds.cloud_data import DepthCloud
+from ...widgets.clouds.free_points import free_cloud
+from ...widgets.clouds.pick_view import Spot
+from ...widgets.images.marks import MarkKind
 from .truth_patch import FrozenPatch
 from .truth_state import PickedPair, Side
 from .truth_work import PALETTE, LoadedScan, ScanContact
@@ -40,7 +40,7 @@ def highlighted(cloud: DepthCloud, loaded: LoadedScan, highlight: bool) -> Depth
     return replace(cloud, lut=scan_lut(loaded, highlight))
 
 
-def scan_lut(loaded: LoadedScan, highlight: bool) -> npt.NDArray[np.uint8]:
+def scan_lut(loaded: LoadedScan, highlight: bool) -> Uint8Array:
     """Return the colours of rows: the palette, then the palette of what is in contact: uint8 (256, 4)."""
     lut = np.full((256, 4), 255, np.uint8)
     count = len(loaded.palette)
@@ -52,7 +52,7 @@ def scan_lut(loaded: LoadedScan, highlight: bool) -> npt.NDArray[np.uint8]:
     return lut
 
 
-def patch_cloud(patch: FrozenPatch, scan_points: npt.NDArray[np.float64] | None, theme: Theme) -> DepthCloud:
+def patch_cloud(patch: FrozenPatch, scan_points: Float64Array | None, theme: Theme) -> DepthCloud:
     """Return the patch among what is around it, with the scan's contact where it is posed."""
     depth = patch.context[:, 2]
     near, far = (float(depth.min()), float(depth.max())) if len(depth) else (0.0, 1.0)

@@ -8,7 +8,7 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QGridLayout, QHBoxLayout, QLabel, QLineEdit, QPushButton, QVBoxLayout
 
-from ...widgets.collapsible import CollapsibleSection
+from ...widgets.basics.collapsible import CollapsibleSection
 from .truth_work import Scores
 
 _LINES = (

@@ -11,10 +11,11 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
 from ...core.errors import CalibrationError
-from ...core.evaluation.scan_paint import PaintSettings
-from ...core.evaluation.scan_pose import pose_from_pairs
-from ...core.frames import Matrix4, rigid_transform
-from ..state_step import StateStep
+from ...core.model.arrays import Float64Array
+from ...core.model.frames import Matrix4, rigid_transform
+from ...core.scan.paint import PaintSettings
+from ...core.scan.pose import pose_from_pairs
+from ..document.state_step import StateStep
 from .truth_patch import FrozenPatch
 
 Place = tuple[float, float, float]
@@ -153,7 +154,7 @@ class TruthSession(QObject):
         self.refused.emit("")
         self.edit(text, replace(self._held(patch), pose=rigid, origin=origin), gesture)
 
-    def nudge(self, change: npt.NDArray[np.float64], patch: FrozenPatch | None, gesture: int) -> None:
+    def nudge(self, change: Float64Array, patch: FrozenPatch | None, gesture: int) -> None:
         """Move and turn the scan by a transform of the proximity frame; ``patch`` as for `set_pose`."""
         if self._state.pose is None:
             return

@@ -25,13 +25,13 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.errors import TactuneError
-from ...core.evaluation.scan import SUFFIXES, UNITS_M
 from ...core.preset import Preset
-from ...core.preset_file import load_preset, shipped_presets
-from ..diagnostics.parts import make_verdict
-from ..file_flows import local_files
-from ..message_bar import MessageBar, Severity
-from ..results import CloudName, Result
+from ...core.preset.file import load_preset, shipped_presets
+from ...core.scan.scan import SUFFIXES, UNITS_M
+from ..rig.parts import make_verdict
+from ..window.files import local_files
+from ..window.message_bar import MessageBar, Severity
+from ..worker.results import CloudName, Result
 from .tab import AnalysisTab
 from .truth_align_panel import AlignPanel
 from .truth_flow import TruthFlow
@@ -42,7 +42,7 @@ from .truth_state import TruthState
 from .truth_views import TruthViews
 
 if TYPE_CHECKING:
-    from ..main_window import MainWindow
+    from ..window.main_window import MainWindow
 
 _SCAN_FILTER = f"Painted scans ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _TRANSFORM_FILTERS = ["Transforms (*.json)"]

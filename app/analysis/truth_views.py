@@ -5,11 +5,11 @@ from __future__ import annotations
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
 
-from ...widgets.cloud_view import BackendChoice
-from ...widgets.colormaps import palette_theme
-from ...widgets.elided_label import ElidedLabel
-from ...widgets.pick_view import PickView, as_place
-from ...widgets.pose_handles import PoseHandles
+from ...widgets.basics.colormaps import palette_theme
+from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.clouds.cloud_view import BackendChoice
+from ...widgets.clouds.pick_view import PickView, as_place
+from ...widgets.clouds.pose_handles import PoseHandles
 from .truth_flow import TruthFlow
 from .truth_pictures import highlighted, patch_cloud, patch_legend, scan_cloud, scan_legend, spots
 from .truth_work import posed

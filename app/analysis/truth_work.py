@@ -6,19 +6,16 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ...core.evaluation.scan import Scan, load_scan
-from ...core.evaluation.scan_paint import BoolArray, PaintSettings, contact_points, painted_contact
-from ...core.evaluation.scan_pose import RefinedPose, refine_pose, transformed
-from ...core.evaluation.scan_scores import ScanTruth, scan_truth, score_against_scan
-from ...core.frames import Matrix4
-from ..calibration.jobs import Progress
-
-Float32Array = npt.NDArray[np.float32]
+from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ...core.model.frames import Matrix4
+from ...core.scan.paint import PaintSettings, contact_points, painted_contact
+from ...core.scan.pose import RefinedPose, refine_pose, transformed
+from ...core.scan.scan import Scan, load_scan
+from ...core.scan.scores import ScanTruth, scan_truth, score_against_scan
+from ..worker.jobs import Progress
 
 #: How many colours a scan is shown in, and how many of its vertices.
 PALETTE = 127
@@ -50,9 +47,9 @@ class LoadedScan:
     unit_m: float
     scan: Scan
     key: str
-    shown: npt.NDArray[np.intp]
-    palette: npt.NDArray[np.uint8]
-    rows: npt.NDArray[np.uint8]
+    shown: IndexArray
+    palette: Uint8Array
+    rows: Uint8Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -173,21 +170,21 @@ class Scorer:
         return self._known[2]
 
 
-def laid_on(contact: ScanContact, patch: Float32Array) -> npt.NDArray[np.float64]:
+def laid_on(contact: ScanContact, patch: Float32Array) -> Float64Array:
     """Return a pose to start by hand from: the scan unturned, its contact's middle on the patch's: float64 (4, 4)."""
     pose = np.eye(4)
     pose[:3, 3] = patch.mean(axis=0, dtype=np.float64) - contact.points.mean(axis=0, dtype=np.float64)
     return pose
 
 
-def pivot_of(contact: ScanContact) -> npt.NDArray[np.float64]:
+def pivot_of(contact: ScanContact) -> Float64Array:
     """Return what the scan is turned about, in its own frame: the middle of its contact, or of all of it."""
-    points: npt.NDArray[Any] = contact.points if len(contact.points) else contact.loaded.scan.vertices_m
-    middle: npt.NDArray[np.float64] = points.mean(axis=0, dtype=np.float64)
+    points: AnyArray = contact.points if len(contact.points) else contact.loaded.scan.vertices_m
+    middle: Float64Array = points.mean(axis=0, dtype=np.float64)
     return middle
 
 
-def posed(contact: ScanContact, pose: Matrix4) -> npt.NDArray[np.float64]:
+def posed(contact: ScanContact, pose: Matrix4) -> Float64Array:
     """Return the contact's points in the proximity frame."""
     return transformed(pose, contact.points)
 
@@ -199,7 +196,7 @@ def _key(scan: Scan) -> str:
     return told.hexdigest()
 
 
-def _shaded(scan: Scan) -> npt.NDArray[np.float64]:
+def _shaded(scan: Scan) -> Float64Array:
     """Return the colours darkened on the side away from the light, which shows the shape: (N, 3)."""
     a, b, c = (scan.vertices_m[scan.triangles[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
@@ -212,7 +209,7 @@ def _shaded(scan: Scan) -> npt.NDArray[np.float64]:
     return np.asarray(scan.colors * shade[:, None])
 
 
-def _palette(colors: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
+def _palette(colors: Float64Array) -> tuple[Uint8Array, Uint8Array]:
     """Choose the colours that show others best: the palette, uint8 (P, 3), and each one's row, uint8 (K,)."""
     from PIL import Image
 

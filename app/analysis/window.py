@@ -8,8 +8,8 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QAction, QKeyEvent, QShowEvent
 from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
 
-from ..results import Result
 from ..settings import Settings
+from ..worker.results import Result
 from .tab import AnalysisTab
 
 _GEOMETRY = "analysis/geometry"

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from ...core.calibration.snapshots import take_snapshot as take_median
-from ...core.clouds import valid_depth
-from ...core.frames import SensorFrame
-from ..results import SourceInfo
-from .jobs import Progress
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import SensorFrame
+from ..worker.jobs import Progress
+from ..worker.results import SourceInfo
 from .state import Snapshot
 
 

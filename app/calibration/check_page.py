@@ -16,15 +16,15 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.frames import SensorFrame
+from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...widgets.accent_button import AccentButton
-from ...widgets.cloud_view import BackendChoice, CloudView, link_cameras
-from ...widgets.point_image import PointImage
-from ...widgets.theme import theme_name
-from ..document import Document
+from ...widgets.basics.accent_button import AccentButton
+from ...widgets.basics.theme import theme_name
+from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.images.point_image import PointImage
+from ..document.document import Document
+from ..worker.jobs import Job
 from .feed import FrameFeed
-from .jobs import Job
 from .outcome import Outcome
 from .overlay import Overlay, OverlayMode, alignment_of_preset, make_overlay
 from .patches import Patch, PatchFinder

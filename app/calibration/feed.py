@@ -6,10 +6,10 @@ from dataclasses import replace
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.frames import Rig, SensorFrame
-from ..playback import PlaybackState
-from ..results import Result, SourceInfo
-from ..worker import Worker
+from ...core.model.frames import Rig, SensorFrame
+from ..worker.playback import PlaybackState
+from ..worker.results import Result, SourceInfo
+from ..worker.worker import Worker
 
 
 class FrameFeed(QObject):

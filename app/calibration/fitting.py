@@ -8,9 +8,10 @@ import numpy as np
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.calibration import CalibrationReport, Correspondence, calibrate
-from ...core.clouds import valid_depth
-from ...core.frames import Float64Array, Rig, SensorFrame
-from .jobs import Job
+from ...core.model.arrays import Float64Array
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import Rig, SensorFrame
+from ..worker.jobs import Job
 from .outcome import Outcome, PairFit, at_least
 from .pictures import tactile_depth_at
 from .prediction import Alignment

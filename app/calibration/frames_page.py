@@ -22,9 +22,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.clouds import valid_depth
-from ...core.frames import Rig, SensorFrame
-from ...widgets.image_pane import ImagePane
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import Rig, SensorFrame
+from ...widgets.images.image_pane import ImagePane
 from .collector import MOST_FRAMES, Collector
 from .feed import FrameFeed
 from .pictures import image_choices, picture

@@ -23,9 +23,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...widgets.marks import Mark, MarkKind
-from ...widgets.point_table import PointRow, PointTable
-from .jobs import Job
+from ...widgets.basics.point_table import PointRow, PointTable
+from ...widgets.images.marks import Mark, MarkKind
+from ..worker.jobs import Job
 from .outcome import Outcome, same_pixels
 from .pair_view import PairView
 from .pictures import picture

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
 
-from ...core.atomic import atomic_path
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
-from ...core.frames import Rig, SensorFrame
+from ...core.model.files import atomic_path
+from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import now
 from .session import Session
 from .state import Choices, PointPair, SessionState, Snapshot, rig_key

@@ -8,12 +8,12 @@ from pathlib import Path
 from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QWidget
 
-from ...widgets.cloud_view import BackendChoice
-from ..document import Document
-from ..message_bar import MessageBar, Severity
-from ..playback import PlaybackState
-from ..results import Result
-from ..worker import Worker
+from ...widgets.clouds.cloud_view import BackendChoice
+from ..document.document import Document
+from ..window.message_bar import MessageBar, Severity
+from ..worker.playback import PlaybackState
+from ..worker.results import Result
+from ..worker.worker import Worker
 from .feed import WorkerFeed
 from .recheck_window import RecheckWindow
 from .wizard import CalibrationWizard

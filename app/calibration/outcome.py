@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from ...core.frames import Rig
-from ...widgets.marks import Mark, MarkKind
-from ...widgets.point_table import PointRow
+from ...core.model.frames import Rig
+from ...widgets.basics.point_table import PointRow
+from ...widgets.images.marks import Mark, MarkKind
 from .prediction import Alignment
 from .state import ImageChoice, PointPair, SessionState, Side
 

@@ -8,13 +8,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ...core.alignment import tactile_homography, tactile_pose
-from ...core.clouds import ray_table, valid_depth
-from ...core.frames import Float64Array, Rig, SensorFrame
+from ...core.contact.alignment import tactile_homography, tactile_pose
+from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
+from ...core.model.clouds import ray_table, valid_depth
+from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
-from ...widgets.colormaps import CONTACT_RGB
+from ...widgets.basics.colormaps import CONTACT_RGB
 from .pictures import picture
 from .prediction import Alignment, project_into
 from .state import ProximityImage
@@ -37,12 +37,12 @@ class OverlayMode(StrEnum):
 class Overlay:
     """Both images in proximity pixels, RGB32 (H, W, 4), and where the tactile one is known."""
 
-    proximity: npt.NDArray[np.uint8]
-    tactile: npt.NDArray[np.uint8]
-    known: npt.NDArray[np.bool_]
-    edges: npt.NDArray[np.bool_]
+    proximity: Uint8Array
+    tactile: Uint8Array
+    known: BoolArray
+    edges: BoolArray
 
-    def composed(self, mode: OverlayMode, share: float, blinked: bool = False) -> npt.NDArray[np.uint8]:
+    def composed(self, mode: OverlayMode, share: float, blinked: bool = False) -> Uint8Array:
         """Return both as one picture.
 
         Parameters
@@ -63,7 +63,7 @@ class Overlay:
             other = ((u // _SQUARE_PX + v // _SQUARE_PX) % 2 == 1) & self.known
             return np.where(other[:, :, None], self.tactile, self.proximity).astype(np.uint8)
         gray = cv2.cvtColor(cv2.cvtColor(self.proximity, cv2.COLOR_BGRA2GRAY), cv2.COLOR_GRAY2BGRA)
-        drawn: npt.NDArray[np.uint8] = np.asarray(gray, dtype=np.uint8)
+        drawn: Uint8Array = np.asarray(gray, dtype=np.uint8)
         drawn[self.edges] = (*CONTACT_RGB[::-1], 255)
         return drawn
 
@@ -98,7 +98,7 @@ def make_overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: Prox
 
 def tactile_places(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ProximityImage
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+) -> tuple[Float32Array, BoolArray]:
     """Return for every pixel of a proximity image its tactile pixel, float32 (H, W, 2), and where there is one.
 
     The membrane, as the tactile camera sees it, is first brought into the proximity image; its holes are
@@ -146,7 +146,7 @@ def _seen_by_tactile(alignment: Alignment, rig: Rig, points: Float64Array) -> Fl
     return np.asarray(mapped[:, :2] / mapped[:, 2:])
 
 
-def _splat(points: Float64Array, rig: Rig, image: ProximityImage, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
+def _splat(points: Float64Array, rig: Rig, image: ProximityImage, shape: tuple[int, int]) -> Float32Array:
     """Return the distance along z of points (N, 3) in a proximity image, float32 (H, W); nan where none is near."""
     height, width = shape
     pixels = np.rint(project_into(points, rig, image))

@@ -10,7 +10,7 @@ from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 
 from ...core.errors import TactuneError
-from ...widgets.point_image import PointImage
+from ...widgets.images.point_image import PointImage
 from .pictures import Picture
 from .state import SIDES, Place, Side
 

@@ -6,14 +6,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import TactuneError
-from ...core.frames import Rig, SensorFrame
-from ...core.pipeline import ContactPipeline
+from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...widgets.cloud_data import DepthCloud
-from ...widgets.colormaps import Theme
-from ..rendering import Scene, membrane_sample_m, patch_view
-from ..results import ColorBy
+from ...widgets.basics.colormaps import Theme
+from ...widgets.clouds.cloud_data import DepthCloud
+from ..worker.rendering import Scene, membrane_sample_m, patch_view
+from ..worker.results import ColorBy
 
 _BEHIND_M = 0.02
 

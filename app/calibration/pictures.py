@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ...core.calibration.snapshots import depth_under
-from ...core.clouds import valid_depth
-from ...core.frames import Rig, SensorFrame
-from ...widgets.colormaps import depth_lut
-from ...widgets.strip_render import NO_VALUE_RGB
+from ...core.model.arrays import AnyArray, Float32Array, Uint8Array
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import Rig, SensorFrame
+from ...widgets.basics.colormaps import depth_lut
+from ...widgets.images.strip_render import NO_VALUE_RGB
 from .state import ImageChoice, Side
 
 _RELIEF_SIGMA_PX = 9.0
@@ -32,8 +31,8 @@ class Picture:
         In which snapping looks for corners and blobs.
     """
 
-    pixels: npt.NDArray[np.uint8]
-    gray: npt.NDArray[np.uint8]
+    pixels: Uint8Array
+    gray: Uint8Array
 
 
 def image_choices(frame: SensorFrame, side: Side) -> tuple[ImageChoice, ...]:
@@ -62,12 +61,12 @@ def tactile_depth_at(frame: SensorFrame, rig: Rig, u: float, v: float) -> float 
     return depth_under(frame.tactile_depth, rig.tactile.depth_unit_m, u, v)
 
 
-def pack_rgb(rgb: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+def pack_rgb(rgb: Uint8Array) -> Uint8Array:
     """Return RGB (H, W, 3) as ``QImage.Format_RGB32`` has it in memory, (H, W, 4)."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGRA), dtype=np.uint8)
 
 
-def _color_picture(color: npt.NDArray[np.uint8], stretch: bool) -> Picture:
+def _color_picture(color: Uint8Array, stretch: bool) -> Picture:
     gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY)
     if stretch:
         low, high = np.percentile(gray[::4, ::4], (0.5, 99.5))
@@ -76,23 +75,23 @@ def _color_picture(color: npt.NDArray[np.uint8], stretch: bool) -> Picture:
     return Picture(pack_rgb(color), np.asarray(gray, dtype=np.uint8))
 
 
-def _depth_picture(depth_m: npt.NDArray[np.float32], stretch: bool) -> Picture:
+def _depth_picture(depth_m: Float32Array, stretch: bool) -> Picture:
     ends = (1.0, 99.0) if stretch else (0.0, 100.0)
     return _mapped(depth_m, depth_lut()[:, :3], *_percentiles(depth_m, ends))
 
 
-def _relief_picture(depth_m: npt.NDArray[np.float32], stretch: bool) -> Picture:
+def _relief_picture(depth_m: Float32Array, stretch: bool) -> Picture:
     """Depth relative to the smooth surroundings: bumps and edges, whatever the distance."""
     valid = np.isfinite(depth_m)
     weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _RELIEF_SIGMA_PX)
     smooth = cv2.GaussianBlur(np.nan_to_num(depth_m), (0, 0), _RELIEF_SIGMA_PX) / np.maximum(weight, 1e-6)
-    relief: npt.NDArray[np.float32] = np.where(valid, smooth - depth_m, np.float32(np.nan)).astype(np.float32)
+    relief: Float32Array = np.where(valid, smooth - depth_m, np.float32(np.nan)).astype(np.float32)
     limit = max(abs(end) for end in _percentiles(relief, (3.0, 97.0))) if stretch else _RELIEF_LIMIT_M
     grays = np.repeat(np.arange(256, dtype=np.uint8)[:, None], 3, axis=1)
     return _mapped(relief, grays, -limit, limit)
 
 
-def _percentiles(values: npt.NDArray[np.float32], ends: tuple[float, float]) -> tuple[float, float]:
+def _percentiles(values: Float32Array, ends: tuple[float, float]) -> tuple[float, float]:
     sample = values[::3, ::3]
     sample = sample[np.isfinite(sample)]
     if len(sample) == 0:
@@ -101,10 +100,10 @@ def _percentiles(values: npt.NDArray[np.float32], ends: tuple[float, float]) -> 
     return low, max(high, low + 1e-6)
 
 
-def _mapped(values: npt.NDArray[np.float32], lut: npt.NDArray[Any], low: float, high: float) -> Picture:
+def _mapped(values: Float32Array, lut: AnyArray, low: float, high: float) -> Picture:
     valid = np.isfinite(values)
     rows = np.clip((np.nan_to_num(values) - low) * (255.0 / (high - low)), 0, 255).astype(np.uint8)
     rgb = lut[rows]
     rgb[~valid] = NO_VALUE_RGB
-    gray: npt.NDArray[np.uint8] = np.where(valid, rows, np.uint8(0)).astype(np.uint8)
+    gray: Uint8Array = np.where(valid, rows, np.uint8(0)).astype(np.uint8)
     return Picture(pack_rgb(rgb.astype(np.uint8)), gray)

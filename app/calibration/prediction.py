@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from ...core.clouds import valid_depth
-from ...core.frames import Float64Array, Rig, SensorFrame
+from ...core.model.arrays import Float64Array, IndexArray
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import Rig, SensorFrame
 from .pictures import tactile_depth_at
 from .state import Place, ProximityImage
 
@@ -97,7 +97,7 @@ def tactile_partner(
 def _membrane_m(frame: SensorFrame, rig: Rig, alignment: Alignment, pixels: Float64Array) -> Float64Array:
     """Return the corrected tactile depth at pixels, nan where there is none."""
     height, width = frame.tactile_depth.shape
-    nearest: npt.NDArray[np.intp] = np.clip(np.rint(pixels), -1, [width, height]).astype(np.intp)
+    nearest: IndexArray = np.clip(np.rint(pixels), -1, [width, height]).astype(np.intp)
     u, v = nearest.T
     inside = (u >= 0) & (v >= 0) & (u < width) & (v < height)
     counts = frame.tactile_depth[np.where(inside, v, 0), np.where(inside, u, 0)]

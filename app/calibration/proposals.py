@@ -6,17 +6,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from ...core.calibration.detect import (
-    Detection,
-    detect_charuco,
-    detect_chessboard,
-    detect_circles,
-    match_detections,
-)
+from ...core.calibration.detect import Detection, detect_charuco, detect_chessboard, detect_circles, match_detections
 from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError
-from ...core.frames import Rig
-from .jobs import Progress
+from ...core.model.frames import Rig
+from ..worker.jobs import Progress
 from .pictures import Picture, picture, tactile_depth_at
 from .state import Choices, PointPair, Snapshot
 

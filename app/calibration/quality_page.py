@@ -15,11 +15,11 @@ from PyQt6.QtWidgets import (
 
 from ...core.calibration import CalibrationReport
 from ...core.calibration.verdict import grade
-from ...widgets.accent_button import AccentButton
-from ...widgets.coverage_grid import CoverageGrid
-from ...widgets.pane_header import ColorBar
-from ...widgets.point_image import PointImage
-from .jobs import Job
+from ...widgets.basics.accent_button import AccentButton
+from ...widgets.images.pane_header import ColorBar
+from ...widgets.images.point_image import PointImage
+from ...widgets.plots.coverage_grid import CoverageGrid
+from ..worker.jobs import Job
 from .outcome import Outcome, image_marks
 from .session import Session
 from .uncertainty import UncertaintyPicture, uncertainty_lut, uncertainty_picture

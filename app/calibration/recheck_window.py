@@ -9,15 +9,15 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QFont
 from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from ...core.calibration.membrane_drift import DepthChange, MembraneDrift, compare_with_reference
 from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError
-from ...core.frames import Rig, SensorFrame
-from ...core.membrane_reference import load_reference
+from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...widgets.marks import Mark, MarkKind
-from ...widgets.point_image import PointImage
-from .jobs import Job
+from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_reference
+from ...core.rig.untouched import load_reference
+from ...widgets.images.marks import Mark, MarkKind
+from ...widgets.images.point_image import PointImage
+from ..worker.jobs import Job
 from .pictures import picture
 from .state import ImageChoice
 

@@ -7,8 +7,8 @@ from typing import Any
 from pydantic import BaseModel
 
 from ...core.calibration import CalibrationReport
-from ...core.calibration_record import SnapshotRecord
 from ...core.preset import Preset
+from ...core.preset.calibration_record import SnapshotRecord
 from .state import SessionState
 
 _PATHS = (

@@ -9,8 +9,8 @@ from typing import Any
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QUndoStack
 
-from ...core.frames import Rig
-from ..state_step import StateStep
+from ...core.model.frames import Rig
+from ..document.state_step import StateStep
 from .state import PointPair, SessionState, Side, Snapshot
 
 DepthReader = Callable[[Snapshot, float, float], float | None]

@@ -8,7 +8,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict
 
-from ...core.frames import Rig, SensorFrame
+from ...core.model.frames import Rig, SensorFrame
 
 Side = Literal["proximity", "tactile"]
 ProximityImage = Literal["color", "depth"]

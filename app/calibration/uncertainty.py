@@ -7,14 +7,14 @@ from functools import cache
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 import pyqtgraph as pg
 from scipy.interpolate import LinearNDInterpolator
 
 from ...core.calibration import CalibrationReport
 from ...core.calibration.quality import millimetres_per_pixel
-from ...core.clouds import valid_depth
-from ...core.frames import Float64Array, Rig, SensorFrame
+from ...core.model.arrays import Float64Array, Uint8Array
+from ...core.model.clouds import valid_depth
+from ...core.model.frames import Rig, SensorFrame
 from .pictures import pack_rgb, picture
 from .prediction import project_into
 
@@ -29,13 +29,13 @@ _PERCENTILE = 97.0
 class UncertaintyPicture:
     """Pixels for the screen, (H, W, 4), and what the ends of the colours mean."""
 
-    pixels: npt.NDArray[np.uint8]
+    pixels: Uint8Array
     low: float
     high: float
 
 
 @cache
-def uncertainty_lut() -> npt.NDArray[np.uint8]:
+def uncertainty_lut() -> Uint8Array:
     """Return the colours from certain (dark) to uncertain (bright): uint8 (256, 4)."""
     colors = pg.colormap.get("inferno").map(np.linspace(0.15, 0.98, 256), mode="byte")
     return np.ascontiguousarray(colors)

@@ -24,11 +24,11 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.verdict import grade
 from ...core.errors import TactuneError
-from ...widgets.accent_button import AccentButton
-from ...widgets.cloud_view import BackendChoice
-from ...widgets.elided_label import ElidedLabel
-from ..document import Document
-from ..message_bar import MessageBar, Severity
+from ...widgets.basics.accent_button import AccentButton
+from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.clouds.cloud_view import BackendChoice
+from ..document.document import Document
+from ..window.message_bar import MessageBar, Severity
 from .check_page import CheckPage
 from .collector import Collector
 from .feed import FrameFeed

@@ -10,10 +10,10 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
-from ..document import Document
-from ..message_bar import MessageBar, Severity
-from ..results import SourceInfo, SourceState
-from ..worker import Worker
+from ..document.document import Document
+from ..window.message_bar import MessageBar, Severity
+from ..worker.results import SourceInfo, SourceState
+from ..worker.worker import Worker
 from .chooser import CameraChooser
 from .panel import DELAY_PATH, CameraPanel
 from .search import CameraSearch

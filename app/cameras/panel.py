@@ -19,9 +19,9 @@ from PyQt6.QtWidgets import (
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
-from ...widgets.collapsible import CollapsibleSection
-from ...widgets.fields import FieldSpec, field_spec
-from ...widgets.parameter_row import ParameterRow
+from ...widgets.basics.collapsible import CollapsibleSection
+from ...widgets.parameters.fields import FieldSpec, field_spec
+from ...widgets.parameters.parameter_row import ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from ..frames import SensorFrame
-from ..pipeline import ContactPatch, ContactPipeline
+from ..contact.pipeline import ContactPatch, ContactPipeline
+from ..model.frames import SensorFrame
 from ..preset import Preset
 from .stability import random_case
 

@@ -6,8 +6,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from ..atomic import atomic_path
 from ..errors import MissingExtraError
+from ..model.files import atomic_path
 from .growth import GrowthRow
 from .registry import Job
 from .run import Row

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from enum import StrEnum
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
-
-import numpy as np
-import numpy.typing as npt
 
 from ..errors import TactuneError
+from ..model.arrays import AnyArray, BoolArray
 from .scenes import BenchScene
 
 
@@ -41,12 +38,12 @@ class Outcome:
         What else is compared, such as aligned depths in metres.
     """
 
-    make_mask: Callable[[], npt.NDArray[np.bool_]] | None = None
-    points: npt.NDArray[Any] | None = None
-    values: npt.NDArray[Any] | None = None
+    make_mask: Callable[[], BoolArray] | None = None
+    points: AnyArray | None = None
+    values: AnyArray | None = None
 
     @property
-    def mask(self) -> npt.NDArray[np.bool_] | None:
+    def mask(self) -> BoolArray | None:
         """The mask, bool, shape (H, W), or None where the job has none."""
         return None if self.make_mask is None else self.make_mask()
 

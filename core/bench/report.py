@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ..atomic import atomic_path
+from ..model.files import atomic_path
 from .gate import Check
 from .growth import GrowthRow, growth_as_text
 from .long_run import LongRunReport

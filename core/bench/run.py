@@ -8,19 +8,18 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..clouds import ray_table
+from ..contact.provenance import Provenance
 from ..errors import TactuneError
 from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
-from ..provenance import Provenance
-from ..reference import inliers, reference_patch
+from ..model.arrays import BoolArray, Float64Array
+from ..model.clouds import ray_table
 from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
+from .reference_pipeline import inliers, reference_patch
 from .registry import Engine, Job, Outcome, Runner, engines
 from .scenes import BenchScene, make_scene
 
-Bools = npt.NDArray[np.bool_]
 Progress = Callable[[float, str], None]
 
 
@@ -134,7 +133,7 @@ def _row(
     )  # fmt: skip
 
 
-def expected_mask(scene: BenchScene, job: Job) -> Bools:
+def expected_mask(scene: BenchScene, job: Job) -> BoolArray:
     """Return the mask that an exact engine of this job gives, from the float64 reference."""
     if job == Job.OUTLIERS:
         points, pixels = candidate_points(scene)
@@ -143,10 +142,10 @@ def expected_mask(scene: BenchScene, job: Job) -> Bools:
     return reference_mask(scene, outliers=job == Job.PIPELINE)
 
 
-_MASKS: dict[tuple[int, bool], tuple[BenchScene, Bools]] = {}
+_MASKS: dict[tuple[int, bool], tuple[BenchScene, BoolArray]] = {}
 
 
-def reference_mask(scene: BenchScene, *, outliers: bool = True) -> Bools:
+def reference_mask(scene: BenchScene, *, outliers: bool = True) -> BoolArray:
     """Return the contact mask of the float64 reference, with or without its last two stages; kept."""
     key = (id(scene), outliers)
     if key not in _MASKS:
@@ -157,7 +156,7 @@ def reference_mask(scene: BenchScene, *, outliers: bool = True) -> Bools:
     return _MASKS[key][1]
 
 
-def _points(mask: Bools, scene: BenchScene) -> npt.NDArray[np.float64]:
+def _points(mask: BoolArray, scene: BenchScene) -> Float64Array:
     depth = scene.frame.proximity_depth[mask].astype(np.float64)[:, None] * scene.rig.proximity.depth_unit_m
     return np.concatenate([ray_table(scene.rig.proximity.intrinsics)[mask] * depth, depth], axis=1)
 

@@ -7,15 +7,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import TactuneError
-from ..frames import DepthCamera, GroundTruth, Rig, SensorFrame
-from ..intrinsics import Intrinsics
+from ..model.arrays import Float64Array, Uint16Array
+from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
+from ..model.intrinsics import Intrinsics
 from ..preset import Preset
-from ..preset_file import load_preset
-
-Float64Array = npt.NDArray[np.float64]
+from ..preset.file import load_preset
 
 #: Depths of the simulated presses, metres past first touch.
 LIGHT_M, MEDIUM_M = 0.003, 0.024
@@ -160,7 +158,7 @@ def _depth_of_paraboloid(camera: Intrinsics, T_p_camera: Float64Array) -> Float6
     return depth
 
 
-def _counts(depth_m: Float64Array, unit_m: float) -> npt.NDArray[np.uint16]:
+def _counts(depth_m: Float64Array, unit_m: float) -> Uint16Array:
     return np.clip(np.rint(depth_m / unit_m), 1, 65534).astype(np.uint16)
 
 

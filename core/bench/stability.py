@@ -11,17 +11,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..alignment import tactile_homography, tactile_pose
-from ..frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
-from ..intrinsics import Distortion, Intrinsics
-from ..pipeline import ContactPipeline
+from ..contact.alignment import tactile_homography, tactile_pose
+from ..contact.pipeline import ContactPipeline
+from ..model.arrays import Float64Array, Uint16Array
+from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
+from ..model.intrinsics import Distortion, Intrinsics
 from ..preset import Preset
-from ..reference import reference_patch
-
-Float64Array = npt.NDArray[np.float64]
+from .reference_pipeline import reference_patch
 
 #: The stated bound. A verdict takes some ten roundings after the tables, each of half an ulp of the
 #: largest number in it: the depth for the tolerance, the image's width for a looked-up pixel.
@@ -182,7 +180,7 @@ def _expected_and_pixels(preset: Preset, rig: Rig, depth: Float64Array) -> tuple
         return depth, mapped[:, :2] / mapped[:, 2:]
 
 
-def _look_up(image: npt.NDArray[np.uint16], uv: Float64Array) -> npt.NDArray[np.uint16]:
+def _look_up(image: Uint16Array, uv: Float64Array) -> Uint16Array:
     height, width = image.shape
     with np.errstate(invalid="ignore"):
         column, row = (np.nan_to_num(np.floor(uv + 0.5), posinf=0, neginf=0)).astype(np.int64).T
@@ -231,7 +229,7 @@ def _pose(random: np.random.Generator, spread_m: float) -> Matrix4:
     return rigid_transform(matrix)
 
 
-def _counts(depth_m: Float64Array, unit_m: float, random: np.random.Generator) -> npt.NDArray[np.uint16]:
+def _counts(depth_m: Float64Array, unit_m: float, random: np.random.Generator) -> Uint16Array:
     """Return raw counts with some pixels that are no depth and some at the ends of the scale."""
     counts = np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
     odd = random.random(counts.shape) < 0.02

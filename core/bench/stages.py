@@ -8,8 +8,8 @@ from functools import partial
 
 import numpy as np
 
-from ..pipeline import STAGES, ContactPipeline
-from ..threads import available_threads, get_threads, set_threads
+from ..contact.kernels.threads import available_threads, get_threads, set_threads
+from ..contact.pipeline import STAGES, ContactPipeline
 from .measure import Timing, time_in_turns
 from .registry import Outcome, Runner, find_engine
 from .scenes import make_scene

@@ -10,11 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CalibrationError
-from ..frames import Float64Array, Rig
+from ..model.arrays import BoolArray, Float64Array
+from ..model.frames import Rig
 from ..preset import now
 from .correspondences import Correspondence, enabled_pairs, pixel_arrays
 from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
-from .maximum_likelihood import BoolArray
 from .quality import (
     PatchEffect,
     bound_95,

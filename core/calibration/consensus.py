@@ -19,12 +19,10 @@ from math import comb
 from typing import TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy.special import gammaln
 
-from ..frames import Float64Array
+from ..model.arrays import BoolArray, Float64Array, IndexArray
 
-BoolArray = npt.NDArray[np.bool_]
 Model = TypeVar("Model")
 
 #: log10 of the largest number of false alarms that counts as agreement.
@@ -51,7 +49,7 @@ class Consensus:
         return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= SMALLEST_SHARE
 
 
-def samples(count: int, size: int, seed: int = 0) -> npt.NDArray[np.intp]:
+def samples(count: int, size: int, seed: int = 0) -> IndexArray:
     """Return index samples, shape (M, size): every one where there are few, random ones otherwise."""
     if comb(count, size) <= _EXHAUSTIVE:
         return np.array(list(combinations(range(count), size)), dtype=np.intp)
@@ -96,7 +94,7 @@ def find_consensus(
     count: int,
     sample_size: int,
     area: float,
-    hypotheses: Callable[[npt.NDArray[np.intp]], list[Model]],
+    hypotheses: Callable[[IndexArray], list[Model]],
     residuals_px: Callable[[Model], Float64Array],
     refit: Callable[[BoolArray], Model | None],
     first: list[Model],
@@ -159,6 +157,6 @@ def _polish(
     return best, model
 
 
-def _log_binomial(n: float | npt.NDArray[np.intp], k: float | npt.NDArray[np.intp]) -> Float64Array:
+def _log_binomial(n: float | IndexArray, k: float | IndexArray) -> Float64Array:
     n, k = np.asarray(n, dtype=np.float64), np.asarray(k, dtype=np.float64)
     return np.asarray(gammaln(n + 1) - gammaln(k + 1) - gammaln(n - k + 1))

@@ -12,9 +12,9 @@ from typing import Literal
 
 import numpy as np
 
-from ..atomic import atomic_path
 from ..errors import CalibrationError
-from ..frames import Float64Array
+from ..model.arrays import Float64Array
+from ..model.files import atomic_path
 
 ProximityImage = Literal["depth", "color"]
 

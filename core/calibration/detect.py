@@ -7,13 +7,10 @@ from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ..errors import CalibrationError
-from ..frames import Float64Array
+from ..model.arrays import AnyArray, BoolArray, Float64Array, Uint8Array
 from .homography import fit_homography
-
-GrayImage = npt.NDArray[np.uint8]
 
 #: Half the window in which a corner is refined, pixels.
 _CORNER_WINDOW = 5
@@ -33,7 +30,7 @@ class Snapped(NamedTuple):
     kind: Literal["corner", "blob"]
 
 
-def snap_to_feature(image: npt.NDArray[Any], u: float, v: float, radius: float = 6.0) -> Snapped | None:
+def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) -> Snapped | None:
     """Return the corner or blob centre nearest to a click, whichever is there.
 
     A dark or bright spot that closes on itself beside the click is a blob, and its centroid weighted by
@@ -64,21 +61,21 @@ def snap_to_feature(image: npt.NDArray[Any], u: float, v: float, radius: float =
     return None if found is None else Snapped(found.u + left, found.v + top, found.kind)
 
 
-def to_gray(image: npt.NDArray[Any], tails: float = 1.0) -> GrayImage:
+def to_gray(image: AnyArray, tails: float = 1.0) -> Uint8Array:
     """Return an 8-bit grey image; deeper images are stretched, all but some percent at either end."""
     if image.ndim == 3:
         image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY))
     if image.dtype == np.uint8:
-        gray: GrayImage = np.ascontiguousarray(image, np.uint8)
+        gray: Uint8Array = np.ascontiguousarray(image, np.uint8)
         return gray
     valid = image[image > 0] if (image > 0).any() else image
     low, high = np.percentile(valid, [tails, 100 - tails])
     stretched = (image.astype(np.float64) - low) * (255.0 / max(float(high - low), 1e-9))
-    stretched_gray: GrayImage = np.clip(stretched, 0, 255).astype(np.uint8)
+    stretched_gray: Uint8Array = np.clip(stretched, 0, 255).astype(np.uint8)
     return stretched_gray
 
 
-def _blob_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | None:
+def _blob_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped | None:
     reach = int(np.ceil(2 * radius)) + 2
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     window = gray[top : round(v) + reach + 1, left : round(u) + reach + 1]
@@ -97,7 +94,7 @@ def _blob_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | 
     return best[1] if best else None
 
 
-def _round_components(window: GrayImage, inside: npt.NDArray[np.bool_], threshold: float) -> list[Float64Array]:
+def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -> list[Float64Array]:
     """Return the weighted centroids of round regions that do not touch the window's edge."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
     height, width = window.shape
@@ -119,7 +116,7 @@ def _round_components(window: GrayImage, inside: npt.NDArray[np.bool_], threshol
     return centers
 
 
-def _corner_near(gray: GrayImage, u: float, v: float, radius: float) -> Snapped | None:
+def _corner_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped | None:
     reach = int(np.ceil(radius)) + _CORNER_WINDOW + 6
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     window = np.ascontiguousarray(gray[top : round(v) + reach + 1, left : round(u) + reach + 1])
@@ -165,7 +162,7 @@ class Detection:
     labelled: bool = False
 
 
-def detect_chessboard(image: npt.NDArray[Any], columns: int, rows: int) -> Detection:
+def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
     """Find the inner corners of a chessboard.
 
     Parameters
@@ -192,7 +189,7 @@ def detect_chessboard(image: npt.NDArray[Any], columns: int, rows: int) -> Detec
 
 
 def detect_charuco(
-    image: npt.NDArray[Any], columns: int, rows: int, marker_share: float = 0.7, dictionary: str = "DICT_4X4_250"
+    image: AnyArray, columns: int, rows: int, marker_share: float = 0.7, dictionary: str = "DICT_4X4_250"
 ) -> Detection:
     """Find the chessboard corners of a ChArUco board; parts of it suffice.
 
@@ -224,7 +221,7 @@ def detect_charuco(
     return Detection(tuple(int(i) for i in np.ravel(ids)), np.asarray(corners, np.float64).reshape(-1, 2), True)
 
 
-def detect_circles(image: npt.NDArray[Any], columns: int, rows: int, *, asymmetric: bool = True) -> Detection:
+def detect_circles(image: AnyArray, columns: int, rows: int, *, asymmetric: bool = True) -> Detection:
     """Find a grid of dark circles: asymmetric (every other row shifted) or a plain dot grid.
 
     Parameters
@@ -280,7 +277,7 @@ def _half_turn(source: Float64Array, target: Float64Array) -> bool:
     return bool(along.sum() < 0)
 
 
-def _circle_parameters(gray: GrayImage) -> Any:
+def _circle_parameters(gray: Uint8Array) -> Any:
     parameters = cv2.SimpleBlobDetector.Params()
     parameters.filterByArea = True
     parameters.minArea = 12.0
@@ -291,7 +288,7 @@ def _circle_parameters(gray: GrayImage) -> Any:
     return parameters
 
 
-def _counted(corners: npt.NDArray[Any]) -> Detection:
+def _counted(corners: AnyArray) -> Detection:
     pixels = np.asarray(corners, np.float64).reshape(-1, 2)
     return Detection(tuple(range(len(pixels))), pixels)
 

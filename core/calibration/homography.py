@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CalibrationError
-from ..frames import Float64Array
-from .maximum_likelihood import BoolArray, Linearised, Measurements, Prior, inverse_information
+from ..model.arrays import BoolArray, Float64Array, IndexArray
+from .maximum_likelihood import Linearised, Measurements, Prior, inverse_information
 from .pairs import check_pairs, spread
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
 
@@ -116,7 +116,7 @@ class HomographyProblem(Problem[Float64Array]):
         """Normalise tactile pixels (N, 2)."""
         return np.asarray((tactile - self.tactile_center) * self.tactile_scale)
 
-    def linearise(self, theta: Float64Array, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
+    def linearise(self, theta: Float64Array, places: Float64Array, camera: IndexArray) -> Linearised:
         """Predict in normalised coordinates; theta is the matrix as a unit vector (9,)."""
         H = theta.reshape(3, 3)
         homogeneous = np.column_stack([places, np.ones(len(places))])
@@ -139,7 +139,7 @@ class HomographyProblem(Problem[Float64Array]):
         data = self.measurements
         return direct_linear_transform(data.known[used], data.seen[used]).ravel()
 
-    def hypotheses(self, samples: npt.NDArray[np.intp]) -> list[Float64Array]:
+    def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
         """Solve the 8 x 8 equations of every sample at once, lower right entry fixed at 1."""
         x, y = self.measurements.known[samples], self.measurements.seen[samples]
         rows = np.zeros((len(samples), 2 * _SAMPLE, 8))

@@ -19,18 +19,15 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 
-from ..frames import Float64Array
-
-BoolArray = npt.NDArray[np.bool_]
+from ..model.arrays import BoolArray, Float64Array, IndexArray
 
 Theta = TypeVar("Theta")
 
 #: Prediction (N, M) and its derivatives by theta (N, M, P) and by the places (N, M, L).
 Linearised = tuple[Float64Array, Float64Array, Float64Array]
 #: ``(theta, places, camera)`` to the prediction and its derivatives.
-Linearise = Callable[[Theta, Float64Array, npt.NDArray[np.intp]], Linearised]
+Linearise = Callable[[Theta, Float64Array, IndexArray], Linearised]
 
 #: Variance of a component that was not measured: it weighs nothing.
 UNMEASURED = 1e12
@@ -60,7 +57,7 @@ class Measurements:
     known_covariance: Float64Array
     seen: Float64Array
     seen_covariance: Float64Array
-    camera: npt.NDArray[np.intp]
+    camera: IndexArray
 
     def __len__(self) -> int:
         return len(self.known)

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import CalibrationError
-from ..frames import Float64Array
+from ..model.arrays import Float64Array
 
 #: Scatter across the best line, as a share of the scatter along it, below which points lie on a line.
 _LINE_SHARE = 2e-3

@@ -13,7 +13,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
-from ..frames import Float64Array, Rig
+from ..model.arrays import Float64Array
+from ..model.frames import Rig
 
 #: Noise of one pixel of either depth camera on this sensor, metres.
 PROXIMITY_NOISE_M = 0.001

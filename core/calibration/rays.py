@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from ..frames import Float64Array, Rig
-from ..intrinsics import Intrinsics
+from ..model.arrays import Float64Array
+from ..model.frames import Rig
+from ..model.intrinsics import Intrinsics
 
 _NEWTON_STEPS = 8
 _DIFFERENCE_PX = 0.5

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..alignment import tactile_homography, tactile_pose
+from ..contact.alignment import tactile_homography, tactile_pose
 from ..errors import CalibrationError
-from ..frames import Float64Array, Rig, SensorFrame
+from ..model.arrays import Float64Array
+from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .quality import millimetres_per_pixel
 from .rays import color_pose, color_to_depth_pixels, ray_seen

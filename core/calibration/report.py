@@ -11,10 +11,11 @@ from typing import Any, Literal
 import numpy as np
 from pydantic import ValidationError
 
-from ..calibration_record import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from ..errors import CalibrationError
-from ..frames import Float64Array, Rig
+from ..model.arrays import Float64Array
+from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
+from ..preset.calibration_record import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from .correspondences import Correspondence
 from .homography import HomographyFit
 from .quality import Coverage, PatchEffect, UncertaintyMap

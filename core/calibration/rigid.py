@@ -20,9 +20,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..frames import Float64Array, Rig
+from ..model.arrays import BoolArray, Float64Array, IndexArray
+from ..model.frames import Rig
 from .homography import CLICK_SIGMA_PX
-from .maximum_likelihood import UNMEASURED, BoolArray, Linearised, Measurements, Prior, inverse_information
+from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Prior, inverse_information
 from .pairs import check_space, on_a_line, spread
 from .rays import color_lens, color_pose, ray_covariance, ray_seen
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
@@ -242,7 +243,7 @@ class RigidProblem(Problem[Pose]):
         by_place[:, :, 2] = rays * theta.scale
         return turned + theta.translation, by_theta, by_place
 
-    def linearise(self, theta: Pose, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
+    def linearise(self, theta: Pose, places: Float64Array, camera: IndexArray) -> Linearised:
         """Predict rays of the camera that was clicked in and, where measured, the distance."""
         points, by_theta, by_place = self.transform(theta, places)
         rotation = self.camera_rotation[camera]
@@ -273,7 +274,7 @@ class RigidProblem(Problem[Pose]):
         )  # fmt: skip
         return Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)) if found else None
 
-    def hypotheses(self, samples: npt.NDArray[np.intp]) -> list[Pose]:
+    def hypotheses(self, samples: IndexArray) -> list[Pose]:
         """Solve P3P on every sample: up to four poses each."""
         poses = []
         for sample in samples:

@@ -6,22 +6,12 @@ from dataclasses import dataclass
 from typing import Generic, Protocol, TypeVar
 
 import numpy as np
-import numpy.typing as npt
 from scipy.stats import f as f_distribution
 
 from ..errors import CalibrationError
-from ..frames import Float64Array
+from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .consensus import SIGNIFICANT, SMALLEST_SHARE, Consensus, find_consensus, score
-from .maximum_likelihood import (
-    BoolArray,
-    Linearised,
-    Measurements,
-    Prior,
-    Solution,
-    condition_number,
-    deleted_distances,
-    maximise,
-)
+from .maximum_likelihood import Linearised, Measurements, Prior, Solution, condition_number, deleted_distances, maximise
 
 Theta = TypeVar("Theta")
 
@@ -52,7 +42,7 @@ class Problem(Protocol[Theta]):
     largest_rms_px: float
     prior: Prior[Theta] | None
 
-    def linearise(self, theta: Theta, places: Float64Array, camera: npt.NDArray[np.intp]) -> Linearised:
+    def linearise(self, theta: Theta, places: Float64Array, camera: IndexArray) -> Linearised:
         """Predict, with derivatives."""
 
     def retract(self, theta: Theta, step: Float64Array) -> Theta:
@@ -61,7 +51,7 @@ class Problem(Protocol[Theta]):
     def start(self, used: BoolArray) -> Theta | None:
         """Return a first theta from some pairs, or None where they give none."""
 
-    def hypotheses(self, samples: npt.NDArray[np.intp]) -> list[Theta]:
+    def hypotheses(self, samples: IndexArray) -> list[Theta]:
         """Return the models of index samples (M, sample_size)."""
 
     def residuals_px(self, theta: Theta) -> Float64Array:

@@ -6,18 +6,15 @@ import hashlib
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from ..calibration_record import SnapshotRecord
-from ..clouds import valid_depth
-from ..compiling import kernel
+from ..contact.kernels.compiling import kernel
 from ..errors import CalibrationError
-from ..frames import Float64Array, SensorFrame
-
-CountsImage = npt.NDArray[np.uint16]
+from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
+from ..model.clouds import valid_depth
+from ..model.frames import SensorFrame
+from ..preset.calibration_record import SnapshotRecord
 
 #: Depths farther than this from the click's own belong to another surface, metres.
 _SAME_SURFACE_M = 0.004
@@ -78,7 +75,7 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
     return Snapshot(first, len(kept), content_hash(first))
 
 
-def median_counts(images: Sequence[CountsImage]) -> CountsImage:
+def median_counts(images: Sequence[Uint16Array]) -> Uint16Array:
     """Return the median of raw depth images (H, W); 0 and 65535 are left out.
 
     The lower of the two middle values where their number is even, so that a median is always a value
@@ -108,7 +105,7 @@ def content_hash(frame: SensorFrame) -> str:
     return digest.hexdigest()
 
 
-def depth_under(counts: CountsImage, unit_m: float, u: float, v: float, radius: int = 2) -> float | None:
+def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: int = 2) -> float | None:
     """Return the depth under a sub-pixel place, metres, or None where the camera sees none.
 
     A plane is fitted to the valid pixels around it that lie on the same surface, which averages the
@@ -146,7 +143,7 @@ def _plane_at_origin(across: Float64Array, depth: Float64Array) -> float:
     return float(np.linalg.lstsq(design, depth, rcond=None)[0][0])
 
 
-def _median_color(images: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uint8]:
+def _median_color(images: Sequence[Uint8Array]) -> Uint8Array:
     _check_sizes(images)
     out = np.empty_like(images[0])
     for top in range(0, len(out), _ROWS_AT_ONCE):
@@ -157,7 +154,7 @@ def _median_color(images: Sequence[npt.NDArray[np.uint8]]) -> npt.NDArray[np.uin
     return out
 
 
-def _check_sizes(images: Sequence[npt.NDArray[Any]]) -> None:
+def _check_sizes(images: Sequence[AnyArray]) -> None:
     if not images:
         raise CalibrationError("a median needs at least one image; there is none")
     for image in images:
@@ -169,7 +166,7 @@ def _check_sizes(images: Sequence[npt.NDArray[Any]]) -> None:
 
 
 @partial(kernel, allocates=True)
-def _median_rows(stack: npt.NDArray[np.uint16], out: npt.NDArray[np.uint16]) -> None:
+def _median_rows(stack: Uint16Array, out: Uint16Array) -> None:
     """Write the lower median of the valid values of each pixel; ``stack`` is (rows, columns, images)."""
     height, width, count = stack.shape
     values = np.empty(count, np.uint16)

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..frames import Float64Array, Rig
+from ..model.arrays import BoolArray, Float64Array
+from ..model.frames import Rig
 from .correspondences import Correspondence
-from .maximum_likelihood import BoolArray
 from .rays import color_lens, color_pose, ray_seen
 from .rigid import RigidPoints
 

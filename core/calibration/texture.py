@@ -18,9 +18,10 @@ import numpy.typing as npt
 from scipy.ndimage import map_coordinates
 
 from ..errors import CalibrationError
-from ..frames import Float64Array, Rig, SensorFrame
+from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
+from ..model.frames import Rig, SensorFrame
 from .correspondences import Correspondence
-from .detect import GrayImage, to_gray
+from .detect import to_gray
 from .rays import color_lens, color_pose, ray_seen
 from .rigid import Pose, RigidFit, RigidPoints, fit_rigid
 from .snapshots import depth_under
@@ -99,7 +100,7 @@ class _Found:
     """Pairs with the view that they come from and how alike both patches are."""
 
     points: RigidPoints
-    view: npt.NDArray[np.intp]
+    view: IndexArray
     likeness: Float64Array
 
 
@@ -164,7 +165,9 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
     v, u = np.mgrid[:height, :width].astype(np.float64)
     dense = np.column_stack([u.ravel(), v.ravel(), view.depth_m.ravel()])
     lookup = _color_pixels(dense, rig, pose).astype(np.float32).reshape(height, width, 2)
-    warped: GrayImage = np.asarray(cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC), np.uint8)
+    warped: Uint8Array = np.asarray(
+        cv2.remap(view.proximity, lookup[..., 0], lookup[..., 1], cv2.INTER_CUBIC), np.uint8
+    )
     start = view.features[:, :2].astype(np.float32).reshape(-1, 1, 2)
     if len(start) == 0:
         return _joined([])
@@ -188,9 +191,7 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
     return _Found(_color_points(features, proximity.astype(np.float64)), np.full(len(features), view.number), likeness)
 
 
-def _tracked(
-    source: GrayImage, target: GrayImage, start: npt.NDArray[np.float32]
-) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.bool_]]:
+def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tuple[Float32Array, BoolArray]:
     """Follow places (N, 1, 2) from one image to the other; say which were found."""
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001)
     places, found, _ = cv2.calcOpticalFlowPyrLK(
@@ -286,25 +287,25 @@ def _joined(parts: list[_Found]) -> _Found:
     )
 
 
-def _likeness(first: GrayImage, second: GrayImage, here: Float64Array, there: Float64Array) -> float:
+def _likeness(first: Uint8Array, second: Uint8Array, here: Float64Array, there: Float64Array) -> float:
     size = (_PATCH_PX, _PATCH_PX)
     a = cv2.getRectSubPix(first, size, (float(here[0]), float(here[1])))
     b = cv2.getRectSubPix(second, size, (float(there[0]), float(there[1])))
     return float(cv2.matchTemplate(a, b, cv2.TM_CCOEFF_NORMED)[0, 0])
 
 
-def _textured(image: GrayImage) -> GrayImage:
+def _textured(image: Uint8Array) -> Uint8Array:
     """Return a grey image with local contrast evened out, so that both cameras' exposures compare."""
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(to_gray(image)))
 
 
-def _inner(valid: npt.NDArray[np.bool_]) -> GrayImage:
+def _inner(valid: BoolArray) -> Uint8Array:
     """Return where a whole patch has depth, holes aside."""
     closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     return np.asarray(cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)))
 
 
-def _filled(depth_m: Float64Array, valid: npt.NDArray[np.bool_]) -> Float64Array:
+def _filled(depth_m: Float64Array, valid: BoolArray) -> Float64Array:
     """Smooth the depth and fill its holes, weighted by what is valid."""
     weight = cv2.GaussianBlur(valid.astype(np.float64), (0, 0), 2.5)
     smooth = cv2.GaussianBlur(np.where(valid, depth_m, 0.0), (0, 0), 2.5)

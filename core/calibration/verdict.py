@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..frames import Float64Array, Rig
+from ..model.arrays import Float64Array
+from ..model.frames import Rig
 from .quality import Coverage
 from .report import ModelQuality
 

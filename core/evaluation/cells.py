@@ -13,12 +13,12 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final
 
-from ..atomic import atomic_path
-from ..baselines.method import ContactMethod, MethodPatch
-from ..baselines.registry import make_method, method_names
+from ..contact.outliers.clusters import pixel_areas_m2
 from ..errors import TactuneError
-from ..frames import Rig, SensorFrame
-from ..outliers.clusters import pixel_areas_m2
+from ..methods.method import ContactMethod, MethodPatch
+from ..methods.registry import make_method, method_names
+from ..model.files import atomic_path
+from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .distances import area_error_mm2, boundary_distance_px, cloud_distances, separate_contacts
 from .metrics import method_area_mm2, pixel_scores, truth_cloud

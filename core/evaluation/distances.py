@@ -10,8 +10,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-BoolArray = npt.NDArray[np.bool_]
-Float64Array = npt.NDArray[np.float64]
+from ..model.arrays import BoolArray, Float64Array
 
 
 @dataclass(frozen=True)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from ..baselines.method import MethodPatch
-from ..clouds import PointCloud, ray_table
-from ..frames import GroundTruth, Rig
-from ..pipeline import ContactPatch
+from ..contact.pipeline import ContactPatch
+from ..methods.method import MethodPatch
+from ..model.arrays import BoolArray
+from ..model.clouds import PointCloud, ray_table
+from ..model.frames import GroundTruth, Rig
 from .distances import cloud_distances
-
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

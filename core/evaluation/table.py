@@ -16,13 +16,13 @@ from typing import Final
 
 from scipy.stats import t as student_t
 
-from ..baselines.registry import make_method
+from ..methods.registry import make_method
 from ..preset import Preset
+from ..rig.untouched_source import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from .cells import FRAMES_A_CELL, Cell, CellFolder, MakeMethod, build_method, measure_cell, table_methods
 from .scene_plan import PRESSES, PlannedScene
-from .untouched import untouched_frame
 
 #: Symmetric RMSE in mm at low, medium and high strain, and seconds a frame, as Yin et al. print them.
 PAPER_RMSE_MM: Final = {

@@ -8,23 +8,22 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from ..atomic import atomic_path
-from ..baselines.registry import make_method
 from ..errors import ExportError, MissingExtraError, TactuneError
+from ..methods.registry import make_method
+from ..model.arrays import Float32Array
+from ..model.files import atomic_path
 from ..preset import Preset
+from ..rig.untouched_source import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from .cells import FRAMES_A_CELL, NO_CONTACT_FOUND, MakeMethod, build_method
 from .metrics import symmetric_rmse_m, truth_cloud
 from .scene_plan import PlannedScene
-from .untouched import untouched_frame
 
-Points = npt.NDArray[np.float32]
 #: Truth and, by method, points or the reason why there are none.
-Panel = tuple[Points, dict[str, Points | str]]
+Panel = tuple[Float32Array, dict[str, Float32Array | str]]
 
 #: Where the colours end, millimetres.
 FARTHEST_MM: Final = 10.0
@@ -93,7 +92,7 @@ def draw_patches(
     plt.close(figure)
 
 
-def _draw_one(axis: Any, points: Points | str, truth: Points) -> Any:
+def _draw_one(axis: Any, points: Float32Array | str, truth: Float32Array) -> Any:
     """Draw one method's patch, and its RMSE or why there is none."""
     if isinstance(points, str):
         axis.text(0.5, 0.5, "Fail", transform=axis.transAxes, ha="center", va="center", color="crimson", fontsize=11)
@@ -124,7 +123,7 @@ def _panel(
                 f"{source.name} gives no frame with truth, so it cannot be drawn; choose a simulated one"
             )
         truth = truth_cloud(frames[-1].truth, source.rig).points
-        found: dict[str, Points | str] = {}
+        found: dict[str, Float32Array | str] = {}
         for name in methods:
             try:
                 method = build_method(name, preset, source.rig, reference, make)
@@ -136,7 +135,7 @@ def _panel(
         return truth, found
 
 
-def _limits(clouds: Sequence[Points]) -> list[tuple[float, float]]:
+def _limits(clouds: Sequence[Float32Array]) -> list[tuple[float, float]]:
     """Return limits of x and y in mm that show all clouds."""
     everything = np.concatenate([cloud[:, :2] for cloud in clouds]) * 1e3
     low, high = everything.min(axis=0) - 5.0, everything.max(axis=0) + 5.0

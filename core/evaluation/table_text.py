@@ -9,7 +9,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 from typing import Any
 
-from ..atomic import atomic_path
+from ..model.files import atomic_path
 from .cells import Cell
 from .table import (
     CONFIDENCE,

@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Final
 
 from ..errors import ExportError
-from ..frames import Rig
-from ..paths import user_path
+from ..model.files import user_path
+from ..model.frames import Rig
+from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
-from ..preset_file import preset_json
-from ..rig_file import json_text, rig_to_json
-from .container import McapWriter, Message
-from .messages import SAID_ONCE, STATIC_QOS, definition, type_hash
+from ..preset.file import preset_json
+from ..sources.mcap.container import McapWriter, Message
+from ..sources.mcap.messages import SAID_ONCE, STATIC_QOS, definition, type_hash
 
 #: Names inside the file.
 METADATA_NAME: Final = "tactune"

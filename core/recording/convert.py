@@ -5,9 +5,9 @@ from __future__ import annotations
 import itertools
 from pathlib import Path
 
-from ..atomic import atomic_path
 from ..errors import ExportError
-from ..frames import SensorFrame
+from ..model.files import atomic_path
+from ..model.frames import SensorFrame
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
 from .writer import SessionWriter

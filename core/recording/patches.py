@@ -6,14 +6,12 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self
 
-import numpy as np
-import numpy.typing as npt
-
-from ..frames import Rig
+from ..model.arrays import Float32Array
+from ..model.frames import Rig
 from ..preset import Preset
+from ..sources.mcap.container import Message
+from ..sources.mcap.messages import POINT_CLOUD, LogClock, Topic, nanoseconds, point_cloud
 from .bag import Bag
-from .container import Message
-from .messages import POINT_CLOUD, LogClock, Topic, nanoseconds, point_cloud
 
 
 class PatchWriter:
@@ -38,7 +36,7 @@ class PatchWriter:
         self._clock = LogClock(1.0 / frame_rate_hz)
         self._bag = Bag(path, {Topic.PATCH: POINT_CLOUD}, rig, preset, frame_rate_hz)
 
-    def write(self, points: npt.NDArray[np.float32], sequence: int, time_s: float) -> None:
+    def write(self, points: Float32Array, sequence: int, time_s: float) -> None:
         """Write one patch.
 
         Parameters

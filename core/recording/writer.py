@@ -15,12 +15,12 @@ from typing import Self
 import numpy as np
 
 from ..errors import FrameError, TactuneError
-from ..frames import Rig, SensorFrame
+from ..model.frames import Rig, SensorFrame
+from ..model.rig_file import json_text, rig_to_json
+from ..model.untouched_archive import reference_bytes
 from ..preset import Preset
-from ..rig_file import json_text, rig_to_json
-from .bag import REFERENCE_NAME, Bag
-from .container import Buffer, Message
-from .messages import (
+from ..sources.mcap.container import Buffer, Message
+from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
     TEXT,
@@ -33,8 +33,8 @@ from .messages import (
     static_transforms,
     text,
 )
-from .reference import reference_bytes
-from .streams import image_streams, images_of
+from ..sources.mcap.streams import image_streams, images_of
+from .bag import REFERENCE_NAME, Bag
 
 #: Frames wait in no more memory than this: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
@@ -70,7 +70,7 @@ class RecordingStatus:
 
 
 class SessionWriter:
-    """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.recording.messages` describes it.
+    """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.mcap.messages` describes it.
 
     A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, given to
     the operating system whole, so a killed process loses the frames that were still waiting and

@@ -6,12 +6,12 @@ from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from ..clouds import deproject, valid_depth
+from ..contact.masking import colors_at
 from ..errors import SourceError
-from ..frames import ColorCamera, Rig, SensorFrame, rigid_transform
-from ..masking import colors_at
+from ..model.arrays import IndexArray, Uint8Array, Uint16Array
+from ..model.clouds import deproject, valid_depth
+from ..model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from .base import Health, Progress, SeekableSource
 from .realsense_files.opening import open_recordings
 from .realsense_files.pairing import common_times, nearest, pairs, period_s, span_text
@@ -121,7 +121,7 @@ class BagSource(SeekableSource):
             tactile_time_s=float(self._tactile_times_s[tactile_index]),
         )
 
-    def _read_tactile(self, index: int) -> tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8] | None]:
+    def _read_tactile(self, index: int) -> tuple[Uint16Array, Uint8Array | None]:
         """Return a tactile depth image and its colours in depth pixels."""
         assert self._tactile is not None
         depth = self._tactile.recording.depth_image(self._tactile.depth, index)
@@ -130,7 +130,7 @@ class BagSource(SeekableSource):
             color = _color_on_depth(color, depth, self._tactile_rig)
         return depth, color
 
-    def _color(self, camera: Camera, depth_index: int) -> npt.NDArray[np.uint8] | None:
+    def _color(self, camera: Camera, depth_index: int) -> Uint8Array | None:
         """Return the colour image nearest to a depth image of the same camera."""
         if camera.color is None:
             return None
@@ -205,7 +205,7 @@ def _rig(proximity: Camera, tactile: Camera | None) -> Rig:
     return Rig(proximity=proximity.info, tactile=tactile.info, proximity_color=color)
 
 
-def _color_index(camera: Camera) -> npt.NDArray[np.intp]:
+def _color_index(camera: Camera) -> IndexArray:
     """Return for each depth image of a camera the index of its colour image."""
     assert camera.color is not None
     times = common_times(camera.depth, camera.color, same_recording=True, same_device=True)
@@ -213,7 +213,7 @@ def _color_index(camera: Camera) -> npt.NDArray[np.intp]:
     return nearest(*times)
 
 
-def _color_on_depth(color: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16], rig: Rig) -> npt.NDArray[np.uint8]:
+def _color_on_depth(color: Uint8Array, depth: Uint16Array, rig: Rig) -> Uint8Array:
     """Bring a camera's colour image to its depth pixels; black where there is no depth or no colour."""
     pixels = np.flatnonzero(valid_depth(depth))
     points = deproject(depth, rig.proximity, pixels)

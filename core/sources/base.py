@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, Self
 
 from ..errors import SourceError
-from ..frames import Rig, SensorFrame
+from ..model.frames import Rig, SensorFrame
 
 if TYPE_CHECKING:
     from ..preset import Preset

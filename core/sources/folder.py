@@ -1,6 +1,6 @@
 """Recordings as folders of PNG images that anyone can open, make or hand on.
 
-A recording is a folder with ``rig.json`` (see `tactune.core.rig_file`) and either one frame or
+A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and either one frame or
 numbered subfolders with one frame each; a subfolder ``reference`` may hold a frame of the untouched
 membrane. A frame is::
 
@@ -30,13 +30,13 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ..clouds import valid_depth
 from ..errors import ExportError, FrameError, SourceError
-from ..frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
-from ..paths import user_path
-from ..rig_file import json_text, load_rig, read_json_object, rig_to_json
+from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
+from ..model.clouds import valid_depth
+from ..model.files import user_path
+from ..model.frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
+from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
 
 _NOMINAL_RATE_HZ = 30.0
@@ -244,15 +244,15 @@ def _read_truth(folder: Path, rig: Rig) -> GroundTruth | None:
     return GroundTruth(mask == 255, depth)
 
 
-def _read_counts(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.uint16]:
+def _read_counts(path: Path, shape: tuple[int, int]) -> Uint16Array:
     return _read_image(path, np.dtype(np.uint16), 1, shape)
 
 
-def _read_color(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
     return np.ascontiguousarray(_read_image(path, np.dtype(np.uint8), 3, shape)[:, :, ::-1])
 
 
-def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> npt.NDArray[Any]:
+def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> AnyArray:
     """Read one image and insist on its bit depth, its channels and the size that the rig states."""
     try:
         # Not cv2.imread: a name that is no valid Unicode makes it crash the whole process.
@@ -280,7 +280,7 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
     return image
 
 
-def _read_metres(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
+def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
     try:
         with path.open("rb") as file:
             depth = np.lib.format.read_array(file, allow_pickle=False)
@@ -293,12 +293,12 @@ def _read_metres(path: Path, shape: tuple[int, int]) -> npt.NDArray[np.float32]:
     return depth
 
 
-def _metres(counts: npt.NDArray[np.uint16], unit_m: float) -> npt.NDArray[np.float32]:
+def _metres(counts: Uint16Array, unit_m: float) -> Float32Array:
     metres = counts.astype(np.float32) * np.float32(unit_m)
     return np.where(valid_depth(counts), metres, np.float32(np.nan))
 
 
-def _counts(depth_m: npt.NDArray[np.float32], unit_m: float) -> npt.NDArray[np.uint16]:
+def _counts(depth_m: Float32Array, unit_m: float) -> Uint16Array:
     """Round metres to counts; 0 where there is no depth or too much for 16 bits."""
     with np.errstate(invalid="ignore"):
         counts = np.rint(depth_m.astype(np.float64) / unit_m)
@@ -357,7 +357,7 @@ def _write_truth(folder: Path, truth: GroundTruth, unit_m: float) -> None:
         _write_file(folder / "truth_depth.npy", array.getvalue())
 
 
-def _write_image(path: Path, image: npt.NDArray[Any]) -> None:
+def _write_image(path: Path, image: AnyArray) -> None:
     encoded, data = cv2.imencode(".png", np.ascontiguousarray(image))
     if not encoded:
         raise ExportError(f"cannot write {path}: an image of {image.shape} pixels cannot be a PNG")

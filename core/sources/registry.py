@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from urllib.parse import parse_qsl
 
 from ..errors import SourceError
-from ..paths import user_path
+from ..model.files import user_path
 from .base import FrameSource, Progress
 from .realsense_files.names import SUFFIXES, recording_files
 
@@ -218,7 +218,7 @@ def _capture_realsense(cameras: CamerasSection, progress: Progress) -> FrameSour
 
 
 def _open_mcap(rest: str, progress: Progress | None) -> FrameSource:
-    from .mcap import McapSource
+    from .mcap.source import McapSource
 
     return McapSource(_path("mcap", rest), progress)
 

@@ -15,19 +15,19 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.app.left_threads import wait_for_left
-from tactune.app.main_window import MainWindow
-from tactune.app.playback import PlaybackState
-from tactune.app.processing import FrameProcessor
-from tactune.app.results import SourceInfo, Wanted
 from tactune.app.settings import Settings
-from tactune.app.worker import SourceRequest
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.playback import PlaybackState
+from tactune.app.worker.processing import FrameProcessor
+from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.errors import SourceError
-from tactune.core.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.intrinsics import Intrinsics
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, SeekableSource
-from tactune.core.warmup import warm_up_if_needed
 
 WIDTH, HEIGHT = 64, 48
 CONTACT_RGB = (200, 40, 40)

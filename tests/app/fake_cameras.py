@@ -6,7 +6,7 @@ from dataclasses import replace
 from threading import Condition, Event, Thread
 
 from tactune.core.errors import SourceError
-from tactune.core.frames import Rig, SensorFrame
+from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health
 
 from .conftest import tiny_frame, tiny_rig

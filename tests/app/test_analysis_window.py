@@ -9,8 +9,8 @@ from PyQt6.QtWidgets import QApplication
 
 from tactune.app.analysis import launcher
 from tactune.app.analysis.tab import AnalysisTab
-from tactune.app.main_window import MainWindow
-from tactune.app.results import Result
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.results import Result
 
 
 class NotingTab(AnalysisTab):

@@ -17,15 +17,15 @@ from tactune.app.analysis import comparer
 from tactune.app.analysis.compare_text import comparison_csv
 from tactune.app.analysis.comparer import Scores
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
-from tactune.app.left_threads import wait_for_left
-from tactune.app.opening import SourceRequest
-from tactune.app.reference.store import ReferenceStore
-from tactune.app.reference_finding import reference_finder
-from tactune.core.baselines.registry import make_method, method_names
+from tactune.app.document.reference_store import ReferenceStore
+from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.opening import SourceRequest
+from tactune.app.worker.reference_finding import reference_finder
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
-from tactune.core.frames import GroundTruth, SensorFrame
-from tactune.core.membrane_reference import save_reference
+from tactune.core.methods.registry import make_method, method_names
+from tactune.core.model.frames import GroundTruth, SensorFrame
+from tactune.core.rig.untouched import save_reference
 from tactune.core.sources.base import SeekableSource
 
 from .conftest import at_rest, tiny_frame, tiny_rig

@@ -10,11 +10,11 @@ import pytest
 
 from tactune.app.analysis import comparer
 from tactune.app.analysis.comparer import Comparer, Task
-from tactune.app.playback import PlaybackState
-from tactune.app.processing import FrameProcessor
-from tactune.app.results import SourceInfo, Wanted
-from tactune.core.baselines.registry import Fusion, make_method
-from tactune.core.calibrated.steady import SteadyDepth
+from tactune.app.worker.playback import PlaybackState
+from tactune.app.worker.processing import FrameProcessor
+from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.core.contact.membrane.average import SteadyDepth
+from tactune.core.methods.registry import Fusion, make_method
 from tactune.core.preset import Preset
 
 from .conftest import tiny_frame, tiny_rig

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 from typer.testing import CliRunner
 
-from tactune.app.cli import commands
-from tactune.app.opening import OpeningCancelledError, SourceRequest, open_requested
-from tactune.core import warmup
+from tactune.app.cli.main import commands
+from tactune.app.worker.opening import OpeningCancelledError, SourceRequest, open_requested
+from tactune.core.contact import warmup
 
 
 @pytest.mark.parametrize("compiled", [False, True])

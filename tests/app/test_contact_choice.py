@@ -6,13 +6,13 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.no_contact import why_no_contact
-from tactune.app.rendering import accepted_difference
-from tactune.app.results import CloudName
-from tactune.core.pipeline import CALIBRATED_STAGES, ContactPipeline
+from tactune.app.worker.no_contact import why_no_contact
+from tactune.app.worker.rendering import accepted_difference
+from tactune.app.worker.results import CloudName
+from tactune.core.contact.pipeline import CALIBRATED_STAGES, ContactPipeline
+from tactune.core.contact.provenance import Provenance
 from tactune.core.preset import Preset
-from tactune.core.provenance import Provenance
-from tactune.widgets.colormaps import provenance_legend
+from tactune.widgets.basics.colormaps import provenance_legend
 
 from .conftest import tiny_frame, tiny_rig
 from .hands import CONTROL, shows_preset_of_document

@@ -2,10 +2,10 @@ import json
 
 import pytest
 
-from tactune.app.document import Document
+from tactune.app.document.document import Document
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
-from tactune.core.preset_file import load_preset
+from tactune.core.preset.file import load_preset
 
 
 @pytest.fixture

@@ -11,9 +11,9 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog
 
-from tactune.app.message_bar import Message
-from tactune.app.recovery import Autosave
-from tactune.core.preset_file import load_preset, save_preset
+from tactune.app.document.recovery import Autosave
+from tactune.app.window.message_bar import Message
+from tactune.core.preset.file import load_preset, save_preset
 
 from .conftest import TinySource, at_rest, tiny_rig
 from .hands import (
@@ -188,7 +188,7 @@ def offer(window) -> Message:
 @pytest.fixture
 def crashed(qtbot, preset, tmp_path):
     """What a window leaves that died with unsaved changes."""
-    from tactune.app.document import Document
+    from tactune.app.document.document import Document
 
     document = Document(preset)
     autosave = Autosave(document, tmp_path / "unsaved")

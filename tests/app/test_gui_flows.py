@@ -7,8 +7,8 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLineEdit
 
-from tactune.app.worker import SourceRequest
-from tactune.core.pipeline import ContactPipeline
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.contact.pipeline import ContactPipeline
 
 from .conftest import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest, tiny_frame, tiny_rig
 from .hands import CONTROL, CONTROL_SHIFT, LEFT, drag_slider, shows_preset_of_document, tolerance_slider

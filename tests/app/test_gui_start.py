@@ -12,7 +12,7 @@ from PyQt6.QtGui import QImage
 
 from tactune.app.gui import run_gui, start_with
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset_file import save_preset
+from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 
 from .conftest import TinySource

@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.app.cli import main
-from tactune.app.worker import SourceRequest
-from tactune.core.pipeline import ContactPipeline
-from tactune.core.preset_file import load_preset
+from tactune.app.cli.main import main
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.preset.file import load_preset
 from tactune.core.sources.base import SeekableSource
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.registry import open_source

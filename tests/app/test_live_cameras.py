@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QPushButt
 
 from tactune.app.cameras import search as search_module
 from tactune.app.cameras.search import CameraSearch, FoundCamera
-from tactune.app.worker import SourceRequest
+from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
 
 from .conftest import TinySource

@@ -8,7 +8,7 @@ from PyQt6.QtGui import QDropEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
-from tactune.app.file_flows import recording_filters, recording_scheme
+from tactune.app.window.files import recording_filters, recording_scheme
 from tactune.core.recording.writer import SessionWriter
 
 from .conftest import TinySource

@@ -10,13 +10,13 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
-from tactune.app import live_reader
-from tactune.app.results import CloudName, SourceState
-from tactune.app.staleness import badge, source_sentence
-from tactune.app.worker import SourceRequest
+from tactune.app.window.staleness import badge, source_sentence
+from tactune.app.worker import live_reader
+from tactune.app.worker.results import CloudName, SourceState
+from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth, Health
-from tactune.widgets.stale_badge import BADGE_COLORS
-from tactune.widgets.theme import contrast_ratio
+from tactune.widgets.basics.stale_badge import BADGE_COLORS
+from tactune.widgets.basics.theme import contrast_ratio
 
 from .conftest import TinySource
 from .fake_cameras import FakeCameras

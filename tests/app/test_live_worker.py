@@ -6,8 +6,8 @@ import time
 
 import pytest
 
-from tactune.app import live_reader
-from tactune.app.worker import SourceRequest, Worker
+from tactune.app.worker import live_reader
+from tactune.app.worker.worker import SourceRequest, Worker
 
 from .conftest import LiveSource, TinySource
 from .fake_cameras import FakeCameras

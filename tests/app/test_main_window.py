@@ -11,14 +11,14 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea, QWidget
 
-from tactune.app import rendering
-from tactune.app.no_contact import why_no_contact
-from tactune.app.results import CloudName, ColorBy
-from tactune.app.worker import SourceRequest
+from tactune.app.worker import rendering
+from tactune.app.worker.no_contact import why_no_contact
+from tactune.app.worker.results import CloudName, ColorBy
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.contact.provenance import Provenance
 from tactune.core.errors import SourceError
-from tactune.core.provenance import Provenance
-from tactune.widgets.colormaps import patch_lut
-from tactune.widgets.theme import theme_name
+from tactune.widgets.basics.colormaps import patch_lut
+from tactune.widgets.basics.theme import theme_name
 
 from .conftest import TinySource, at_rest, tiny_frame, tiny_rig
 

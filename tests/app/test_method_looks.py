@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from tactune.app.analysis.method_looks import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TIPS, TRUTH, method_rgb
-from tactune.core.baselines.registry import method_names
-from tactune.widgets.colormaps import patch_lut
-from tactune.widgets.theme import contrast_ratio, theme_colors
+from tactune.core.methods.registry import method_names
+from tactune.widgets.basics.colormaps import patch_lut
+from tactune.widgets.basics.theme import contrast_ratio, theme_colors
 
 #: Machado, Oliveira and Fernandes 2009, severity 1, on linear RGB.
 EYES = {

@@ -1,6 +1,6 @@
 import pytest
 
-from tactune.app.playback import Playback
+from tactune.app.worker.playback import Playback
 
 
 def started(length: int | None = 5, rate_hz: float = 10.0) -> Playback:

@@ -8,10 +8,11 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from tactune.app import recording_control, worker
-from tactune.app.left_threads import wait_for_left
-from tactune.app.worker import SourceRequest
-from tactune.core.recording import container
+from tactune.app.window import recording_control
+from tactune.app.worker import worker
+from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.sources.mcap import container
 from tactune.core.sources.registry import open_source
 
 from .conftest import HangingSource, TinySource, tiny_frame, tiny_rig

@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from tactune.app.defaults import default_preset
-from tactune.app.results import SourceInfo
+from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
-from tactune.core.preset_file import load_preset
+from tactune.core.preset.file import load_preset
 from tactune.core.recording import SessionWriter
-from tactune.core.sources.mcap import McapSource
+from tactune.core.sources.mcap.source import McapSource
 
 
 def record(path: Path, preset: bool = True) -> Path:
@@ -35,7 +35,7 @@ def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
 
 
 def test_run_uses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactune.app import cli
+    from tactune.app.cli import main as cli
 
     path = record(tmp_path / "session.mcap")
     monkeypatch.setattr("sys.argv", ["tactune", "run", "--source", str(path), "--truth"])

@@ -6,8 +6,8 @@ from threading import Event
 
 import pytest
 
-from tactune.app.recorder import Recorder, RecordingRequest
-from tactune.app.recording_bar import clock, duration, size
+from tactune.app.window.recording_bar import clock, duration, size
+from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.preset import Preset
 from tactune.core.recording.writer import RecordingStatus

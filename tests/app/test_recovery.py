@@ -2,8 +2,8 @@ import gc
 
 import pytest
 
-from tactune.app.document import Document
-from tactune.app.recovery import Autosave, unsaved_work
+from tactune.app.document.document import Document
+from tactune.app.document.recovery import Autosave, unsaved_work
 
 
 @pytest.fixture

@@ -12,11 +12,11 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.left_threads import wait_for_left
-from tactune.app.worker import SourceRequest
+from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
-from tactune.core.frames import SensorFrame
-from tactune.core.membrane_reference import average_untouched, load_reference
+from tactune.core.model.frames import SensorFrame
+from tactune.core.rig.untouched import average_untouched, load_reference
 
 from .conftest import LiveSource, TinySource, at_rest, tiny_frame
 
@@ -184,7 +184,7 @@ def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window
         go_on.wait(30)
         return average_untouched(came)
 
-    monkeypatch.setattr("tactune.app.reference.capture.average_untouched", slow)
+    monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", slow)
     opened = pause_capturing(qtbot, window)
     QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
     assert "may be touched again" in opened.sentence.text() and not opened.make_do.isVisible()
@@ -301,7 +301,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
         go_on.wait(30)
         return average_untouched(frames)
 
-    monkeypatch.setattr("tactune.app.reference.capture.average_untouched", stuck)
+    monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", stuck)
     opened = open_capture(qtbot, window)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(begun.is_set)

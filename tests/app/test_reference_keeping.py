@@ -11,15 +11,15 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.document import Document
-from tactune.app.reference.store import ReferenceStore
+from tactune.app.document.document import Document
+from tactune.app.document.reference_store import ReferenceStore
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.membrane_reference import load_reference
 from tactune.core.preset import Preset
-from tactune.core.preset_file import load_preset
+from tactune.core.preset.file import load_preset
 from tactune.core.recording import SessionWriter
-from tactune.core.sources.mcap import McapSource
+from tactune.core.rig.untouched import load_reference
+from tactune.core.sources.mcap.source import McapSource
 
 from .conftest import tiny_frame, tiny_rig
 from .hands import CONTROL, press, type_path

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactune.app.status import FrameStatus
+from tactune.app.window.status import FrameStatus
 
 TIMES = {"fusion": 1.5, "gaps": 1.6, "edge": 1.1, "press": 3.2, "balance": 4.6, "clusters": 0.3, "points": 0.5}
 

@@ -16,10 +16,10 @@ from PyQt6.QtWidgets import QApplication, QLabel, QPushButton
 
 from tactune.app.analysis import strain_tab
 from tactune.app.analysis.strain_work import StrainTask, examine
-from tactune.app.opening import SourceRequest
+from tactune.app.worker.opening import SourceRequest
 from tactune.core.errors import FrameError
-from tactune.core.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
-from tactune.core.intrinsics import Intrinsics
+from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
+from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.base import SeekableSource
 
 from .conftest import at_rest

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtWidgets import QToolButton
 
-from tactune.widgets.theme import contrast_ratio, theme_colors
+from tactune.widgets.basics.theme import contrast_ratio, theme_colors
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

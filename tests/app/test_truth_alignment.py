@@ -15,9 +15,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
 from tactune.app.analysis import truth_flow, truth_work
-from tactune.app.cli_scan import parse_paint
-from tactune.core.evaluation.scan_pose import load_transform
-from tactune.widgets.pick_view import STEP_M
+from tactune.app.cli.scan import parse_paint
+from tactune.core.scan.pose import load_transform
+from tactune.widgets.clouds.pick_view import STEP_M
 
 from .hands import CONTROL, LEFT, type_path
 from .truth_scene import (

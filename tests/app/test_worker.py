@@ -3,12 +3,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.app import worker as worker_module
-from tactune.app.left_threads import wait_for_left
-from tactune.app.results import CloudName, ColorBy, Wanted
-from tactune.app.worker import SourceRequest, Worker
+from tactune.app.worker import worker as worker_module
+from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.results import CloudName, ColorBy, Wanted
+from tactune.app.worker.worker import SourceRequest, Worker
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError
-from tactune.core.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tactune.core.sources.registry import open_source
 

@@ -10,8 +10,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QWidget
 
 from tactune.app.analysis.truth_tab import TruthTab
-from tactune.app.main_window import MainWindow
-from tactune.widgets.pick_view import PickView
+from tactune.app.window.main_window import MainWindow
+from tactune.widgets.clouds.pick_view import PickView
 
 from .hands import LEFT
 

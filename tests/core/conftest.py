@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame
-from tactune.core.intrinsics import Intrinsics
+from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.folder import export_folder
 
 from . import folder_scenes

@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.core.pipeline import ContactPipeline
+from tactune.core.bench.reference_pipeline import reference_patch
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
-from tactune.core.preset_file import load_preset
-from tactune.core.reference import reference_patch
+from tactune.core.preset.file import load_preset
 from tactune.core.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parents[2]

@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.bench.scenes import synthetic_scene
+from tactune.core.contact.outliers import statistical_inliers
+from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
-from tactune.core.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
-from tactune.core.intrinsics import Distortion, Intrinsics
-from tactune.core.outliers import statistical_inliers
-from tactune.core.pipeline import ContactPatch, ContactPipeline
+from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Distortion, Intrinsics
 from tactune.core.preset import Preset
-from tactune.core.reference import reference_patch
 
 
 def small_rig(width: int = 64, height: int = 48, **tactile: Any) -> Rig:

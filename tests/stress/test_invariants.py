@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from tactune.core.bench.scenes import BenchScene, synthetic_scene
 from tactune.core.bench.stability import random_case
-from tactune.core.frames import DepthCamera, Rig, SensorFrame, rigid_transform
-from tactune.core.intrinsics import Intrinsics
-from tactune.core.outliers import statistical_inliers
-from tactune.core.pipeline import ContactPipeline
+from tactune.core.contact.outliers import statistical_inliers
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core import kernels
 from tactune.core.bench.long_run import check_long_run
 from tactune.core.bench.stability import BOUND_ULPS, check_stability, differing_ulps, random_case
+from tactune.core.contact.kernels import chain as kernels
 
 
 def test_no_verdict_differs_beyond_the_stated_bound() -> None:

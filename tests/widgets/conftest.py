@@ -7,9 +7,9 @@ from PyQt6.QtWidgets import QApplication
 from pyqtgraph import setConfigOptions
 from pytestqt.qtbot import QtBot
 
-from tactune.widgets import gl_backend
-from tactune.widgets.cloud_view import BackendChoice, CloudView
-from tactune.widgets.parameter_panel import ParameterPanel
+from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 from .panel_steering import Recorder
 from .seen_clouds import shown

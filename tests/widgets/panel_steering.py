@@ -8,7 +8,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QWidget
 
-from tactune.widgets.parameter_panel import ParameterPanel
+from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 LEFT = Qt.MouseButton.LeftButton
 EYE4 = ((1.0, 0.0, 0.0, 0.04), (0.0, 1.0, 0.0, -0.00123), (0.0, 0.0, 1.0, 0.003), (0.0, 0.0, 0.0, 1.0))

@@ -10,11 +10,11 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 from pytestqt.qtbot import QtBot
 
-from tactune.core.intrinsics import Intrinsics
-from tactune.widgets.cloud_data import DepthCloud
-from tactune.widgets.cloud_view import BackendChoice, CloudView, link_cameras
-from tactune.widgets.colormaps import depth_lut
-from tactune.widgets.view_camera import ViewCamera
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.widgets.basics.colormaps import depth_lut
+from tactune.widgets.clouds.cloud_data import DepthCloud
+from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 LENS = Intrinsics(width=64, height=48, fx=46.0, fy=46.0, cx=31.5, cy=23.5)
 RAYS = LENS.rays()

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 
-from tactune.core.calibration_record import CalibrationRecord, ClickedPair, ModelSummary
 from tactune.core.preset import Preset
-from tactune.widgets.parameter_panel import ParameterPanel
+from tactune.core.preset.calibration_record import CalibrationRecord, ClickedPair, ModelSummary
+from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 
 def calibrated() -> Preset:

@@ -5,8 +5,8 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
 
-from tactune.widgets.band_slider import BandSlider
-from tactune.widgets.scales import Scale
+from tactune.widgets.parameters.band_slider import BandSlider
+from tactune.widgets.parameters.scales import Scale
 
 LEFT = Qt.MouseButton.LeftButton
 

@@ -7,10 +7,10 @@ import numpy.typing as npt
 import pytest
 
 from tactune.core.errors import FrameError
-from tactune.core.intrinsics import Intrinsics
-from tactune.widgets.cloud_data import DepthCloud
-from tactune.widgets.colormaps import depth_lut
-from tactune.widgets.view_camera import ViewCamera
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.widgets.basics.colormaps import depth_lut
+from tactune.widgets.clouds.cloud_data import DepthCloud
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 LENS = Intrinsics(width=5, height=4, fx=6.0, fy=7.0, cx=2.0, cy=1.5)
 RAYS = LENS.rays()

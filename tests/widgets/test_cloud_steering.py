@@ -11,8 +11,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from tactune.widgets.cloud_view import BackendChoice, CloudView
-from tactune.widgets.view_camera import ViewCamera
+from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 from .seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
 

@@ -11,14 +11,14 @@ from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QLabel
 from pytestqt.qtbot import QtBot
 
-from tactune.core.intrinsics import Intrinsics
-from tactune.core.provenance import Provenance
-from tactune.widgets.cloud_data import DepthCloud
-from tactune.widgets.cloud_header import CloudHeader, short_count
-from tactune.widgets.cloud_legend import LegendLine
-from tactune.widgets.cloud_view import CloudView
-from tactune.widgets.colormaps import depth_lut, provenance_legend
-from tactune.widgets.view_camera import ViewCamera
+from tactune.core.contact.provenance import Provenance
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
+from tactune.widgets.clouds.cloud_data import DepthCloud
+from tactune.widgets.clouds.cloud_header import CloudHeader, short_count
+from tactune.widgets.clouds.cloud_legend import LegendLine
+from tactune.widgets.clouds.cloud_view import CloudView
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 from .seen_clouds import BLUE, FRONT, GREEN, RAYS, RED, cloud_of, colored, picture, pixels_of, shown, wall
 

@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tactune.core.provenance import Provenance
-from tactune.widgets import colormaps
-from tactune.widgets.colormaps import Theme
+from tactune.core.contact.provenance import Provenance
+from tactune.widgets.basics import colormaps
+from tactune.widgets.basics.colormaps import Theme
 
 THEMES: tuple[Theme, Theme] = ("light", "dark")
 BACKGROUND = {"light": (255, 255, 255), "dark": (30, 31, 34)}

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.errors import TactuneError
-from tactune.widgets.eyedropper import HsvRanges, neighbourhood, new_ranges, pick, take_sample
+from tactune.widgets.images.eyedropper import HsvRanges, neighbourhood, new_ranges, pick, take_sample
 
 FULL = HsvRanges((0, 179), (0, 255), (0, 255))
 
@@ -79,7 +79,7 @@ def test_expand_covers_both(rgb: np.ndarray, present: HsvRanges) -> None:
 
 @given(hues, hues, hues, hues)
 def test_expanded_hue_is_the_shortest_arc(a: int, b: int, c: int, d: int) -> None:
-    from tactune.widgets.eyedropper import _covering_arc
+    from tactune.widgets.images.eyedropper import _covering_arc
 
     def members(arc: tuple[int, int]) -> set[int]:
         return {(arc[0] + i) % 180 for i in range((arc[1] - arc[0]) % 180 + 1)}

@@ -9,10 +9,10 @@ from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 
 from tactune.core.errors import FrameError
-from tactune.widgets import gl_backend
-from tactune.widgets.cloud_view import CloudView
-from tactune.widgets.free_points import free_cloud
-from tactune.widgets.view_camera import ViewCamera
+from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.cloud_view import CloudView
+from tactune.widgets.clouds.free_points import free_cloud
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 COLORS = [(255, 0, 0), (0, 160, 0), (0, 0, 255), (200, 0, 200)]
 POINTS = np.array([(0.02, -0.03, -0.05), (-0.04, 0.01, 0.3), (0.0, 0.0, 0.0), (0.05, 0.04, 0.1)])

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 
-from tactune.widgets.histogram import DifferenceHistogram, split_at
+from tactune.widgets.plots.histogram import DifferenceHistogram, split_at
 
 LEFT = Qt.MouseButton.LeftButton
 EDGES = np.linspace(-0.1, 0.1, 41)

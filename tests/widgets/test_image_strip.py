@@ -8,7 +8,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.widgets.image_strip import PANES, ImageStrip, StripImages, render_strip
+from tactune.widgets.images.image_strip import PANES, ImageStrip, StripImages, render_strip
 
 LEFT = Qt.MouseButton.LeftButton
 NONE = Qt.KeyboardModifier.NoModifier

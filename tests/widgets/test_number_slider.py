@@ -10,10 +10,10 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 
 from tactune.core.preset import Preset
-from tactune.widgets.fields import FieldSpec, format_number, section_fields
-from tactune.widgets.number_entry import NumberEntry, parse_number
-from tactune.widgets.number_slider import NumberSlider
-from tactune.widgets.scales import Scale
+from tactune.widgets.parameters.fields import FieldSpec, format_number, section_fields
+from tactune.widgets.parameters.number_entry import NumberEntry, parse_number
+from tactune.widgets.parameters.number_slider import NumberSlider
+from tactune.widgets.parameters.scales import Scale
 
 LEFT = Qt.MouseButton.LeftButton
 

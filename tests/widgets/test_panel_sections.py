@@ -7,7 +7,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QComboBox
 
 from tactune.core.preset import AlignmentSection, HomographyAlignment, MaskSection, Preset, RigidAlignment
-from tactune.widgets.parameter_panel import ParameterPanel
+from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 from .panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
 

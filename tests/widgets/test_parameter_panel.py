@@ -23,7 +23,7 @@ from tactune.core.preset import (
     RigidAlignment,
     ToleranceSection,
 )
-from tactune.widgets.parameter_panel import SECTIONS, ParameterPanel, fields_of
+from tactune.widgets.parameters.parameter_panel import SECTIONS, ParameterPanel, fields_of
 
 from .panel_steering import EYE3, EYE4, LEFT, Recorder, drag, type_into
 

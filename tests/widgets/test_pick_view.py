@@ -10,11 +10,11 @@ from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from scipy.spatial.transform import Rotation
 
-from tactune.widgets import gl_backend
-from tactune.widgets.free_points import free_cloud
-from tactune.widgets.pick_view import STEP_M, STEP_RAD, PickView, Spot
-from tactune.widgets.pose_handles import Handle, PoseHandles
-from tactune.widgets.view_camera import ViewCamera
+from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.free_points import free_cloud
+from tactune.widgets.clouds.pick_view import STEP_M, STEP_RAD, PickView, Spot
+from tactune.widgets.clouds.pose_handles import Handle, PoseHandles
+from tactune.widgets.clouds.view_camera import ViewCamera
 
 LEFT, MIDDLE = Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton
 NONE, CTRL, SHIFT = (

@@ -9,11 +9,11 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
-from tactune.widgets import gl_backend
-from tactune.widgets.cloud_view import CloudView
-from tactune.widgets.image_pane import ImagePane
-from tactune.widgets.stale_badge import BADGE_COLORS
-from tactune.widgets.theme import ThemeName, apply_theme, contrast_ratio, theme_colors
+from tactune.widgets.basics.stale_badge import BADGE_COLORS
+from tactune.widgets.basics.theme import ThemeName, apply_theme, contrast_ratio, theme_colors
+from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.cloud_view import CloudView
+from tactune.widgets.images.image_pane import ImagePane
 
 TEXT = "Tactile camera D405 (serial 1) is not connected: plug it in. Shown is the last frame, 3 s old."
 

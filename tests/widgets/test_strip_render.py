@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.widgets.colormaps import CONTACT_RGB, depth_lut, difference_lut
-from tactune.widgets.strip_render import NO_VALUE_RGB, StripImages, depth_range_of, masked_rgb, render_strip
+from tactune.widgets.basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from tactune.widgets.images.strip_render import NO_VALUE_RGB, StripImages, depth_range_of, masked_rgb, render_strip
 
 HEIGHT, WIDTH = 48, 64
 

@@ -5,10 +5,10 @@ import pytest
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QApplication, QCheckBox, QRadioButton, QWidget
 
-from tactune.widgets.histogram import DifferenceHistogram
-from tactune.widgets.image_pane import ImagePane
-from tactune.widgets.parameter_row import MessageLabel
-from tactune.widgets.theme import ACCENT, apply_theme, contrast_ratio, theme_colors, theme_name
+from tactune.widgets.basics.theme import ACCENT, apply_theme, contrast_ratio, theme_colors, theme_name
+from tactune.widgets.images.image_pane import ImagePane
+from tactune.widgets.parameters.parameter_row import MessageLabel
+from tactune.widgets.plots.histogram import DifferenceHistogram
 
 NAMES = ("light", "dark")
 

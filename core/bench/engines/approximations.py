@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-import numpy.typing as npt
-
-from ...frames import DepthCamera, Rig, SensorFrame
-from ...outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
-from ...pipeline import ContactPipeline
+from ...contact.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
+from ...contact.pipeline import ContactPipeline
+from ...model.arrays import BoolArray
+from ...model.frames import DepthCamera, Rig, SensorFrame
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 from .tactune import pipeline_runner
@@ -78,5 +76,5 @@ def _every_second(camera: DepthCamera) -> DepthCamera:
     return camera.model_copy(update={"intrinsics": lens.model_copy(update=update)})
 
 
-def _spread(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+def _spread(mask: BoolArray, shape: tuple[int, ...]) -> BoolArray:
     return mask.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]

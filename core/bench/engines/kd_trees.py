@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import IndexArray
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 from .reference import candidate_points, mask_of
@@ -48,7 +48,7 @@ def open3d_tensor_outliers(scene: BenchScene) -> Runner:
     return run
 
 
-def _runner(scene: BenchScene, pixels: npt.NDArray[np.intp], query: Any) -> Runner:
+def _runner(scene: BenchScene, pixels: IndexArray, query: Any) -> Runner:
     ratio, count = scene.preset.outliers.ratio, len(pixels)
 
     def run() -> Outcome:

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from ...alignment import tactile_pose
+from ...contact.alignment import tactile_pose
 from ...errors import TactuneError
-from ...frames import DepthCamera
-from ...intrinsics import Distortion
+from ...model.frames import DepthCamera
+from ...model.intrinsics import Distortion
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 

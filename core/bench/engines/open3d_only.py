@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...alignment import tactile_pose
-from ...frames import DepthCamera
+from ...contact.alignment import tactile_pose
+from ...model.frames import DepthCamera
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 from .reference import candidate_colors, open3d_inliers

@@ -10,17 +10,16 @@ from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
-from ...alignment import homography_table, tactile_homography, tactile_pose
-from ...frames import ColorCamera
-from ...intrinsics import Intrinsics
+from ...contact.alignment import homography_table, tactile_homography, tactile_pose
+from ...model.arrays import AnyArray, BoolArray, Float64Array, IndexArray
+from ...model.frames import ColorCamera
+from ...model.intrinsics import Intrinsics
 from ...preset import MaskSection
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 
-Array = npt.NDArray[Any]
-_Find = Callable[[], tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]]
+_Find = Callable[[], tuple[Float64Array, IndexArray]]
 
 
 @engine("reference", Job.PIPELINE, "NumPy float64 + OpenCV + Open3D", baseline=True, needs=("open3d",))
@@ -67,7 +66,7 @@ def outliers_only(scene: BenchScene) -> Runner:
     return run
 
 
-def candidate_points(scene: BenchScene) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+def candidate_points(scene: BenchScene) -> tuple[Float64Array, IndexArray]:
     """Return the points (N, 3) in metres and flat pixels (N,) that outlier removal starts from.
 
     Coordinates are float64 numbers that float32 holds as well, so that every engine gets the same points.
@@ -80,7 +79,7 @@ def candidate_colors(scene: BenchScene) -> Any:
     """Return a function that tells which points (N, 3) do not have the bare membrane's colour."""
     preset, rig, frame = scene.preset, scene.rig, scene.frame
 
-    def keeps(points: Array) -> npt.NDArray[np.bool_]:
+    def keeps(points: AnyArray) -> BoolArray:
         _, row, column = nearest_pixels(points, rig.proximity.intrinsics)
         bare = _membrane_colored(frame.proximity_color, preset.mask)
         return ~_look_up(bare, points, row * rig.proximity.intrinsics.width + column, rig.proximity_color)
@@ -88,7 +87,7 @@ def candidate_colors(scene: BenchScene) -> Any:
     return keeps
 
 
-def open3d_inliers(points: Array, k: int, ratio: float) -> npt.NDArray[np.intp]:
+def open3d_inliers(points: AnyArray, k: int, ratio: float) -> IndexArray:
     """Return the indices that Open3D's `remove_statistical_outlier` keeps."""
     import open3d as o3d
 
@@ -97,7 +96,7 @@ def open3d_inliers(points: Array, k: int, ratio: float) -> npt.NDArray[np.intp]:
     return np.asarray(kept, np.intp)
 
 
-def _in_large_cluster(depth: Array, mask: npt.NDArray[np.bool_], scene: BenchScene) -> npt.NDArray[np.bool_]:
+def _in_large_cluster(depth: AnyArray, mask: BoolArray, scene: BenchScene) -> BoolArray:
     """Return which of the mask's pixels, in order, belong to a large enough connected group."""
     _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     cluster, lens = labels[mask], scene.rig.proximity.intrinsics
@@ -105,7 +104,7 @@ def _in_large_cluster(depth: Array, mask: npt.NDArray[np.bool_], scene: BenchSce
     return np.asarray(areas_mm2[cluster] >= scene.preset.outliers.min_cluster_area_mm2)
 
 
-def mask_of(scene: BenchScene, pixels: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
+def mask_of(scene: BenchScene, pixels: IndexArray) -> BoolArray:
     """Return the image of some flat pixels."""
     mask = np.zeros(scene.frame.proximity_depth.shape, bool)
     mask.reshape(-1)[pixels] = True
@@ -125,7 +124,7 @@ def _candidates(scene: BenchScene) -> _Find:
         in_region[:] = False
         in_region[top : top + height, left : left + width] = True
 
-    def find() -> tuple[npt.NDArray[np.float64], npt.NDArray[np.intp]]:
+    def find() -> tuple[Float64Array, IndexArray]:
         counts = frame.proximity_depth
         pixels = np.flatnonzero((counts != 0) & (counts != 65535) & in_region)
         depth = counts.reshape(-1)[pixels] * unit
@@ -147,14 +146,14 @@ def _candidates(scene: BenchScene) -> _Find:
     return find
 
 
-def _rigid(scene: BenchScene, rays: npt.NDArray[np.float64]) -> Any:
+def _rigid(scene: BenchScene, rays: Float64Array) -> Any:
     rig, section = scene.rig, scene.preset.alignment
     T_t_p = np.linalg.inv(tactile_pose(section, rig))
     directions = (np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2) @ T_t_p[:3, :3].T).reshape(-1, 3)
     origin = T_t_p[:3, 3]
     factor = rig.tactile.depth_unit_m * section.depth_scale
 
-    def align(depth: Array, pixels: npt.NDArray[np.intp], tactile: Array) -> tuple[Array, Array]:
+    def align(depth: AnyArray, pixels: IndexArray, tactile: AnyArray) -> tuple[AnyArray, AnyArray]:
         seen = directions[pixels] * depth[:, None] + origin
         inside, row, column = nearest_pixels(seen, rig.tactile.intrinsics)
         counts = tactile[row, column]
@@ -165,9 +164,7 @@ def _rigid(scene: BenchScene, rays: npt.NDArray[np.float64]) -> Any:
     return align
 
 
-def nearest_pixels(
-    seen: Array, camera: Intrinsics
-) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.intp], npt.NDArray[np.intp]]:
+def nearest_pixels(seen: AnyArray, camera: Intrinsics) -> tuple[BoolArray, IndexArray, IndexArray]:
     """Return which points (N, 3) a camera sees, and the row and column (0 where not) of each."""
     uv = camera.project(seen)
     height, width = camera.shape
@@ -185,7 +182,7 @@ def _homography(scene: BenchScene) -> Any:
     maps = cv2.convertMaps(u.astype(np.float32), v.astype(np.float32), cv2.CV_16SC2, nninterpolation=True)
     factor = rig.tactile.depth_unit_m * section.depth_scale
 
-    def align(depth: Array, pixels: npt.NDArray[np.intp], tactile: Array) -> tuple[Array, Array]:
+    def align(depth: AnyArray, pixels: IndexArray, tactile: AnyArray) -> tuple[AnyArray, AnyArray]:
         aligned = cv2.remap(tactile, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_CONSTANT, borderValue=0)
         counts = aligned.reshape(-1)[pixels]
         measured = counts * factor + section.depth_offset_m
@@ -195,7 +192,7 @@ def _homography(scene: BenchScene) -> Any:
     return align
 
 
-def _membrane_colored(image: Array, section: MaskSection) -> npt.NDArray[np.bool_]:
+def _membrane_colored(image: AnyArray, section: MaskSection) -> BoolArray:
     """Return which pixels of an RGB image have the bare membrane's colour, by OpenCV's inRange."""
     hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
     low, high = section.hue
@@ -207,9 +204,7 @@ def _membrane_colored(image: Array, section: MaskSection) -> npt.NDArray[np.bool
     return found
 
 
-def _look_up(
-    bare: npt.NDArray[np.bool_], points: Array, pixels: npt.NDArray[np.intp], camera: ColorCamera | None
-) -> npt.NDArray[np.bool_]:
+def _look_up(bare: BoolArray, points: AnyArray, pixels: IndexArray, camera: ColorCamera | None) -> BoolArray:
     """Return which points the colour image shows in the membrane's colour."""
     if camera is None:
         return bare.reshape(-1)[pixels]

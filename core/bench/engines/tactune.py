@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from ...candidates import Inliers
-from ...outliers import statistical_inliers
-from ...pipeline import ContactPipeline
+from ...contact.candidates import Inliers
+from ...contact.outliers import statistical_inliers
+from ...contact.pipeline import ContactPipeline
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene
 from .reference import candidate_points, mask_of

@@ -15,7 +15,7 @@ from threading import Condition, Event, Lock, Thread
 from typing import Any, Final
 
 from ...errors import FrameError, TactuneError
-from ...frames import SensorFrame
+from ...model.frames import SensorFrame
 from ..base import FrameSource, Health
 from .messages import (
     HEARTBEAT_S,

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 
 from ...errors import SourceError
-from ...frames import Rig, SensorFrame
+from ...model.frames import Rig, SensorFrame
 from ..base import FrameSource, Health
 
 

@@ -6,11 +6,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-import numpy.typing as npt
-
 from ... import errors
 from ...errors import SourceError, TactuneError
-from ...frames import GroundTruth, Rig, SensorFrame
+from ...model.arrays import AnyArray
+from ...model.frames import GroundTruth, Rig, SensorFrame
 from ..base import FrameSource, Health, Progress
 from .ring import ArrayPlace
 
@@ -125,9 +124,9 @@ class Failure:
         return made
 
 
-def arrays_of(frame: SensorFrame) -> dict[str, npt.NDArray[Any]]:
+def arrays_of(frame: SensorFrame) -> dict[str, AnyArray]:
     """Return the arrays of a frame by name, those of its truth behind a dot."""
-    arrays: dict[str, npt.NDArray[Any] | None] = {
+    arrays: dict[str, AnyArray | None] = {
         "proximity_depth": frame.proximity_depth,
         "tactile_depth": frame.tactile_depth,
         "proximity_color": frame.proximity_color,
@@ -138,7 +137,7 @@ def arrays_of(frame: SensorFrame) -> dict[str, npt.NDArray[Any]]:
     return {name: array for name, array in arrays.items() if array is not None}
 
 
-def frame_of(ready: FrameReady, arrays: dict[str, npt.NDArray[Any]]) -> SensorFrame:
+def frame_of(ready: FrameReady, arrays: dict[str, AnyArray]) -> SensorFrame:
     """Put a frame together again; the inverse of `arrays_of`."""
     truth = None
     if "truth.contact" in arrays:

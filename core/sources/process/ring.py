@@ -12,13 +12,13 @@ import math
 import mmap
 import os
 import tempfile
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
 from ...errors import FrameError, SourceError
-from ...frames import Rig
+from ...model.arrays import AnyArray
+from ...model.frames import Rig
 
 _ALIGNMENT: Final = 64
 
@@ -73,7 +73,7 @@ class Ring:
         memory = mmap.mmap(descriptor, slots * size)
         self._slots = np.frombuffer(memory, np.uint8).reshape(slots, size)
 
-    def write(self, slot: int, arrays: dict[str, npt.NDArray[Any]]) -> tuple[ArrayPlace, ...]:
+    def write(self, slot: int, arrays: dict[str, AnyArray]) -> tuple[ArrayPlace, ...]:
         """Copy arrays into a slot.
 
         Raises
@@ -93,7 +93,7 @@ class Ring:
             offset = _aligned(end)
         return tuple(places)
 
-    def read(self, slot: int, places: tuple[ArrayPlace, ...]) -> dict[str, npt.NDArray[Any]]:
+    def read(self, slot: int, places: tuple[ArrayPlace, ...]) -> dict[str, AnyArray]:
         """Copy a slot out, all at once, and return its arrays."""
         last = places[-1]
         size = last.offset + math.prod(last.shape) * np.dtype(last.dtype).itemsize

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import weakref
 
-from ...frames import Rig, SensorFrame
+from ...model.frames import Rig, SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .messages import Opener, Start
 from .supervisor import Supervisor

@@ -11,7 +11,7 @@ from threading import Condition, Event, Thread, current_thread
 from typing import Any, Final
 
 from ...errors import SourceError, TactuneError
-from ...frames import SensorFrame
+from ...model.frames import SensorFrame
 from ..base import CameraRole, Health, Progress
 from .launch import CaptureProcess, ending_in_words
 from .messages import (

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 from ...errors import SourceError
-from ...frames import DepthCamera, Rig
+from ...model.frames import DepthCamera, Rig
 from ..base import Health
 from .messages import FrameReady, Heartbeat, Opened
 

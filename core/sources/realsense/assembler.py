@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 from threading import Condition
-from typing import Any, Final
+from typing import Final
 
-import numpy.typing as npt
-
+from ...model.arrays import AnyArray
 from ..base import CameraRole
 from .clock import StreamClock
 from .pairing import Pairer, Timed
 from .session import Image, Kind
-
-Pixels = npt.NDArray[Any]
 
 #: Frames that wait for whoever reads them: two seconds, in case that the reader has to wait for the computer.
 _WAITING: Final = 60
@@ -31,8 +28,8 @@ _STREAMS: Final[tuple[tuple[CameraRole, Kind], ...]] = tuple(
 class ImageSet:
     """Depth and colour of one camera; colour may lack."""
 
-    depth: Pixels
-    color: Pixels | None
+    depth: AnyArray
+    color: AnyArray | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +56,7 @@ class Assembler:
     def __init__(self, period_s: float, tactile_delay_s: float) -> None:
         self._delay_s = tactile_delay_s
         self._clocks = {stream: StreamClock(period_s) for stream in _STREAMS}
-        self._sets: dict[CameraRole, Pairer[Pixels, Pixels]] = {
+        self._sets: dict[CameraRole, Pairer[AnyArray, AnyArray]] = {
             "proximity": Pairer(period_s, _PATIENCE_S),
             "tactile": Pairer(period_s, _COLOR_PATIENCE_S, second_is_optional=True),
         }

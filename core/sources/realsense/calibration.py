@@ -6,14 +6,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
-from ...clouds import deproject, valid_depth
+from ...contact.masking import colors_at
 from ...errors import SourceError
-from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
-from ...intrinsics import Distortion, Intrinsics
-from ...masking import colors_at
+from ...model.arrays import Uint8Array, Uint16Array
+from ...model.clouds import deproject, valid_depth
+from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
+from ...model.intrinsics import Distortion, Intrinsics
 from .devices import DeviceInfo
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
@@ -60,7 +60,7 @@ class Calibration:
             return None
         return ColorCamera(intrinsics=self.color, T_color_depth=self.T_color_depth)
 
-    def color_on_depth(self, color: npt.NDArray[np.uint8], depth: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint8]:
+    def color_on_depth(self, color: Uint8Array, depth: Uint16Array) -> Uint8Array:
         """Bring a colour image to the depth image's pixels; black where there is no depth or no colour."""
         if self.color_is_aligned:
             return color

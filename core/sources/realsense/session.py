@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
 from ...errors import SourceError
+from ...model.arrays import AnyArray
 from .calibration import Calibration, Stream, find_streams, read_calibration
 from .devices import DeviceInfo
 from .driver import load_driver
@@ -38,7 +38,7 @@ class Image:
 
     kind: Kind
     number: int
-    pixels: npt.NDArray[Any]
+    pixels: AnyArray
     stamp_s: float
     on_host_clock: bool
 

@@ -7,7 +7,7 @@ import time
 from typing import Final
 
 from ...errors import SourceError
-from ...frames import Rig, SensorFrame
+from ...model.frames import Rig, SensorFrame
 from ...preset import CamerasSection
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .assembler import Assembler

@@ -7,11 +7,11 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from .damage import Cursor, DamagedFileError
 from .images import RawImage, raw_color, raw_depth
-from .recording import Float64Array, ImageTimes, Lens, Recording, Stream, milliseconds
+from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 from .ros1_bag import Ros1Bag, Topic, message_bounds
 
 _STREAM_TOPIC = re.compile(r"/device_(\d{1,4})/sensor_(\d{1,4})/(Depth|Color)_\d{1,4}/image/data")
@@ -75,10 +75,10 @@ class BagRecording(Recording):
         names = [name for name in self._topics if name.startswith(prefix)]
         return {name.removeprefix(prefix): _matrix(Cursor(self._first(name)).f64s(7)) for name in names}
 
-    def _depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]:
+    def _depth_image(self, stream: Stream, index: int) -> Uint16Array:
         return raw_depth(self._image(stream, index), stream.intrinsics.shape)
 
-    def _color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]:
+    def _color_image(self, stream: Stream, index: int) -> Uint8Array:
         return raw_color(self._image(stream, index), stream.intrinsics.shape)
 
     def _image(self, stream: Stream, index: int) -> RawImage:
@@ -168,7 +168,7 @@ class _Indexing:
             else:
                 self._arrivals_ms[name][time_ns] = milliseconds(value)
 
-    def _result(self, name: str, times_ns: npt.NDArray[np.int64]) -> ImageTimes:
+    def _result(self, name: str, times_ns: Int64Array) -> ImageTimes:
         keys = times_ns.tolist()
         clocks, arrivals_ms = self._clocks[name], self._arrivals_ms[name]
         return ImageTimes(

@@ -5,7 +5,8 @@ from __future__ import annotations
 import struct
 
 import numpy as np
-import numpy.typing as npt
+
+from ...model.arrays import Uint8Array
 
 #: No message or chunk of a camera is larger; a claim above is damage, and nothing is allocated for it.
 LARGEST_BYTES = 128 * 2**20
@@ -76,7 +77,7 @@ class Cursor:
             data = data.removesuffix(b"\x00")
         return data.decode(errors="replace")
 
-    def bytes(self) -> npt.NDArray[np.uint8]:
+    def bytes(self) -> Uint8Array:
         """Return an array of bytes with its length in front, without a copy."""
         size = self.u32()
         if size > self.rest:

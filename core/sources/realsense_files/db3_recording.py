@@ -17,11 +17,11 @@ from threading import Lock
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from .damage import LARGEST_BYTES, Cursor, DamagedFileError, check_size
 from .images import RawImage, png_color, png_depth, raw_color, raw_depth
-from .recording import Float64Array, ImageTimes, Lens, Recording, Stream, milliseconds
+from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -71,7 +71,7 @@ class Db3Recording(Recording):
         }
         self._lock = Lock()
         self._images: dict[str, str] = {}
-        self._index: dict[str, npt.NDArray[np.int64]] = {}
+        self._index: dict[str, Int64Array] = {}
 
     def _close(self) -> None:
         if self._database is not None:
@@ -133,17 +133,17 @@ class Db3Recording(Recording):
         prefix = f"{topic}/tf/"
         return {name.removeprefix(prefix): _matrix(self._facts(name)) for name in self._ids if name.startswith(prefix)}
 
-    def _depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]:
+    def _depth_image(self, stream: Stream, index: int) -> Uint16Array:
         image = self._image(stream, index)
         shape = stream.intrinsics.shape
         return raw_depth(image, shape) if isinstance(image, RawImage) else png_depth(image[_DEPTH_PNG_START:], shape)
 
-    def _color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]:
+    def _color_image(self, stream: Stream, index: int) -> Uint8Array:
         image = self._image(stream, index)
         shape = stream.intrinsics.shape
         return raw_color(image, shape) if isinstance(image, RawImage) else png_color(image, shape)
 
-    def _image(self, stream: Stream, index: int) -> RawImage | npt.NDArray[np.uint8]:
+    def _image(self, stream: Stream, index: int) -> RawImage | Uint8Array:
         """Return an image as it is stored: raw, or the bytes of a PNG."""
         topic = self._images[stream.topic]
         cursor = Cursor(self._message(int(self._index[stream.topic][index, 1]), LARGEST_BYTES), aligned=True)
@@ -174,7 +174,7 @@ class Db3Recording(Recording):
             facts |= _pairs(self._text(row))
         return facts
 
-    def _topic_index(self, topic: str) -> npt.NDArray[np.int64]:
+    def _topic_index(self, topic: str) -> Int64Array:
         """Return time in ns and row of a topic's messages in the order of time: shape (N, 2)."""
         if topic not in self._ids:
             return np.zeros((0, 2), np.int64)

@@ -6,12 +6,11 @@ import struct
 import zlib
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import AnyArray, Uint8Array, Uint16Array
 from .damage import DamagedFileError
 
 _DEPTH_ENCODINGS = ("mono16", "16UC1")
@@ -43,10 +42,10 @@ class RawImage:
     encoding: str
     big_endian: bool
     step: int
-    data: npt.NDArray[np.uint8]
+    data: Uint8Array
 
 
-def raw_depth(image: RawImage, shape: tuple[int, int]) -> npt.NDArray[np.uint16]:
+def raw_depth(image: RawImage, shape: tuple[int, int]) -> Uint16Array:
     """Return raw counts: uint16, shape (H, W)."""
     if image.encoding not in _DEPTH_ENCODINGS:
         raise DamagedFileError(f"it is encoded as {image.encoding[:40]!r}, not as 16 bit depth")
@@ -54,7 +53,7 @@ def raw_depth(image: RawImage, shape: tuple[int, int]) -> npt.NDArray[np.uint16]
     return rows.view(">u2" if image.big_endian else "<u2").astype(np.uint16)
 
 
-def raw_color(image: RawImage, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def raw_color(image: RawImage, shape: tuple[int, int]) -> Uint8Array:
     """Return a colour image: RGB uint8, shape (H, W, 3)."""
     if image.encoding not in _TO_RGB:
         raise DamagedFileError(f"it is encoded as {image.encoding[:40]!r}; known are {', '.join(_TO_RGB)}")
@@ -63,16 +62,16 @@ def raw_color(image: RawImage, shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
     return pixels.copy() if conversion is None else np.asarray(cv2.cvtColor(pixels, conversion), np.uint8)
 
 
-def png_depth(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.uint16]:
+def png_depth(data: Uint8Array, shape: tuple[int, int]) -> Uint16Array:
     """Return the counts of a 16 bit grey PNG: uint16, shape (H, W)."""
     image = _decoded(data, shape)
     if image.dtype != np.uint16 or image.ndim != 2:
         raise DamagedFileError("it is no PNG with 16 bits of depth")
-    counts: npt.NDArray[np.uint16] = image
+    counts: Uint16Array = image
     return counts
 
 
-def png_color(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[np.uint8]:
+def png_color(data: Uint8Array, shape: tuple[int, int]) -> Uint8Array:
     """Return the colours of an 8 bit PNG: RGB uint8, shape (H, W, 3)."""
     image = _decoded(data, shape)
     channels = image.shape[2] if image.ndim == 3 else 1
@@ -81,7 +80,7 @@ def png_color(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArra
     return np.asarray(cv2.cvtColor(image, _PNG_TO_RGB[channels]), np.uint8)
 
 
-def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> npt.NDArray[np.uint8]:
+def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> Uint8Array:
     """Return the image's bytes, shape (H, W * bytes per pixel), padding cut off."""
     height, width = shape
     _check_shape((image.height, image.width), shape)
@@ -91,7 +90,7 @@ def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> npt.
     return np.ascontiguousarray(rows)
 
 
-def _decoded(data: npt.NDArray[np.uint8], shape: tuple[int, int]) -> npt.NDArray[Any]:
+def _decoded(data: Uint8Array, shape: tuple[int, int]) -> AnyArray:
     # Size and checksums are looked at first: the decoder allocates whatever the file claims, and
     # complains about damage on the terminal.
     raw = data.tobytes()

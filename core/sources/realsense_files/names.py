@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from ...paths import user_path
+from ...model.files import user_path
 
 SUFFIXES = (".bag", ".db3")
 

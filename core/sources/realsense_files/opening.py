@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from ...errors import SourceError
-from ...paths import user_path
+from ...model.files import user_path
 from ..base import Progress
 from . import db3_recording, ros1_bag
 from .bag_recording import BagRecording

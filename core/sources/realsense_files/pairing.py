@@ -5,11 +5,9 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 import numpy as np
-import numpy.typing as npt
 
-from .recording import HARDWARE_CLOCK, Float64Array, Stream
-
-IndexArray = npt.NDArray[np.intp]
+from ...model.arrays import Float64Array, IndexArray
+from .recording import HARDWARE_CLOCK, Stream
 
 #: Seconds above this are a date, below they count from some start.
 _FIRST_DATE_S = 1e9

@@ -11,16 +11,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 from pydantic import ValidationError
 
 from ...errors import SourceError
-from ...frames import DepthCamera, Matrix4, rigid_transform
-from ...intrinsics import Distortion, Intrinsics
+from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
+from ...model.frames import DepthCamera, Matrix4, rigid_transform
+from ...model.intrinsics import Distortion, Intrinsics
 from ..base import Progress
 from .damage import DamagedFileError
 
-Float64Array = npt.NDArray[np.float64]
 HARDWARE_CLOCK = "Hardware Clock"
 
 
@@ -79,7 +78,7 @@ class ImageTimes:
     ``clocks`` has an empty string and ``arrived_ms`` has 0 for an image that does not say.
     """
 
-    recorded_ns: npt.NDArray[np.int64]
+    recorded_ns: Int64Array
     stamps_s: Float64Array
     clocks: Sequence[str]
     arrived_ms: Float64Array
@@ -128,12 +127,12 @@ class Recording(ABC):
         self._is_open = False
         self._close()
 
-    def depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]:
+    def depth_image(self, stream: Stream, index: int) -> Uint16Array:
         """Return raw counts: uint16, shape (H, W)."""
         with self._damage_told(f"image {index} of {stream.topic}"):
             return self._depth_image(stream, index)
 
-    def color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]:
+    def color_image(self, stream: Stream, index: int) -> Uint8Array:
         """Return a colour image: RGB uint8, shape (H, W, 3)."""
         with self._damage_told(f"image {index} of {stream.topic}"):
             return self._color_image(stream, index)
@@ -170,10 +169,10 @@ class Recording(ABC):
         """Return 4 x 4 matrices from a named reference to the stream, by the reference's name."""
 
     @abstractmethod
-    def _depth_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint16]: ...
+    def _depth_image(self, stream: Stream, index: int) -> Uint16Array: ...
 
     @abstractmethod
-    def _color_image(self, stream: Stream, index: int) -> npt.NDArray[np.uint8]: ...
+    def _color_image(self, stream: Stream, index: int) -> Uint8Array: ...
 
     def _find_cameras(self) -> list[Camera]:
         streams = self._streams()

@@ -18,8 +18,8 @@ from typing import TypeVar
 
 import lz4.frame
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import Int64Array
 from .damage import Cursor, DamagedFileError, check_size
 
 MAGIC = b"#ROSBAG V2.0\n"
@@ -45,9 +45,9 @@ class Topic:
     """
 
     name: str
-    times_ns: npt.NDArray[np.int64]
-    chunks: npt.NDArray[np.int64]
-    offsets: npt.NDArray[np.int64]
+    times_ns: Int64Array
+    chunks: Int64Array
+    offsets: Int64Array
 
     def __len__(self) -> int:
         return len(self.times_ns)
@@ -148,7 +148,7 @@ class Ros1Bag:
             at += 4 + self._u32(at)
         if at > self._size:
             raise DamagedFileError(f"it ends at byte {self._size} of {at}")
-        entries: dict[str, list[npt.NDArray[np.int64]]] = {}
+        entries: dict[str, list[Int64Array]] = {}
         end = 0
         for place, index_count in sorted(places):
             if place < end:
@@ -175,7 +175,7 @@ class Ros1Bag:
     def _scan(self, at: int) -> dict[str, Topic]:
         """Read every whole chunk of a bag without an index."""
         names: dict[int, str] = {}
-        entries: dict[str, list[npt.NDArray[np.int64]]] = {}
+        entries: dict[str, list[Int64Array]] = {}
         while at < self._size:
             try:
                 header, _ = self._record_header(at)
@@ -312,7 +312,7 @@ def _operation(header: dict[bytes, bytes]) -> int:
     return _field(header, b"op", 1)[0]
 
 
-def _topics(entries: dict[str, list[npt.NDArray[np.int64]]]) -> dict[str, Topic]:
+def _topics(entries: dict[str, list[Int64Array]]) -> dict[str, Topic]:
     topics = {}
     for name, parts in entries.items():
         table = np.concatenate(parts)

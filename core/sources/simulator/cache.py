@@ -15,14 +15,14 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 from platformdirs import user_cache_dir
 
-from ...atomic import atomic_path
+from ...model.arrays import AnyArray
+from ...model.files import atomic_path
 from .scene import CleanState, PressFacts
 
 #: Versions of a scene that are kept, and the size of everything that is kept, bytes.
@@ -110,7 +110,7 @@ def _pack(state: CleanState) -> dict[str, bytes]:
 
 
 def _unpack(packed: dict[str, bytes]) -> CleanState | None:
-    images: dict[str, npt.NDArray[Any]] = {}
+    images: dict[str, AnyArray] = {}
     for name, data in packed.items():
         image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
         if image is None:

@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import BoolArray, Float64Array
 from .membrane import Membrane, MembraneState
 from .objects import compiled, distance, normal
-
-Float64Array = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 #: A node this near the object lies on it, metres.
 _ON_SURFACE_M = 1e-9

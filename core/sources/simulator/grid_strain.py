@@ -7,16 +7,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import BoolArray, Float64Array, IndexArray, Int32Array
 from .membrane import Membrane
 from .mesh import Mesh
 from .objects import compiled
 from .render import Camera
 from .sheet import DOT_RADIUS_M, DOT_SPACING_M, dot_counts, dot_grid
-
-Float64Array = npt.NDArray[np.float64]
-Int32Array = npt.NDArray[np.int32]
 
 #: A dot is seen whole where at least this share of its disc is shown: the middle of what is left is its own.
 WHOLE_SHARE: Final = 0.9
@@ -94,7 +91,7 @@ def _on_triangles(mesh: Mesh, cells: tuple[int, int], flat: Float64Array, nodes:
     return np.asarray((shares[:, :, None] * nodes[mesh.triangles[first + other]]).sum(axis=1))
 
 
-def _shares(mesh: Mesh, triangles: npt.NDArray[np.intp], flat: Float64Array) -> Float64Array:
+def _shares(mesh: Mesh, triangles: IndexArray, flat: Float64Array) -> Float64Array:
     """Return barycentric coordinates, (M, 3), of places of the flat sheet in one triangle each."""
     a, b, c = mesh.flat[mesh.triangles[triangles], :2].transpose(1, 0, 2)
     (ux, uy), (vx, vy), (x, y) = (b - a).T, (c - a).T, (flat - a).T
@@ -110,10 +107,10 @@ def _covered(
     pinhole: Float64Array,
     pixels: Float64Array,
     depth: Float64Array,
-    starts: npt.NDArray[np.intp],
+    starts: IndexArray,
     width: int,
     height: int,
-) -> npt.NDArray[np.bool_]:
+) -> BoolArray:
     """Tell the points, (M, 2) and (M,), in the order of their pixels' squares, before which a triangle lies."""
     covered = np.zeros(len(depth), np.bool_)
     for t in range(triangles.shape[0]):

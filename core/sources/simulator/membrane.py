@@ -19,13 +19,10 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
+from ...model.arrays import BoolArray, Float64Array, Int32Array
 from .mesh import MembraneDesign, build_mesh
 from .objects import NO_OBJECT, compiled, distance, normal
-
-Float64Array = npt.NDArray[np.float64]
-Int32Array = npt.NDArray[np.int32]
 
 ATMOSPHERE_PA: Final = 101_325.0
 #: Nodes closer than this to the object count as touching, metres.
@@ -123,7 +120,7 @@ def _gradient(
     triangles: Int32Array,
     inverse: Float64Array,
     stiffness: Float64Array,
-    free: npt.NDArray[np.bool_],
+    free: BoolArray,
     stiffening: float,
     air: Float64Array,
     swept: Float64Array,
@@ -146,7 +143,7 @@ def _project(
     nodes: Float64Array,
     base: Float64Array,
     relief: Float64Array,
-    free: npt.NDArray[np.bool_],
+    free: BoolArray,
     place: Float64Array,
     clear: Float64Array,
 ) -> None:
@@ -210,7 +207,7 @@ def _relax(
     triangles: Int32Array,
     inverse: Float64Array,
     stiffness: Float64Array,
-    free: npt.NDArray[np.bool_],
+    free: BoolArray,
     stiffening: float,
     air: Float64Array,
     relief: Float64Array,

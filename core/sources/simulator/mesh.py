@@ -10,10 +10,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-Float64Array = npt.NDArray[np.float64]
-Int32Array = npt.NDArray[np.int32]
+from ...model.arrays import BoolArray, Float64Array, Int32Array
 
 #: Round regions of a membrane of varied stiffness: middle x and y, and radius, metres.
 STIFF_REGIONS: Final = ((0.035, 0.020, 0.028), (-0.060, -0.025, 0.034), (0.105, -0.035, 0.025), (-0.020, 0.065, 0.022))
@@ -89,7 +87,7 @@ class Mesh:
     area: Float64Array
     stiffness: Float64Array
     relief_m: Float64Array
-    free: npt.NDArray[np.bool_]
+    free: BoolArray
 
 
 def build_mesh(design: MembraneDesign) -> Mesh:

@@ -13,11 +13,10 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from ...frames import Rig
+from ...model.arrays import Float32Array, Uint8Array, Uint16Array
+from ...model.frames import Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
-
-Float32Array = npt.NDArray[np.float32]
 
 #: Time of flight: axial noise at normal incidence and 0.3 m, and its growth with 1 / cosine, metres.
 _TOF_SIGMA_M: Final = (0.00065, 0.00035)
@@ -64,16 +63,16 @@ def _time_of_flight(
     level: float,
     unit_m: float,
     drift_m: float,
-    behind: npt.NDArray[np.uint16],
-    membrane: npt.NDArray[np.uint16],
-    cosine: npt.NDArray[np.uint8],
-    flags: npt.NDArray[np.uint8],
+    behind: Uint16Array,
+    membrane: Uint16Array,
+    cosine: Uint8Array,
+    flags: Uint8Array,
     bias_m: Float32Array,
     sigma_m: Float32Array,
     dropout: Float32Array,
     gaussian: Float32Array,
     uniform: Float32Array,
-    out: npt.NDArray[np.uint16],
+    out: Uint16Array,
 ) -> None:
     height, width = behind.shape
     room = gaussian.size - 2 * width
@@ -110,13 +109,13 @@ def _stereo(
     level: float,
     unit_m: float,
     focal_baseline: float,
-    clean: npt.NDArray[np.uint16],
+    clean: Uint16Array,
     fixed: Float32Array,
     moving: Float32Array,
     holes: Float32Array,
     hole_from: float,
     saturated_from: float,
-    out: npt.NDArray[np.uint16],
+    out: Uint16Array,
 ) -> None:
     height, width = clean.shape
     wrap = moving.shape[0] - 1
@@ -146,9 +145,9 @@ def _grain(
     seed: int,
     frame: int,
     stream: int,
-    clean: npt.NDArray[np.uint8],
+    clean: Uint8Array,
     bank: npt.NDArray[np.int8],
-    out: npt.NDArray[np.uint8],
+    out: Uint8Array,
 ) -> None:
     height, width = clean.shape
     room = bank.size - width
@@ -191,11 +190,11 @@ class NoiseModel:
     def proximity_depth(
         self,
         frame: int,
-        behind: npt.NDArray[np.uint16],
-        membrane: npt.NDArray[np.uint16],
-        cosine: npt.NDArray[np.uint8],
-        flags: npt.NDArray[np.uint8],
-    ) -> npt.NDArray[np.uint16]:
+        behind: Uint16Array,
+        membrane: Uint16Array,
+        cosine: Uint8Array,
+        flags: Uint8Array,
+    ) -> Uint16Array:
         """Measure what lies behind the membrane by time of flight; raw counts of the rig's unit."""
         out = np.empty_like(behind)
         drift = _TOF_DRIFT_M * np.sin(2 * np.pi * frame / _DRIFT_PERIOD_FRAMES + self._phase)
@@ -205,7 +204,7 @@ class NoiseModel:
         )  # fmt: skip
         return out
 
-    def tactile_depth(self, frame: int, clean: npt.NDArray[np.uint16]) -> npt.NDArray[np.uint16]:
+    def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
         """Measure the membrane by stereo; raw counts of the rig's unit, 0 and 65535 where there is no match."""
         out = np.empty_like(clean)
         tactile = self._rig.tactile
@@ -215,7 +214,7 @@ class NoiseModel:
         )  # fmt: skip
         return out
 
-    def colour(self, frame: int, stream: int, clean: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    def colour(self, frame: int, stream: int, clean: Uint8Array) -> Uint8Array:
         """Add the grain of a colour camera; ``stream`` tells the cameras apart."""
         out = np.empty_like(clean)
         rows = (clean.shape[0], -1)

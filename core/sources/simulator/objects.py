@@ -14,11 +14,10 @@ from dataclasses import dataclass
 from typing import Any, Final, TypeVar, cast
 
 import numpy as np
-import numpy.typing as npt
 
-from ...compiling import kernel
+from ...contact.kernels.compiling import kernel
+from ...model.arrays import Float64Array
 
-Float64Array = npt.NDArray[np.float64]
 _Kernel = TypeVar("_Kernel", bound=Callable[..., Any])
 
 NO_OBJECT: Final = -1

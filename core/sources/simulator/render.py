@@ -11,13 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from ...intrinsics import Intrinsics
+from ...model.arrays import Float32Array, Float64Array, Int32Array, Uint8Array
+from ...model.intrinsics import Intrinsics
 from .objects import compiled, distance, normal
-
-Float64Array = npt.NDArray[np.float64]
-Float32Array = npt.NDArray[np.float32]
 
 #: One count of the clean depth images, metres.
 CLEAN_UNIT_M: Final = 2e-5
@@ -81,7 +78,7 @@ class Surface:
     attributes: Float32Array
 
 
-def rasterise(camera: Camera, nodes: Float64Array, triangles: npt.NDArray[np.int32], values: Float64Array) -> Surface:
+def rasterise(camera: Camera, nodes: Float64Array, triangles: Int32Array, values: Float64Array) -> Surface:
     """Draw the membrane's triangles into a depth buffer and interpolate six values a node."""
     height, width = camera.intrinsics.shape
     depth = np.zeros((height, width), dtype=np.float32)
@@ -94,7 +91,7 @@ def rasterise(camera: Camera, nodes: Float64Array, triangles: npt.NDArray[np.int
 @compiled
 def _rasterise(
     nodes: Float64Array,
-    triangles: npt.NDArray[np.int32],
+    triangles: Int32Array,
     values: Float64Array,
     pinhole: Float64Array,
     depth: Float32Array,
@@ -129,7 +126,7 @@ def _rasterise(
 
 
 @compiled
-def node_normals(nodes: Float64Array, triangles: npt.NDArray[np.int32]) -> Float64Array:
+def node_normals(nodes: Float64Array, triangles: Int32Array) -> Float64Array:
     """Return the membrane's outward unit normals at its nodes, weighted by triangle area."""
     normals = np.zeros_like(nodes)
     for t in range(triangles.shape[0]):
@@ -156,7 +153,7 @@ def see_through(
     pose: Float64Array,
     backdrop: Float64Array,
     depth: Float32Array,
-    cosine: npt.NDArray[np.uint8],
+    cosine: Uint8Array,
 ) -> None:
     """Trace each ray on behind the membrane to the object or the backdrop.
 
@@ -207,7 +204,7 @@ def see_through(
 
 
 @compiled
-def _sample(texture: npt.NDArray[np.uint8], channel: int, x: float, y: float, texel: float) -> float:
+def _sample(texture: Uint8Array, channel: int, x: float, y: float, texel: float) -> float:
     """Look up a texture, centred on the sheet's middle, bilinearly; 0 to 1."""
     rows, columns = texture.shape[0], texture.shape[1]
     s = min(max(x / texel + 0.5 * (columns - 1), 0.0), columns - 1.001)
@@ -250,10 +247,10 @@ def shade(
     kind: int,
     pose: Float64Array,
     tint: Float64Array,
-    texture: npt.NDArray[np.uint8],
+    texture: Uint8Array,
     texel: float,
-    gamma: npt.NDArray[np.uint8],
-    image: npt.NDArray[np.uint8],
+    gamma: Uint8Array,
+    image: Uint8Array,
 ) -> None:
     """Colour the membrane: its prints, and between them a clear film that shows what is behind, in its haze.
 
@@ -298,9 +295,9 @@ def shade(
 def flag(
     behind: Float32Array,
     attributes: Float32Array,
-    texture: npt.NDArray[np.uint8],
+    texture: Uint8Array,
     texel: float,
-    flags: npt.NDArray[np.uint8],
+    flags: Uint8Array,
 ) -> None:
     """Mark contact, steps of depth and infrared-reflective rubber in the proximity image."""
     height, width = behind.shape
@@ -323,6 +320,6 @@ def flag(
             flags[v, u] = bits
 
 
-def gamma_table() -> npt.NDArray[np.uint8]:
+def gamma_table() -> Uint8Array:
     """Return the table from 4096 linear levels to 8-bit display values."""
     return np.round(255.0 * np.linspace(0.0, 1.0, 4096) ** (1 / 2.2)).astype(np.uint8)

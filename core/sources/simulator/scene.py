@@ -4,33 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
-from ...frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
-from ...intrinsics import Intrinsics
+from ...model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
+from ...model.intrinsics import Intrinsics
 from .contact_edge import contact_share
 from .grid_strain import grid_strain
 from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, object_pose
 from .mesh import MembraneDesign
 from .objects import NO_OBJECT, PressedObject, distance
-from .render import (
-    CLEAN_UNIT_M,
-    Camera,
-    Surface,
-    flag,
-    gamma_table,
-    node_normals,
-    rasterise,
-    see_through,
-    shade,
-)
+from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_normals, rasterise, see_through, shade
 from .scenes import Scene
 from .sheet import TEXEL_M, paint_sheet
-
-Float64Array = npt.NDArray[np.float64]
 
 #: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
@@ -106,15 +94,15 @@ class CleanState:
         Depth of the membrane in the tactile camera, in ``CLEAN_UNIT_M``.
     """
 
-    behind: npt.NDArray[np.uint16]
-    membrane: npt.NDArray[np.uint16]
-    cosine: npt.NDArray[np.uint8]
-    flags: npt.NDArray[np.uint8]
-    proximity_color: npt.NDArray[np.uint8]
-    tactile: npt.NDArray[np.uint16]
-    tactile_color: npt.NDArray[np.uint8]
+    behind: Uint16Array
+    membrane: Uint16Array
+    cosine: Uint8Array
+    flags: Uint8Array
+    proximity_color: Uint8Array
+    tactile: Uint16Array
+    tactile_color: Uint8Array
 
-    def arrays(self) -> dict[str, npt.NDArray[Any]]:
+    def arrays(self) -> dict[str, AnyArray]:
         """Return the images by name."""
         return {field.name: getattr(self, field.name) for field in fields(self)}
 
@@ -257,7 +245,7 @@ class Press:
             tactile_color=self._colour(tactile, sheets[1], pose),
         )
 
-    def _colour(self, camera: Camera, sheet: Surface, pose: Float64Array) -> npt.NDArray[np.uint8]:
+    def _colour(self, camera: Camera, sheet: Surface, pose: Float64Array) -> Uint8Array:
         image = np.empty((*sheet.depth.shape, 3), dtype=np.uint8)
         shade(
             camera.pose,
@@ -275,7 +263,7 @@ class Press:
         return image
 
 
-def _counts(depth_m: npt.NDArray[np.float32]) -> npt.NDArray[np.uint16]:
+def _counts(depth_m: Float32Array) -> Uint16Array:
     return np.round(depth_m.astype(np.float64) / CLEAN_UNIT_M).astype(np.uint16)
 
 

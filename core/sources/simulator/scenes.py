@@ -11,9 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, get_args
 
 import numpy as np
-import numpy.typing as npt
 
 from ...errors import SourceError
+from ...model.arrays import Uint8Array
 from .mesh import MembraneDesign
 from .objects import OBJECTS, PressedObject
 from .sheet import Print
@@ -247,7 +247,7 @@ def _slide() -> Way:
     return tuple(way), tuple(drawn), tuple(there + there[::-1])
 
 
-def light_table(light: Light) -> npt.NDArray[np.uint8] | None:
+def light_table(light: Light) -> Uint8Array | None:
     """Return what a change of light makes of 8-bit colours, shape (256, 3), or None for none.
 
     Bright daylight adds exposure and blue and saturates; dim lamps are redder.

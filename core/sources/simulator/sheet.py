@@ -10,9 +10,9 @@ from __future__ import annotations
 from typing import Final, Literal
 
 import numpy as np
-import numpy.typing as npt
 
-Texture = npt.NDArray[np.uint8]
+from ...model.arrays import Float64Array, Uint8Array
+
 Print = Literal["droplets", "dots"]
 
 TEXEL_M: Final = 0.0004
@@ -24,7 +24,7 @@ _DROPLET_SPACING_M: Final = 0.0105
 _OPAQUE_PLACES: Final = ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084))
 
 
-def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "droplets") -> Texture:
+def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "droplets") -> Uint8Array:
     """Paint the sheet: uint8, shape (rows, columns, 2). The prints of one seed are always the same.
 
     With a grid of dots there is nothing else, so that no dot is hidden.
@@ -44,7 +44,7 @@ def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "dropl
     return sheet
 
 
-def dot_grid(width_m: float, height_m: float) -> npt.NDArray[np.float64]:
+def dot_grid(width_m: float, height_m: float) -> Float64Array:
     """Return the places of the grid's dots on the flat sheet, row by row: float64, shape (N, 2), metres."""
     columns, rows = dot_counts(width_m, height_m)
     i, j = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
@@ -57,7 +57,7 @@ def dot_counts(width_m: float, height_m: float) -> tuple[int, int]:
     return columns, rows
 
 
-def _paint_spot(sheet: Texture, x_m: float, y_m: float, radius: float, wobble: float, phase: float) -> None:
+def _paint_spot(sheet: Uint8Array, x_m: float, y_m: float, radius: float, wobble: float, phase: float) -> None:
     rows, columns = sheet.shape[:2]
     near = (slice(*_span(y_m, radius, rows)), slice(*_span(x_m, radius, columns)))
     y, x = (grid[near] for grid in _places(rows, columns))
@@ -66,7 +66,7 @@ def _paint_spot(sheet: Texture, x_m: float, y_m: float, radius: float, wobble: f
     sheet[(*near, 0)] = np.maximum(sheet[(*near, 0)], np.round(255 * cover).astype(np.uint8))
 
 
-def _paint_opaque(sheet: Texture, place: tuple[float, float], rng: np.random.Generator) -> None:
+def _paint_opaque(sheet: Uint8Array, place: tuple[float, float], rng: np.random.Generator) -> None:
     px, py = place + rng.uniform(-0.005, 0.005, 2)
     a, b, turn = rng.uniform(0.008, 0.014), rng.uniform(0.006, 0.009), rng.uniform(0, np.pi)
     y, x = _places(*sheet.shape[:2])
@@ -76,7 +76,7 @@ def _paint_opaque(sheet: Texture, place: tuple[float, float], rng: np.random.Gen
     sheet[np.hypot(s / a, t / b) < rim, 1] = 255
 
 
-def _places(rows: int, columns: int) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _places(rows: int, columns: int) -> tuple[Float64Array, Float64Array]:
     """Return y and x of every texel, as views that take no memory."""
     y, x = ((np.arange(count) - (count - 1) / 2) * TEXEL_M for count in (rows, columns))
     return np.broadcast_to(y[:, None], (rows, columns)), np.broadcast_to(x[None, :], (rows, columns))

@@ -10,10 +10,10 @@ from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
-import numpy.typing as npt
 
 from ...errors import ExportError, SourceError
-from ...frames import GroundTruth, SensorFrame, TrueStrain
+from ...model.arrays import Uint8Array
+from ...model.frames import GroundTruth, SensorFrame, TrueStrain
 from ..base import Health, Progress, SeekableSource
 from .cache import SolvedScene, cache_file, load_scene, save_scene
 from .membrane import Membrane
@@ -124,7 +124,7 @@ class SimulatorSource(SeekableSource):
             truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(self.facts(index))),
         )
 
-    def _lit(self, image: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
+    def _lit(self, image: Uint8Array) -> Uint8Array:
         """Change the light on a colour image."""
         if self._light is None:
             return image

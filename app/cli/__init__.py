@@ -1,0 +1,1 @@
+"""The command ``tactune``: one file for each command."""

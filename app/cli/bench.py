@@ -1,0 +1,192 @@
+"""The commands ``tactune bench``, ``tactune bench stability``: speed against error, measured here and now."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ...core.errors import TactuneError
+
+bench_commands = typer.Typer(
+    help="Measure run time against error, side by side with other ways to do the same.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+)
+
+
+@bench_commands.callback(invoke_without_command=True)
+def bench(
+    context: typer.Context,
+    *,
+    scenes: Annotated[
+        str, typer.Option("--scenes", metavar="A,B", help="Scenes, separated by commas; 'all' for every one.")
+    ] = "all",
+    engines: Annotated[
+        str, typer.Option("--engines", metavar="A,B", help="Engines besides the baseline; 'all' for every one.")
+    ] = "all",
+    rounds: Annotated[int, typer.Option("--rounds", min=3, metavar="N", help="Turns of each engine.")] = 15,
+    gate: Annotated[
+        bool, typer.Option("--gate", help="Measure only what must hold; exit status 1 if it falls short.")
+    ] = False,
+    growth: Annotated[bool, typer.Option("--growth", help="Also measure how cost grows with points and size.")] = False,
+    plots: Annotated[
+        Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
+    ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="FILE.md", help="Measure everything and write it as a page with figures."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Compare all engines on all scenes, or say with --gate whether the promised speed holds."""
+    if context.invoked_subcommand is not None:
+        return
+    if gate:
+        raise typer.Exit(_run_gate(rounds, as_json))
+    if report is not None:
+        _write_report(report, rounds)
+        return
+    _compare(_names(scenes), _names(engines), rounds, growth or plots is not None, plots, as_json)
+
+
+@bench_commands.command()
+def stability(
+    *,
+    frames: Annotated[int, typer.Option("--frames", min=1, metavar="N", help="Seeded frames to try.")] = 10_000,
+    changes: Annotated[
+        int, typer.Option("--changes", min=0, metavar="N", help="Then change parameters and frames so often.")
+    ] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Chooses the frames.")] = 0,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Compare the compiled pipeline with a float64 reference on random and adversarial frames.
+
+    Exit status 1 where a verdict differs that no rounding explains, or a remembered result is not a fresh one.
+    """
+    from dataclasses import asdict
+
+    from ...core.bench.long_run import check_long_run
+    from ...core.bench.stability import check_stability
+    from .progress import CliProgress
+
+    with CliProgress(quiet=as_json) as progress:
+        report = check_stability(frames, seed, lambda share: progress.preparing(share, "comparing frames"))
+        run = check_long_run(changes, seed, lambda share: progress.preparing(share, "changing parameters and frames"))
+    if as_json:
+        typer.echo(json.dumps({"stability": asdict(report), "long_run": asdict(run)}))
+    else:
+        typer.echo(report.words())
+        if changes:
+            typer.echo(run.words())
+    raise typer.Exit(1 if report.unexplained or run.different else 0)
+
+
+def _names(text: str) -> list[str]:
+    """Split a list; none for ``all``."""
+    return [] if text == "all" else [name.strip() for name in text.split(",") if name.strip()]
+
+
+def _run_gate(rounds: int, as_json: bool) -> int:
+    from ...core.bench.gate import run_gate
+    from ...core.bench.machine import machine_facts
+    from .progress import CliProgress
+
+    _need("open3d")
+    with CliProgress(quiet=as_json) as progress:
+        checks = run_gate(rounds, progress.preparing)
+    if as_json:
+        lines = [{"words": c.words, "measured": c.measured, "wanted": c.wanted, "holds": c.holds} for c in checks]
+        typer.echo(json.dumps({"machine": machine_facts(), "checks": lines}, indent=2))
+    else:
+        typer.echo(_machine_line(machine_facts()))
+        for check in checks:
+            typer.echo(str(check))
+    return 0 if all(check.holds for check in checks) else 1
+
+
+def _compare(
+    scenes: list[str], engines: list[str], rounds: int, growth: bool, plots: Path | None, as_json: bool
+) -> None:
+    from dataclasses import asdict
+
+    from ...core.bench.growth import growth_as_text, growth_with_points, growth_with_size
+    from ...core.bench.machine import machine_facts
+    from ...core.bench.registry import Job
+    from ...core.bench.run import compare_engines, rows_as_json, rows_as_text
+    from ...core.bench.scenes import scene_names
+    from .progress import CliProgress
+
+    facts = machine_facts()
+    with CliProgress(quiet=as_json) as progress:
+        rows = compare_engines(
+            scenes or scene_names(), list(Job), rounds=rounds, only=engines, progress=progress.preparing
+        )
+        points = growth_with_points(rounds, progress=progress.preparing) if growth else []
+        sizes = growth_with_size(rounds, progress=progress.preparing) if growth else []
+    if as_json:
+        report: dict[str, Any] = {"machine": facts, "rows": rows_as_json(rows)}
+        if growth:
+            report["growth"] = [asdict(row) for row in points + sizes]
+        typer.echo(json.dumps(report, indent=2, allow_nan=False))
+    else:
+        typer.echo(_machine_line(facts) + "\n\n" + rows_as_text(rows))
+        if growth:
+            typer.echo("\n" + growth_as_text(points) + "\n\n" + growth_as_text(sizes))
+    if plots is not None:
+        from ...core.bench.plots import draw_growth, draw_pareto
+
+        for path in draw_pareto(rows, plots) + draw_growth(points, sizes, plots):
+            typer.echo(f"wrote {path}", err=as_json)
+
+
+def _write_report(path: Path, rounds: int) -> None:
+    """Measure all there is and write the page, its figures in ``images/bench`` beside it."""
+    from ...core.bench.gate import run_gate
+    from ...core.bench.growth import growth_with_points, growth_with_size
+    from ...core.bench.long_run import check_long_run
+    from ...core.bench.machine import machine_facts
+    from ...core.bench.plots import draw_growth, draw_pareto
+    from ...core.bench.registry import Job
+    from ...core.bench.report import BenchReport, write_report
+    from ...core.bench.run import compare_engines
+    from ...core.bench.scenes import scene_names
+    from ...core.bench.stability import check_stability
+    from ...core.bench.stages import stage_breakdown, thread_scaling
+    from .progress import CliProgress
+
+    _need("open3d")
+    machine = _machine_line(machine_facts())
+    with CliProgress() as progress:
+        measured = BenchReport(
+            machine=machine,
+            checks=run_gate(rounds, progress.preparing),
+            rows=compare_engines(scene_names(), list(Job), rounds=rounds, progress=progress.preparing),
+            points=growth_with_points(rounds, progress=progress.preparing),
+            sizes=growth_with_size(rounds, progress=progress.preparing),
+            stages=stage_breakdown(scene_names()),
+            threads=thread_scaling(scene_names(), rounds),
+            stability=check_stability(10_000, 0, lambda share: progress.preparing(share, "comparing frames")),
+            long_run=check_long_run(20_000, 0, lambda share: progress.preparing(share, "changing parameters")),
+        )
+    folder = path.parent / "images" / "bench"
+    figures = draw_pareto(measured.rows, folder) + draw_growth(measured.points, measured.sizes, folder)
+    write_report(measured, path, figures)
+    typer.echo(f"wrote {path}")
+
+
+def _machine_line(facts: dict[str, Any]) -> str:
+    packages = ", ".join(f"{name} {number}" for name, number in facts["packages"].items() if number)
+    return (
+        f"{facts['processor']}, {facts['cores']} cores, {facts['memory_gib']} GiB, load {facts['load_1min']}; "
+        f"{facts['system']}, Python {facts['python']}; {packages}"
+    )
+
+
+def _need(package: str) -> None:
+    from importlib.util import find_spec
+
+    if find_spec(package) is None:
+        raise TactuneError(f"the gate compares with {package}, which is not installed: pip install 'tactune[bench]'")

@@ -1,0 +1,178 @@
+"""The commands ``tactune evaluate``: methods and patches against the truth."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...core.errors import TactuneError
+from .progress import CliProgress
+from .scan import evaluate_recording
+
+if TYPE_CHECKING:
+    from ...core.evaluation.table import Table, TablePlan
+
+evaluate_commands = typer.Typer(
+    help="Compare with the truth: every method on scenes with known truth, one patch with another cloud, or "
+    "recordings with the object's painted scan.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    no_args_is_help=True,
+)
+
+evaluate_commands.command("recording")(evaluate_recording)
+
+_PAPER = "the paper's"
+
+
+@evaluate_commands.command()
+def table(
+    *,
+    methods: Annotated[
+        str, typer.Option(metavar="A,B", help="Methods, separated by commas; 'all' for all. A wrong name lists them.")
+    ] = "all",
+    objects: Annotated[
+        str, typer.Option(metavar="A,B", help="Objects: octopus, cup, cube, two; with --held-out mug, hand.")
+    ] = _PAPER,
+    presses: Annotated[str, typer.Option(metavar="A,B", help="Presses: low, medium, high.")] = "low,medium,high",
+    seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Choices of noise for each scene.")] = 5,
+    extra: Annotated[
+        bool,
+        typer.Option(help="Also stiff and wrinkled membranes, two objects, and objects that hover without contact."),
+    ] = True,
+    held_out: Annotated[
+        bool, typer.Option("--held-out", help="Objects and seeds that no method was developed on.")
+    ] = False,
+    preset: Annotated[
+        str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="Of all methods but the straight one.")
+    ] = "simulator",
+    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON instead of text.")] = False,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write a line for each cell.")
+    ] = None,
+    plot: Annotated[
+        Path | None, typer.Option(metavar="FILE.png", help="Also draw the patches of the first seed (extra bench).")
+    ] = None,
+    work: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Where finished cells are kept, to go on after Ctrl-C; default: the cache."),
+    ] = None,
+) -> None:
+    """Compare methods on simulated scenes, beside the paper's figures."""
+    from ...core.evaluation.table_plot import check_plot, draw_patches
+    from ...core.evaluation.table_text import table_as_json, table_as_text, write_csv
+
+    plan = _plan(methods, objects, presses, seeds, extra=extra, held_out=held_out, preset=preset, work=work)
+    if plot is not None:
+        check_plot(plot)
+    finished = _measure(plan)
+    if csv_file is not None:
+        write_csv(finished, csv_file)
+        typer.echo(f"wrote {csv_file}", err=True)
+    typer.echo(json.dumps(table_as_json(finished), indent=2, allow_nan=False) if as_json else table_as_text(finished))
+    if plot is not None:
+        draw_patches(plot, plan.methods, plan.scenes, plan.preset, plan.seeds[0])
+        typer.echo(f"wrote {plot}", err=True)
+
+
+@evaluate_commands.command("patch")
+def evaluate_patch(
+    *,
+    patch: Annotated[Path, typer.Option(metavar="FILE", help="A cloud: .ply, .pcd, .npz or .csv, metres.")],
+    truth: Annotated[Path, typer.Option(metavar="FILE", help="The true cloud, in the same frame.")],
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Compare the clouds of two files: RMSE, Hausdorff, 95th percentile and Chamfer distance."""
+    from ...core.evaluation.distances import cloud_distances
+    from ...core.recording.foreign_clouds import read_points, unit_doubt
+    from .patch_record import finite_or_none
+    from .run import counted, warn
+
+    clouds = {}
+    for path in (patch, truth):
+        clouds[path], dropped = read_points(path)
+        if dropped:
+            warn(f"{path}: {counted(dropped, 'point')} of {dropped + len(clouds[path])} left out, for a nan in them")
+        if len(clouds[path]) == 0:
+            raise TactuneError(f"{path} holds no point, so there is no distance to it; choose a frame with contact")
+        if doubt := unit_doubt(clouds[path], path):
+            warn(doubt)
+    apart = asdict(cloud_distances(clouds[patch], clouds[truth]))
+    numbers = {f"{name.removesuffix('_m')}_mm": finite_or_none(1e3 * value) for name, value in apart.items()}
+    counts = {"patch_points": len(clouds[patch]), "truth_points": len(clouds[truth])}
+    if as_json:
+        typer.echo(json.dumps(counts | numbers, allow_nan=False))
+        return
+    typer.echo(f"{counted(counts['patch_points'], 'point')} against {counted(counts['truth_points'], 'point')}")
+    for name, number in numbers.items():
+        words = name.removesuffix("_mm").replace("_", " ")
+        typer.echo(f"{words:24s}" + ("-" if number is None else f"{number:10.3f} mm"))
+
+
+def _plan(
+    methods: str,
+    objects: str,
+    presses: str,
+    seeds: int,
+    *,
+    extra: bool,
+    held_out: bool,
+    preset: str,
+    work: Path | None,
+) -> TablePlan:
+    """Turn the options into a plan, refusing what cannot be before anything is measured."""
+    from platformdirs import user_cache_dir
+
+    from ...core.evaluation.cells import check_methods, table_methods
+    from ...core.evaluation.scene_plan import FIRST_HELD_OUT_SEED, OBJECTS, plan_scenes
+    from ...core.evaluation.table import TablePlan, seeds_from
+    from ...core.preset.file import load_preset
+    from ...core.sources.simulator.scenes import HELD_OUT
+
+    names = table_methods() if methods == "all" else _listed("--methods", methods)
+    check_methods(names, table_methods())
+    usual = HELD_OUT if held_out else OBJECTS
+    return TablePlan(
+        names,
+        tuple(
+            plan_scenes(
+                usual if objects == _PAPER else _listed("--objects", objects), _listed("--presses", presses),
+                extra=extra, held_out=held_out,
+            )
+        ),
+        seeds_from(FIRST_HELD_OUT_SEED if held_out else 0, seeds),
+        load_preset(preset),
+        work or Path(user_cache_dir("tactune")) / "evaluation",
+    )  # fmt: skip
+
+
+def _measure(plan: TablePlan) -> Table:
+    """Measure cell after cell, telling how far it is; after Ctrl-C say how to go on."""
+    from ...core.evaluation.table import Table, measure_table
+    from .run import counted, warn
+
+    finished = Table()
+    with CliProgress() as progress:
+        progress.frames(0, plan.count, "cells")
+        try:
+            for cell in measure_table(plan):
+                finished.cells.append(cell)
+                progress.frames(len(finished.cells), plan.count, f"{cell.row} {cell.press}, {cell.method}")
+        except KeyboardInterrupt:
+            warn(
+                f"{len(finished.cells)} of {counted(plan.count, 'cell')} are kept in {plan.work}; "
+                "the same command goes on from there"
+            )
+            raise
+    return finished
+
+
+def _listed(option: str, text: str) -> tuple[str, ...]:
+    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
+    if not names:
+        raise TactuneError(f"{option} is {text!r}; give names, separated by commas")
+    return names

@@ -1,0 +1,278 @@
+"""The command ``tactune``: what it understands, and how it ends.
+
+Everything heavy is imported inside the commands, so that ``tactune --help`` answers at once.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import re
+import sys
+from enum import StrEnum
+from importlib.metadata import version
+from io import TextIOWrapper
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ...core.errors import MissingExtraError, TactuneError
+from .. import defaults
+from .bench import bench_commands
+from .calibrate import calibrate
+from .devices import devices
+from .doctor import doctor
+from .evaluate import evaluate_commands
+from .preset import preset_commands
+from .recheck import recheck
+from .record import convert, record
+from .scan import export_scan
+from .strain import strain
+from .sweep import sweep
+from .warmup import warmup
+
+#: Exit status for anything that the person can put right: a wrong option, a wrong file.
+USAGE_STATUS = 2
+
+#: What the extra ``gui`` installs.
+GUI_PACKAGES = ("PyQt6", "pyqtgraph")
+
+commands = typer.Typer(
+    help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
+    "Without a command: open the window.",
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    add_completion=False,
+)
+commands.add_typer(preset_commands, name="preset")
+commands.add_typer(bench_commands, name="bench")
+commands.add_typer(evaluate_commands, name="evaluate")
+commands.command()(calibrate)
+commands.command()(devices)
+commands.command()(doctor)
+commands.command("export-scan")(export_scan)
+commands.command()(recheck)
+commands.command()(record)
+commands.command()(convert)
+commands.command()(strain)
+commands.command()(sweep)
+commands.command()(warmup)
+
+Source = Annotated[
+    str,
+    typer.Option(
+        "--source",
+        "-s",
+        metavar="SOURCE",
+        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), realsense:, live:SOURCE, "
+        "folder:PATH, bag:PATH, mcap:PATH, or a path.",
+    ),
+]
+PresetName = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        "-p",
+        metavar="FILE|NAME",
+        help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
+    ),
+]
+FrameCount = Annotated[
+    int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many; default: all.")
+]
+
+
+class Format(StrEnum):
+    """File formats of a patch."""
+
+    NPZ = "npz"
+    PLY = "ply"
+    PCD = "pcd"
+    CSV = "csv"
+
+
+class Theme(StrEnum):
+    """Looks of the window."""
+
+    LIGHT = "light"
+    DARK = "dark"
+    SYSTEM = "system"
+
+
+def main() -> int:
+    """Run the command line and return its exit status.
+
+    0: done; 2: something that the person can put right, said in one sentence; 130: interrupted.
+    """
+    if isinstance(sys.stdout, TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be valid Unicode
+    try:
+        commands(prog_name="tactune")
+    except TactuneError as error:
+        typer.echo(f"tactune: {error}", err=True)
+        return USAGE_STATUS
+    except OSError as error:
+        where = f"{error.filename}: " if error.filename else ""
+        typer.echo(f"tactune: {where}{error.strerror or error}; check the path, its permissions and the disk", err=True)
+        return USAGE_STATUS
+    except SystemExit as end:
+        return int(end.code or 0)
+    return 0
+
+
+@commands.callback(invoke_without_command=True)
+def _start(
+    context: typer.Context,
+    show_version: Annotated[bool, typer.Option("--version", help="Print the version and stop.")] = False,
+) -> None:
+    if show_version:
+        typer.echo(f"tactune {version('tactune')}")
+    elif context.invoked_subcommand is None:
+        raise typer.Exit(_open_window(defaults.SOURCE, None, None, 0))
+
+
+@commands.command()
+def gui(
+    *,
+    source: Source = defaults.SOURCE,
+    preset: PresetName = None,
+    screenshot: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Save a picture of the window to a .png file and close it.")
+    ] = None,
+    after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
+    size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
+    theme: Annotated[Theme | None, typer.Option(help="Default: as it was left.")] = None,
+) -> None:
+    """Open the window."""
+    raise typer.Exit(
+        _open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme and theme.value)
+    )
+
+
+@commands.command()
+def run(
+    *,
+    source: Source = defaults.SOURCE,
+    preset: PresetName = None,
+    frames: FrameCount = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR|FILE.mcap",
+            help="A folder: a file a frame, such as patch_000012.npz. A .mcap: all patches, as PointCloud2 for ROS 2.",
+        ),
+    ] = None,
+    file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
+    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
+    ] = False,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
+    ] = "fusion",
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="As in tactune preset new, for this run; may be repeated."),
+    ] = None,
+) -> None:
+    """Compute contact patches without a window."""
+    from .run import RunOptions, run_frames
+
+    if out is None and not json_lines and not truth:
+        raise typer.BadParameter(
+            "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
+        )
+    preset = preset or defaults.default_preset(source)
+    changed = tuple(settings or ())
+    run_frames(
+        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference, changed)
+    )
+
+
+@commands.command("export-folder")
+def export_folder(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
+    source: Source = defaults.SOURCE,
+    frames: FrameCount = None,
+) -> None:
+    """Write frames as PNG images, to hand on."""
+    from .run import export_frames
+
+    export_frames(source, out, frames)
+
+
+def _check_x_display() -> None:
+    """Refuse an X display that does not answer in words; Qt would abort the process."""
+    display = os.environ.get("DISPLAY", "")
+    platform = os.environ.get("QT_QPA_PLATFORM", "xcb")
+    if sys.platform != "linux" or not display or os.environ.get("WAYLAND_DISPLAY") or not platform.startswith("xcb"):
+        return
+    try:
+        xcb = ctypes.CDLL("libxcb.so.1")
+    except OSError:
+        return  # Qt's own import says better what is missing
+    xcb.xcb_connect.restype = ctypes.c_void_p
+    connection = ctypes.c_void_p(xcb.xcb_connect(None, None))
+    refused = xcb.xcb_connection_has_error(connection)
+    xcb.xcb_disconnect(connection)
+    if refused:
+        raise TactuneError(
+            f"the display {display} does not answer; set DISPLAY to one that does, use tactune run, "
+            "or put xvfb-run before the command for a picture"
+        )
+
+
+def _open_window(
+    source: str,
+    preset: str | None,
+    screenshot: Path | None,
+    after: int,
+    *,
+    size: tuple[int, int] | None = None,
+    theme: str | None = None,
+) -> int:
+    if sys.platform == "linux" and not any(map(os.environ.get, ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"))):
+        raise TactuneError(
+            "there is no display to open a window on; use tactune run, or put xvfb-run before the command for a picture"
+        )
+    _check_x_display()
+    try:
+        from ..gui import run_gui
+    except ModuleNotFoundError as error:
+        if str(error.name).partition(".")[0] not in GUI_PACKAGES:
+            raise
+        raise MissingExtraError(
+            f'the window needs {error.name}, which is not installed: pip install "tactune[gui]"; '
+            "tactune run works without it"
+        ) from error
+    except ImportError as error:
+        if "shared object file" not in str(error):
+            raise
+        raise MissingExtraError(
+            f"the window needs a library of the operating system ({error}); install it, "
+            "or use tactune run, which works without it"
+        ) from error
+    return run_gui(source, preset, screenshot, after, size=size, theme=theme)
+
+
+def _parse_size(text: str | None) -> tuple[int, int] | None:
+    if text is None:
+        return None
+    match = re.fullmatch(r"([1-9][0-9]{2,4})x([1-9][0-9]{2,4})", text)
+    if match is None:
+        raise typer.BadParameter(f"--size is {text!r}; write width x height in pixels, such as 1280x800")
+    return int(match[1]), int(match[2])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

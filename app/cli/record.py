@@ -1,0 +1,173 @@
+"""The commands ``tactune record`` and ``tactune convert``: frames in, a recording out."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...core.errors import ExportError
+from .stop import WAIT_S, stop_on_signals
+
+if TYPE_CHECKING:
+    from ...core.model.frames import SensorFrame
+    from ...core.preset import Preset
+    from ...core.recording import RecordingStatus, SessionWriter
+    from ...core.sources import FrameSource
+
+#: Formats that can be read only, and would otherwise become folders of that name.
+_READ_ONLY_SUFFIXES = (".bag", ".db3")
+
+_Preset = Annotated[
+    str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="A preset to keep in the recording.")
+]
+_Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many frames.")]
+_Force = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
+
+
+def record(
+    *,
+    source: Annotated[
+        str, typer.Option("--source", "-s", metavar="SOURCE", help="realsense:, live:SOURCE, or any recording.")
+    ],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
+    preset: _Preset = None,
+    seconds: Annotated[
+        float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after so much time.")
+    ] = None,
+    frames: _Frames = None,
+    force: _Force = False,
+) -> None:
+    """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
+
+    A recording or the simulator is written completely, however long that takes; a live source does
+    not wait, and what the disk was too slow for is counted and said.
+    """
+    from ...core.preset.file import load_preset
+    from ...core.recording import SessionWriter
+    from .run import open_with_progress
+
+    if out.suffix != ".mcap":
+        raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
+    _refuse_existing(out, force)
+    kept = None if preset is None else load_preset(preset)
+    with open_with_progress(source, kept.cameras if kept else None) as opened:
+        if force:
+            out.unlink(missing_ok=True)
+        reference = _reference(kept, preset, opened)
+        with SessionWriter(
+            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=reference
+        ) as writer:
+            lost_before = opened.health().dropped
+            _record_frames(opened, writer, frames, seconds)
+        _tell(opened, writer.close(), lost_before)
+
+
+def convert(
+    *,
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="A recording of any kind, or the simulator.")],
+    target: Annotated[
+        Path, typer.Argument(metavar="FILE.mcap|DIR", help="A .mcap, or a new folder for PNG images with rig.json.")
+    ],
+    preset: _Preset = None,
+    frames: _Frames = None,
+    force: _Force = False,
+) -> None:
+    """Write any recording as MCAP, or as a folder of PNG images. Nothing is lost either way."""
+    from ...core.preset.file import load_preset
+    from ...core.recording.convert import export_mcap
+    from ...core.sources.folder import export_folder
+    from ...core.sources.mcap.source import McapSource
+    from .progress import CliProgress
+    from .run import counted, open_with_progress, warn
+
+    if target.suffix in _READ_ONLY_SUFFIXES:
+        raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
+    to_mcap = target.suffix == ".mcap"
+    if to_mcap:
+        _refuse_existing(target, force)
+    kept = None if preset is None else load_preset(preset)
+    with open_with_progress(source) as opened, CliProgress() as progress:
+        if kept is None and isinstance(opened, McapSource):
+            kept = opened.preset()
+
+        def show(share: float, _: str) -> None:
+            progress.frames(round(share * 100), 100)
+
+        if to_mcap:
+            reference = _reference(kept, preset, opened)
+            count = export_mcap(opened, target, frames, preset=kept, reference=reference, progress=show)
+        else:
+            count = export_folder(opened, target, frames, show)
+            if kept is not None:
+                warn(f"a folder holds no preset; {kept.name!r} stays behind")
+        if opened.health().message:
+            warn(opened.health().message)
+    typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
+
+
+def _reference(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
+    """Return what the recording is to keep: the preset's own reference, else the source's."""
+    from ...core.rig.untouched import kept_reference
+    from .run import warn
+
+    found = kept_reference(preset, origin, source)
+    for sentence in found.warnings:
+        warn(sentence)
+    return found.frame
+
+
+def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:
+    """Hand frames over until the source ends, enough are there, something fails or Ctrl+C is pressed."""
+    from .progress import CliProgress
+    from .run import number_of_frames, warn
+
+    live = source.length is None
+    total, end_s = number_of_frames(source, frames), math.inf
+    if seconds is not None and live:
+        end_s = time.monotonic() + seconds
+    elif seconds is not None and total is not None:
+        total = math.ceil(min(total, seconds * source.frame_rate_hz))
+    said = ""
+    done = 0
+    with CliProgress() as progress, stop_on_signals() as stopped:
+        while done != total and time.monotonic() < end_s and not stopped.is_set():
+            if source.health().message != said and (said := source.health().message):
+                warn(said)
+            if not source.wait(WAIT_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                break
+            done += writer.put(frame, wait=not live)
+            status = writer.status()
+            if status.error:
+                break
+            dropped = f", {status.dropped} dropped" if status.dropped else ""
+            progress.frames(done, total, f"{status.bytes / 1e6:.0f} MB{dropped}, frames")
+
+
+def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
+    from .run import counted, warn, warn_of_lost_frames
+
+    if status.error:
+        kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""
+        raise ExportError(status.error + kept)
+    if status.dropped:
+        warn(f"{counted(status.dropped, 'frame')} dropped, because the disk was too slow; record to a faster one")
+    warn_of_lost_frames(source, lost_before)
+    size = f"{status.bytes / 1e6:.1f} MB"
+    typer.echo(
+        f"recorded {counted(status.frames, 'frame')} of {source.name}, {status.seconds:.1f} s, {size}, "
+        f"into {status.path}"
+    )
+
+
+def _refuse_existing(path: Path, force: bool) -> None:
+    if path.exists() and not (force and path.is_file()):
+        raise ExportError(
+            f"{path} is already there; choose another name" + (" or give --force" if path.is_file() else "")
+        )

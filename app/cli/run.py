@@ -1,0 +1,279 @@
+"""The commands ``tactune run`` and ``tactune export-folder``: frames in, patches or images out."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+from threading import Event
+from typing import Any
+
+import typer
+
+from ...core.contact.pipeline import ContactPatch
+from ...core.contact.warmup import warm_up_if_needed
+from ...core.errors import ExportError, SourceError
+from ...core.evaluation.metrics import compare_with_truth
+from ...core.methods.method import MethodPatch
+from ...core.model.clouds import PointCloud
+from ...core.model.frames import GroundTruth, Rig, SensorFrame
+from ...core.preset import CamerasSection, Preset
+from ...core.preset.file import load_preset
+from ...core.preset.rig_check import check_rig
+from ...core.recording.cloud_files import patch_cloud, write_cloud
+from ...core.sources import FrameSource
+from ...core.sources.folder import export_folder
+from ...core.sources.registry import open_source
+from .method import FUSION, Step, make_step, read_reference
+from .patch_record import finite_or_none
+from .progress import CliProgress
+from .settings import parse_settings
+from .stop import WAIT_S, stop_on_signals
+
+Record = dict[str, Any]
+SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
+
+#: Exit status of what was interrupted, as shells have it for Ctrl+C.
+INTERRUPTED_STATUS = 130
+
+#: Recordings and bags of patches are named so.
+MCAP_SUFFIX = ".mcap"
+
+#: What ``--truth`` adds to a record beside ``touched``, and its unit.
+TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
+#: The membrane's largest in-plane strain, where the simulator's solver knows it.
+STRAIN_KEYS = {
+    "true_strain_length_percent": "along the length",
+    "true_strain_width_percent": "along the width",
+    "true_max_strain_percent": "in any direction",
+}
+
+
+@dataclass(frozen=True)
+class RunOptions:
+    """What ``tactune run`` is asked to do; see its help."""
+
+    source: str
+    preset: str
+    frames: int | None
+    out: Path | None
+    file_format: str
+    json_lines: bool
+    truth: bool
+    method: str = FUSION
+    reference: str | None = None
+    settings: tuple[str, ...] = ()
+
+
+def run_frames(options: RunOptions) -> None:
+    """Compute the patch of each frame; write files, JSON lines or a summary."""
+    preset = load_preset(options.preset).with_values(parse_settings(options.settings))
+    reference = read_reference(options.method, options.reference)
+    if options.out is not None and options.out.suffix != MCAP_SUFFIX:
+        make_folder(options.out)
+    with open_with_progress(options.source, preset.cameras) as source:
+        if options.method == FUSION:
+            with CliProgress() as progress:
+                warm_up_if_needed(progress.preparing)
+        step = make_step(options.method, preset, options.preset, source, reference, warn)
+        for sentence in check_rig(preset, source.rig):
+            warn(sentence)
+        lost_before = source.health().dropped
+        with stop_on_signals() as stopped, patch_output(options, source, preset) as save:
+            records = process_frames(source, step, options, save, stopped)
+        if not records and not stopped.is_set():
+            raise SourceError(f"{source.name} gave no frames; check the source")
+        if source.health().message:
+            warn(source.health().message)
+        warn_of_lost_frames(source, lost_before)
+        if records and not options.json_lines:
+            typer.echo(summary(records, source.name, preset.name, options, stopped=stopped.is_set()))
+        if stopped.is_set():
+            tell_of_stop(source, len(records), options.frames)
+
+
+@contextmanager
+def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
+    """Yield what takes each patch: a bag of all, files of their own, or nothing."""
+    out = options.out
+    if out is None:
+        yield lambda patch, frame: None
+    elif out.suffix == MCAP_SUFFIX:
+        from ...core.recording.patches import PatchWriter
+
+        with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
+            yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
+    else:
+        yield lambda patch, frame: write_cloud(
+            patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig)
+        )
+
+
+def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
+    """Return what is known of a patch; the points of other methods than fusion need not be pixels."""
+    return patch_cloud(patch, frame, rig) if isinstance(patch, ContactPatch) else PointCloud(patch.points)
+
+
+def warn_of_lost_frames(source: FrameSource, before: int) -> None:
+    """Tell how many frames the source has lost since it had lost ``before``."""
+    if lost := source.health().dropped - before:
+        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
+
+
+def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
+    """Say what a person's Ctrl+C left undone, and end as interrupted; a live source has no end to reach."""
+    total = number_of_frames(source, asked)
+    if done and total in (None, done):
+        return
+    warn(
+        f"stopped after {counted(done, 'frame')}"
+        if total is None
+        else f"stopped after {done} of {counted(total, 'frame')}"
+    )
+    raise typer.Exit(INTERRUPTED_STATUS)
+
+
+def process_frames(
+    source: FrameSource, step: Step, options: RunOptions, save: SavePatch, stopped: Event
+) -> list[Record]:
+    """Do what is asked for with each frame until ``stopped`` is set; return what can be said of it."""
+    records: list[Record] = []
+    total = number_of_frames(source, options.frames)
+    with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
+        while len(records) != total and not stopped.is_set():
+            if not source.wait(WAIT_S):
+                continue
+            frame = source.next_frame()
+            if frame is None:
+                break
+            record, patch = step(frame)
+            if options.truth:
+                record |= truth_record(patch, frame.truth, source.rig)
+            save(patch, frame)
+            if options.json_lines:
+                typer.echo(json.dumps(record, allow_nan=False))
+            records.append(record)
+            progress.frames(len(records), total)
+    if options.truth and records and all(record["iou"] is None for record in records):
+        warn(f"{source.name} knows no truth; iou, precision, recall and rmse_mm are empty")
+    return records
+
+
+def export_frames(source_name: str, out: Path, frames: int | None) -> None:
+    """Write a source's frames as a folder of images."""
+    with open_with_progress(source_name) as source, CliProgress() as progress:
+        count = export_folder(source, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
+    typer.echo(f"wrote {counted(count, 'frame')} of {source.name} to {out}")
+
+
+@contextmanager
+def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
+    """Open a source, showing how its preparation goes; ``cameras`` of a preset are for live ones."""
+    with CliProgress() as progress:
+        source = open_source(name, progress.preparing, cameras)
+    with source:
+        yield source
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder for patches before anything is computed, and say what it already holds."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        older = sum(1 for _ in folder.glob("patch_[0-9]*"))
+    except OSError as error:
+        raise ExportError(f"cannot write to {folder}: {error.strerror or error}; choose another place") from error
+    if older:
+        warn(f"{folder} already holds {counted(older, 'patch file')}; those of the same number are replaced")
+
+
+def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
+    """Return where the patch of a frame goes."""
+    return folder / f"patch_{sequence:06d}.{file_format}"
+
+
+def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
+    """Return how many frames there will be, None where nobody knows."""
+    known = [count for count in (source.length, asked) if count is not None]
+    return min(known, default=None)
+
+
+def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
+    """Compare with the truth; every value is None where the source has none."""
+    if truth is None:
+        return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
+    scores = compare_with_truth(patch, truth, rig)
+    known = truth.strain
+    strains = (known.length, known.width, known.largest) if known is not None else (None, None, None)
+    percent = [None if strain is None else round(100 * strain, 2) for strain in strains]
+    return (
+        {"touched": bool(truth.contact.any())}
+        | {key: finite_or_none(scores[key]) for key in TRUTH_KEYS}
+        | dict(zip(STRAIN_KEYS, percent, strict=True))
+    )
+
+
+def summary(records: list[Record], source: str, preset: str, options: RunOptions, *, stopped: bool) -> str:
+    """Return a few lines for a person."""
+    touched = [record["area_mm2"] for record in records if record["points"]]
+    # Medians, because the first frame also loads the compiled code and makes the tables.
+    stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
+    lines = [f"{counted(len(records), 'frame')} of {source} with preset {preset!r}" + _by(options.method)]
+    if touched:
+        lines.append(
+            f"contact in {len(touched)} of them, patch {min(touched) / 100:.1f} to {max(touched) / 100:.1f} cm2, "
+            f"median {median(touched) / 100:.1f} cm2"
+        )
+    else:
+        lines.append("no contact in any of them")
+    if failures := [record["failure"] for record in records if record["failure"]]:
+        lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
+    details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
+    lines.append(f"{sum(stages.values()):.1f} ms a frame ({details})")
+    lines += truth_lines(records)
+    if options.out is not None and options.out.suffix == MCAP_SUFFIX:
+        lines.append(f"wrote {options.out}")
+    elif options.out is not None:
+        first, last = (patch_path(options.out, records[i]["sequence"], options.file_format) for i in (0, -1))
+        lines.append(f"wrote {first}" + (f" to {last.name}" if last != first else ""))
+    if options.frames is not None and len(records) < options.frames and not stopped:
+        lines.append(f"{source} ended after {len(records)} of the {options.frames} frames asked for")
+    return "\n".join(lines)
+
+
+def truth_lines(records: list[Record]) -> list[str]:
+    """Return the scores of the frames with touch, and how many of the others have points; [] without a truth."""
+    with_touch = [record for record in records if record.get("touched")]
+    without = [record for record in records if record.get("touched") is False]
+    lines = []
+    for key, unit in TRUTH_KEYS.items():
+        known = [record[key] for record in with_touch if record[key] is not None]
+        if known:
+            lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with touch")
+    strains = {
+        words: max((record[key] for record in records if record.get(key) is not None), default=None)
+        for key, words in STRAIN_KEYS.items()
+    }
+    if None not in strains.values():
+        lines.append("true strain up to " + ", ".join(f"{strain:.1f} % {words}" for words, strain in strains.items()))
+    if without:
+        false = sum(bool(record["points"]) for record in without)
+        lines.append(f"{counted(len(without), 'frame')} without touch, {false} of them with false points")
+    return lines
+
+
+def _by(method: str) -> str:
+    return "" if method == FUSION else f", method {method}"
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number of things in words, such as ``"1 frame"`` or ``"2 frames"``."""
+    return f"{number} {thing}" + ("s" if number != 1 else "")
+
+
+def warn(sentence: str) -> None:
+    """Say something on standard error."""
+    typer.echo(f"tactune: {sentence}", err=True)

@@ -1,0 +1,374 @@
+"""The commands ``tactune evaluate recording`` and ``tactune export-scan``: contact as painted on the object's scan."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Final
+
+import typer
+
+from ...core.errors import TactuneError
+from ...core.model.arrays import BoolArray
+from ...core.model.files import atomic_path
+from .. import defaults
+
+if TYPE_CHECKING:
+    from ...core.model.frames import Matrix4, SensorFrame
+    from ...core.preset import Preset
+    from ...core.scan.paint import PaintSettings
+    from ...core.scan.pose import RefinedPose
+    from ...core.scan.scan import Scan
+    from ...core.scan.scores import ScanTruth
+    from ...core.sources import FrameSource
+    from .method import Step
+
+Record = dict[str, Any]
+
+#: Columns of the table and their titles.
+_COLUMNS: Final = {
+    "symmetric_rmse_mm": "RMSE mm",
+    "patch_to_truth_rms_mm": "patch>scan mm",
+    "truth_to_patch_rms_mm": "scan>patch mm",
+    "hausdorff_mm": "Hausdorff mm",
+    "percentile_95_mm": "95 % mm",
+    "chamfer_mm": "Chamfer mm",
+    "area_error_mm2": "area error mm2",
+}
+_REFINED: Final = ("rmse_m", "pairs", "iterations", "converged")
+#: No method is so wrong; the transform is.
+_FAR_MM: Final = 40.0
+
+
+class Unit(StrEnum):
+    """Length units of scan files."""
+
+    M = "m"
+    CM = "cm"
+    MM = "mm"
+    INCH = "in"
+
+
+Scanned = Annotated[
+    Path, typer.Option("--scan", metavar="FILE", help="The object's painted scan: .ply or .obj, coloured or textured.")
+]
+
+
+def evaluate_recording(
+    *,
+    source: Annotated[str, typer.Option("--source", "-s", metavar="SOURCE", help="As for tactune run.")],
+    scan: Scanned,
+    transform: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help='Where the scan stands: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.',
+        ),
+    ] = None,
+    pairs: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE.csv",
+            help="Or points picked on both: scan_x,scan_y,scan_z (the scan's unit),patch_x_m,patch_y_m,patch_z_m.",
+        ),
+    ] = None,
+    refine: Annotated[
+        bool, typer.Option("--refine", help="Refine that by ICP to the first method's patch in the first frame.")
+    ] = False,
+    method: Annotated[
+        list[str] | None, typer.Option(metavar="NAME", help="May be repeated; 'all' for all. Default: fusion.")
+    ] = None,
+    reference: Annotated[
+        str | None, typer.Option(metavar="SOURCE", help="The untouched membrane, for methods that need it.")
+    ] = None,
+    frame: Annotated[int | None, typer.Option(min=0, metavar="N", help="Only this frame, from 0.")] = None,
+    frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frames A to B, both included.")] = None,
+    preset: Annotated[
+        str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="As for tactune run.")
+    ] = None,
+    unit: Annotated[Unit, typer.Option(help="Unit of the scan's numbers.")] = Unit.M,
+    paint: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="NAME=VALUE",
+            help="Colour of touched paint, and what is kept: hue=150:179 (OpenCV; above wraps), saturation=40:255, "
+            "value=60:255, least_area_mm2=20, largest=0. May be repeated.",
+        ),
+    ] = None,
+    save_transform: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Keep the pose that was used, refined or not.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+    csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write a line for each.")] = None,
+) -> None:
+    """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
+
+    Refining hides an error that all patch points share; a transform that knows nothing of the patch is fairer.
+    """
+    from ...core.preset.file import load_preset
+    from ...core.scan.pose import save_transform as write_transform
+    from ...core.scan.scan import UNITS_M, load_scan
+    from ...core.scan.scores import scan_truth
+    from .progress import CliProgress
+    from .run import number_of_frames, open_with_progress
+    from .scan_frames import frame_range, frames_between, remembered_frames
+
+    unit_m = UNITS_M[unit]
+    first, last = frame_range(frame, frames)
+    settings = parse_paint(paint or [])
+    pose = _start_pose(scan, transform, pairs, unit_m)
+    names = _methods(method or [], reference)
+    origin = preset or defaults.default_preset(source)
+    chosen = load_preset(origin)
+    loaded = load_scan(scan, unit_m)
+    contact = _contact(loaded, settings, scan)
+    refined, truth = None, scan_truth(loaded, contact, pose)
+    records: list[Record] = []
+    with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
+        if opened.length is None and last is None:
+            raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
+        steps = _steps(names, opened, chosen, origin, reference, leave_out="all" in (method or []))
+        names = list(steps)
+        remembered = {name: remembered_frames(name, chosen) for name in names}
+        total = number_of_frames(opened, None if last is None else last + 1)
+        for index, each in frames_between(opened, first, last, before=max(remembered.values()) - 1):
+            if index < first:
+                for name in names:
+                    if first - index < remembered[name]:
+                        steps[name](each)
+                continue
+            if refine and refined is None:
+                refined = _refined(loaded, contact, pose, steps[names[0]], each)
+                pose = refined.T_proximity_scan
+                truth = scan_truth(loaded, contact, pose)
+            records += [_scored(name, step, each, truth) for name, step in steps.items()]
+            progress.frames(len(records) // len(names), total and total - first)
+    _warn_of_places(records)
+    if save_transform is not None:
+        write_transform(save_transform, pose)
+    if csv_file is not None:
+        _write_csv(csv_file, records)
+    if as_json:
+        found = {"scan": str(scan), "contact_mm2": truth.area_mm2, "T_proximity_scan": pose}
+        found["refined"] = refined and {name: getattr(refined, name) for name in _REFINED}
+        typer.echo(json.dumps(found | {"results": records}, allow_nan=False))
+    else:
+        typer.echo(_table(records, truth.area_mm2, refined))
+    for written in filter(None, (save_transform, csv_file)):
+        typer.echo(f"wrote {written}", err=True)
+
+
+def export_scan(
+    *,
+    out: Annotated[
+        Path,
+        typer.Option("--out", "-o", metavar="FILE", help="A .ply, with --texture an .obj; its pose goes beside it."),
+    ],
+    source: Annotated[
+        str, typer.Option("--source", "-s", metavar="SOURCE", help="A scene of the simulator.")
+    ] = "sim:cup?press=medium",
+    frame: Annotated[int, typer.Option(min=0, metavar="N", help="Which frame's contact is painted, from 0.")] = 0,
+    texture: Annotated[
+        bool, typer.Option("--texture", help="A coarse mesh with a fine texture instead of colours of vertices.")
+    ] = False,
+    spacing_mm: Annotated[
+        float | None,
+        typer.Option(metavar="MM", help="Size of the mesh's cells, 0.3 to 10; default 0.8, with a texture 4."),
+    ] = None,
+    noise: Annotated[
+        float, typer.Option(min=0, max=255, metavar="SIGMA", help="Noise of each colour channel, which has 0 to 255.")
+    ] = 0,
+    specks: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Spots of the wrong colour.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Chooses noise and specks.")] = 0,
+) -> None:
+    """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
+    from ...core.scan.simulated import PaintFlaws, export_painted_scan
+    from .run import open_with_progress
+
+    spacing_m = None if spacing_mm is None else spacing_mm / 1e3
+    with open_with_progress(source) as opened:
+        files = export_painted_scan(
+            opened, frame, out, texture=texture, spacing_m=spacing_m, flaws=PaintFlaws(noise, specks, seed)
+        )
+    typer.echo(f"wrote {', '.join(map(str, files))}")
+
+
+def parse_paint(words: list[str]) -> PaintSettings:
+    """Turn ``hue=150:179`` and the like into settings; what is not named keeps its default.
+
+    Raises
+    ------
+    TactuneError
+        A name that there is not, or a value that cannot be.
+    """
+    from ...core.scan.paint import PaintSettings
+
+    values: Record = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        try:
+            if name in ("hue", "saturation", "value"):
+                low, high = text.split(":")
+                values[name] = int(low), int(high)
+            elif name == "least_area_mm2":
+                values[name] = float(text)
+            elif name == "largest":
+                values[name] = int(text)
+            else:
+                raise TactuneError(
+                    f"--paint knows no {name!r}; known are hue, saturation, value, least_area_mm2 and largest"
+                )
+        except ValueError as error:
+            raise TactuneError(
+                f"--paint {word!r}: write hue=150:179, saturation=40:255, value=60:255, least_area_mm2=20 or largest=2"
+            ) from error
+    return PaintSettings(**values)
+
+
+def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
+    """Return ``T_proximity_scan`` as the options say it."""
+    from ...core.scan.pairs import read_pairs
+    from ...core.scan.pose import load_transform, pose_from_pairs
+
+    if transform is not None and pairs is not None:
+        raise TactuneError("--transform and --pairs both say where the scan stands; give one of them")
+    if transform is None and pairs is None:
+        raise TactuneError(
+            f"nobody says where {scan} stands: give either --transform FILE or --pairs FILE.csv; "
+            "the window aligns scans and saves the transform (Analysis > Ground truth)"
+        )
+    if transform is not None:
+        return load_transform(transform)
+    assert pairs is not None
+    return pose_from_pairs(*read_pairs(pairs, unit_m))
+
+
+def _contact(scan: Scan, paint: PaintSettings, path: Path) -> BoolArray:
+    from ...core.scan.paint import painted_contact
+
+    contact = painted_contact(scan, paint)
+    if not contact.any():
+        raise TactuneError(
+            f"{path} has no spot of the touched paint's colour, hue {paint.hue[0]}:{paint.hue[1]}, saturation "
+            f"{paint.saturation[0]}:{paint.saturation[1]}, value {paint.value[0]}:{paint.value[1]}, of at least "
+            f"{paint.least_area_mm2:g} mm2; change it by --paint"
+        )
+    return contact
+
+
+def _methods(asked: list[str], reference: str | None) -> list[str]:
+    """Return the methods' names, each once and known."""
+    from ...core.methods.registry import method_names, needs_reference
+    from .method import FUSION, read_reference
+
+    names = list(dict.fromkeys([FUSION, *method_names()] if "all" in asked else asked or [FUSION]))
+    for name in names:
+        read_reference(name, None)
+    if reference is not None and not any(map(needs_reference, names)):
+        raise TactuneError(f"{' and '.join(names)} compare with no reference; leave --reference out")
+    return names
+
+
+def _steps(
+    names: list[str], source: FrameSource, preset: Preset, origin: str, reference: str | None, *, leave_out: bool
+) -> dict[str, Step]:
+    """Build what each method does with a frame; one that cannot work here is left out with a warning, or refused."""
+    from ...core.methods.registry import needs_reference
+    from .method import make_step, read_reference
+    from .run import warn
+
+    needing = [name for name in names if needs_reference(name)]
+    untouched = read_reference(needing[0], reference) if needing else None
+    steps = {}
+    for name in names:
+        try:
+            steps[name] = make_step(name, preset, origin, source, untouched, warn)
+        except TactuneError as error:
+            if not leave_out:
+                raise
+            warn(f"left out: {error}")
+    if not steps:
+        raise TactuneError(f"no method can work with {source.name} and this preset; see the warnings above")
+    return steps
+
+
+def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: SensorFrame) -> RefinedPose:
+    from ...core.scan.paint import contact_points
+    from ...core.scan.pose import refine_pose
+
+    _, patch = step(frame)
+    return refine_pose(contact_points(scan, contact), patch.points, start)
+
+
+def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Record:
+    """Return what is said of one method's patch in one frame."""
+    from ...core.evaluation.cells import NO_CONTACT_FOUND
+    from ...core.scan.scores import score_against_scan
+    from .patch_record import finite_or_none
+
+    said, patch = step(frame)
+    scores = score_against_scan(patch.points, said["area_mm2"] or 0.0, truth)
+    failure = said["failure"] or ("" if said["points"] else NO_CONTACT_FOUND)
+    numbers = {key: finite_or_none(number) for key, number in scores.items()}
+    start = {"sequence": said["sequence"], "method": name, "points": said["points"]}
+    return start | numbers | {"failure": failure}
+
+
+def _warn_of_places(records: list[Record]) -> None:
+    from .run import warn
+
+    known = [record["symmetric_rmse_mm"] for record in records if record["symmetric_rmse_mm"] is not None]
+    if known and min(known) > _FAR_MM:
+        warn(
+            f"patch and scan lie {min(known):.0f} mm apart; see that the transform takes the scan's frame to the "
+            "proximity depth frame, and not back, in metres"
+        )
+
+
+def _table(records: list[Record], area_mm2: float, refined: RefinedPose | None) -> str:
+    """Return a line a frame and method, and means where there are several frames."""
+    lines = [f"painted contact: {area_mm2:.0f} mm2"]
+    if refined is not None:
+        end = "converged" if refined.converged else "not converged"
+        lines.append(
+            f"ICP to the first method's patch: {1e3 * refined.rmse_m:.3f} mm over {refined.pairs} pairs, "
+            f"{end} after {refined.iterations} rounds"
+        )
+    widths = [len(title) for title in _COLUMNS.values()]
+    lines.append("frame  method             points  " + "  ".join(_COLUMNS.values()))
+    lines += [_line(str(record["sequence"]), record, widths) for record in records]
+    names = list(dict.fromkeys(record["method"] for record in records))
+    if len(records) > len(names):
+        lines += [_line("mean", _mean(name, records), widths) for name in names]
+    return "\n".join(lines)
+
+
+def _line(label: str, record: Record, widths: list[int]) -> str:
+    start = f"{label:>5}  {record['method']:17s}  {record['points']:6.0f}  "
+    if record["failure"]:
+        return f"{start}{record['failure']}"
+    cells = (record[name] for name in _COLUMNS)
+    return start + "  ".join(
+        ("-" if number is None else f"{number:.3f}").rjust(width) for number, width in zip(cells, widths, strict=True)
+    )
+
+
+def _mean(name: str, records: list[Record]) -> Record:
+    """Return the means over the frames in which a method found a patch."""
+    good = [record for record in records if record["method"] == name and not record["failure"]]
+    if not good:
+        return {"method": name, "points": 0, "failure": "no patch in any frame"}
+    means: Record = {column: sum(record[column] for record in good) / len(good) for column in ("points", *_COLUMNS)}
+    return means | {"method": name, "failure": ""}
+
+
+def _write_csv(path: Path, records: list[Record]) -> None:
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(records)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")

@@ -1,0 +1,287 @@
+"""The command ``tactune sweep``: many parameters over many sources, and which are best."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...core.errors import ExportError
+from .progress import CliProgress
+
+if TYPE_CHECKING:
+    from ...core.preset import Preset
+    from ...core.tuning.journal import Journal
+    from ...core.tuning.plan import Plan, Request
+    from ...core.tuning.sweep import Engine
+    from ...core.tuning.sweep_file import SweepFile
+
+#: What stands beside the table while and after a sweep runs, so that it can go on.
+JOURNAL_SUFFIX = ".runs.jsonl"
+
+
+@dataclass(frozen=True)
+class _Options:
+    """What the command line and the sweep file say together."""
+
+    preset: Preset
+    preset_file: Path | None
+    request: Request
+    objective: str | None
+
+
+def sweep(
+    *,
+    preset: Annotated[
+        str | None,
+        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Gives all that is not swept; default: as for "
+                     "tactune run where all sources have the same, else default."),
+    ] = None,
+    source: Annotated[
+        list[str] | None,
+        typer.Option("--source", "-s", metavar="SOURCE", help="A recording or a simulated scene, such as "
+                     "'sim:cup?press=medium'; may be repeated."),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUES", help="Values of a preset's field: outliers.k=10,20,30, or "
+                     "LOW:HIGH:STEPS as in tolerance.t=0.005:0.03:6 (6log: in equal ratios); may be repeated. Every "
+                     "combination is run."),
+    ] = None,
+    method: Annotated[
+        list[str] | None,
+        typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; may be repeated. A wrong name "
+                     "lists all."),
+    ] = None,
+    frames: Annotated[
+        str | None,
+        typer.Option("--frames", "-n", metavar="N|A:B|A:B:STEP", help="Which frames of each source: the "
+                     "first N, or A up to but not including B; default: all."),
+    ] = None,
+    seeds: Annotated[
+        int | None, typer.Option(min=1, max=1000, metavar="N", help="Choices of noise for each simulated source.")
+    ] = None,
+    sample: Annotated[
+        int | None,
+        typer.Option(min=1, metavar="N", help="N combinations that cover all ranges evenly (Latin hypercube) "
+                     "instead of every one; ranges need no steps: LOW:HIGH or LOW:HIGH:log."),
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="S", help="Chooses the sample.")] = None,
+    file: Annotated[
+        Path | None,
+        typer.Option("--file", metavar="FILE.json", help="The same as these options, such as {\"source\": [...], "
+                     "\"set\": {\"tolerance.t\": \"0.005:0.03:6log\"}}; options win over it."),
+    ] = None,
+    jobs: Annotated[
+        int | None, typer.Option("--jobs", "-j", min=1, max=1024, metavar="N", help="Processes; default: one a core.")
+    ] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(metavar="ADDRESS", help="A Dask scheduler, such as tcp://10.0.0.5:8786: run on its workers, which "
+                     "need this version of Tactune and see the recordings under the same paths."),
+    ] = None,
+    out: Annotated[
+        Path, typer.Option("--out", "-o", metavar="FILE.parquet", help="The table, a row for each run; finished runs "
+                           "are kept beside it.")
+    ] = Path("sweep.parquet"),
+    replace: Annotated[
+        bool, typer.Option("--replace", help="Replace a table in --out that has runs of another sweep.")
+    ] = False,
+    objective: Annotated[
+        str | None,
+        typer.Option(metavar="NAME", help="What is best: rmse_mm, iou, area_error (with truth), ms, area, stability "
+                     "(mean IoU of one frame and the next). Default: rmse_mm, stability without truth."),
+    ] = None,
+    best: Annotated[
+        Path | None, typer.Option(metavar="FILE.json", help="Write the best parameters as a preset.")
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+) -> None:  # fmt: skip
+    """Try parameters over recordings and scenes, in parallel; Ctrl-C keeps what is done, the same command goes on."""
+    from ...core.sources.registry import open_source
+    from ...core.tuning.best import best_preset, check_presentable, choose_objective, edges, effects, rank
+    from ...core.tuning.journal import Journal
+    from ...core.tuning.plan import little_averaged, make_plan, short_takes
+    from ...core.tuning.table import check_replaced, check_table, sweep_rows, write_table
+    from .run import counted, warn
+    from .sweep_text import outcome_as_json, print_outcome
+
+    options = _options(file, preset, source, settings, method, frames, seeds, sample, seed, objective)
+    kept = out.with_name(out.name.removesuffix(".parquet") + JOURNAL_SUFFIX)
+    check_table(out, kept)
+    if best is not None:
+        _check_best(best, out, kept, options)
+    with _engine(scheduler, jobs) as (engine, workers), CliProgress() as progress:
+        plan = make_plan(
+            options.preset,
+            options.request,
+            opener=lambda name: open_source(name, progress.preparing),
+            progress=lambda name: progress.frames(0, None, f"reading {name}"),
+        )
+        if not replace:
+            check_replaced(out, plan)
+        chosen = choose_objective(options.objective, plan)
+        if best is not None:
+            check_presentable(plan)
+        if options.request.seeds > 1 and len(plan.takes) == len(options.request.sources):
+            warn("--seeds changes the noise of simulated sources only; there is none")
+        for sentence in (*short_takes(plan, options.request.frames), *little_averaged(plan)):
+            warn(sentence)
+        with Journal(kept) as journal:
+            _measure(plan, journal, engine, workers, progress)
+            rows = sweep_rows(plan, journal)
+    write_table(out, plan, rows)
+    scores = rank(plan, rows, chosen)
+    found, at_edge = effects(plan, scores), edges(plan, scores)
+    if as_json:
+        typer.echo(
+            json.dumps(outcome_as_json(plan, scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False)
+        )
+    else:
+        print_outcome(plan, scores, found, at_edge, chosen)
+    typer.echo(f"wrote {out}: {counted(len(rows), 'run')}", err=True)
+    if failed := [row for row in rows if row["failure"]]:
+        warn(f"{counted(len(failed), 'run')} failed, such as: {failed[0]['failure']}")
+    if best is not None:
+        _write_best(best, best_preset(plan, scores[0], chosen), options)
+
+
+def _options(
+    file: Path | None,
+    preset: str | None,
+    source: list[str] | None,
+    settings: list[str] | None,
+    method: list[str] | None,
+    frames: str | None,
+    seeds: int | None,
+    sample: int | None,
+    seed: int | None,
+    objective: str | None,
+) -> _Options:
+    """Join the sweep file and the options, which win."""
+    from ...core.methods.registry import needs_reference
+    from ...core.preset.file import load_preset
+    from ...core.rig.untouched import load_reference
+    from ...core.tuning.clips import FrameRange, parse_frames
+    from ...core.tuning.plan import FUSION, Request
+    from ...core.tuning.sweep_file import SweepFile, load_sweep_file
+    from ...core.tuning.values import make_axis, parse_axis
+
+    told = SweepFile() if file is None else load_sweep_file(file)
+    axes = {path: make_axis(path, given) for path, given in told.set.items()}
+    named = [parse_axis(text) for text in settings or []]
+    replaced = {axis.path for axis in named}
+    sources = tuple(source or told.source)
+    methods = tuple(method or told.method) or (FUSION,)
+    name = preset or _preset_of_file(told, file) or _usual_preset(sources)
+    which = frames if frames is not None else told.frames
+    base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
+    reference = None
+    if base.reference is not None and base_file is not None and any(map(needs_reference, methods)):
+        reference = load_reference(base.reference, base_file)
+    return _Options(
+        base,
+        base_file,
+        Request(
+            axes=(*(axis for path, axis in axes.items() if path not in replaced), *named),
+            sources=sources,
+            methods=methods,
+            frames=FrameRange() if which is None else parse_frames(str(which)),
+            seeds=seeds or told.seeds or 1,
+            sample=sample or told.sample,
+            sample_seed=seed if seed is not None else told.seed or 0,
+            reference=reference,
+        ),
+        objective or told.objective,
+    )
+
+
+def _preset_of_file(told: SweepFile, file: Path | None) -> str | None:
+    """Return the preset that a sweep file names; files beside it come before shipped names."""
+    if told.preset is None or file is None:
+        return told.preset
+    beside = file.parent / told.preset
+    return str(beside) if beside.is_file() else told.preset
+
+
+def _usual_preset(sources: tuple[str, ...]) -> str:
+    from ..defaults import default_preset
+
+    names = {default_preset(source) for source in sources}
+    return names.pop() if len(names) == 1 else "default"
+
+
+@contextmanager
+def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, int]]:
+    """Yield what does the work, and how much of it at once."""
+    from functools import partial
+
+    from ...core.contact.kernels.threads import available_threads
+    from ...core.contact.warmup import warm_up_if_needed
+    from ...core.tuning.cluster import connect
+    from ...core.tuning.local import check_joblib, run_locally
+    from ...core.tuning.values import SweepError
+    from .run import warn
+
+    if scheduler is None:
+        check_joblib()
+        with CliProgress() as progress:
+            warm_up_if_needed(progress.preparing)
+        count = jobs or available_threads()
+        yield partial(run_locally, jobs=count), count
+        return
+    if jobs is not None:
+        raise SweepError("--jobs is for processes on this computer; leave it out beside --scheduler")
+    with connect(scheduler) as cluster:
+        yield (
+            partial(cluster.run, waiting=lambda: warn("the cluster has no worker left; waiting for one")),
+            cluster.threads,
+        )
+
+
+def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progress: CliProgress) -> None:
+    """Run what is left, telling how far it is; after Ctrl-C say how to go on."""
+    from ...core.tuning.sweep import measure_sweep
+    from .run import counted, warn
+
+    try:
+        for done in measure_sweep(plan, journal, engine, workers):
+            progress.frames(done, len(plan.runs), "runs")
+    except KeyboardInterrupt:
+        journal.read()
+        done = sum(run.key in journal for run in plan.runs)
+        warn(
+            f"{done} of {counted(len(plan.runs), 'run')} are kept in {journal.path}; "
+            "the same command goes on from there"
+        )
+        raise
+
+
+def _check_best(path: Path, out: Path, kept: Path, options: _Options) -> None:
+    """Refuse to write the best preset over something that is no such preset."""
+    from ...core.tuning.best import FOUND_BY
+
+    for other, what in ((out, "--out"), (kept, "the journal of the sweep")):
+        if path.resolve() == other.resolve():
+            raise ExportError(f"--best and {what} are both {path}; name two files")
+    if path.exists() and not path.is_file():
+        raise ExportError(f"--best is {path}, which is no file; name a .json file")
+    if options.preset_file is not None and path.resolve() == options.preset_file.resolve():
+        raise ExportError(f"--best would replace {path}, the preset that the sweep begins with; name another file")
+    if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
+        raise ExportError(f"{path} is already there and no sweep has written it; choose another --best or remove it")
+
+
+def _write_best(path: Path, preset: Preset, options: _Options) -> None:
+    from ...core.preset.file import save_preset
+    from ...core.rig.untouched import copy_reference
+
+    if preset.reference is not None and options.preset_file is not None:
+        copy_reference(preset.reference, options.preset_file, path)
+    save_preset(preset, path)
+    typer.echo(f"wrote {path}", err=True)

@@ -1,0 +1,141 @@
+"""Checks of the camera driver, its libraries, permissions and USB."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+from .checks import Check, RunChild, State, python_child, run_child
+
+RULES_FOLDERS = ("/etc/udev/rules.d", "/run/udev/rules.d", "/usr/lib/udev/rules.d", "/lib/udev/rules.d")
+_USB = Path("/sys/bus/usb/devices")
+_NODES = Path("/dev/bus/usb")
+_INTEL = "8086"
+_USB3_MBIT = 5000
+
+_RULES_URL = "https://github.com/IntelRealSense/librealsense/blob/master/config/99-realsense-libusb.rules"
+_INSTALL_RULES = (
+    f"Save {_RULES_URL} (the raw file) in /etc/udev/rules.d, run "
+    "'sudo udevadm control --reload-rules && sudo udevadm trigger', and plug the cameras in again."
+)
+_LIBRARIES = {"libusb-1.0.so.0": "libusb-1.0-0", "libudev.so.1": "libudev1"}
+_LOAD = """
+import ctypes, json, sys
+wrong = {}
+for name in sys.argv[1:]:
+    try:
+        ctypes.CDLL(name)
+    except OSError as error:
+        wrong[name] = str(error)
+print(json.dumps(wrong))
+"""
+_DRIVER = """
+import json
+from tactune.core.errors import TactuneError
+from tactune.core.sources.realsense.driver import driver_version, load_driver, no_l515_sentence
+try:
+    load_driver()
+    print(json.dumps({"version": driver_version(), "no_l515": no_l515_sentence(driver_version())}))
+except TactuneError as error:
+    print(json.dumps({"problem": str(error), "installed": bool(driver_version())}))
+"""
+
+
+@dataclass(frozen=True)
+class UsbCamera:
+    """One RealSense camera as the operating system sees it; ``node`` is the file that the driver opens."""
+
+    product: str
+    speed_mbit: float
+    node: Path
+
+
+def check_libraries(run: RunChild = run_child) -> list[Check]:
+    """Load the system libraries that the camera driver needs."""
+    name = "USB libraries"
+    child = run(python_child(_LOAD, *_LIBRARIES))
+    if child.problem:
+        return [Check(name, State.FAIL, child.problem, _apt(_LIBRARIES.values()))]
+    wrong = child.answer()
+    if wrong:
+        packages = [_LIBRARIES[library] for library in wrong if library in _LIBRARIES]
+        return [Check(name, State.FAIL, "; ".join(wrong.values()), _apt(packages))]
+    return [Check(name, State.OK, "libusb-1.0 and libudev")]
+
+
+def check_driver(run: RunChild = run_child) -> list[Check]:
+    """Import the camera driver and see whether it knows the L515."""
+    name = "Camera driver"
+    child = run(python_child(_DRIVER))
+    if child.problem:
+        remedy = "Install it anew: pip install --force-reinstall 'tactune[realsense]'"
+        return [Check(name, State.FAIL, f"importing pyrealsense2: {child.problem}", remedy)]
+    answer = child.answer()
+    if "problem" in answer:
+        words, _, remedy = str(answer["problem"]).rpartition(": ")
+        state = State.FAIL if answer.get("installed") else State.WARN
+        return [Check(name, state, words, f"{remedy[:1].upper()}{remedy[1:]}")]
+    found = f"pyrealsense2 {answer.get('version')}"
+    if answer.get("no_l515"):
+        sentence = str(answer["no_l515"])
+        return [Check(name, State.WARN, found, f"{sentence[0].upper()}{sentence[1:]}.")]
+    return [Check(name, State.OK, f"{found}, with support for L515 and D405")]
+
+
+def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Check]:
+    """Look for the rule that lets everybody use the cameras."""
+    name = "udev rules"
+    found = [file for folder in folders for file in sorted(Path(folder).glob("*realsense*.rules"))]
+    if found:
+        return [Check(name, State.OK, str(found[0]))]
+    return [Check(name, State.WARN, "no rule for RealSense cameras; only root can use them", _INSTALL_RULES)]
+
+
+def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
+    """See which cameras are plugged in, whether we may open them, and at which speed they run."""
+    cameras = usb_cameras(usb, nodes)
+    if not cameras:
+        remedy = "Plug the cameras in with the cables that came with them; 'lsusb -d 8086:' shows them."
+        if not nodes.is_dir():
+            remedy = "This system shows no USB devices; in a container, start it with --device /dev/bus/usb."
+        return [Check("Cameras", State.WARN, "no RealSense camera is plugged in", remedy)]
+    return [_judge(camera) for camera in cameras]
+
+
+def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
+    """Return the RealSense cameras that are plugged in."""
+    cameras = []
+    for device in sorted(usb.glob("*")):
+        product = _read(device / "product")
+        if _read(device / "idVendor") != _INTEL or "realsense" not in product.lower():
+            continue
+        try:
+            node = nodes / f"{int(_read(device / 'busnum')):03d}" / f"{int(_read(device / 'devnum')):03d}"
+            speed = float(_read(device / "speed"))
+        except ValueError:  # unplugged while we read
+            continue
+        cameras.append(UsbCamera(product, speed, node))
+    return cameras
+
+
+def _judge(camera: UsbCamera) -> Check:
+    if not os.access(camera.node, os.R_OK | os.W_OK):
+        return Check("Cameras", State.FAIL, f"{camera.product}: no permission to open {camera.node}", _INSTALL_RULES)
+    if camera.speed_mbit < _USB3_MBIT:
+        found = f"{camera.product} on USB 2 ({camera.speed_mbit:.0f} Mbit/s)"
+        remedy = "Use a USB 3 port and a USB 3 cable; turn the plug over, push it in firmly, avoid hubs."
+        return Check("Cameras", State.FAIL, found, remedy)
+    return Check("Cameras", State.OK, f"{camera.product} on USB 3 ({camera.speed_mbit:.0f} Mbit/s)")
+
+
+def _read(file: Path) -> str:
+    try:
+        return file.read_text(errors="replace").strip()
+    except OSError:
+        return ""
+
+
+def _apt(packages: Iterable[str]) -> str:
+    return f"Install what is missing: sudo apt-get install {' '.join(packages)}"

@@ -1,0 +1,117 @@
+"""Checks of Python, the packages, compiled code, folders and memory."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+import tempfile
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+import platformdirs
+
+from .checks import Check, Child, RunChild, State, python_child, run_child
+
+OLDEST_PYTHON = (3, 11)
+_LEAST_FREE_BYTES, _ENOUGH_FREE_BYTES = 200e6, 2e9
+_FRAMES_BYTES = 32_000_000
+
+#: Distribution names whose import name differs.
+_IMPORT_NAMES = {"opencv-contrib-python-headless": "cv2"}
+
+_IMPORT_ALL = """
+import importlib, json, sys
+wrong = {}
+for name in sys.argv[1:]:
+    try:
+        importlib.import_module(name)
+    except Exception as error:
+        wrong[name] = f"{type(error).__name__}: {error}".splitlines()[0]
+print(json.dumps(wrong))
+"""
+_THREADS = "import json, numba; n = numba.get_num_threads(); print(json.dumps([n, numba.threading_layer()]))"
+_MEMORY = """
+import sys
+from tactune.core.sources.process.ring import create_memory, reserve_memory
+reserve_memory(create_memory(), int(sys.argv[1]))
+"""
+
+
+def check_python(found: tuple[int, ...] = tuple(sys.version_info[:3])) -> list[Check]:
+    """See whether Python is new enough, and not too new for the L515's driver."""
+    text = ".".join(map(str, found))
+    if found[:2] < OLDEST_PYTHON:
+        oldest = ".".join(map(str, OLDEST_PYTHON))
+        return [Check("Python", State.FAIL, text, f"Install Python {oldest} or newer and Tactune in it.")]
+    if found[:2] > (3, 11):
+        remedy = "Drivers for this Python have no L515; for an L515, install Tactune in Python 3.11."
+        return [Check("Python", State.WARN, text, remedy)]
+    return [Check("Python", State.OK, text)]
+
+
+def check_packages(run: RunChild = run_child) -> list[Check]:
+    """Import every package that the headless core needs."""
+    names = [re.split(r"[^A-Za-z0-9_.-]", line)[0] for line in requires("tactune") or [] if "extra ==" not in line]
+    versions, missing = {}, []
+    for name in names:
+        try:
+            versions[name] = version(name)
+        except PackageNotFoundError:
+            missing.append(name)
+    remedy = "Install them anew: pip install --force-reinstall tactune"
+    if missing:
+        return [Check("Packages", State.FAIL, f"not installed: {', '.join(missing)}", remedy)]
+    child = run(python_child(_IMPORT_ALL, *(_IMPORT_NAMES.get(name, name) for name in versions)))
+    if child.problem:
+        return [Check("Packages", State.FAIL, f"importing them: {child.problem}", remedy)]
+    wrong = child.answer()
+    if wrong:
+        return [Check("Packages", State.FAIL, "; ".join(f"{name}: {why}" for name, why in wrong.items()), remedy)]
+    shown = ", ".join(f"{name} {versions[name]}" for name in versions if name in ("numpy", "scipy", "numba"))
+    return [Check("Packages", State.OK, f"all {len(versions)} can be imported: {shown}, …")]
+
+
+def check_compiled_code(run: RunChild = run_child) -> list[Check]:
+    """See which threads compiled kernels run on."""
+    name = "Compiled code"
+    child = run(python_child(_THREADS))
+    found = re.search(r'\[(\d+), "(\w+)"\]', child.out)
+    if child.problem or found is None:
+        problem = child.problem or "numba has no threads"
+        return [Check(name, State.FAIL, problem, "Install numba anew: pip install --force-reinstall numba")]
+    words = f"numba, {found[1]} threads by {found[2]}"
+    if found[2] == "workqueue":
+        remedy = "This layer cannot serve several threads: install OpenMP's library (sudo apt-get install libgomp1)."
+        return [Check(name, State.WARN, words, remedy)]
+    return [Check(name, State.OK, words)]
+
+
+def check_cache_folder(folder: Path | None = None) -> list[Check]:
+    """See whether simulated scenes can be kept, and whether there is room."""
+    name = "Cache folder"
+    folder = folder or Path(platformdirs.user_cache_dir("tactune"))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(b"tactune")
+        free = shutil.disk_usage(folder).free
+    except OSError as error:
+        remedy = f"Make {folder} writable, or set XDG_CACHE_HOME; without it the simulator computes anew at each start."
+        return [Check(name, State.FAIL, f"{folder}: {error.strerror or error}", remedy)]
+    words = f"{folder}, {free / 1e9:.1f} GB free"
+    if free < _ENOUGH_FREE_BYTES:
+        state = State.FAIL if free < _LEAST_FREE_BYTES else State.WARN
+        return [Check(name, state, words, "Make room: a minute of recording takes up to 1 GB.")]
+    return [Check(name, State.OK, words)]
+
+
+def check_shared_memory(run: RunChild = run_child) -> list[Check]:
+    """Reserve as much memory as handing frames from the capture process to the window takes."""
+    name = "Shared memory"
+    child: Child = run(python_child(_MEMORY, str(_FRAMES_BYTES)))
+    if child.problem:
+        remedy = "Close other programs; in a container, give it more memory."
+        return [Check(name, State.FAIL, child.problem, remedy)]
+    return [Check(name, State.OK, f"{_FRAMES_BYTES / 1e6:.0f} MB for frames, {os.cpu_count()} processor cores")]

@@ -1,0 +1,1 @@
+"""The document: the preset being edited, its history and its recovery after a crash."""

@@ -1,1 +1,0 @@
-"""The preset's reference in the window: captured, kept until the preset is saved, recorded along."""

@@ -1,0 +1,333 @@
+"""Depth quality of both cameras in a region, live."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections import deque
+from functools import partial
+from html import escape
+from pathlib import Path
+
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QGuiApplication
+from PyQt6.QtWidgets import (
+    QDoubleSpinBox,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QPushButton,
+    QSpinBox,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.errors import TactuneError
+from ...core.model.files import atomic_path
+from ...core.model.frames import Rig, SensorFrame
+from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle
+from ...core.rig.judgement import Reading, Verdict, judge_bias, judge_camera
+from ...widgets.basics.theme import theme_colors
+from ...widgets.images.image_pane import ImagePane
+from ...widgets.images.region_item import RegionItem
+from ..document.document import Document
+from ..window.dialogs import Dialogs
+from ..worker.jobs import Job
+from ..worker.results import Result
+from .outline import Outline
+from .pictures import Measurement, measure
+
+#: Numbers are read, not watched.
+_INTERVAL_S = 0.4
+#: As much of the image's width and height as librealsense's tool looks at when it starts.
+_START_SHARE = 0.4
+_WAITING = "Waiting for a frame: open a source in the main window, and let it play."
+_INTRO = (
+    "Point both cameras at a flat target and drag the rectangle onto it; "
+    "fill rate and temporal noise can be read on any scene at rest."
+)
+_MARKS = {Verdict.GOOD: "●", Verdict.FAIR: "▲", Verdict.POOR: "■", Verdict.UNKNOWN: "○"}
+
+
+class QualityTab(QWidget):
+    """Measures while it is visible; takes nothing otherwise.
+
+    Signals
+    -------
+    measured(DepthQuality)
+    """
+
+    measured = pyqtSignal(object)
+
+    def __init__(self, document: Document, dialogs: Dialogs, folder: Path) -> None:
+        super().__init__()
+        self._document, self._dialogs, self._folder = document, dialogs, folder
+        self._frames: deque[SensorFrame] = deque(maxlen=NOISE_FRAMES)
+        self._rig: Rig | None = None
+        self._source = ""
+        self._last_s = 0.0
+        self._newer = False
+        self._unfitted = True
+        self.quality: DepthQuality | None = None
+        self._job = Job(self)
+        self._job.done.connect(self._show)
+        self._job.failed.connect(self._fail)
+        self.panes = {"proximity": ImagePane("Proximity depth"), "tactile": ImagePane("Tactile depth")}
+        self.region_item = RegionItem(self.panes["proximity"])
+        self._tactile_outline = Outline(self.panes["tactile"])
+        self.lines = {name: _text() for name in ("proximity", "tactile", "bias")}
+        self.entries = {name: _pixels(name) for name in ("Left", "Top", "Width", "Height")}
+        self.true_distance = QDoubleSpinBox()
+        self.copy = _button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
+        self.save = _button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
+        self.middle = _button("Middle", "Put the region back into the middle of the image")
+        self.status = QLabel(_WAITING)
+        self.status.setWordWrap(True)
+        self._lay_out()
+        self._connect()
+
+    @property
+    def region(self) -> Rectangle:
+        """Left, top, width and height in proximity pixels."""
+        left, top, width, height = (entry.value() for entry in self.entries.values())
+        return left, top, width, height
+
+    def show_result(self, result: Result) -> None:
+        """Take a frame of the main window."""
+        if not self.isVisible():
+            return
+        if result.source.rig != self._rig or result.source.name != self._source:
+            self._begin(result)
+        if self._frames and result.frame is self._frames[-1]:
+            return
+        self._frames.append(result.frame)
+        self._newer = True
+        self._measure_soon()
+
+    def set_region(self, region: Rectangle) -> None:
+        """Measure in another rectangle."""
+        for entry, value in zip(self.entries.values(), region, strict=True):
+            entry.blockSignals(True)
+            entry.setValue(value)
+            entry.blockSignals(False)
+        self._region_changed()
+
+    def stop(self) -> None:
+        """Forget the frames and end the work."""
+        self._job.stop()
+        self._frames.clear()
+        self._source = ""
+
+    def text(self) -> str:
+        """Return all readings as text."""
+        quality = self.quality
+        if quality is None:
+            return ""
+        parts = []
+        for camera in (quality.proximity, quality.tactile):
+            parts.append(f"{camera.role.capitalize()} camera ({camera.model}), region {camera.region}")
+            parts += [reading.line for reading in judge_camera(camera)]
+        return "\n".join([*parts, judge_bias(quality, self._document.preset).line])
+
+    def _lay_out(self) -> None:
+        intro = QLabel(_INTRO)
+        intro.setWordWrap(True)
+        grid = QGridLayout()
+        for column, name in enumerate(("proximity", "tactile")):
+            grid.addWidget(self.panes[name], 0, column)
+            grid.addWidget(self.lines[name], 1, column, Qt.AlignmentFlag.AlignTop)
+            grid.setColumnStretch(column, 1)
+        grid.addWidget(self.lines["bias"], 2, 0, 1, 2)
+        grid.setRowStretch(0, 1)
+        self.true_distance.setRange(0.0, 10_000.0)
+        self.true_distance.setSuffix(" mm")
+        self.true_distance.setSpecialValueText("not measured")
+        self.true_distance.setAccessibleName("True distance")
+        self.true_distance.setToolTip(
+            "True distance from the cameras' front glass to the target along the optical axis, in mm, measured by "
+            "other means; then the accuracy of the distance is shown, too"
+        )
+        row = QHBoxLayout()
+        row.addWidget(QLabel("Region"))
+        for entry in self.entries.values():
+            row.addWidget(entry)
+        row.addWidget(self.middle)
+        row.addSpacing(12)
+        row.addWidget(QLabel("True distance"))
+        row.addWidget(self.true_distance)
+        row.addStretch(1)
+        row.addWidget(self.copy)
+        row.addWidget(self.save)
+        layout = QVBoxLayout(self)
+        layout.addWidget(intro)
+        layout.addLayout(grid, 1)
+        layout.addWidget(self.status)
+        layout.addLayout(row)
+        self.copy.setEnabled(False)
+        self.save.setEnabled(False)
+
+    def _connect(self) -> None:
+        for pane in self.panes.values():
+            pane.resized.connect(self._fit)
+            pane.doubleClicked.connect(self._fit)
+        for entry in self.entries.values():
+            entry.valueChanged.connect(self._region_changed)
+        self.region_item.edited.connect(lambda region, _: self.set_region(region))
+        self.true_distance.valueChanged.connect(self._measure_again)
+        self.middle.clicked.connect(self._to_the_middle)
+        self.copy.clicked.connect(self._copy)
+        self.save.clicked.connect(self._ask_where)
+
+    def _begin(self, result: Result) -> None:
+        """Start over with another source."""
+        size = result.source.rig.proximity.intrinsics
+        same_size = self._rig is not None and self._rig.proximity.intrinsics.shape == size.shape
+        self._rig, self._source = result.source.rig, result.source.name
+        self._frames.clear()
+        self._unfitted = True
+        self.status.setText("")
+        if same_size:
+            return
+        for name, limit in (("Left", size.width - 1), ("Top", size.height - 1)):
+            self.entries[name].setRange(0, limit)
+        self.entries["Width"].setRange(2, size.width)
+        self.entries["Height"].setRange(2, size.height)
+        self._to_the_middle()
+
+    def _to_the_middle(self) -> None:
+        if self._rig is None:
+            return
+        size = self._rig.proximity.intrinsics
+        width, height = round(_START_SHARE * size.width), round(_START_SHARE * size.height)
+        self.set_region(((size.width - width) // 2, (size.height - height) // 2, width, height))
+
+    def _region_changed(self) -> None:
+        if self._rig is None:
+            return
+        size = self._rig.proximity.intrinsics
+        self.entries["Width"].setMaximum(size.width - self.entries["Left"].value())
+        self.entries["Height"].setMaximum(size.height - self.entries["Top"].value())
+        self.region_item.set_rectangle(self.region)
+        self._measure_again()
+
+    def _measure_again(self) -> None:
+        self._newer, self._last_s = True, 0.0
+        self._measure_soon()
+
+    def _measure_soon(self) -> None:
+        """Measure, unless that is going on or was done just now."""
+        rig = self._rig
+        if rig is None or not self._frames or self._job.busy or time.monotonic() - self._last_s < _INTERVAL_S:
+            return
+        self._newer, self._last_s = False, time.monotonic()
+        true_m = 1e-3 * self.true_distance.value() or None
+        work = partial(measure, tuple(self._frames), rig, self._document.preset.alignment, self.region, true_m)
+        self._job.start(lambda _: work())
+
+    def _show(self, measurement: Measurement) -> None:
+        quality = self.quality = measurement.quality
+        for pane, pixels in zip(self.panes.values(), (measurement.proximity, measurement.tactile), strict=True):
+            pane.set_pixels(pixels, (pixels.shape[1], pixels.shape[0]), 1)
+            pane.set_message("")
+        if self._unfitted:
+            self._unfitted = False
+            self._fit()
+        self._tactile_outline.set_rectangle(quality.tactile.region)
+        self.lines["proximity"].setText(_table(judge_camera(quality.proximity)))
+        self.lines["tactile"].setText(_table(judge_camera(quality.tactile)))
+        self.lines["bias"].setText(_table((judge_bias(quality, self._document.preset),)))
+        count = quality.proximity.frames
+        waiting = f"{count} of {NOISE_FRAMES} frames for the temporal noise" if count < NOISE_FRAMES else ""
+        self.status.setText(waiting)
+        self.copy.setEnabled(True)
+        self.save.setEnabled(True)
+        self.measured.emit(quality)
+        if self._newer:
+            self._measure_soon()
+
+    def _fit(self) -> None:
+        """Show the whole images."""
+        for pane in self.panes.values():
+            pane.show_rect(pane.image_rect())
+
+    def _fail(self, sentence: str) -> None:
+        if sentence:
+            self.status.setText(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+
+    def _copy(self) -> None:
+        clipboard = QGuiApplication.clipboard()
+        if clipboard is not None:
+            clipboard.setText(self.text())
+            self.status.setText("The numbers are on the clipboard.")
+
+    def _ask_where(self) -> None:
+        suggestion = self._folder / "depth-quality.json"
+        self._dialogs.save_file("Save depth quality", suggestion, ["JSON (*.json)"], self.save_to)
+
+    def save_to(self, path: Path) -> None:
+        """Write the newest measurement as JSON."""
+        if self.quality is None:
+            return
+        data = {"source": self._source, **self.quality.to_json()}
+        try:
+            with atomic_path(path) as temporary:
+                temporary.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")
+        except TactuneError as error:
+            self._fail(str(error))
+            return
+        self._folder = path.parent
+        self.status.setText(f"Saved as {path}.")
+
+
+def _table(readings: tuple[Reading, ...]) -> str:
+    """Write readings as lines; the verdict has a shape and a word, not only a colour."""
+    colors = theme_colors()
+    hues = {
+        Verdict.GOOD: colors.accent_text,
+        Verdict.FAIR: colors.text,
+        Verdict.POOR: colors.error,
+        Verdict.UNKNOWN: colors.muted,
+    }
+    rows = []
+    for reading in readings:
+        limit = f" <span style='color:{colors.muted}'>({escape(reading.limit_words)})</span>" if reading.limit else ""
+        step = f"<br><span style='color:{colors.muted}'>{escape(reading.step)}</span>" if reading.step else ""
+        hue = hues[reading.verdict]
+        value = escape(reading.value)
+        if value and reading.verdict is not Verdict.UNKNOWN:  # what cannot be relied on is not put first
+            value = f"<b>{value}</b>"
+        title = f"{escape(reading.title)}:" if value else escape(reading.title)
+        rows.append(
+            f"<p style='margin:2px 0'><span style='color:{hue}'>{_MARKS[reading.verdict]}</span> "
+            f"{title} {value} – "
+            f"<span style='color:{hue}'>{reading.verdict}</span>{limit}{step}</p>"
+        )
+    return "".join(rows)
+
+
+def _text() -> QLabel:
+    label = QLabel()
+    label.setWordWrap(True)
+    label.setTextFormat(Qt.TextFormat.RichText)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label
+
+
+def _pixels(name: str) -> QSpinBox:
+    entry = QSpinBox()
+    entry.setRange(0, 16384)
+    entry.setPrefix(f"{name[0].lower()} " if name in ("Width", "Height") else ("x " if name == "Left" else "y "))
+    entry.setSuffix(" px")
+    entry.setAccessibleName(f"Region: {name.lower()}")
+    entry.setToolTip(f"{name} of the region, in proximity pixels; it can be dragged in the image, too")
+    entry.setKeyboardTracking(False)
+    return entry
+
+
+def _button(text: str, tip: str, shortcut: str = "") -> QPushButton:
+    button = QPushButton(text)
+    button.setToolTip(tip)
+    button.setAutoDefault(False)
+    if shortcut:
+        button.setShortcut(shortcut)
+    return button

@@ -1,0 +1,265 @@
+"""The window in which the untouched membrane becomes the preset's reference."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import Final
+
+from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QFont, QKeyEvent
+from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSpinBox, QVBoxLayout, QWidget
+
+from ...core.model.frames import Rig, SensorFrame
+from ...core.rig.untouched import MOST_FRAMES
+from ...core.rig.untouched_source import REFERENCE_FRAMES
+from ...widgets.images.image_pane import ImagePane
+from ..calibration.feed import FrameFeed
+from ..calibration.pictures import picture
+from ..document.document import Document
+from ..document.reference_store import ReferenceStore
+from .untouched_capture import Capture, Captured
+from .untouched_keeper import ReferenceKeeper
+
+_PREVIEW_MS: Final = 80
+_ADVICE: Final = (
+    "The next frames are averaged into the preset's reference. Proximity-only, tactile-only and membrane mechanics "
+    "compare with it, and Re-check calibration tells by it whether the inflation or a camera has changed."
+)
+_SIMULATED: Final = " The simulator takes its object away for these frames."
+_NONE: Final = "This preset has no reference yet"
+_UNREAD: Final = "The preset's reference cannot be found: capture it anew"
+_CAPTURING: Final = "Capturing: leave the membrane alone."
+_AVERAGING: Final = "Averaging the frames that came; the membrane may be touched again."
+_OTHER_SOURCE: Final = "Capturing was stopped, because another source was opened."
+
+
+class CaptureWindow(QDialog):
+    """Shows the membrane now and in the reference, and captures a new one as one undoable step.
+
+    Signals
+    -------
+    saveRequested()
+        Save the preset.
+    """
+
+    saveRequested = pyqtSignal()
+
+    def __init__(
+        self,
+        document: Document,
+        feed: FrameFeed,
+        store: ReferenceStore,
+        keeper: ReferenceKeeper,
+        parent: QWidget | None = None,
+    ) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Capture reference – Tactune")
+        self._document, self._feed, self._keeper = document, feed, keeper
+        self.capture = Capture(feed, store, self)
+        self._redraw = QTimer(self)
+        self._redraw.setSingleShot(True)
+        self._redraw.setInterval(_PREVIEW_MS)
+        self._make_controls()
+        self._lay_out()
+        self._connect()
+        self._show_frame()
+        self._show_reference()
+        self._show_busy(False)
+        self.take.setFocus()
+
+    def _make_controls(self) -> None:
+        self.headline = QLabel("Nothing may touch the membrane")
+        font = QFont(self.headline.font())
+        font.setPointSizeF(1.3 * font.pointSizeF())
+        font.setBold(True)
+        self.headline.setFont(font)
+        simulated = _SIMULATED if self._feed.info.name.startswith("sim:") else ""
+        self.advice = QLabel(_ADVICE + simulated)
+        self.advice.setWordWrap(True)
+        self.now = ImagePane("Now, tactile depth")
+        self.reference = ImagePane("Reference, tactile depth")
+        for pane in (self.now, self.reference):
+            pane.view.setMinimumSize(220, 165)
+            pane.resized.connect(partial(_fit, pane))
+        self.frames = QSpinBox()
+        self.frames.setRange(1, MOST_FRAMES)
+        self.frames.setValue(REFERENCE_FRAMES)
+        self.frames.setSuffix(" frames")
+        self.frames.setSpecialValueText("1 frame")
+        self.frames.setAccessibleName("Frames to average")
+        self.frames.setToolTip(
+            f"How many frames are averaged, 1 to {MOST_FRAMES}: the median of each pixel. More frames, less noise; "
+            "the membrane must not move meanwhile"
+        )
+        self.progress = QProgressBar()
+        self.progress.setRange(0, 100)
+        self.progress.setAccessibleName("Progress of capturing")
+        self.sentence = QLabel()
+        self.sentence.setWordWrap(True)
+        self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
+        self.take = _push("&Capture", "Average the frames that come now into the reference (Enter); one undoable step")
+        self.take.setDefault(True)
+        self.go_on = _push("&Go on", "Play on and take the frames that are still missing")
+        self.make_do = _push("Use &these", "Average the frames that came so far into the reference")
+        self.cancel = _push("Cance&l", "Stop capturing (Esc); the preset keeps the reference that it has")
+        self.undo = _push("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
+        self.undo.setShortcut("Ctrl+Z")
+        self.save = _push("&Save preset", "Save the preset; the reference is written beside it (Ctrl+S)")
+        self.save.setShortcut("Ctrl+S")
+        self.leave = _push("Close", "Close this window (Esc); an unsaved reference is kept with the unsaved preset")
+
+    def _lay_out(self) -> None:
+        images = QHBoxLayout()
+        images.addWidget(self.now)
+        images.addWidget(self.reference)
+        caption = QLabel("A&verage")
+        caption.setBuddy(self.frames)
+        taking = QHBoxLayout()
+        for widget in (caption, self.frames, self.take):
+            taking.addWidget(widget)
+        taking.addWidget(self.progress, 1)
+        for widget in (self.go_on, self.make_do):
+            taking.addWidget(widget)
+        taking.addWidget(self.cancel)
+        taking.addStretch(0)
+        row = QHBoxLayout()
+        row.addWidget(self.undo)
+        row.addWidget(self.save)
+        row.addStretch(1)
+        row.addWidget(self.leave)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.headline)
+        layout.addWidget(self.advice)
+        layout.addLayout(images, 1)
+        layout.addLayout(taking)
+        layout.addWidget(self.sentence)
+        layout.addLayout(row)
+        self.resize(760, 560)
+
+    def _connect(self) -> None:
+        self._feed.frameArrived.connect(lambda _: self._redraw.isActive() or self._redraw.start())
+        self._redraw.timeout.connect(self._show_frame)
+        self._keeper.changed.connect(self._show_reference)
+        self._document.undo_stack.indexChanged.connect(self._show_state)
+        self._document.fileChanged.connect(self._show_state)
+        self.take.clicked.connect(self._start)
+        self.go_on.clicked.connect(self.capture.go_on)
+        self.make_do.clicked.connect(self.capture.make_do)
+        self.cancel.clicked.connect(self.capture.cancel)
+        self.undo.clicked.connect(self._document.undo_stack.undo)
+        self.save.clicked.connect(self.saveRequested)
+        self.leave.clicked.connect(self.reject)
+        self.capture.progress.connect(self._show_progress)
+        self.capture.pausedChanged.connect(self._show_paused)
+        self.capture.averaging.connect(lambda: self.sentence.setText(_AVERAGING))
+        self.capture.captured.connect(self._use)
+        self.capture.failed.connect(self._fail)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Let Esc stop capturing first."""
+        if event is not None and event.key() == Qt.Key.Key_Escape and self.capture.busy:
+            self.capture.cancel()
+            return
+        super().keyPressEvent(event)
+
+    def done(self, result: int) -> None:
+        """Stop capturing and listening: the window is not opened again."""
+        self.capture.close()
+        self._document.undo_stack.indexChanged.disconnect(self._show_state)
+        super().done(result)
+
+    def source_changed(self) -> None:
+        """Stop: frames of another source are another membrane's."""
+        if self.capture.busy:
+            self.capture.cancel()
+            self.sentence.setText(_OTHER_SOURCE)
+
+    def _start(self) -> None:
+        self._show_busy(True)
+        self.sentence.setText(_CAPTURING)
+        self._show_progress(0.0, "")
+        self.capture.start(self.frames.value())
+
+    def _use(self, captured: Captured) -> None:
+        self._show_busy(False)
+        self._document.edit("reference", captured.record.model_dump())
+        self.sentence.setText(captured_words(captured, self._feed.rig))
+        self.save.setFocus()  # the entry would keep Ctrl+Z for itself
+
+    def _fail(self, sentence: str) -> None:
+        self._show_busy(False)
+        if sentence:
+            self.sentence.setText(f"{sentence[:1].upper()}{sentence[1:]}.")
+        elif self.sentence.text() != _OTHER_SOURCE:
+            self.sentence.setText("Capturing was cancelled; the preset is as before.")
+
+    def _show_busy(self, busy: bool) -> None:
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self._show_paused(False)
+        self.take.setEnabled(not busy)
+        self.frames.setEnabled(not busy)
+        self._show_state()
+
+    def _show_paused(self, paused: bool) -> None:
+        self.go_on.setVisible(paused)
+        self.make_do.setVisible(paused)
+        if paused:
+            taken = self.capture.taken
+            self.sentence.setText(
+                f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in the "
+                "main window, to take the others."
+            )
+            self.go_on.setFocus()
+        elif self.capture.taking:
+            self.sentence.setText(_CAPTURING)
+
+    def _show_state(self) -> None:
+        self.undo.setEnabled(self._document.undo_stack.canUndo() and not self.capture.busy)
+        self.save.setEnabled(self._document.dirty and not self.capture.busy)
+
+    def _show_progress(self, share: float, words: str) -> None:
+        self.progress.setValue(round(100 * share))
+        self.progress.setFormat(words or "%p %")
+
+    def _show_frame(self) -> None:
+        if self._feed.frame is not None:
+            self._draw(self.now, self._feed.frame)
+
+    def _show_reference(self) -> None:
+        record, frame = self._document.preset.reference, self._keeper.frame
+        if frame is not None:
+            self._draw(self.reference, frame)
+        else:
+            self.reference.set_pixels(None, (1, 1), 1)
+        found = frame is not None or self._keeper.busy
+        self.reference.set_message("" if found else _NONE if record is None else _UNREAD)
+
+    def _draw(self, pane: ImagePane, frame: SensorFrame) -> None:
+        rig = self._feed.rig
+        if frame.tactile_depth.shape == rig.tactile.intrinsics.shape:
+            shown = picture(frame, rig, "tactile", "depth", stretch=True).pixels
+            pane.set_pixels(shown, (shown.shape[1], shown.shape[0]), 1)
+            _fit(pane)
+
+
+def captured_words(captured: Captured, rig: Rig) -> str:
+    """Say what was captured and what to do next."""
+    averaged = captured.reference
+    count = f"{averaged.frames} frame{'' if averaged.frames == 1 else 's'}"
+    fewer = f" of {captured.asked}, because no more came" if averaged.frames < captured.asked else ""
+    before, after = (1e3 * rig.tactile.depth_unit_m * counts for counts in averaged.noise_counts)
+    noise = "" if math.isnan(before) else f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
+    return f"Captured {count}{fewer}.{noise} Save the preset to write the reference beside it."
+
+
+def _fit(pane: ImagePane) -> None:
+    pane.show_rect(pane.image_rect())
+
+
+def _push(text: str, tip: str) -> QPushButton:
+    button = QPushButton(text)
+    button.setToolTip(tip)
+    button.setAutoDefault(False)
+    return button

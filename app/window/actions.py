@@ -1,0 +1,243 @@
+"""Every action of the window, with its shortcut, and the menus and the toolbar that hold them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from PyQt6.QtCore import QObject
+from PyQt6.QtGui import QAction, QActionGroup, QKeySequence, QUndoStack
+from PyQt6.QtWidgets import QMenu, QMenuBar
+
+from ...core.sources.registry import source_kinds
+from ..worker.playback import SPEEDS
+from .icons import icon
+
+StandardKey = QKeySequence.StandardKey
+THEMES = ("system", "light", "dark")
+
+
+@dataclass(frozen=True)
+class Actions:
+    """The actions, by name.
+
+    ``play`` has no shortcut: the space bar belongs to whatever has the focus (a check box, say), and
+    the window takes it only when nothing else does.
+    """
+
+    new_preset: QAction
+    open_preset: QAction
+    save: QAction
+    save_as: QAction
+    details: QAction
+    export_patch: QAction
+    calibrate: QAction
+    recheck: QAction
+    check_cameras: QAction
+    capture_reference: QAction
+    compare: QAction
+    scan_truth: QAction
+    strain: QAction
+    open_folder: QAction
+    open_recording: QAction
+    cameras: QAction
+    camera_settings: QAction
+    record: QAction
+    recordings_folder: QAction
+    quit: QAction
+    undo: QAction
+    redo: QAction
+    play: QAction
+    previous: QAction
+    next: QAction
+    first: QAction
+    loop: QAction
+    freeze: QAction
+    show_strip: QAction
+    show_panel: QAction
+    show_proximity: QAction
+    show_tactile: QAction
+    show_patch: QAction
+    reset_view: QAction
+    top_view: QAction
+    side_view: QAction
+    shortcuts: QAction
+    about: QAction
+
+    def all(self) -> list[QAction]:
+        """Return every action, in the order of the menus."""
+        return [getattr(self, field.name) for field in fields(self)]
+
+
+def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
+    """Create the actions; the window connects them."""
+
+    def action(
+        text: str,
+        tip: str = "",
+        shortcut: QKeySequence | StandardKey | str | None = None,
+        icon_name: str = "",
+        checkable: bool = False,
+    ) -> QAction:
+        made = QAction(text, parent)
+        if shortcut is not None:
+            made.setShortcut(QKeySequence(shortcut))
+        if icon_name:
+            made.setIcon(icon(icon_name))
+        made.setCheckable(checkable)
+        plain = text.split("\t", maxsplit=1)
+        keys = made.shortcut().toString() or (plain[1] if len(plain) > 1 else "")
+        made.setToolTip(f"{tip or plain[0].replace('&', '').rstrip('…')}{f' ({keys})' if keys else ''}")
+        return made
+
+    undo = undo_stack.createUndoAction(parent, "&Undo")
+    redo = undo_stack.createRedoAction(parent, "&Redo")
+    assert undo is not None and redo is not None
+    undo.setShortcut(QKeySequence(StandardKey.Undo))
+    redo.setShortcuts([QKeySequence("Ctrl+Shift+Z"), QKeySequence("Ctrl+Y")])
+    made = Actions(
+        new_preset=action("&New preset", shortcut=StandardKey.New),
+        open_preset=action("&Open preset…", shortcut=StandardKey.Open),
+        save=action("&Save preset", shortcut=StandardKey.Save),
+        save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
+        details=action("Name and no&tes…", "Name the preset and note what it is for", "F2"),
+        export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
+        calibrate=action("&Calibrate…", "Align both cameras: click points, see how good it is, save it", "Ctrl+K"),
+        recheck=action("&Re-check calibration", "Tell on this frame whether the alignment still holds", "Ctrl+Shift+K"),
+        open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
+        open_recording=action(
+            "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
+        ),
+        check_cameras=action("C&heck cameras…", "Depth quality, skew and interference of both cameras", "F6"),
+        capture_reference=action(
+            "Capture re&ference…", "Keep the untouched membrane, with which some methods compare", "Ctrl+Shift+R"
+        ),
+        compare=action("&Compare methods…", "Every way to find the patch, side by side on the present frame", "F7"),
+        scan_truth=action("&Ground truth from a scan…", "Contact from a painted scan, laid over the patch", "F8"),
+        strain=action("Membrane &strain…", "Strain from a printed dot grid, on the present frame", "Ctrl+T"),
+        cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
+        camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
+        record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
+        recordings_folder=action("Recordings fo&lder…", "Choose where recordings are kept"),
+        quit=action("&Quit", shortcut="Ctrl+Q"),
+        undo=undo,
+        redo=redo,
+        play=action("&Play\tSpace", icon_name="play"),
+        previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
+        next=action("&Next frame", "Pause and go one frame on", ".", "next"),
+        first=action("&First frame", "Go to the first frame", "Ctrl+Home"),
+        loop=action("&Loop", "Start over at the end of a recording", "L", "loop", checkable=True),
+        freeze=action("Free&ze", "Hold this frame to tune on it; a live source goes on behind it", "F", "freeze", True),
+        show_strip=action("&Images", "Show the images below the views", "Ctrl+I", checkable=True),
+        show_panel=action("Para&meters", "Show the parameter panel", "Ctrl+P", checkable=True),
+        show_proximity=action("&Proximity view", shortcut="Ctrl+1", checkable=True),
+        show_tactile=action("&Tactile view", shortcut="Ctrl+2", checkable=True),
+        show_patch=action("Contact patch &view", shortcut="Ctrl+3", checkable=True),
+        reset_view=action("&Reset views", "Look along the cameras, everything in sight", "R"),
+        top_view=action("T&op view", "Look from above", "T"),
+        side_view=action("&Side view", "Look from the side", "S"),
+        shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
+        about=action("&About Tactune"),
+    )
+    for checkable in (made.loop, made.show_strip, made.show_panel):
+        checkable.setChecked(True)
+    for view in (made.show_proximity, made.show_tactile, made.show_patch):
+        view.setChecked(True)
+    return made
+
+
+@dataclass(frozen=True)
+class Menus:
+    """The menus that the window fills or reads while it runs."""
+
+    source: QMenu
+    preset: QMenu
+    recent_sources: QMenu
+    recent_presets: QMenu
+    shipped_presets: QMenu
+    themes: QActionGroup
+    speeds: QActionGroup
+
+
+def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
+    """Fill the menu bar, and build the two menus of the toolbar from the same actions."""
+    parent = bar
+    source = QMenu("Source", parent)
+    source.addActions([actions.cameras, actions.camera_settings])
+    source.addSeparator()
+    for kind in source_kinds():
+        for name in kind.examples:
+            entry = source.addAction(": ".join(filter(None, (kind.title, name.partition(":")[2]))))
+            assert entry is not None
+            entry.setToolTip(kind.description)
+            entry.setData(name)
+    source.addSeparator()
+    source.addActions([actions.open_recording, actions.open_folder])
+    recent_sources = _submenu(source, "&Recent sources")
+
+    preset = QMenu("Preset", parent)
+    preset.addAction(actions.new_preset)
+    shipped = _submenu(preset, "New from s&hipped preset")
+    preset.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
+    recent_presets = _submenu(preset, "&Recent presets")
+
+    file_menu = _menu(bar, "&File")
+    file_menu.addAction(actions.new_preset)
+    file_menu.addMenu(shipped)
+    file_menu.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
+    file_menu.addMenu(recent_presets)
+    file_menu.addSeparator()
+    file_menu.addActions([actions.cameras, actions.camera_settings, actions.open_recording, actions.open_folder])
+    file_menu.addMenu(recent_sources)
+    file_menu.addSeparator()
+    file_menu.addActions([actions.export_patch])
+    file_menu.addSeparator()
+    file_menu.addAction(actions.quit)
+
+    _menu(bar, "&Edit").addActions([actions.undo, actions.redo])
+
+    view = _menu(bar, "&View")
+    view.addActions([actions.reset_view, actions.top_view, actions.side_view])
+    view.addSeparator()
+    view.addActions([actions.show_proximity, actions.show_tactile, actions.show_patch])
+    view.addSeparator()
+    view.addActions([actions.show_strip, actions.show_panel])
+    view.addSeparator()
+    themes = _choices(_submenu(view, "T&heme"), [(theme.capitalize(), theme) for theme in THEMES])
+
+    playback = _menu(bar, "&Playback")
+    playback.addActions([actions.play, actions.previous, actions.next, actions.first])
+    playback.addSeparator()
+    playback.addActions([actions.loop, actions.freeze])
+    playback.addSeparator()
+    playback.addActions([actions.record, actions.recordings_folder])
+    playback.addSeparator()
+    speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
+
+    _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
+    _menu(bar, "&Analysis").addActions([actions.compare, actions.scan_truth, actions.strain, actions.capture_reference])
+    _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
+    return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
+
+
+def _menu(bar: QMenuBar, title: str) -> QMenu:
+    menu = bar.addMenu(title)
+    assert menu is not None
+    menu.setToolTipsVisible(True)
+    return menu
+
+
+def _submenu(menu: QMenu, title: str) -> QMenu:
+    submenu = menu.addMenu(title)
+    assert submenu is not None
+    return submenu
+
+
+def _choices(menu: QMenu, entries: list[tuple[str, object]]) -> QActionGroup:
+    group = QActionGroup(menu)
+    for title, data in entries:
+        entry = menu.addAction(title)
+        assert entry is not None
+        entry.setCheckable(True)
+        entry.setData(data)
+        group.addAction(entry)
+    return group

@@ -1,0 +1,71 @@
+"""Clicks in the colour image become the mask's colour ranges."""
+
+from __future__ import annotations
+
+from typing import cast
+
+import numpy as np
+from PyQt6.QtCore import QObject
+
+from ...core.model.clouds import valid_depth
+from ...widgets.images.eyedropper import EyedropperError, HsvRanges, Mode, pick
+from ...widgets.images.image_strip import ImageStrip
+from ...widgets.parameters.gestures import new_gesture
+from ...widgets.parameters.parameter_panel import ParameterPanel
+from ..document.document import Document
+from ..worker.results import Result
+from ..worker.strip_drawing import aligned_color
+from .message_bar import MessageBar, Severity
+
+
+class Eyedropper(QObject):
+    """Leads from the panel's eyedropper buttons through a click to one undoable step.
+
+    The eyedropper stays in hand until it is put away, so that several clicks can refine a mask.
+    """
+
+    def __init__(self, document: Document, panel: ParameterPanel, strip: ImageStrip, messages: MessageBar) -> None:
+        super().__init__(document)
+        self._document = document
+        self._panel = panel
+        self._strip = strip
+        self._messages = messages
+        self._mode = "off"
+        self._result: Result | None = None
+        panel.eyedropperRequested.connect(self.take_up)
+        strip.clicked.connect(self._clicked)
+
+    @property
+    def mode(self) -> str:
+        """Which eyedropper is in hand: "set", "expand", "shrink" or "off"."""
+        return self._mode
+
+    def take_up(self, mode: str) -> None:
+        """Take an eyedropper in hand, or put it away with "off"."""
+        self._mode = mode
+        self._panel.set_eyedropper(mode)
+        self._strip.set_picking(mode != "off")
+        self._messages.clear("eyedropper")
+
+    def show_result(self, result: Result) -> None:
+        """Note the frame that a click refers to."""
+        self._result = result
+
+    def _clicked(self, pane: str, u: int, v: int, _modifiers: object) -> None:
+        if self._mode == "off" or pane != "color" or self._result is None:
+            return
+        result, mask = self._result, self._document.preset.mask
+        counts = result.frame.proximity_depth
+        depth_m = counts * np.float32(result.source.rig.proximity.depth_unit_m)
+        typical_m = sum(result.rendered.depth_range_m) / 2
+        image = aligned_color(result.frame, result.source.rig, depth_m, valid_depth(counts), typical_m)
+        present = HsvRanges(mask.hue, mask.saturation, mask.value)
+        try:
+            ranges = pick(image, u, v, present, cast(Mode, self._mode))
+        except EyedropperError as error:
+            self._messages.show_message("eyedropper", Severity.WARNING, str(error))
+            return
+        self._messages.clear("eyedropper")
+        self._document.edit_many(
+            {"mask.hue": ranges.hue, "mask.saturation": ranges.saturation, "mask.value": ranges.value}, new_gesture()
+        )

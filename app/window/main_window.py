@@ -1,0 +1,400 @@
+"""The main window: what stands where, and who hears whom."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
+from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
+
+from ...core.model.frames import Rig
+from ...core.preset import Preset
+from ...core.preset.file import shipped_presets
+from ...core.sources.registry import open_source
+from ...widgets.basics.theme import ThemeChoice, apply_theme, theme_name
+from ...widgets.clouds.cloud_view import BackendChoice
+from ...widgets.images.image_strip import ImageStrip
+from ...widgets.parameters.parameter_panel import ParameterPanel
+from ..calibration.launcher import CalibrationLauncher
+from ..cameras.control import CAMERAS
+from ..document.document import Document
+from ..document.recovery import Autosave
+from ..settings import Settings
+from ..worker.error_hook import ErrorHook
+from ..worker.opening import SourceRequest
+from ..worker.results import Result, SourceInfo, Wanted
+from ..worker.worker import Worker
+from .actions import make_actions, make_menus
+from .analysis_controls import AnalysisControls
+from .dialogs import Dialogs
+from .eyedropper import Eyedropper
+from .files import FileFlows, local_files
+from .frame_export import export_patch
+from .frame_presenter import FramePresenter
+from .help import show_about, show_shortcuts
+from .layout_memory import remember_layout, restore_layout
+from .live_controls import LiveControls
+from .message_bar import MessageBar, Severity
+from .opening_bar import OpeningBar
+from .recording_bar import RecordingBar
+from .status import FrameStatus
+from .strip_splitter import StripSplitter
+from .toolbar import ToolBar
+from .transport import Transport
+from .view_area import ViewArea
+
+_OPENING = "Preparing the first frame…"
+_NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
+
+
+class MainWindow(QMainWindow):
+    """Shows both sensors and the patch live, and lets a person tune the preset.
+
+    The window computes nothing: the `Worker` does, and hands over what is to be seen.
+
+    Parameters
+    ----------
+    preset : Preset
+        To begin with; `file_flows` opens files.
+    settings : Settings
+        What was remembered.
+    data_folder : Path
+        Where unsaved work is kept.
+    native_dialogs : bool
+        Use the operating system's file dialogs.
+    backend : "auto", "opengl" or "software"
+        Of the 3D views.
+
+    Signals
+    -------
+    frameShown()
+        `result` is on the screen.
+    """
+
+    frameShown = pyqtSignal()
+
+    def __init__(
+        self,
+        preset: Preset,
+        settings: Settings,
+        data_folder: Path,
+        native_dialogs: bool = True,
+        backend: BackendChoice = "auto",
+    ) -> None:
+        super().__init__()
+        self.settings = settings
+        self.data_folder = data_folder
+        self.document = Document(preset, self)
+        self.worker = Worker(preset, self)
+        self.autosave = Autosave(self.document, data_folder, self)
+        self.actions_ = make_actions(self, self.document.undo_stack)
+        self.messages = MessageBar()
+        self.opening = OpeningBar()
+        self.recording_bar = RecordingBar()
+        self.views = ViewArea(self.actions_, backend)
+        self.strip = ImageStrip()
+        self.panel = ParameterPanel()
+        self.transport = Transport(self.actions_)
+        self.status = FrameStatus()
+        self.error_hook = ErrorHook(self)
+        self.dialogs = Dialogs(self, native_dialogs)
+        self.file_flows = FileFlows(
+            self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source, self._rig
+        )
+        self.presenter = FramePresenter(
+            self.document,
+            views=self.views,
+            strip=self.strip,
+            panel=self.panel,
+            transport=self.transport,
+            status=self.status,
+            messages=self.messages,
+        )
+        self.eyedropper = Eyedropper(self.document, self.panel, self.strip, self.messages)
+        self.calibration = CalibrationLauncher(
+            self.worker, self.document, self.messages, data_folder / "calibration", self, native_dialogs, backend
+        )
+        self.live = LiveControls(self)
+        self.analysis = AnalysisControls(self)
+        self._closing = False
+        self._lay_out()
+        self._connect()
+        restore_layout(self, settings)
+        self._show_document()
+        self.panel.set_preset(preset)
+        self.panel.set_baseline(preset)
+        self.actions_.export_patch.setEnabled(False)
+        self.views.show_message(_NO_SOURCE)
+        self.views.setFocus()
+        self._send_wanted()
+        self.worker.start()
+
+    @property
+    def result(self) -> Result | None:
+        """The frame that is shown; None before the first one of a source."""
+        return self.presenter.result
+
+    # Building
+
+    def _lay_out(self) -> None:
+        bar = self.menuBar()
+        assert bar is not None
+        self.menus = make_menus(bar, self.actions_)
+        self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
+        self.addToolBar(self.toolbar)
+        self.left = StripSplitter(self.views, self.strip)
+        self.across = QSplitter(Qt.Orientation.Horizontal)
+        self.across.addWidget(self.left)
+        self.across.addWidget(self.panel)
+        self.across.setStretchFactor(0, 1)
+        self.across.setChildrenCollapsible(False)
+        centre = QWidget()
+        column = QVBoxLayout(centre)
+        column.setContentsMargins(2, 2, 2, 0)
+        column.setSpacing(2)
+        for bar_above in (self.messages, self.opening, self.recording_bar):
+            column.addWidget(bar_above)
+        column.addWidget(self.across, 1)
+        self.setCentralWidget(centre)
+        self.setStatusBar(self.status)
+        self.setAcceptDrops(True)
+        self.setMinimumSize(900, 600)
+
+    def _connect(self) -> None:
+        self._connect_document()
+        self._connect_worker()
+        self._connect_actions()
+        self.error_hook.raised.connect(
+            lambda sentence, details: self.messages.show_message("defect", Severity.ERROR, sentence, details=details)
+        )
+
+    def _connect_document(self) -> None:
+        document, panel = self.document, self.panel
+        document.presetChanged.connect(self.worker.set_preset)
+        document.presetChanged.connect(panel.set_preset)
+        document.presetChanged.connect(self._show_document)
+        document.fileChanged.connect(self._show_document)
+        document.baselineChanged.connect(panel.set_baseline)
+        document.refused.connect(self._refused)
+        panel.valueEdited.connect(document.edit)
+        panel.valuesEdited.connect(document.edit_many)
+        self.autosave.failed.connect(
+            lambda sentence: self.messages.show_message("autosave", Severity.WARNING, sentence)
+        )
+
+    def _connect_worker(self) -> None:
+        worker, transport = self.worker, self.transport
+        worker.resultReady.connect(self._show_newest)
+        worker.opening.connect(self.opening.show_progress)
+        worker.opened.connect(self._opened)
+        worker.openFailed.connect(self._open_failed)
+        worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR))
+        worker.recovered.connect(partial(self.messages.clear, "worker"))
+        worker.playbackChanged.connect(transport.show_state)
+        worker.stateChanged.connect(self.presenter.show_state)
+        transport.seekRequested.connect(worker.seek)
+        transport.held.connect(worker.set_held)
+        self.opening.cancelled.connect(worker.cancel_open)
+        self.views.wantedChanged.connect(self._send_wanted)
+        self.strip.widthHintChanged.connect(self._send_wanted)
+        self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
+        self.panel.sections["tolerance"].collapsedChanged.connect(self._send_wanted)
+
+    def _connect_actions(self) -> None:
+        actions, worker, flows = self.actions_, self.worker, self.file_flows
+        actions.play.triggered.connect(self._play_or_pause)
+        actions.previous.triggered.connect(lambda: worker.step(-1))
+        actions.next.triggered.connect(lambda: worker.step(1))
+        actions.first.triggered.connect(lambda: worker.seek(0))
+        actions.loop.triggered.connect(worker.set_loop)
+        actions.freeze.triggered.connect(worker.set_frozen)
+        flows.connect_actions(actions)
+        actions.export_patch.triggered.connect(self._export)
+        actions.calibrate.triggered.connect(self.calibration.open_wizard)
+        actions.recheck.triggered.connect(self.calibration.open_recheck)
+        self.frameShown.connect(lambda: self.calibration.show_result(self.result))
+        actions.quit.triggered.connect(self.close)
+        actions.show_strip.toggled.connect(self.strip.setVisible)
+        actions.show_strip.toggled.connect(self._send_wanted)
+        actions.show_panel.toggled.connect(self.panel.setVisible)
+        actions.show_panel.toggled.connect(self._send_wanted)
+        actions.shortcuts.triggered.connect(lambda: show_shortcuts(self, actions))
+        actions.about.triggered.connect(lambda: show_about(self))
+        menus = self.menus
+        menus.source.triggered.connect(lambda entry: self.open_source(entry.data()) if entry.data() else None)
+        menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
+        menus.speeds.triggered.connect(lambda entry: worker.set_speed(entry.data()))
+        for entry in menus.speeds.actions():
+            entry.setChecked(entry.data() == 1.0)
+        self.toolbar.fill_menus(
+            shipped=shipped_presets,
+            new=flows.new,
+            recent_presets=lambda: self.settings.recent("presets"),
+            open_preset=lambda path: flows.open_preset(Path(path)),
+            recent_sources=lambda: self.settings.recent("sources"),
+            open_source=self.open_source,
+        )
+
+    def offer_unsaved_work(self) -> None:
+        """Offer what a window that died left unsaved."""
+        self.file_flows.offer_unsaved_work(self.data_folder)
+
+    # Sources
+
+    def open_source(self, name: str) -> None:
+        """Open a source by its name; the present one goes on until that has succeeded."""
+        cameras = self.document.preset.cameras
+        self.open_request(
+            SourceRequest(
+                name, lambda progress: open_source(name, progress, cameras), exclusive=name.startswith(CAMERAS)
+            )
+        )
+
+    def open_request(self, request: SourceRequest) -> None:
+        """Open a source that somebody else makes."""
+        self.messages.clear("source")
+        if self.result is None:
+            self.views.show_message(_OPENING)
+        self.worker.open(request)
+
+    def _rig(self) -> Rig | None:
+        return self.result.source.rig if self.result is not None else None
+
+    def _opened(self, info: SourceInfo) -> None:
+        self.opening.hide()
+        self.messages.clear("source")
+        self.messages.clear("worker")
+        if self.result is None or self.result.source is not info:
+            self.presenter.forget()
+            self.actions_.export_patch.setEnabled(False)
+            self.views.show_message(_OPENING)
+        self.settings.add_recent("sources", info.name)
+        self.toolbar.show_source(info.name)
+        self.status.show_source(info)
+        self.file_flows.offer_preset(info.preset)
+        self.left.set_aspect(info.rig.proximity.intrinsics.height / info.rig.proximity.intrinsics.width)
+
+    def _open_failed(self, _name: str, sentence: str) -> None:
+        self.opening.hide()
+        if sentence:
+            self.messages.show_message("source", Severity.ERROR, sentence)
+        if self.result is None:
+            self.views.show_message(_NO_SOURCE)
+
+    # Frames
+
+    def _show_newest(self) -> None:
+        result = self.worker.take()
+        if result is None:
+            return
+        self.presenter.show(result)
+        self.eyedropper.show_result(result)
+        self.actions_.export_patch.setEnabled(result.patch is not None)
+        self.frameShown.emit()
+
+    def _send_wanted(self) -> None:
+        """Tell the worker what can be seen; the rest is not drawn."""
+        panel = not self.panel.isHidden()
+        self.worker.set_wanted(
+            Wanted(
+                clouds=self.views.visible_clouds(),
+                color_by=self.views.chosen_colors(),
+                strip=not self.strip.isHidden(),
+                strip_width=self.strip.width_hint(),
+                histogram=panel and not self.panel.sections["tolerance"].collapsed,
+                dark=theme_name() == "dark",
+            )
+        )
+
+    def _play_or_pause(self) -> None:
+        (self.worker.pause if self.transport.state.running else self.worker.play)()
+
+    def _export(self) -> None:
+        result = self.result
+        if result is None or result.patch is None:
+            return
+        self.file_flows.export_dialog(result.patch.sequence, lambda path: export_patch(result, path, self.messages))
+
+    # Document
+
+    def _show_document(self) -> None:
+        preset = self.document.preset
+        self.strip.set_region(preset.region.rectangle if preset.region.enabled else None)
+        self.setWindowTitle(f"{preset.name}[*] – Tactune")
+        self.setWindowModified(self.document.dirty)
+        self.toolbar.show_preset(self.document.title, self.document.path)
+
+    def _refused(self, path: str, sentence: str) -> None:
+        if path in self.panel.rows:
+            self.panel.show_error(path, sentence)
+        else:
+            self.messages.show_message("refused", Severity.ERROR, sentence)
+
+    # Looks
+
+    def set_theme(self, choice: ThemeChoice, remember: bool = True) -> None:
+        """Put a theme on the application and, if asked, remember it."""
+        application = QApplication.instance()
+        assert isinstance(application, QApplication)
+        apply_theme(application, choice)
+        if remember:
+            self.settings.set("theme", choice)
+        with QSignalBlocker(self.menus.themes):
+            for entry in self.menus.themes.actions():
+                entry.setChecked(entry.data() == choice)
+        self._send_wanted()
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Have frames drawn again for another theme, also when the desktop's changes."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "panel"):
+            self._send_wanted()
+
+    # Events
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Play or pause on a space bar that nothing else wanted."""
+        if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
+            self.actions_.play.trigger()
+            return
+        super().keyPressEvent(event)
+
+    def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
+        """Take files; what they are is said when they are dropped."""
+        if event is not None and local_files(event.mimeData()):
+            event.acceptProposedAction()
+
+    def dropEvent(self, event: QDropEvent | None) -> None:
+        """Open a preset or a recording."""
+        paths = local_files(event.mimeData() if event is not None else None)
+        if event is not None and paths:
+            event.acceptProposedAction()
+            self.file_flows.open_dropped(paths)
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:
+        """Ask about unsaved changes and finish a recording; then remember the layout and stop the worker."""
+        if event is None:
+            return
+        if not self._closing and self.document.dirty:
+            event.ignore()
+            self.file_flows.guarded(self.close_without_asking)
+            return
+        if self.live.recording.running:
+            event.ignore()
+            self.live.recording.finish(self.close_without_asking)
+            return
+        remember_layout(self, self.settings)
+        self.live.close()
+        self.analysis.close()
+        self.calibration.close()
+        self.worker.shut_down()
+        self.autosave.close()
+        self.error_hook.remove()
+        event.accept()
+
+    def close_without_asking(self) -> None:
+        """Close, whatever is unsaved."""
+        self._closing = True
+        self.close()

@@ -1,0 +1,114 @@
+"""The status bar: where the frames come from, how fast, and what was found."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+
+from PyQt6.QtWidgets import QLabel, QStatusBar, QWidget
+
+from ...widgets.basics.elided_label import ElidedLabel
+from ..worker.results import RateMeter, Result, SourceInfo, SourceState
+
+#: Numbers that change thirty times a second cannot be read; a few times is enough.
+INTERVAL_S = 0.2
+_WORTH_SAYING_MS = 0.05
+#: Times of the stages that would take a larger share of the bar's width are summed up.
+_WIDEST_SHARE = 0.45
+
+
+class FrameStatus(QStatusBar):
+    """Shows the numbers of the newest result, a few times a second."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setSizeGripEnabled(False)
+        self.setContentsMargins(0, 0, 8, 0)
+        self._shown_rate = RateMeter()
+        self._last_s = 0.0
+        self._source = ElidedLabel()
+        self.addWidget(self._source, 1)
+        self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
+        self._dropped = self._number(
+            "0000 dropped",
+            "Dropped: frames not drawn because a newer one was ready, or lost on their way\n"
+            "Unmatched: images without a partner from the other camera in time",
+        )
+        self._stages = self._number(
+            "fusion 00.0  gaps 0.0  edge 0.0  clusters 0.0  points 0.0 ms",
+            "Milliseconds per stage; 0 is cached or skipped",
+        )
+        self._skew = self._number("skew 00.0 ms", "Skew: tactile minus proximity time stamp, in milliseconds")
+        self._points = self._number("000000 points", "Points of the patch")
+        self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
+
+    @property
+    def shown_fps(self) -> float:
+        """Frames drawn per second, over the last two seconds."""
+        return self._shown_rate.rate()
+
+    def show_source(self, info: SourceInfo) -> None:
+        """Say where the frames come from and which cameras took them, the most telling first."""
+        rig = info.rig
+        cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
+        length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
+        self._source.setText(f"{length}, {info.name}, {cameras}")
+
+    def show_state(self, state: SourceState) -> None:
+        """Say that no frame comes, since no frame will say so."""
+        if state.stale:
+            self._rates.setText("no frame comes")
+
+    def _show_losses(self, dropped: int, unmatched: int) -> None:
+        self._dropped.setText(f"{dropped} dropped" + (f", {unmatched} unmatched" if unmatched else ""))
+
+    def show_result(self, result: Result) -> None:
+        """Count a frame as shown and refresh the numbers when it is time."""
+        self._shown_rate.tick()
+        now = time.perf_counter()
+        running = result.playback.running
+        if running and now - self._last_s < INTERVAL_S:
+            return
+        self._last_s = now
+        rates = f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "paused"
+        self._rates.setText(rates)
+        self._show_losses(result.dropped, result.unmatched)
+        self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
+        if result.patch is None:
+            for label in (self._stages, self._points, self._area):
+                label.setText("")
+            return
+        times = result.patch.stage_ms
+        averaged = result.patch.averaged_frames
+        mean = f"mean of {averaged} frames  " if averaged > 1 else ""
+        self._stages.setText(mean + self._in_words(times))
+        self._stages.setToolTip(
+            "Milliseconds per stage (0: cached or skipped)\n"
+            + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())
+            + f"\nreading: {result.read_ms:.2f}\ndrawing for the window: {result.render_ms:.2f}"
+        )
+        self._points.setText(f"{len(result.patch.points)} points")
+        self._area.setText(f"patch {result.area_mm2 / 100:.1f} cm²")
+
+    def _in_words(self, times: Mapping[str, float]) -> str:
+        """Return the time of each stage, or of all and the longest where that is too much for the bar."""
+        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
+        if not computed:
+            return "nothing computed anew"
+        each = "  ".join(computed) + " ms"
+        if self.fontMetrics().horizontalAdvance(each) <= _WIDEST_SHARE * self.width():
+            return each
+        longest = max(times, key=lambda stage: times[stage])
+        return f"{sum(times.values()):.1f} ms, {longest} {times[longest]:.1f} of it"
+
+    def _number(self, widest: str, tip: str) -> QLabel:
+        """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
+        label = self._label("", tip)
+        label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
+        self.addPermanentWidget(label)
+        return label
+
+    def _label(self, text: str, tip: str) -> QLabel:
+        label = QLabel(text)
+        label.setToolTip(tip)
+        return label

@@ -1,0 +1,228 @@
+"""The three linked views and the row of choices above them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QResizeEvent
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
+
+from ...core.contact.provenance import Provenance
+from ...widgets.basics.colormaps import Legend, Theme, depth_legend, difference_legend, patch_legend, provenance_legend
+from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
+from ..worker.results import CloudName, ColorBy, Rendered, Result
+from .actions import Actions
+
+TITLES = {
+    CloudName.PROXIMITY: "Proximity",
+    CloudName.TACTILE: "Tactile",
+    CloudName.PATCH: "Contact patch",
+}
+POINT_SIZES = (1, 8)
+_NO_TACTILE_CAMERA = "This recording has no tactile camera"
+_ONE_CAMERA = "One camera only: no contact can be found"
+_NO_DEPTH = "This camera measured no depth in this frame"
+_NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
+_COLOR_TIPS = {
+    ColorBy.CONTACT: "Depth in the two cameras' views, contact in its own colour in the patch",
+    ColorBy.DEPTH: "Depth everywhere, also within the patch",
+    ColorBy.DIFFERENCE: "(dp - dt) / dp: how well both cameras agree",
+    ColorBy.PROVENANCE: "Why each point was kept or dropped",
+}
+
+
+class ViewArea(QWidget):
+    """Proximity, tactile and patch side by side; orbit one and all follow.
+
+    Signals
+    -------
+    wantedChanged()
+        Another choice of colours, or a view was shown or hidden.
+    """
+
+    wantedChanged = pyqtSignal()
+
+    def __init__(self, actions: Actions, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.views = {name: CloudView(title, backend) for name, title in TITLES.items()}
+        link_cameras(list(self.views.values()))
+        self._legends: dict[CloudName, object] = {}
+        self._legend_lines = 1
+        self._lined_for: tuple[object, ...] = ()
+        self.splitter = QSplitter(Qt.Orientation.Horizontal)
+        self.splitter.setChildrenCollapsible(False)
+        for view in self.views.values():
+            self.splitter.addWidget(view)
+        self.splitter.splitterMoved.connect(self._fit_legends)
+        self.color_by = QComboBox()
+        self.color_by.setAccessibleName("Colour by")
+        for choice in ColorBy:
+            self.color_by.addItem(choice.value.capitalize(), choice)
+            self.color_by.setItemData(self.color_by.count() - 1, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)
+        self.color_by.currentIndexChanged.connect(self.wantedChanged)
+        self.point_size = QSlider(Qt.Orientation.Horizontal)
+        self.point_size.setRange(*POINT_SIZES)
+        self.point_size.setValue(2)
+        self.point_size.setFixedWidth(90)
+        self.point_size.setAccessibleName("Point size")
+        self.point_size.setToolTip("Point size in pixels")
+        self.point_size.valueChanged.connect(self._resize_points)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        layout.addLayout(self._choices(actions))
+        layout.addWidget(self.splitter, 1)
+        for name, action in (
+            (CloudName.PROXIMITY, actions.show_proximity),
+            (CloudName.TACTILE, actions.show_tactile),
+            (CloudName.PATCH, actions.show_patch),
+        ):
+            action.toggled.connect(lambda shown, name=name: self._show_view(name, shown))
+        actions.reset_view.triggered.connect(lambda: self._any_view().look_from("reset"))
+        actions.top_view.triggered.connect(lambda: self._any_view().look_from("top"))
+        actions.side_view.triggered.connect(lambda: self._any_view().look_from("side"))
+        self._resize_points(self.point_size.value())
+
+    def chosen_colors(self) -> ColorBy:
+        """Return what the colour of a point means."""
+        return ColorBy(self.color_by.currentData())
+
+    def choose_colors(self, choice: ColorBy) -> None:
+        """Choose what the colour of a point means."""
+        self.color_by.setCurrentIndex(self.color_by.findData(choice))
+
+    def visible_clouds(self) -> frozenset[CloudName]:
+        """Return the views that are to be seen."""
+        return frozenset(name for name, view in self.views.items() if not view.isHidden())
+
+    def show_result(self, result: Result, theme: Theme) -> None:
+        """Show the clouds of a result and say what their colours mean."""
+        clouds = result.rendered.clouds
+        for name, view in self.views.items():
+            if name in clouds:
+                view.set_cloud(clouds[name])
+                self._show_legend(name, result, theme)
+                view.set_message(_why_empty(name, result))
+        self._fit_legends()
+
+    def show_badges(self, badges: Mapping[CloudName, str]) -> None:
+        """Mark views whose frame is old."""
+        for name, view in self.views.items():
+            view.set_badge(badges.get(name, ""))
+
+    def show_message(self, message: str) -> None:
+        """Empty all views and say what happens or what to do."""
+        for view in self.views.values():
+            view.set_cloud(None)
+            view.set_message(message)
+
+    def _show_legend(self, name: CloudName, result: Result, theme: Theme) -> None:
+        """Explain the colours of a view, when they have changed."""
+        rendered, color_by = result.rendered, self.chosen_colors()
+        legend = legend_of(name, color_by, theme, rendered.accepted, rendered)
+        if self._legends.get(name) != legend:
+            self._legends[name] = legend
+            self.views[name].set_legend(legend)
+
+    def _fit_legends(self) -> None:
+        """Give all legends as many lines as the longest needs: views of one height show clouds alike.
+
+        While colours mean the same there are never fewer again, so that nothing jumps when a reason does not occur.
+        """
+        shown = [view for view in self.views.values() if not view.isHidden()]
+        lined_for = self.chosen_colors(), *(view.width() for view in shown)
+        lines = max((view.legend_lines() for view in shown), default=1)
+        if lined_for == self._lined_for:
+            lines = max(lines, self._legend_lines)
+        self._lined_for = lined_for
+        if lines != self._legend_lines:
+            self._legend_lines = lines
+            for view in self.views.values():
+                view.set_legend_lines(lines)
+
+    def _choices(self, actions: Actions) -> QHBoxLayout:
+        row = QHBoxLayout()
+        row.setContentsMargins(4, 2, 4, 0)
+        label = QLabel("&Colour by")
+        label.setBuddy(self.color_by)
+        row.addWidget(label)
+        row.addWidget(self.color_by)
+        row.addSpacing(12)
+        size_label = QLabel("Point si&ze")
+        size_label.setBuddy(self.point_size)
+        row.addWidget(size_label)
+        row.addWidget(self.point_size)
+        row.addStretch(1)
+        row.addWidget(QLabel("View"))
+        for text, action in (("Reset", actions.reset_view), ("Top", actions.top_view), ("Side", actions.side_view)):
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setText(text)
+            row.addWidget(button)
+        return row
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Make room for the legends."""
+        super().resizeEvent(event)
+        self._fit_legends()
+
+    def _show_view(self, name: CloudName, shown: bool) -> None:
+        self.views[name].setVisible(shown)
+        self.wantedChanged.emit()
+
+    def _resize_points(self, size: int) -> None:
+        for view in self.views.values():
+            view.set_point_size(size)
+
+    def _any_view(self) -> CloudView:
+        """Return a visible view; the others follow it."""
+        return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
+
+    def restore(self, point_size: float, color_by: str) -> None:
+        """Take up the choices of an earlier start, as far as they still mean something."""
+        with QSignalBlocker(self.color_by):
+            if color_by in list(ColorBy):
+                self.choose_colors(ColorBy(color_by))
+        if math.isfinite(point_size):
+            self.point_size.setValue(round(point_size))
+
+
+def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, rendered: Rendered) -> Legend:
+    """Return the legend of a view for a choice of colours."""
+    near, far = (round(limit, 3) for limit in rendered.depth_range_m)
+    if name is CloudName.TACTILE:
+        return depth_legend(near, far)
+    if color_by is ColorBy.PROVENANCE:
+        return provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH})
+    if color_by is ColorBy.DIFFERENCE:
+        return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
+    if name is CloudName.PROXIMITY:
+        return depth_legend(near, far)
+    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + patch_legend(theme)[1:]
+
+
+def _patch_difference_legend(t: float, theme: Theme) -> Legend:
+    """Return both ends of the colours within a patch, and both sides of zero."""
+    limit = patch_difference_limit(t)
+    lut = patch_difference_lut(limit, theme)
+    places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))
+    return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
+
+
+def _why_empty(name: CloudName, result: Result) -> str:
+    """Say why a view has no points and what to do about it."""
+    one_camera = result.source.rig.tactile.model == "none"
+    if name is CloudName.TACTILE and one_camera:
+        return _NO_TACTILE_CAMERA
+    if name is CloudName.TACTILE and result.rendered.clouds[name] is None:
+        return _NO_POSE
+    if name is not CloudName.PATCH:
+        return _NO_DEPTH
+    if one_camera:
+        return _ONE_CAMERA
+    if result.patch is None:
+        return result.problem
+    return result.rendered.no_contact

@@ -1,0 +1,1 @@
+"""Reading, processing and recording frames on threads beside the window."""

@@ -1,0 +1,116 @@
+"""Long work beside the GUI: one job at a time, with progress, and a way out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from threading import Event
+from typing import Any
+
+from PyQt6.QtCore import QObject, QThread, pyqtSignal
+
+from ...core.errors import TactuneError
+from .abandoned_threads import leave_behind
+
+Progress = Callable[[float, str], None]
+Work = Callable[[Progress], Any]
+
+
+class _CancelledError(TactuneError):
+    """Raised inside a job's progress call, to leave it."""
+
+
+class _Thread(QThread):
+    """Runs one piece of work."""
+
+    progress = pyqtSignal(float, str)
+
+    def __init__(self, work: Work, parent: QObject) -> None:
+        super().__init__(parent)
+        self._work = work
+        self.cancelled = Event()
+        self.result: Any = None
+        self.sentence = ""
+
+    def run(self) -> None:
+        """Do the work; errors become a sentence."""
+        try:
+            self.result = self._work(self._report)
+        except _CancelledError:
+            self.sentence = ""
+        except TactuneError as error:
+            self.sentence = str(error)
+        except Exception as error:
+            self.sentence = f"Something went wrong ({type(error).__name__}: {error}); nothing was changed."
+
+    def _report(self, share: float, words: str) -> None:
+        if self.cancelled.is_set():
+            raise _CancelledError("cancelled")
+        self.progress.emit(share, words)
+
+
+class Job(QObject):
+    """Does work on a thread of its own; a newer piece of work waits for the present one, and only the newest.
+
+    Signals
+    -------
+    progress(share: float, words: str)
+    done(result: object)
+    failed(sentence: str)
+        The sentence is empty where the job was cancelled.
+    busyChanged(busy: bool)
+    """
+
+    progress = pyqtSignal(float, str)
+    done = pyqtSignal(object)
+    failed = pyqtSignal(str)
+    busyChanged = pyqtSignal(bool)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._thread: _Thread | None = None
+        self._next: Work | None = None
+
+    @property
+    def busy(self) -> bool:
+        """Whether work is going on."""
+        return self._thread is not None
+
+    def start(self, work: Work) -> None:
+        """Do this work, now or once the present work has ended."""
+        if self._thread is not None:
+            self._next = work
+            return
+        self._thread = _Thread(work, self)
+        self._thread.progress.connect(self.progress)
+        self._thread.finished.connect(self._finished)
+        self._thread.start()
+        self.busyChanged.emit(True)
+
+    def cancel(self) -> None:
+        """Leave the present work at its next report of progress, and forget what waits."""
+        self._next = None
+        if self._thread is not None:
+            self._thread.cancelled.set()
+
+    def stop(self) -> None:
+        """Cancel; the work ends by itself where it does not report, and nothing is emitted any more."""
+        self.cancel()
+        if self._thread is not None:
+            leave_behind(self._thread)
+            self._thread = None
+
+    def _finished(self) -> None:
+        thread = self._thread
+        if thread is None or not thread.isFinished():
+            return  # this was told by one that was stopped
+        self._thread = None
+        newest, self._next = self._next, None
+        if newest is None:
+            self.busyChanged.emit(False)
+        if thread.sentence or thread.cancelled.is_set():
+            self.failed.emit(thread.sentence)
+        else:
+            self.done.emit(thread.result)
+        if newest is not None and self._thread is None:
+            self.start(newest)
+        thread.deleteLater()

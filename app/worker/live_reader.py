@@ -1,0 +1,165 @@
+"""Drains a live source on a thread of its own, whatever the worker and the window are doing."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from threading import Event, Lock, Thread
+from typing import Protocol
+
+from ...core.model.frames import SensorFrame
+from ...core.sources.base import CameraOption, CameraRole, FrameSource, Health
+from .explain import explain
+from .mailbox import Mailbox
+from .results import SourceState
+
+#: Orders (close, an option) wait no longer than this while no frame comes.
+POLL_S = 0.05
+HEALTH_INTERVAL_S = 0.2
+#: What is older than this is no longer what the cameras see, whatever the source says of itself.
+STALE_AFTER_S = 1.0
+#: A source that fails is asked again after this time.
+RETRY_S = 0.25
+#: A driver that hangs is left behind after this time, so that the window can close.
+PATIENCE_S = 5.0
+
+
+class LiveListener(Protocol):
+    """Who is told, on the reader's thread; nothing here may take long."""
+
+    def frame_arrived(self, reader: LiveReader) -> None:
+        """Note that `LiveReader.take` has something new."""
+
+    def state_changed(self, reader: LiveReader, state: SourceState) -> None:
+        """Note how the source is doing now."""
+
+    def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
+        """Note the settings of the cameras."""
+
+    def option_refused(self, reader: LiveReader, sentence: str) -> None:
+        """Note that a setting could not be changed."""
+
+
+class LiveReader:
+    """Owns an open live source; only its own thread touches it.
+
+    Every frame goes to ``record``; the newest waits for `take`, older ones are dropped and counted.
+    An error of the source is part of its state, and the source is asked again: cameras come back.
+    """
+
+    def __init__(self, source: FrameSource, record: Callable[[SensorFrame], None], listener: LiveListener) -> None:
+        self.source = source
+        self._record = record
+        self._listener = listener
+        self._frames: Mailbox[SensorFrame] = Mailbox()
+        self._wishes: dict[tuple[CameraRole, str], float] = {}
+        self._at_close: dict[tuple[CameraRole, str], float] = {}
+        self._wishes_lock = Lock()
+        self._closing = Event()
+        self._problem = ""
+        self._ended = False
+        self._last_frame_s = time.monotonic()
+        self._looked_s = 0.0
+        self._told: SourceState | None = None
+        self._cameras: tuple[tuple[str, str, bool], ...] | None = None
+        self._thread = Thread(target=self._run, name="live reader", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Frames that nobody took before the next one came."""
+        return self._frames.dropped
+
+    def take(self) -> SensorFrame | None:
+        """Take the newest frame, or None."""
+        return self._frames.take()
+
+    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
+        """Change a setting of a camera between two frames; while one is dragged, the newest value counts.
+
+        A setting that is changed for a while only is given ``at_close``, the value that it gets when the
+        source is closed before it is set again.
+        """
+        with self._wishes_lock:
+            self._wishes[camera, name] = value
+            self._at_close.pop((camera, name), None)
+            if at_close is not None:
+                self._at_close[camera, name] = at_close
+
+    def close(self) -> None:
+        """Stop reading and release the source."""
+        self._closing.set()
+        self._thread.join(PATIENCE_S)
+
+    # The thread
+
+    def _run(self) -> None:
+        try:
+            while not self._closing.is_set():
+                self._set_options()
+                self._read()
+                self._look_after()
+        finally:
+            with self._wishes_lock:
+                self._wishes |= self._at_close
+            self._set_options()
+            self.source.close()
+
+    def _read(self) -> None:
+        """Read one frame, if one comes within the time of a poll."""
+        if self._ended:
+            self._closing.wait(POLL_S)
+            return
+        try:
+            if not self.source.wait(POLL_S):
+                return
+            frame = self.source.next_frame()
+        except Exception as error:
+            self._problem = explain(error, f"no frame can be read from {self.source.name}")
+            self._closing.wait(RETRY_S)
+            return
+        if frame is None:
+            self._ended = True
+            self._problem = f"{self.source.name} has ended: open it again, or choose another source."
+            return
+        self._problem = ""
+        self._last_frame_s = time.monotonic()
+        self._record(frame)
+        if self._frames.put(frame):
+            self._listener.frame_arrived(self)
+
+    def _look_after(self) -> None:
+        """Now and then see how the source is doing, and tell what has changed."""
+        now = time.monotonic()
+        if self._told is not None and now - self._looked_s < HEALTH_INTERVAL_S:
+            return
+        self._looked_s = now
+        try:
+            health = self.source.health()
+            cameras = tuple((camera.role, camera.serial, camera.state != "missing") for camera in health.cameras)
+            if cameras != self._cameras:
+                self._cameras = cameras
+                self._listener.options_changed(self, self.source.options())
+        except Exception as error:
+            health = Health(ok=False, message=explain(error, f"{self.source.name} does not say how it is doing"))
+        stale = health.stale or self._ended or now - self._last_frame_s > STALE_AFTER_S
+        state = SourceState(health, stale, self._problem, self._last_frame_s if stale else 0.0)
+        if state != self._told:
+            self._told = state
+            self._listener.state_changed(self, state)
+
+    def _set_options(self) -> None:
+        with self._wishes_lock:
+            wishes, self._wishes = self._wishes, {}
+        if not wishes:
+            return
+        for (camera, name), value in wishes.items():
+            try:
+                self.source.set_option(camera, name, value)
+            except Exception as error:
+                sentence = explain(error, f"the {camera} camera refused {name} = {value:g}")
+                self._listener.option_refused(self, sentence)
+        try:
+            self._listener.options_changed(self, self.source.options())
+        except Exception as error:
+            self._listener.option_refused(self, explain(error, f"{self.source.name} does not tell its settings"))

@@ -1,0 +1,285 @@
+"""Turns a processed frame into what the widgets show, on the worker thread, as far as it is looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache, lru_cache
+
+import cv2
+import numpy as np
+
+from ...core.contact.alignment import tactile_pose
+from ...core.contact.pipeline import ContactPatch
+from ...core.contact.provenance import Provenance
+from ...core.errors import TactuneError
+from ...core.model.arrays import BoolArray, Float32Array, Uint8Array, Uint16Array
+from ...core.model.clouds import ray_table, valid_depth
+from ...core.model.frames import Rig, SensorFrame
+from ...core.preset import Preset
+from ...widgets.basics.colormaps import (
+    Theme,
+    depth_lut,
+    difference_index,
+    difference_lut,
+    patch_index,
+    patch_lut,
+    provenance_lut,
+)
+from ...widgets.clouds.cloud_data import DepthCloud
+from .no_contact import why_no_contact
+from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
+from .strip_drawing import draw_strip
+
+#: First row of a value in a table that begins with the shades of the context.
+VALUE_ROWS = 128
+HISTOGRAM_BINS = 160
+HISTOGRAM_LIMIT = 0.1
+_IDENTITY = np.eye(4)
+_SAMPLE = 6
+#: The depth colours span these percentiles of the membrane's depth, and some of the space around it, as
+#: shares of that span: objects are behind the membrane.
+_PERCENTILES = (1.0, 99.0)
+_NEARER, _FARTHER = 0.1, 0.75
+_SMALLEST_SPAN_M = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One frame with all that decides how it looks."""
+
+    frame: SensorFrame
+    patch: ContactPatch | None
+    preset: Preset
+    rig: Rig
+    color_by: ColorBy
+    theme: Theme
+    depth_range_m: tuple[float, float]
+
+    @property
+    def accepted(self) -> float:
+        """See `accepted_difference`."""
+        return accepted_difference(self.preset, self.depth_range_m)
+
+
+class Renderer:
+    """Draws frame after frame; keeps the depth colours steady within one source."""
+
+    def __init__(self) -> None:
+        self._rig: Rig | None = None
+        self._depth_range_m: tuple[float, float] | None = None
+
+    def render(
+        self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
+    ) -> Rendered:
+        """Return the pictures that are wanted; without a patch, what the cameras alone can show."""
+        sample_m = membrane_sample_m(frame, preset, rig)
+        depth_range_m = self._steady_depth_range(rig, sample_m)
+        theme: Theme = "dark" if wanted.dark else "light"
+        scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m)
+        clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
+        for cloud in clouds.values():
+            if cloud is not None:
+                _ = cloud.point_count  # counted here, so that the window need not
+        strip = None
+        if wanted.strip:
+            strip = draw_strip(
+                frame, patch, preset, rig, depth_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
+            )
+        by_tolerance = preset.contact_test == "tolerance"
+        return Rendered(
+            clouds=clouds,
+            strip=strip,
+            histogram=difference_histogram(patch, preset.tolerance.t)
+            if wanted.histogram and patch and by_tolerance
+            else None,
+            median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
+            depth_range_m=depth_range_m,
+            verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
+            accepted=scene.accepted,
+            no_contact=why_no_contact(patch.provenance, preset.contact_test)
+            if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds
+            else "",
+        )
+
+    def _steady_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
+        """Return a depth range that only ever widens while the source stays the same."""
+        if rig is not self._rig:
+            self._rig, self._depth_range_m = rig, None
+        if len(sample_m) == 0:
+            return self._depth_range_m or (0.0, 1.0)
+        near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
+        span = max(far - near, _SMALLEST_SPAN_M)
+        near, far = near - _NEARER * span, far + _FARTHER * span
+        if self._depth_range_m is not None:
+            near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
+        self._depth_range_m = near, far
+        return near, far
+
+
+def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
+    """Return the relative difference up to which the contact test takes both depths for equal.
+
+    The calibrated test has a gap in metres instead, here as a share of the scene's middle depth.
+    """
+    if preset.contact_test == "tolerance":
+        return preset.tolerance.t
+    middle_m = sum(depth_range_m) / 2
+    return float(f"{preset.calibrated.gap_m / middle_m:.2g}") if middle_m > 0 else 0.0
+
+
+def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
+    """Return the membrane's depth in every few pixels, metres, 1-D; enough for ranges and medians.
+
+    The tactile camera sees the membrane and nothing else. Without any tactile depth, what the
+    proximity camera sees has to do.
+    """
+    alignment = preset.alignment
+    sample = frame.tactile_depth[::_SAMPLE, ::_SAMPLE]
+    scale, offset = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
+    if not valid_depth(sample).any():
+        sample, scale, offset = frame.proximity_depth[::_SAMPLE, ::_SAMPLE], rig.proximity.depth_unit_m, 0.0
+    return np.asarray(sample[valid_depth(sample)] * np.float32(scale) + np.float32(offset))
+
+
+def proximity_view(scene: Scene) -> DepthCloud:
+    """Return the proximity cloud, coloured by depth, relative difference or provenance."""
+    patch, index, lut = scene.patch, None, depth_lut()
+    if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
+        index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
+    elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
+        cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
+        return replace(cloud, depth=_depth_with_patch(scene, patch))
+    return _proximity_cloud(scene, index, lut)
+
+
+def tactile_view(scene: Scene) -> DepthCloud | None:
+    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose."""
+    alignment, camera = scene.preset.alignment, scene.rig.tactile
+    try:
+        pose = tactile_pose(alignment, scene.rig)
+    except TactuneError:
+        return None
+    return DepthCloud(
+        depth=scene.frame.tactile_depth,
+        depth_unit_m=camera.depth_unit_m,
+        rays=ray_table(camera.intrinsics),
+        lut=depth_lut(),
+        pose=pose.astype(np.float64),
+        depth_scale=alignment.depth_scale,
+        depth_offset_m=alignment.depth_offset_m,
+        depth_range_m=scene.depth_range_m,
+    )
+
+
+def patch_view(scene: Scene) -> DepthCloud | None:
+    """Return the patch over the faint rest of the scene; None without a patch."""
+    patch = scene.patch
+    if patch is None:
+        return None
+    if scene.color_by is ColorBy.CONTACT:
+        index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
+    elif scene.color_by is ColorBy.PROVENANCE:
+        index, lut = patch.provenance, provenance_lut(scene.theme)
+    elif scene.color_by is ColorBy.DIFFERENCE:
+        limit = patch_difference_limit(scene.accepted)
+        index = _over_relief(scene, difference_index(patch.relative_difference, limit), patch.mask)
+        lut = patch_difference_lut(limit, scene.theme)
+    else:
+        index, lut = _over_relief(scene, _depth_rows(scene), patch.mask), patch_depth_lut(scene.theme)
+    return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
+
+
+_VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {
+    CloudName.PROXIMITY: proximity_view,
+    CloudName.TACTILE: tactile_view,
+    CloudName.PATCH: patch_view,
+}
+
+
+def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, count: int | None = None) -> DepthCloud:
+    camera = scene.rig.proximity
+    return DepthCloud(
+        depth=scene.frame.proximity_depth,
+        depth_unit_m=camera.depth_unit_m,
+        rays=ray_table(camera.intrinsics),
+        lut=lut,
+        pose=_IDENTITY,
+        index=index,
+        depth_range_m=scene.depth_range_m,
+        count=count,
+        framed=False,
+    )
+
+
+def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
+    """Return the proximity counts, those of a patch at its own points, which the calibrated test takes from both."""
+    counts = scene.frame.proximity_depth
+    if scene.preset.contact_test == "calibrated":
+        counts = counts.copy()
+        counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
+    return counts
+
+
+def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:
+    """Return the values of provenance that occur in a frame."""
+    counts = np.bincount(patch.provenance.ravel(), minlength=len(Provenance))
+    return frozenset(verdict for verdict in Provenance if counts[verdict])
+
+
+def patch_difference_limit(t: float) -> float:
+    """Return the end of the colour scale inside the patch, where all differences are within ±t."""
+    return max(t, 1e-4)
+
+
+def difference_histogram(patch: ContactPatch, t: float) -> Histogram:
+    """Count the relative differences in every other row and column, over a range that shows both ±t lines."""
+    limit = max(HISTOGRAM_LIMIT, 1.5 * t)
+    values = patch.relative_difference[::2, ::2]
+    values = values[np.isfinite(values)]
+    edges = np.linspace(-limit, limit, HISTOGRAM_BINS + 1)
+    if len(values) == 0:
+        return Histogram(np.zeros(HISTOGRAM_BINS, np.int64), edges)
+    counts = cv2.calcHist([values[None]], [0], None, [HISTOGRAM_BINS], [-limit, limit])
+    return Histogram(counts.ravel().astype(np.int64), edges)
+
+
+def _depth_rows(scene: Scene) -> Uint8Array:
+    """Return the row of a depth table for every proximity pixel."""
+    near, far = scene.depth_range_m
+    step = np.float32(scene.rig.proximity.depth_unit_m * 255 / (far - near))
+    rows = scene.frame.proximity_depth * step - np.float32(near * 255 / (far - near))
+    clipped: Uint8Array = np.clip(rows, 0, 255).astype(np.uint8)
+    return clipped
+
+
+def _relief(scene: Scene, contact: BoolArray) -> Uint8Array:
+    """Return rows of `patch_lut`: contact, and shades of the context over the range of the depth colours."""
+    near, far = (limit / scene.rig.proximity.depth_unit_m for limit in scene.depth_range_m)
+    return patch_index(contact, scene.frame.proximity_depth, near, far)
+
+
+def _over_relief(scene: Scene, rows: Uint8Array, contact: BoolArray) -> Uint8Array:
+    """Return rows of a table made by `_half_relief`: values within the patch, shades around it."""
+    shades = _relief(scene, contact) >> 1
+    return np.asarray(np.where(contact, (rows >> 1) + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)))
+
+
+@lru_cache(maxsize=16)
+def patch_difference_lut(limit: float, theme: Theme) -> Uint8Array:
+    """Return the colours of relative differences within a patch (the upper half), over its context."""
+    return _half_relief(difference_lut(0.0, limit), theme)
+
+
+@cache
+def patch_depth_lut(theme: Theme) -> Uint8Array:
+    """Return the colours of depth within a patch (the upper half), over its context."""
+    return _half_relief(depth_lut(), theme)
+
+
+def _half_relief(lut: Uint8Array, theme: Theme) -> Uint8Array:
+    """Return every other row of the context's shades, then every other row of a table: uint8 (256, 4)."""
+    mixed = np.concatenate([patch_lut(theme)[::2], lut[::2]])
+    mixed[VALUE_ROWS - 1] = mixed[VALUE_ROWS - 2]  # the last shade's place is the colour of contact
+    mixed.flags.writeable = False
+    return mixed

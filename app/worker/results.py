@@ -1,0 +1,202 @@
+"""What the worker hands to the window: one object per frame, complete and never changed again."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from dataclasses import dataclass, field, replace
+from enum import StrEnum
+from typing import TYPE_CHECKING
+
+from ...core.contact.pipeline import ContactPatch
+from ...core.contact.provenance import Provenance
+from ...core.errors import PresetError
+from ...core.model.arrays import Float64Array, Int64Array
+from ...core.model.frames import Rig, SensorFrame
+from ...core.preset import Preset
+from ...core.sources.base import FrameSource, Health
+from .playback import PlaybackState
+from .reference_finding import FindReference, no_reference, reference_finder
+
+if TYPE_CHECKING:
+    from ...widgets.clouds.cloud_data import DepthCloud
+    from ...widgets.images.strip_render import RenderedStrip
+
+
+#: Share of the strip's full resolution that is enough while frames run.
+_RUNNING_SHARE = 0.8
+
+
+class CloudName(StrEnum):
+    """The three views, left to right."""
+
+    PROXIMITY = "proximity"
+    TACTILE = "tactile"
+    PATCH = "patch"
+
+
+class ColorBy(StrEnum):
+    """What the colour of a point means."""
+
+    CONTACT = "contact"
+    DEPTH = "depth"
+    DIFFERENCE = "relative difference"
+    PROVENANCE = "provenance"
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What the window shows now; nothing else is computed for it.
+
+    ``strip_width`` is how many screen pixels one image of the strip takes across; 0 draws all pixels.
+    """
+
+    clouds: frozenset[CloudName] = frozenset(CloudName)
+    color_by: ColorBy = ColorBy.CONTACT
+    strip: bool = True
+    strip_width: int = 0
+    histogram: bool = True
+    dark: bool = False
+
+    def while_running(self) -> Wanted:
+        """Return what is enough while frames follow each other: the strip a little coarser."""
+        return replace(self, strip_width=round(_RUNNING_SHARE * self.strip_width))
+
+
+@dataclass(frozen=True, eq=False)
+class Histogram:
+    """Counts of the relative differences of one frame; ``edges`` has one entry more."""
+
+    counts: Int64Array
+    edges: Float64Array
+
+
+@dataclass(frozen=True, eq=False)
+class Rendered:
+    """The pictures of one frame; what nobody wanted is missing.
+
+    ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them; ``accepted`` is the
+    relative difference up to which the contact test takes depths for equal; ``no_contact`` says why an empty patch
+    that is looked at is empty.
+    """
+
+    clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
+    strip: RenderedStrip | None = None
+    histogram: Histogram | None = None
+    median_distance_m: float = float("nan")
+    depth_range_m: tuple[float, float] = (0.0, 1.0)
+    verdicts: frozenset[Provenance] = frozenset()
+    accepted: float = 0.0
+    no_contact: str = ""
+
+
+@dataclass(frozen=True)
+class SourceInfo:
+    """What is known of a source once it is open."""
+
+    name: str
+    rig: Rig
+    length: int | None
+    frame_rate_hz: float
+    preset: Preset | None = None
+    find_reference: FindReference = no_reference
+
+    @classmethod
+    def of(cls, source: FrameSource) -> SourceInfo:
+        """Ask a source; a preset that cannot be used counts as none."""
+        try:
+            preset = source.preset()
+        except PresetError:
+            preset = None
+        return cls(
+            source.name,
+            source.rig,
+            source.length,
+            source.frame_rate_hz,
+            preset,
+            find_reference=reference_finder(source),
+        )
+
+
+@dataclass(frozen=True)
+class SourceState:
+    """How the source is doing, told apart from its frames because it matters most while none come.
+
+    Attributes
+    ----------
+    health : Health
+        What the source says of itself.
+    stale : bool
+        The frame that was read last is old.
+    problem : str
+        Why no frame can be read, in one sentence.
+    last_frame_s : float
+        When the last frame came, by ``time.monotonic``; only while ``stale``.
+    """
+
+    health: Health = field(default_factory=Health)
+    stale: bool = False
+    problem: str = ""
+    last_frame_s: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Result:
+    """One processed frame.
+
+    Attributes
+    ----------
+    patch : ContactPatch or None
+        None where the preset cannot be used with this rig; ``problem`` says why.
+    warnings : tuple of str
+        What the pipeline has to say about the preset and the rig, such as another serial.
+    playback : PlaybackState
+        As it was when the frame was taken.
+    processed, dropped : int
+        Frames processed since the start, and those never shown because newer ones came first.
+    unmatched : int
+        Images without a partner from the other camera.
+    """
+
+    source: SourceInfo
+    frame: SensorFrame
+    preset: Preset
+    patch: ContactPatch | None
+    area_mm2: float
+    rendered: Rendered
+    playback: PlaybackState
+    problem: str = ""
+    warnings: tuple[str, ...] = ()
+    processed: int = 0
+    dropped: int = 0
+    unmatched: int = 0
+    processed_fps: float = 0.0
+    read_ms: float = 0.0
+    render_ms: float = 0.0
+
+    @property
+    def frame_number(self) -> int:
+        """Number of the frame within its source as windows show it, from 1; files and commands count from 0."""
+        return self.playback.index + 1
+
+
+class RateMeter:
+    """Events per second over the last two seconds."""
+
+    WINDOW_S = 2.0
+
+    def __init__(self) -> None:
+        self._times: deque[float] = deque()
+
+    def tick(self) -> None:
+        """Note an event now."""
+        self._times.append(time.perf_counter())
+
+    def rate(self) -> float:
+        """Return the events per second; 0 once the last one is older than the window."""
+        now = time.perf_counter()
+        while self._times and now - self._times[0] > self.WINDOW_S:
+            self._times.popleft()
+        if len(self._times) < 2:
+            return 0.0
+        return (len(self._times) - 1) / max(now - self._times[0], 1e-6)

@@ -1,0 +1,399 @@
+"""The worker: reads frames, finds the contact patch, draws what is looked at.
+
+A recording is read when a frame is due. A live source is drained by a thread of its own, which
+leaves the newest frame and wakes the worker, so that orders are obeyed at once while no frame comes.
+
+The window never waits for it. Orders go in through a queue; results come out of a one-slot mailbox.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from queue import Empty, SimpleQueue
+from typing import Any
+
+from PyQt6.QtCore import QObject, QThread, pyqtSignal
+
+from ...core.model.frames import SensorFrame
+from ...core.preset import Preset
+from ...core.sources.base import CameraOption, CameraRole, FrameSource
+from .abandoned_threads import leave_behind
+from .cores import leave_room_for_the_window
+from .error_hook import guarded
+from .explain import explain
+from .live_reader import PATIENCE_S, LiveReader
+from .mailbox import Mailbox
+from .opening import SourceRequest, open_requested
+from .playback import Playback
+from .processing import FrameProcessor
+from .reader import FrameReader
+from .recorder import Recorder, RecordingRequest
+from .results import Result, SourceInfo, SourceState, Wanted
+
+#: What does not end so long after it was told to is left behind; a live source that hangs is, too, by then.
+_PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
+
+
+class Worker(QThread):
+    """Owns the source and the pipeline; every public method may be called from the GUI thread.
+
+    Signals
+    -------
+    resultReady()
+        `take` has something new.
+    opening(name: str, fraction: float, text: str)
+    opened(SourceInfo)
+    openFailed(name: str, sentence: str)
+        The sentence is empty where opening was cancelled. The former source goes on.
+    failed(sentence: str)
+        Reading or processing a frame failed. A recording is paused; a live source goes on.
+    recovered()
+        A frame of a live source was processed again.
+    playbackChanged(PlaybackState)
+        Playing, looping, frozen or the speed changed; the frame number comes with each result.
+    stateChanged(SourceState)
+        How the source is doing, also while no frame comes.
+    optionsChanged(options: tuple[CameraOption, ...])
+        The settings of the source's cameras; empty for recordings.
+    optionRefused(sentence: str)
+    recordingStarted(path: Path)
+    recordingFailed(sentence: str), when it cannot be started
+    recordingEnded(RecordingEnd)
+    """
+
+    resultReady = pyqtSignal()
+    opening = pyqtSignal(str, float, str)
+    opened = pyqtSignal(object)
+    openFailed = pyqtSignal(str, str)
+    failed = pyqtSignal(str)
+    recovered = pyqtSignal()
+    playbackChanged = pyqtSignal(object)
+    stateChanged = pyqtSignal(object)
+    optionsChanged = pyqtSignal(object)
+    optionRefused = pyqtSignal(str)
+    recordingStarted = pyqtSignal(object)
+    recordingFailed = pyqtSignal(str)
+    recordingEnded = pyqtSignal(object)
+
+    def __init__(self, preset: Preset, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.recorder = Recorder(self.recordingEnded.emit)
+        self._orders: SimpleQueue[Callable[[], object]] = SimpleQueue()
+        self._mailbox: Mailbox[Result] = Mailbox(lambda old, new: old.frame is new.frame)
+        self._request: SourceRequest | None = None
+        self._stopping = False
+        self._playback = Playback()
+        self._preset = preset
+        self._wanted = Wanted()
+        self._processor = FrameProcessor()
+        self._reader: FrameReader | None = None
+        self._live: LiveReader | None = None
+        self._state = SourceState()
+        self._info: SourceInfo | None = None
+        self._frame: SensorFrame | None = None
+        self._newest: SensorFrame | None = None
+        self._failing = False
+        self._told = self._playback.state
+        self._redo = False
+
+    # Orders, from any thread
+
+    def take(self) -> Result | None:
+        """Take the newest result, or None."""
+        return self._mailbox.take()
+
+    def open(self, request: SourceRequest) -> None:
+        """Open a source and, once that has succeeded, play it instead of the present one.
+
+        A source that is still being opened is given up.
+        """
+        self._request = request
+        self._orders.put(lambda: self._open(request))
+
+    def cancel_open(self) -> None:
+        """Stop opening; the present source goes on."""
+        self._request = None
+
+    def set_preset(self, preset: Preset) -> None:
+        """Use another preset from the next frame on; a frame that stands still is done again."""
+        self._orders.put(lambda: self._change("_preset", preset))
+
+    def set_wanted(self, wanted: Wanted) -> None:
+        """Say what is looked at; a frame that stands still is drawn again."""
+        self._orders.put(lambda: self._change("_wanted", wanted))
+
+    def play(self) -> None:
+        """Play on from the present frame."""
+        self._orders.put(self._playback.play)
+
+    def pause(self) -> None:
+        """Stand still at the present frame; a live source goes on behind it."""
+        self._orders.put(self._stand_still)
+
+    def step(self, by: int) -> None:
+        """Pause and show the frame ``by`` frames away."""
+        self._orders.put(lambda: self._step(by))
+
+    def seek(self, index: int) -> None:
+        """Show frame ``index`` and stay in the present state, playing or paused."""
+        self._orders.put(lambda: self._show(index))
+
+    def set_loop(self, loop: bool) -> None:
+        """Start over at the end of a recording, or stop there."""
+        self._orders.put(lambda: setattr(self._playback, "loop", loop))
+
+    def set_speed(self, speed: float) -> None:
+        """Play a recording faster or slower than it was taken."""
+        self._orders.put(lambda: setattr(self._playback, "speed", speed))
+
+    def set_frozen(self, frozen: bool) -> None:
+        """Hold the present frame while a live source goes on; a recording waits."""
+        self._orders.put(lambda: self._freeze(frozen))
+
+    def set_held(self, held: bool) -> None:
+        """Make a recording wait while the person drags its slider."""
+        self._orders.put(lambda: setattr(self._playback, "held", held))
+
+    def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
+        """Change a setting of a camera; ``at_close`` as `LiveReader.set_option` takes it."""
+        self._orders.put(lambda: self._set_option(camera, name, value, at_close))
+
+    def start_recording(self, path: Path) -> None:
+        """Record into a file every frame that the source delivers: of a recording, those that are played."""
+        self._orders.put(lambda: self._start_recording(path))
+
+    def stop_recording(self, reason: str = "") -> None:
+        """Finish the file; `recordingEnded` tells when that is done."""
+        self._orders.put(lambda: self.recorder.stop(reason))
+
+    def shut_down(self) -> None:
+        """Stop, finish a recording, release the source; a source that does not let go is left behind."""
+        self._request = None
+        self._orders.put(lambda: setattr(self, "_stopping", True))
+        self.recorder.close()  # what was recorded is kept, however long its disk takes
+        if not self.wait(_PATIENCE_MS):
+            logging.getLogger(__name__).warning("The source was given up: it is still busy, and the window closes.")
+            leave_behind(self)
+
+    # The thread
+
+    def run(self) -> None:
+        """Obey orders and play frames until told to stop."""
+        leave_room_for_the_window()
+        try:
+            while True:
+                self._tell_playback()
+                self._obey(self._idle_s())
+                if self._stopping:
+                    break
+                self._tell_playback()
+                self._carry_on()
+        finally:
+            self._close_source()
+            self.recorder.close()
+
+    def _carry_on(self) -> None:
+        """Do what is due now: a new frame, or the present one again."""
+        newest = self._newest
+        if newest is not None and newest is not self._frame and self._playback.state.running:
+            self._playback.shown(newest.sequence, time.perf_counter())
+            self._frame = newest
+            self._process(newest)
+            return
+        due = self._reader is not None and self._playback.wait_s(time.perf_counter()) == 0.0
+        if self._redo and self._frame is not None and (self._playback.frozen or not due):
+            self._process(self._frame)
+        elif due:
+            self._advance()
+
+    def _tell_playback(self) -> None:
+        """Tell of another mode of playback; the frame number comes with each result."""
+        mode = replace(self._playback.state, index=-1)
+        if mode != self._told:
+            self._told = mode
+            self.playbackChanged.emit(self._playback.state)
+
+    def _idle_s(self) -> float | None:
+        """How long there is nothing to do but wait for orders; None: for ever."""
+        if self._redo and self._frame is not None:
+            return 0.0
+        return self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
+
+    def _obey(self, idle_s: float | None) -> None:
+        """Carry out all orders that are waiting; wait for the first one as long as nothing else is due."""
+        try:
+            order = self._orders.get(timeout=idle_s) if idle_s != 0.0 else self._orders.get_nowait()
+            while True:
+                guarded(order)
+                order = self._orders.get_nowait()
+        except Empty:
+            return
+
+    def _change(self, name: str, value: Any) -> None:
+        setattr(self, name, value)
+        self._redo = True
+
+    def _open(self, request: SourceRequest) -> None:
+        if request.exclusive and self._live is not None:
+            closed = f"{self._live.source.name} was closed for {request.name}."
+            self._close_source(f"{request.name} is being opened")
+            self._tell_state(SourceState(stale=True, problem=closed, last_frame_s=time.monotonic()))
+        try:
+            source = open_requested(
+                request,
+                lambda: self._request is request,
+                lambda fraction, text: self.opening.emit(request.name, fraction, text),
+            )
+        except Exception as error:
+            wanted = self._request is request
+            self.openFailed.emit(request.name, explain(error, f"{request.name} could not be opened") if wanted else "")
+            return
+        self._use_source(source)
+
+    def _use_source(self, source: FrameSource) -> None:
+        self._close_source(f"{source.name} was opened")
+        self._info = SourceInfo.of(source)
+        self._processor.forget()
+        self._playback.start_source(source.length, source.frame_rate_hz)
+        self.opened.emit(self._info)
+        if source.length is None:
+            self._live = LiveReader(source, self.recorder.put, self)
+            return
+        self._reader = FrameReader(source)
+        self.optionsChanged.emit(source.options())
+        self._tell_state(SourceState(source.health()))
+        if not self._playback.playing:
+            self._show(0)
+
+    def _close_source(self, reason: str = "") -> None:
+        """Let go of the present source, and finish its recording."""
+        self.recorder.stop(reason)
+        for reader in (self._live, self._reader):
+            if reader is not None:
+                reader.close()
+        self._live, self._reader, self._frame, self._newest = None, None, None, None
+        self._state = SourceState()
+
+    # What the reader of a live source tells, on its own thread
+
+    def frame_arrived(self, reader: LiveReader) -> None:
+        """Take the newest frame as soon as the worker has time for it."""
+        self._orders.put(lambda: self._take_newest(reader))
+
+    def state_changed(self, reader: LiveReader, state: SourceState) -> None:
+        """Tell how the source is doing."""
+        self._orders.put(lambda: self._tell_state(state) if reader is self._live else None)
+
+    def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
+        """Tell the settings of the cameras."""
+        self._orders.put(lambda: self.optionsChanged.emit(options) if reader is self._live else None)
+
+    def option_refused(self, reader: LiveReader, sentence: str) -> None:
+        """Tell that a setting could not be changed."""
+        self._orders.put(lambda: self.optionRefused.emit(sentence) if reader is self._live else None)
+
+    # Steps
+
+    def _take_newest(self, reader: LiveReader) -> None:
+        if reader is self._live:
+            self._newest = reader.take() or self._newest
+
+    def _tell_state(self, state: SourceState) -> None:
+        if state != self._state:
+            self._state = state
+            self.stateChanged.emit(state)
+
+    def _set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None) -> None:
+        if self._live is not None:
+            self._live.set_option(camera, name, value, at_close)
+        else:
+            self.optionRefused.emit("No camera is open that could be set: open one in the Source menu.")
+
+    def _start_recording(self, path: Path) -> None:
+        if self._info is None or (self._live is None and self._reader is None):
+            self.recordingFailed.emit("There is nothing to record yet: open a source first.")
+            return
+        info = self._info
+        try:
+            reference = self._reader.reference() if self._reader is not None else None
+            self.recorder.start(RecordingRequest(path, info.rig, self._preset, info.frame_rate_hz, reference))
+        except Exception as error:
+            self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
+            return
+        if self._live is None and self._frame is not None:
+            self.recorder.put(self._frame, self._playback.state.index + 1, wait=True)  # begins with what is shown
+        self.recordingStarted.emit(path)
+
+    def _stand_still(self) -> None:
+        self._playback.pause()
+        self._redo = True  # what stands still is drawn in full
+
+    def _freeze(self, frozen: bool) -> None:
+        self._playback.frozen = frozen
+        self._redo = True
+
+    def _step(self, by: int) -> None:
+        self._playback.pause()
+        self._playback.frozen = False
+        index = self._playback.step_index(by)
+        if index is not None:
+            self._show(index)
+
+    def _advance(self) -> None:
+        index = self._playback.next_index()
+        if index is not None and (frame := self._show(index)) is not None:
+            self.recorder.put(frame, index + 1, wait=True)
+
+    def _show(self, index: int) -> SensorFrame | None:
+        """Read frame ``index`` of a recording, process and post it; return it."""
+        if self._reader is None or self._info is None:
+            return None
+        started = time.perf_counter()
+        try:
+            frame = self._reader.read(index)
+        except Exception as error:
+            self._fail(explain(error, f"frame {index + 1} of {self._info.name} could not be read"))
+            return None
+        if frame is None:
+            self._playback.pause()
+            return None
+        self._playback.shown(index, time.perf_counter())
+        if self._playback.playing:
+            self._reader.read_ahead(self._playback.following_index())
+        self._tell_state(SourceState(self._reader.source.health()))
+        self._frame = frame
+        self._process(frame, read_ms=1e3 * (time.perf_counter() - started))
+        return frame
+
+    def _process(self, frame: SensorFrame, read_ms: float = 0.0) -> None:
+        assert self._info is not None
+        self._redo = False
+        health = self._state.health
+        not_taken = self._live.dropped if self._live is not None else 0
+        try:
+            result = self._processor.process(
+                self._info, frame, self._preset, self._wanted, self._playback.state,
+                dropped=self._mailbox.dropped + not_taken + health.dropped,
+                unmatched=health.unmatched, read_ms=read_ms,
+            )  # fmt: skip
+        except Exception as error:
+            number = self._playback.state.index + 1
+            self._fail(explain(error, f"frame {number} of {self._info.name} could not be processed"))
+            return
+        if self._failing:
+            self._failing = False
+            self.recovered.emit()
+        if self._mailbox.put(result):
+            self.resultReady.emit()
+
+    def _fail(self, sentence: str) -> None:
+        if self._live is None:
+            self._playback.pause()
+        elif self._failing:
+            return  # frame after frame fails: saying it once is enough
+        self._failing = self._live is not None
+        self.failed.emit(sentence)

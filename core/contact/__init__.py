@@ -1,0 +1,1 @@
+"""From a frame to its contact patch: alignment, contact tests, outlier removal."""

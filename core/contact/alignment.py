@@ -1,0 +1,185 @@
+"""Bringing tactile measurements to proximity pixels, by one of two models.
+
+The homography is the paper's: both images are laid over each other by one plane's homography.
+The rigid model projects each proximity point into the tactile image and compares the depth expected
+there with the depth measured there, which is exact wherever the membrane touches.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import RigMismatchError
+from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Int64Array, Uint16Array
+from ..model.clouds import flat, planes_of, ray_table
+from ..model.frames import Rig
+from ..preset import AlignmentSection
+from .kernels import chain as kernels
+from .kernels.lenses import lens_parameters
+from .kernels.threads import by_rows
+
+
+@dataclass(frozen=True, eq=False)
+class AlignedDepth:
+    """Both sides of the tolerance test, per proximity pixel; nan where there is none.
+
+    Attributes
+    ----------
+    expected_m : float32, shape (H, W)
+        dp: where the tactile camera would see the proximity point (rigid), or the proximity depth
+        itself (homography), metres.
+    measured_m : float32, shape (H, W)
+        dt: the tactile depth there, after scale and offset, metres.
+    """
+
+    expected_m: Float32Array
+    measured_m: Float32Array
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
+        """Return two unwritten images."""
+        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class AlignmentModel:
+    """Either model, as the kernels take it.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Width and height of the proximity image, then of the tactile image.
+    tables : tuple
+        See ``model`` in `tactune.core.contact.kernels.chain`.
+    """
+
+    size: tuple[int, int, int, int]
+    tables: tuple[bool, Float32Array, Float32Array, Int32Array, int, Float32Array]
+
+    def align(self, proximity: Uint16Array, tactile: Uint16Array, region: Int64Array) -> AlignedDepth:
+        """Return both depths for every proximity pixel of a region (left, top, right, bottom)."""
+        aligned = AlignedDepth.empty(proximity.shape)
+        images = flat(proximity), flat(tactile)
+        expected, measured = aligned.expected_m.reshape(-1), aligned.measured_m.reshape(-1)
+        by_rows(
+            lambda first, last: kernels.align_rows(
+                *images, self.size, self.tables, region, first, last, expected, measured
+            ),
+            len(proximity),
+        )
+        return aligned
+
+    def tactile_pixels(self, pixels: IndexArray, depth_m: Float32Array, rig: Rig) -> tuple[Float32Array, Float32Array]:
+        """Return the tactile pixels ``u``, ``v``, shape (N,), of flat proximity pixels at some depths.
+
+        nan where there is none, as behind the camera; they may lie outside the image.
+        """
+        rigid, units, planes, table, *_ = self.tables
+        if not rigid:
+            partners = table[pixels]
+            width = self.size[2]
+            u, v = (np.where(partners >= 0, part, np.nan) for part in (partners % width, partners // width))
+            return u.astype(np.float32), v.astype(np.float32)
+        count = self.size[0] * self.size[1]
+        points = np.stack([planes[axis * count + pixels] * depth_m + units[3 + axis] for axis in range(3)], axis=1)
+        points[points[:, 2] <= 0] = np.nan
+        u, v = rig.tactile.intrinsics.project(points).astype(np.float32).T
+        return u, v
+
+
+def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
+    """Build the model that a preset asks for, with its tables.
+
+    Raises
+    ------
+    RigMismatchError
+        The preset leaves the pose to the rig and the rig has none.
+    """
+    (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
+    rigid = section.model == "rigid"
+    factor, offset = rig.tactile.depth_unit_m * section.depth_scale, section.depth_offset_m
+    planes, table = np.empty(0, np.float32), np.empty(0, np.int32)
+    translation: Float64Array = np.zeros(3)
+    if rigid:
+        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        translation = np.asarray(T_t_p[:3, 3], np.float64)
+        planes = planes_of(rotated_rays(T_t_p, rig))
+    else:
+        shapes = (height, width), (tactile_height, tactile_width)
+        table = flat(homography_table(tactile_homography(section, rig), *shapes))
+    units = np.array([rig.proximity.depth_unit_m, factor, offset, *translation], np.float32)
+    lens, camera = lens_parameters(rig.tactile.intrinsics)
+    return AlignmentModel((width, height, tactile_width, tactile_height), (rigid, units, planes, table, lens, camera))
+
+
+def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:
+    """Return ``T_p_t`` (4 x 4): the preset's own, or else the rig's.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither has one.
+    """
+    pose = section.rigid.T_proximity_tactile or rig.T_proximity_tactile
+    if pose is None:
+        raise RigMismatchError(
+            "alignment.rigid.T_proximity_tactile is empty and the rig states no pose either; "
+            "calibrate, or set the pose in the preset"
+        )
+    return np.asarray(pose)
+
+
+def tactile_homography(section: AlignmentSection, rig: Rig) -> Float64Array:
+    """Return ``H_p_t`` (3 x 3): the preset's own, or else the one that the pose induces.
+
+    For the frontal plane z = d in the proximity frame, ``H_t_p = K_t (R + t n^T / d) K_p^-1`` with
+    ``T_t_p = [R | t]`` and n = (0, 0, 1) (Hartley and Zisserman, Multiple View Geometry, eq. 13.2).
+
+    Raises
+    ------
+    RigMismatchError
+        There is no pose, or the tactile camera lies in that plane and sees it edge on.
+    """
+    if section.homography.H_p_t is not None:
+        return np.asarray(section.homography.H_p_t)
+    T_t_p = np.linalg.inv(tactile_pose(section, rig))
+    plane = np.outer(T_t_p[:3, 3], (0.0, 0.0, 1.0 / section.homography.plane_distance_m))
+    if abs(np.linalg.det(T_t_p[:3, :3] + plane)) < 1e-6:
+        raise RigMismatchError(
+            f"alignment.homography.plane_distance_m is {section.homography.plane_distance_m:g}, "
+            "but the tactile camera lies in that plane; choose another distance or check the pose"
+        )
+    K_p, K_t = rig.proximity.intrinsics.camera_matrix(), rig.tactile.intrinsics.camera_matrix()
+    H_p_t = np.linalg.inv(K_t @ (T_t_p[:3, :3] + plane) @ np.linalg.inv(K_p))
+    return np.asarray(H_p_t / H_p_t[2, 2])
+
+
+def rotated_rays(T_t_p: npt.ArrayLike, rig: Rig) -> Float32Array:
+    """Return each proximity ray ``(x/z, y/z, 1)`` rotated into the tactile frame, float32 (H, W, 3)."""
+    rays = ray_table(rig.proximity.intrinsics).astype(np.float64)
+    homogeneous = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
+    return np.ascontiguousarray(homogeneous @ np.asarray(T_t_p)[:3, :3].T, dtype=np.float32)
+
+
+def homography_table(
+    H_p_t: Float64Array, proximity_shape: tuple[int, int], tactile_shape: tuple[int, int]
+) -> Int32Array:
+    """Return the flat tactile pixel nearest to each proximity pixel's preimage, -1 outside the image.
+
+    Pixels whose preimage lies beyond the homography's horizon, seen from the tactile image's
+    centre, have no partner either.
+    """
+    (height, width), (tactile_height, tactile_width) = proximity_shape, tactile_shape
+    v, u = np.mgrid[:height, :width].astype(np.float64)
+    x, y, w = np.einsum("ij,jvu->ivu", np.linalg.inv(H_p_t), np.stack([u, v, np.ones_like(u)]))
+    centre_w = H_p_t[2] @ ((tactile_width - 1) / 2, (tactile_height - 1) / 2, 1.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        tactile_u, tactile_v = np.floor(x / w + 0.5), np.floor(y / w + 0.5)
+    inside = (w * centre_w > 0) & (tactile_u >= 0) & (tactile_u < tactile_width)
+    inside &= (tactile_v >= 0) & (tactile_v < tactile_height)
+    table = np.full(proximity_shape, -1, np.int32)
+    table[inside] = (tactile_v[inside] * tactile_width + tactile_u[inside]).astype(np.int32)
+    return table

@@ -1,0 +1,95 @@
+"""Compiled colour look-up and colour test."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...model.arrays import Int64Array
+from ...preset import MaskSection
+from .compiling import inline, kernel
+from .lenses import project
+from .simd import LANES, bits, floats, floor, greater, ints, lesser, shift_right, to_floats, to_ints, where
+from .simd_memory import load_colors
+
+_HALF = np.float32(0.5)
+
+# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits. The entries are quotients to the nearest
+# whole number, which float32 gives exactly for each of the 255 divisors.
+_SHIFT = 12
+_ONE = np.float32(1.0)
+_NOTHING, _FOUR = np.int32(0), np.int32(4)
+_FULL, _SIXTH = np.float32(255 << _SHIFT), np.float32((180 << _SHIFT) // 6)
+_ROUND, _HUES = np.int32(1 << (_SHIFT - 1)), np.int32(180)
+
+
+def hsv_limits(section: MaskSection) -> Int64Array:
+    """Return the range as the kernels take it: low and high hue, saturation and value."""
+    return np.array([*section.hue, *section.saturation, *section.value], np.int64)
+
+
+@inline
+def _divided(dividend: Any, divisor: Any) -> Any:
+    """Return the quotient to the nearest whole number; a divisor of 0 counts as 1."""
+    quotient = floats(dividend) / greater(to_floats(divisor), floats(_ONE))
+    return to_ints(floor(quotient + floats(_HALF)))
+
+
+@inline
+def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
+    """Tell which colours (int32) lie in a range of OpenCV's 8-bit HSV; a low hue above the high wraps."""
+    value = greater(r, greater(g, b))
+    chroma = value - lesser(r, lesser(g, b))
+    saturation = shift_right(chroma * _divided(_FULL, value) + ints(_ROUND), _SHIFT)
+    hue = where(
+        value == r,
+        g - b,
+        where(value == g, b - r + chroma + chroma, r - g + ints(_FOUR) * chroma),
+    )
+    hue = shift_right(hue * _divided(_SIXTH, chroma) + ints(_ROUND), _SHIFT)
+    hue = where(hue < ints(_NOTHING), hue + ints(_HUES), hue)
+    low, high = ints(np.int32(limits[0])), ints(np.int32(limits[1]))
+    from_low, to_high = hue >= low, hue <= high
+    fits = (from_low & to_high) if limits[0] <= limits[1] else (from_low | to_high)
+    fits = fits & (saturation >= ints(np.int32(limits[2]))) & (saturation <= ints(np.int32(limits[3])))
+    return fits & (value >= ints(np.int32(limits[4]))) & (value <= ints(np.int32(limits[5])))
+
+
+@kernel
+def colors_in_range(image: Any, limits: Any, inside: Any) -> None:
+    """Test colours, uint8, flat with at least `LANES` of them; the first of them for each element of ``inside``."""
+    count = inside.shape[0]
+    last = image.shape[0] // 3 - LANES
+    for start in range(0, count, LANES):
+        place = min(start, last)
+        red, green, blue = load_colors(image, place)
+        found = bits(lanes_in_range(red, green, blue, limits))
+        for i in range(start, min(start + LANES, count)):
+            inside[i] = (found >> (i - place)) & 1 == 1
+
+
+@kernel
+def color_lookup(
+    points: Any, rotation: Any, translation: Any, lens: Any, camera: Any, image: Any, colors: Any, seen: Any
+) -> None:
+    """Write the colour at which a colour camera sees each point; ``seen`` is False outside its image."""
+    height, width = image.shape[:2]
+    u_end = np.float32(width) - _HALF
+    v_end = np.float32(height) - _HALF
+    for i in range(points.shape[0]):
+        px, py, pz = points[i, 0], points[i, 1], points[i, 2]
+        x = rotation[0, 0] * px + rotation[0, 1] * py + rotation[0, 2] * pz + translation[0]
+        y = rotation[1, 0] * px + rotation[1, 1] * py + rotation[1, 2] * pz + translation[1]
+        z = rotation[2, 0] * px + rotation[2, 1] * py + rotation[2, 2] * pz + translation[2]
+        seen[i] = False
+        if not z > 0:
+            continue
+        u, v = project(x, y, z, lens, camera)
+        if u >= -_HALF and u < u_end and v >= -_HALF and v < v_end:
+            row, column = math.floor(v + _HALF), math.floor(u + _HALF)
+            colors[i, 0] = image[row, column, 0]
+            colors[i, 1] = image[row, column, 1]
+            colors[i, 2] = image[row, column, 2]
+            seen[i] = True

@@ -1,0 +1,276 @@
+"""Passes over pixels that the calibrated contact test makes, compiled; see `tactune.core.contact.kernels.chain`."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import numpy as np
+
+from .chain import TILE_ROWS, both_depths, colors_seen, is_depth, lane_columns, vector_place, within
+from .colors import lanes_in_range
+from .compiling import inline, kernel
+from .simd import LANES, absolute, bits, flags, floats, ints, load, store, to_floats, where
+from .simd_memory import float_scratch, int_scratch
+
+#: States of pixels, as `find_differences` writes them.
+TAKES_NO_PART: Final = 0
+USABLE: Final = 1
+MASKED: Final = 2
+EXCLUDED: Final = 3
+
+_NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
+_NONE = np.int32(0)
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_SHORTEST = np.float32(1e-9)
+_float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
+
+
+@kernel
+def find_differences(
+    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, most: Any, rays: Any, image: Any,
+    color: Any, hsv: Any, tiles: Any, box: Any, first: Any, last: Any, differences: Any, states: Any
+) -> None:  # fmt: skip
+    """Write where both depths differ by less than ``most`` (float32, metres), for some rows of a rectangle.
+
+    Parameters
+    ----------
+    limits : float32
+        Nearest and farthest depth.
+    rays, image, color, hsv, tiles
+        As in `kernels.find_candidates`.
+    box : tuple of int
+        Left, top and right (exclusive) of the rectangle; left is a multiple of `LANES`.
+    first, last : int
+        Image rows; last exclusive.
+    differences : float32, flat
+        Proximity less tactile depth by pixel of the rectangle, metres; 0 where it is not below ``most``.
+    states : uint8, flat
+        `USABLE`, `MASKED` (the colour is the bare membrane's), `EXCLUDED` (outside the region or range), or
+        `TAKES_NO_PART`.
+    """
+    width, height = size[0], size[1]
+    pixels = max(width * height, LANES)
+    left, top, right = box
+    difference_lanes, state_lanes = _float_vector(), _int_vector()
+    for v in range(first, last):
+        row_in_region = v >= region[1] and v < region[3]
+        for u in range(left, right, LANES):
+            place, before = vector_place(v, u, width, pixels)
+            count = load(counts, place)
+            depth = to_floats(count) * floats(model[1][0])
+            column = lane_columns(u, before)
+            considered = within(column, region[0], region[2])
+            if not row_in_region:
+                considered = flags(0)
+            in_range = (depth >= floats(limits[0])) & (depth <= floats(limits[1]))
+            considered = considered & (in_range | ~is_depth(count))
+            state = where(considered, ints(_NO_PART), ints(_EXCLUDED))
+            difference = floats(_ZERO)
+            valid = considered & is_depth(count) & (column >= ints(np.int32(u)))
+            if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:
+                dp, _, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
+                near = has_dt & (absolute(dp - dt) < floats(most))
+                difference = where(near, dp - dt, floats(_ZERO))
+                state = where(near, ints(_USABLE), state)
+                if hsv.shape[0] > 0 and bits(near) != 0:
+                    x = load(rays, place) * depth
+                    y = load(rays, pixels + place) * depth
+                    red, green, blue, seen = colors_seen(x, y, depth, place, image, color)
+                    state = where(near & seen & lanes_in_range(red, green, blue, hsv), ints(_MASKED), state)
+            there = (v - top) * (right - left) + u - left
+            if u + LANES <= right:
+                store(differences, there, difference)
+                store(states, there, state)
+                continue
+            store(difference_lanes, 0, difference)
+            store(state_lanes, 0, state)
+            for i in range(right - u):
+                differences[there + i] = difference_lanes[before + i]
+                states[there + i] = np.uint8(state_lanes[before + i])
+
+
+@kernel
+def count_gaps(gaps: Any, known: Any, limit: Any, edges: Any, counts: Any) -> Any:
+    """Add the known gaps (H, W) to a histogram with evenly spaced edges; return how many are below ``limit``.
+
+    The bins are those of `numpy.histogram`: each begins at its lower edge, the last has its upper edge, too.
+    """
+    bins = counts.shape[0]
+    per_bin = bins / (edges[bins] - edges[0])
+    found = 0
+    for v in range(gaps.shape[0]):
+        for u in range(gaps.shape[1]):
+            gap = gaps[v, u]
+            if not known[v, u] or not abs(gap) < limit:
+                continue
+            found += 1
+            if gap < edges[0] or gap > edges[bins]:
+                continue
+            place = min(int((gap - edges[0]) * per_bin), bins - 1)
+            while gap < edges[place]:
+                place -= 1
+            while place < bins - 1 and gap >= edges[place + 1]:
+                place += 1
+            counts[place] += 1
+    return found
+
+
+@kernel
+def turn_to_normal(
+    gaps: Any, depth: Any, along_x: Any, along_y: Any, rays: Any, top: Any, left: Any, least: Any
+) -> None:
+    """Multiply gaps (H, W) by the cosine between the optical axis and a surface's normal, at least ``least``.
+
+    ``along_x`` and ``along_y`` are the slopes of ``depth`` times the focal lengths; ``rays`` (float32, (H, W, 2)) are
+    those of the whole image, in which the gaps begin at ``top`` and ``left``.
+    """
+    for v in range(gaps.shape[0]):
+        for u in range(gaps.shape[1]):
+            x, y = along_x[v, u], along_y[v, u]
+            z = depth[v, u] + rays[top + v, left + u, 0] * x + rays[top + v, left + u, 1] * y
+            cosine = abs(z) / max(np.sqrt(x * x + y * y + z * z), _SHORTEST)
+            gaps[v, u] *= min(max(cosine, least), _ONE)
+
+
+@kernel
+def spread_ways(near: Any, labels: Any, between: Any, factor: Any, most: Any, of_label: Any, ways: Any) -> None:
+    """Write the way that is taken away at each pixel: that of the pixel outside ``near`` whose label it bears.
+
+    There it is ``factor`` times ``between``, the way to the second line, and at most ``most``. Images are (H, W).
+    """
+    height, width = labels.shape
+    for v in range(height):
+        for u in range(width):
+            if near[v, u] == 0:
+                of_label[labels[v, u]] = min(factor * between[v, u], most)
+    for v in range(height):
+        for u in range(width):
+            ways[v, u] = of_label[labels[v, u]]
+
+
+@kernel
+def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
+    """Write the mean count of the pixels that have a depth, by square of ``side`` pixels, and which share has one."""
+    for row in range(means.shape[0]):
+        for column in range(means.shape[1]):
+            total, known = 0, 0
+            for v in range(row * side, (row + 1) * side):
+                for u in range(column * side, (column + 1) * side):
+                    count = int(counts[v, u])
+                    if 0 < count < 65535:
+                        total += count
+                        known += 1
+            means[row, column] = np.float32(total / (known if known > 0 else 1))
+            shares[row, column] = np.float32(known / (side * side))
+
+
+@inline
+def derivatives(image: Any, v: Any, u: Any) -> Any:
+    """Return the first differences along u and v at a pixel, and the second along u, both, and v."""
+    middle = np.float64(image[v, u])
+    left, right = np.float64(image[v, u - 1]), np.float64(image[v, u + 1])
+    above, below = np.float64(image[v - 1, u]), np.float64(image[v + 1, u])
+    across = np.float64(image[v + 1, u + 1]) - image[v + 1, u - 1] - image[v - 1, u + 1] + image[v - 1, u - 1]
+    return (right - left) / 2, (below - above) / 2, right - 2 * middle + left, across / 4, below - 2 * middle + above
+
+
+@kernel
+def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
+    """Write twice the mean curvature of a surface by its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
+
+    ``points`` (3, H, W) go to the right and down; derivatives are differences over one place to either side. Positive
+    where the surface bulges away from the camera; nan at the border and where ``known`` is below ``least``.
+    """
+    height, width = known.shape
+    out[:] = np.float32(np.nan)
+    for v in range(1, height - 1):
+        for u in range(1, width - 1):
+            if known[v, u] < least:
+                continue
+            x_u, x_v, x_uu, x_uv, x_vv = derivatives(points[0], v, u)
+            y_u, y_v, y_uu, y_uv, y_vv = derivatives(points[1], v, u)
+            z_u, z_v, z_uu, z_uv, z_vv = derivatives(points[2], v, u)
+            ee, gg = x_u * x_u + y_u * y_u + z_u * z_u, x_v * x_v + y_v * y_v + z_v * z_v
+            ff = x_u * x_v + y_u * y_v + z_u * z_v
+            area = ee * gg - ff * ff
+            if area <= 0.0:
+                continue
+            nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
+            ll = x_uu * nx + y_uu * ny + z_uu * nz
+            mm = x_uv * nx + y_uv * ny + z_uv * nz
+            nn = x_vv * nx + y_vv * ny + z_vv * nz
+            out[v, u] = np.float32(-(ee * nn - 2 * ff * mm + gg * ll) / (area * np.sqrt(area)))
+
+
+@kernel
+def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, jump: Any) -> Any:
+    """Set ``frames`` to 0 in the squares of ``side`` pixels whose depth has moved; return how many there are.
+
+    A square has moved if the mean change of its depths is more than ``share`` of their mean; a pixel's change counts
+    as at most ``jump`` of its depth. Squares of which a quarter or less has depth then and now are not judged.
+    """
+    height, width = counts.shape
+    found = 0
+    for top in range(0, height, side):
+        for left in range(0, width, side):
+            change, depth, known = _ZERO, _ZERO, 0
+            for v in range(top, min(top + side, height)):
+                for u in range(left, min(left + side, width)):
+                    count = counts[v, u]
+                    if not 0 < count < 65535 or frames[v, u] == _ZERO:
+                        continue
+                    mean = means[v, u]
+                    change += min(max(np.float32(count) - mean, -jump * mean), jump * mean)
+                    depth += mean
+                    known += 1
+            pixels = (min(top + side, height) - top) * (min(left + side, width) - left)
+            if 4 * known <= pixels or abs(change) <= share * depth:
+                continue
+            found += 1
+            frames[top : top + side, left : left + side] = _ZERO
+    return found
+
+
+@kernel
+def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump: Any) -> None:
+    """Add an image of counts to the means over ``frames`` frames, and write these as counts; 0 where there is none.
+
+    A pixel that differs by more than ``jump`` of its mean begins anew; one without depth counts a frame less.
+    """
+    height, width = counts.shape
+    for v in range(height):
+        for u in range(width):
+            count, before, mean = counts[v, u], frames[v, u], means[v, u]
+            value = np.float32(count)
+            if not 0 < count < 65535:
+                before = max(before - _ONE, _ZERO)
+            elif before == _ZERO or abs(value - mean) > jump * mean:
+                before, mean = _ONE, value
+            else:
+                before = min(before + _ONE, most)
+                mean += (value - mean) / before
+            frames[v, u], means[v, u] = before, mean
+            out[v, u] = np.uint16(mean + _HALF) if before > _ZERO else np.uint16(0)
+
+
+@kernel
+def collect_points(
+    contact: Any, depth: Any, share: Any, least: Any, rays: Any, top: Any, left: Any, pixels_out: Any, points_out: Any
+) -> Any:
+    """Collect the pixels in contact whose share is above ``least``, with their points; return how many.
+
+    Images are (H, W), cut from ``top`` and ``left`` of that of ``rays`` (H, W, 2). ``pixels_out`` takes flat pixels
+    of the whole image, ``points_out`` is (N, 3).
+    """
+    count = 0
+    for v in range(contact.shape[0]):
+        for u in range(contact.shape[1]):
+            if not contact[v, u] or not share[v, u] > least:
+                continue
+            z = depth[v, u]
+            pixels_out[count] = (top + v) * rays.shape[1] + left + u
+            points_out[count, 0] = rays[top + v, left + u, 0] * z
+            points_out[count, 1] = rays[top + v, left + u, 1] * z
+            points_out[count, 2] = z
+            count += 1
+    return count

@@ -1,0 +1,105 @@
+"""Shares work between threads, without numba's threading layers.
+
+Those abort the process when two Python threads start parallel kernels at once (workqueue) or in a
+forked child (OpenMP). Here kernels release the GIL and cover a part of the work each; Python threads
+take one part after another. The parts never depend on the number of threads, so neither do results.
+"""
+
+from __future__ import annotations
+
+import itertools
+import os
+import threading
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from ...model.arrays import AnyArray
+
+_local = threading.local()
+_lock = threading.Lock()
+_pool: ThreadPoolExecutor | None = None
+
+#: Rows that one thread takes at a time.
+_ROWS = 96
+
+
+def available_threads() -> int:
+    """Return how many processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def get_threads() -> int:
+    """Return how many threads the calling thread's kernels share their work between, itself included."""
+    count: int = getattr(_local, "threads", 0)
+    return count or available_threads()
+
+
+def set_threads(count: int) -> None:
+    """Let the calling thread's kernels use so many threads, itself included; at least 1."""
+    _local.threads = max(1, count)
+
+
+def scratch(name: str, count: int, dtype: type[np.generic]) -> AnyArray:
+    """Return the calling thread's array of this name with at least so many elements, which may hold anything.
+
+    It is the same array at each call, a larger one where need be.
+    """
+    arrays: dict[str, AnyArray] = _local.__dict__.setdefault("arrays", {})
+    found = arrays.get(name)
+    if found is None or len(found) < count:
+        found = arrays[name] = np.empty(count + count // 2, dtype)
+    return found
+
+
+def in_parallel(task: Callable[[int], object], count: int) -> None:
+    """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and its helpers.
+
+    A helper that has not begun when all work is taken is not waited for. The first error of a task is raised.
+    """
+    helpers = min(get_threads(), count) - 1
+    if helpers <= 0:
+        for part in range(count):
+            task(part)
+        return
+    parts = itertools.count()
+
+    def work() -> None:
+        while (part := next(parts)) < count:
+            task(part)
+
+    pool = _helpers()
+    futures = [pool.submit(work) for _ in range(helpers)]
+    try:
+        work()
+    finally:
+        begun = [future for future in futures if not future.cancel()]
+        for future in begun:
+            future.exception()
+    for future in begun:
+        future.result()
+
+
+def by_rows(task: Callable[[int, int], object], height: int) -> None:
+    """Call ``task(first, last)`` for parts of an image's rows, in parallel; ``last`` is exclusive."""
+    in_parallel(lambda part: task(part * _ROWS, min((part + 1) * _ROWS, height)), -(-height // _ROWS))
+
+
+def _helpers() -> ThreadPoolExecutor:
+    global _pool  # noqa: PLW0603
+    with _lock:
+        if _pool is None:
+            _pool = ThreadPoolExecutor(max(1, available_threads() - 1), thread_name_prefix="tactune")
+        return _pool
+
+
+def _forget_threads() -> None:
+    """Start anew in a forked child, which has none of its parent's threads."""
+    global _pool, _lock  # noqa: PLW0603
+    _pool = None
+    _lock = threading.Lock()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_threads)

@@ -1,0 +1,90 @@
+"""Connected groups of pixels and their area."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
+from ...model.intrinsics import Intrinsics
+from ..kernels.compiling import kernel
+from ..kernels.threads import scratch
+
+
+def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
+    """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
+    return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
+
+
+def in_large_cluster(
+    depth_m: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, min_area_mm2: float
+) -> BoolArray:
+    """Tell which pixels belong to an 8-connected group of at least the given area.
+
+    Parameters
+    ----------
+    depth_m : float32, shape (N,)
+    pixels : int, shape (N,)
+        Flat pixel numbers, ascending.
+    """
+    if min_area_mm2 <= 0 or len(depth_m) == 0:
+        return np.ones(len(depth_m), bool)
+    large = np.empty(len(depth_m), np.bool_)
+    starts, parents = scratch("starts", len(depth_m) + 1, np.int64), scratch("parents", len(depth_m), np.int64)
+    areas = scratch("areas", len(depth_m), np.float64)
+    focal_product = intrinsics.fx * intrinsics.fy
+    _mark_large(pixels, depth_m, intrinsics.width, focal_product, min_area_mm2, starts, parents, areas, large)
+    return large
+
+
+@kernel
+def _root(parents: Any, run: Any) -> Any:
+    while parents[run] != run:
+        parents[run] = parents[parents[run]]
+        run = parents[run]
+    return run
+
+
+@kernel
+def _mark_large(
+    pixels: Any, depths: Any, width: Any, focal_product: Any, min_area_mm2: Any, starts: Any, parents: Any,
+    areas: Any, large: Any
+) -> None:  # fmt: skip
+    """Join runs of neighbouring pixels to those that they touch in the row above; add up areas in pixel order."""
+    count = len(pixels)
+    runs = 0
+    for i in range(count):
+        if i == 0 or pixels[i] != pixels[i - 1] + 1 or pixels[i] % width == 0:
+            starts[runs] = i
+            runs += 1
+    starts[runs] = count
+
+    for run in range(runs):
+        parents[run] = run
+        areas[run] = 0.0
+    above = 0
+    for run in range(runs):
+        first = pixels[starts[run]]
+        last = pixels[starts[run + 1] - 1]
+        row = first // width
+        reach_left = max(first - 1, row * width) - width
+        reach_right = min(last + 1, row * width + width - 1) - width
+        while pixels[starts[above + 1] - 1] < reach_left:
+            above += 1
+        other = above
+        while other < run and pixels[starts[other]] <= reach_right:
+            a = _root(parents, run)
+            b = _root(parents, other)
+            parents[max(a, b)] = min(a, b)
+            other += 1
+
+    for run in range(runs):
+        parents[run] = _root(parents, run)
+        for i in range(starts[run], starts[run + 1]):
+            depth = np.float64(depths[i])
+            areas[parents[run]] += depth * depth / focal_product
+    for run in range(runs):
+        is_large = areas[parents[run]] * 1e6 >= min_area_mm2
+        for i in range(starts[run], starts[run + 1]):
+            large[i] = is_large

@@ -1,0 +1,141 @@
+"""Contact from the mechanics of the membrane: where something must press for it to look as it does."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import TactuneError
+from ..model.arrays import Float32Array, Float64Array, Uint16Array
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+from .mechanics_mesh import build_mesh, interpolation, make_sampler
+from .mechanics_problem import MembraneProblem
+from .mechanics_solver import MembraneSolver, Solution
+from .membrane_view import MembraneView
+from .method import ContactMethod, MethodPatch, failed
+
+#: Share of the nodes that must be seen.
+_SEEN_SHARE = 0.6
+
+
+class MembraneMechanics(ContactMethod):
+    """Nodes of an elastic, pressurised membrane on which something presses.
+
+    Parameters
+    ----------
+    preset : Preset
+        Gives the pose that takes tactile points to the proximity frame.
+    rig : Rig
+    reference : SensorFrame
+        The untouched membrane: the shape from which it deforms.
+    nodes : int
+        About how many nodes the mesh has; the paper's has 440.
+    threshold : float
+        Contact is where the contact pressure exceeds this share of the air's present gauge pressure,
+        which is what a flat object carries.
+    gauge_pressure_pa : float
+        Of the untouched membrane over the atmosphere's.
+    housing_m3 : float
+        Volume of the air beneath the plane of the rim.
+    crop_px : int
+        Width of the membrane's rim, in tactile pixels, that is left out. Without it the outline of what
+        the reference shows is where the membrane is clamped; else the outline follows the measurement.
+    regularisation : float
+        How much a contact pressure costs against misfit, see `MembraneProblem`.
+
+    Raises
+    ------
+    TactuneError
+        A parameter out of its range, or a reference that shows no inflated membrane.
+
+    References
+    ----------
+    Kuppuswamy et al., "Fast Model-Based Contact Patch and Pose Estimation for Highly Deformable
+    Dense-Geometry Tactile Sensors", RA-L 2020.
+    """
+
+    name = "mechanics"
+
+    def __init__(
+        self,
+        preset: Preset,
+        rig: Rig,
+        reference: SensorFrame,
+        nodes: int = 440,
+        threshold: float = 0.5,
+        gauge_pressure_pa: float = 1600.0,
+        housing_m3: float = 0.009,
+        crop_px: int = 0,
+        regularisation: float = 1.0,
+    ) -> None:
+        _check(nodes, threshold, gauge_pressure_pa, housing_m3, crop_px, regularisation)
+        reference.check_against(rig)
+        self._rig, self._threshold = rig, threshold
+        self._view = MembraneView(preset.alignment, rig)
+        self._factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
+        mesh = build_mesh(
+            reference.tactile_depth,
+            rig.tactile.intrinsics,
+            self._factor,
+            preset.alignment.depth_offset_m,
+            nodes,
+            crop_px,
+        )
+        self.problem = MembraneProblem(mesh, gauge_pressure_pa, housing_m3, regularisation, fixed_rim=crop_px == 0)
+        self._sampler = make_sampler(mesh.pixels, mesh.spacing_px, self._factor)
+        self._untouched = self._sampler.sample(reference.tactile_depth)
+        self._way_per_depth = np.linalg.norm(mesh.positions, axis=1) / mesh.positions[:, 2]
+        self._pixels, self._corners, self._weights = interpolation(mesh)
+        self._solver = MembraneSolver(self.problem.program(np.zeros(len(mesh.pixels))))
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the points of the membrane that carry contact pressure."""
+        frame.check_against(self._rig)
+        counts = frame.tactile_depth
+        way_m = self.way_m(counts)
+        seen = np.count_nonzero(np.isfinite(way_m))
+        if seen < _SEEN_SHARE * len(way_m):
+            return self._failed(
+                f"the tactile camera sees {seen} of the {len(way_m)} nodes, too few for a balance of the membrane"
+                if seen
+                else "the tactile image has no depth where the reference shows the membrane"
+            )
+        solution = self.solve(way_m)
+        if solution.failure:
+            return self._failed(solution.failure)
+        contact = self.pressure_image(solution) > self._threshold * self.problem.air_pressure(solution.x)
+        return MethodPatch(self._view.points(contact, counts), lambda: self._view.pick(contact, counts))
+
+    def way_m(self, counts: Uint16Array) -> Float64Array:
+        """Return how much farther along its ray each node is seen than in the reference, metres; nan where unseen."""
+        return np.asarray((self._sampler.sample(counts) - self._untouched) * self._factor * self._way_per_depth)
+
+    def solve(self, way_m: Float64Array) -> Solution:
+        """Return the balance of the membrane that fits these ways best."""
+        return self._solver.solve(self.problem.program(way_m))
+
+    def pressure_image(self, solution: Solution) -> Float32Array:
+        """Return the contact pressure over the untouched gauge pressure, shape (Ht, Wt); 0 off the mesh."""
+        pressure = self.problem.contact_pressure(solution.x).astype(np.float32)
+        image = np.zeros(self._rig.tactile.intrinsics.shape, np.float32)
+        image.reshape(-1)[self._pixels] = np.einsum("ij,ij->i", pressure[self._corners], self._weights)
+        return image
+
+    def _failed(self, reason: str) -> MethodPatch:
+        return failed(self._rig.proximity.intrinsics.shape, f"mechanics: {reason}")
+
+
+def _check(
+    nodes: int, threshold: float, gauge_pressure_pa: float, housing_m3: float, crop_px: int, regularisation: float
+) -> None:
+    """Raise where a parameter is out of its range."""
+    for name, value, fits, needs in (
+        ("nodes", nodes, 50 <= nodes <= 20_000, "from 50 to 20000"),
+        ("threshold", threshold, 0 < threshold < np.inf, "above 0"),
+        ("gauge_pressure_pa", gauge_pressure_pa, 0 < gauge_pressure_pa < np.inf, "above 0"),
+        ("housing_m3", housing_m3, 0 <= housing_m3 < np.inf, "from 0"),
+        ("crop_px", crop_px, crop_px >= 0, "from 0"),
+        ("regularisation", regularisation, 0 < regularisation < np.inf, "above 0"),
+    ):
+        if not fits:
+            raise TactuneError(f"mechanics: {name} is {value:g}, but it must be {needs}")

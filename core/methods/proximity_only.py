@@ -1,0 +1,46 @@
+"""Contact from the proximity camera alone: what has come nearer than the untouched membrane was."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..model.clouds import deproject, valid_depth
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+from .membrane_view import MembraneView
+from .method import ContactMethod, MethodPatch
+
+
+class ProximityOnly(ContactMethod):
+    """Points nearer to the camera than the inflated, untouched membrane.
+
+    Parameters
+    ----------
+    preset : Preset
+        Gives the alignment that takes the reference to proximity pixels.
+    rig : Rig
+    reference : SensorFrame
+        The untouched membrane.
+    margin_m : float
+        How much nearer a point must be, so that the noise of the reference's rim is no contact.
+
+    References
+    ----------
+    Yin et al., "Proximity and Visuotactile Point Cloud Fusion for Contact Patches in Extreme
+    Deformation", the proximity-only baseline.
+    """
+
+    name = "proximity-only"
+
+    def __init__(self, preset: Preset, rig: Rig, reference: SensorFrame, margin_m: float = 0.002) -> None:
+        reference.check_against(rig)
+        self._rig = rig
+        self._nearer_than_m = MembraneView(preset.alignment, rig).depth_m(reference.tactile_depth) - margin_m
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the points in front of the reference."""
+        frame.check_against(self._rig)
+        counts = frame.proximity_depth
+        with np.errstate(invalid="ignore"):
+            mask = valid_depth(counts) & (counts * self._rig.proximity.depth_unit_m < self._nearer_than_m)
+        return MethodPatch(deproject(counts, self._rig.proximity, np.flatnonzero(mask)), lambda: mask)

@@ -1,0 +1,132 @@
+"""The methods by name, as the command line, tables and the application offer them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+from ..contact.pipeline import ContactPipeline, averaged_frames
+from ..errors import TactuneError
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+from .mechanics import MembraneMechanics
+from .method import ContactMethod, MethodPatch
+from .proximity_only import ProximityOnly
+from .tactile_only import TactileOnly
+
+
+class Fusion(ContactMethod):
+    """The contact pipeline with some of the preset's fields set, which make it one method among others.
+
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    name : str
+    values : dict of str to object
+        Fields of the preset by their paths.
+
+    Raises
+    ------
+    RigMismatchError
+        As `ContactPipeline` does.
+    """
+
+    def __init__(self, preset: Preset, rig: Rig, name: str, values: dict[str, Any]) -> None:
+        self.name = name
+        self._values = values
+        self._pipeline = ContactPipeline(preset.with_values(values), rig)
+        self.remembers = averaged_frames(self._pipeline.preset)
+
+    def update(self, preset: Preset) -> None:
+        """Take another preset, without making anew what does not depend on what has changed.
+
+        Raises
+        ------
+        RigMismatchError
+            As the constructor does; the old preset then stays in force.
+        """
+        self._pipeline.update(preset.with_values(self._values))
+        self.remembers = averaged_frames(self._pipeline.preset)
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the pipeline's patch."""
+        patch = self._pipeline.process(frame)
+        return MethodPatch(patch.points, lambda: patch.mask, averaged_frames=patch.averaged_frames)
+
+
+def method_names() -> tuple[str, ...]:
+    """Return the names that `make_method` knows, fusion first."""
+    return (*FUSION_FIELDS, *_AGAINST_REFERENCE)
+
+
+def needs_reference(name: str) -> bool:
+    """Return whether a method compares with a frame of the untouched membrane."""
+    return name in _AGAINST_REFERENCE
+
+
+def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
+    """Return all of a preset that decides what a method finds: where it is equal, so are the patches.
+
+    Parameters
+    ----------
+    name : str
+        One of `method_names`.
+    preset : Preset
+    """
+    alignment = preset.alignment
+    pose = alignment.rigid, alignment.depth_scale, alignment.depth_offset_m
+    if name not in FUSION_FIELDS:
+        return pose
+    values = FUSION_FIELDS[name]
+    by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
+    own: tuple[Any, ...] = (preset.tolerance, preset.outliers)
+    if values["contact_test"] == "calibrated":
+        fixed = {path.partition(".")[2]: value for path, value in values.items() if path.startswith("calibrated.")}
+        own = (preset.calibrated.model_copy(update=fixed),)
+    return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
+
+
+def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | None = None) -> ContactMethod:
+    """Build a method by its name.
+
+    Parameters
+    ----------
+    name : str
+        One of `method_names`.
+    preset : Preset
+    rig : Rig
+    reference : SensorFrame, optional
+        The inflated, untouched membrane; every method but fusion needs it.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, the reference is missing, or the method cannot work with these.
+    """
+    if name in FUSION_FIELDS:
+        return Fusion(preset, rig, name, FUSION_FIELDS[name])
+    if name not in _AGAINST_REFERENCE:
+        raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
+    if reference is None:
+        raise TactuneError(
+            f"{name} compares with the untouched membrane, but there is no reference; "
+            "capture one while nothing touches the membrane"
+        )
+    return _AGAINST_REFERENCE[name](preset, rig, reference)
+
+
+#: Which of the preset's fields each way of fusion sets.
+FUSION_FIELDS: dict[str, dict[str, Any]] = {
+    "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
+    "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
+    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 1},
+    "fusion-averaged": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 15},
+}
+_AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
+    "proximity-only": ProximityOnly,
+    "tactile-only": partial(TactileOnly, rule="share"),
+    "tactile-threshold": partial(TactileOnly, rule="threshold"),
+    "mechanics": MembraneMechanics,
+}

@@ -1,0 +1,87 @@
+"""Contact from the tactile camera alone: where the membrane has been pushed in the most."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from ..errors import TactuneError
+from ..model.arrays import BoolArray, Uint16Array
+from ..model.clouds import valid_depth
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+from .membrane_view import MembraneView
+from .method import ContactMethod, MethodPatch
+
+
+class TactileOnly(ContactMethod):
+    """The most deformed points of the membrane.
+
+    Parameters
+    ----------
+    preset : Preset
+        Gives the pose that takes tactile points to the proximity frame.
+    rig : Rig
+    reference : SensorFrame
+        The untouched membrane.
+    share : float
+        With ``rule="share"``: the share of the deformed points that is contact, the most deformed
+        first; the paper takes 0.6.
+    threshold_m : float
+        With ``rule="threshold"``: the deformation above which a point is contact.
+    noise_m : float
+        Deformation below which a point counts as untouched.
+
+    Raises
+    ------
+    TactuneError
+        A share outside 0 to 1 or a negative length.
+
+    References
+    ----------
+    Yin et al., "Proximity and Visuotactile Point Cloud Fusion for Contact Patches in Extreme
+    Deformation", the tactile-only baseline.
+    """
+
+    def __init__(
+        self,
+        preset: Preset,
+        rig: Rig,
+        reference: SensorFrame,
+        rule: Literal["share", "threshold"] = "share",
+        share: float = 0.6,
+        threshold_m: float = 0.005,
+        noise_m: float = 0.0015,
+    ) -> None:
+        if not 0.0 < share <= 1.0:
+            raise TactuneError(f"tactile-only: the share is {share:g}, but it must be above 0 and at most 1")
+        if threshold_m < 0 or noise_m < 0:
+            raise TactuneError(f"tactile-only: {min(threshold_m, noise_m):g} m is no deformation; give one from 0")
+        reference.check_against(rig)
+        self.name = "tactile-only" if rule == "share" else "tactile-threshold"
+        self._rig, self._rule, self._share = rig, rule, share
+        self._threshold_m, self._noise_m = threshold_m, noise_m
+        self._factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
+        self._view = MembraneView(preset.alignment, rig)
+        counts = reference.tactile_depth
+        self._untouched_m = np.where(valid_depth(counts), counts * self._factor, np.nan)
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the most deformed points."""
+        frame.check_against(self._rig)
+        counts = frame.tactile_depth
+        contact = self.contact(counts)
+        return MethodPatch(self._view.points(contact, counts), lambda: self._view.pick(contact, counts))
+
+    def contact(self, counts: Uint16Array) -> BoolArray:
+        """Return which tactile pixels are contact, bool, shape (Ht, Wt)."""
+        with np.errstate(invalid="ignore"):
+            deformation_m = np.where(valid_depth(counts), self._untouched_m - counts * self._factor, np.nan)
+            deformed = deformation_m > self._noise_m
+            if not deformed.any():
+                return deformed
+            least_m = self._threshold_m
+            if self._rule == "share":
+                least_m = float(np.quantile(deformation_m[deformed], 1.0 - self._share))
+            return deformed & (deformation_m >= least_m)

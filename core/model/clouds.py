@@ -1,0 +1,131 @@
+"""Depth images to point clouds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+
+from ..errors import SourceError
+from ..preset import Preset
+from .arrays import AnyArray, BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
+from .intrinsics import Intrinsics
+
+
+@dataclass(frozen=True, eq=False)
+class PointCloud:
+    """Points with optional colours and per-point attributes.
+
+    Attributes
+    ----------
+    points : float32, shape (N, 3)
+        Metres, proximity depth frame.
+    colors : uint8, shape (N, 3), or None
+        RGB.
+    attributes : dict of str to 1-D array of length N
+    """
+
+    points: Float32Array
+    colors: Uint8Array | None = None
+    attributes: dict[str, npt.NDArray[np.generic]] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+
+@lru_cache(maxsize=8)
+def ray_table(intrinsics: Intrinsics) -> Float32Array:
+    """Return the camera's rays ``(x / z, y / z)``, float32, shape (H, W, 2), made once and read-only.
+
+    Raises
+    ------
+    SourceError
+        The lens bends some pixels so much that they see nothing.
+    """
+    with np.errstate(all="ignore"):
+        table = intrinsics.rays()
+    if not np.isfinite(table).all():
+        raise SourceError(
+            f"the lens coefficients {intrinsics.coefficients} leave some pixels of the "
+            f"{intrinsics.width} x {intrinsics.height} image without a ray; check them in the rig"
+        )
+    table.flags.writeable = False
+    return table
+
+
+@lru_cache(maxsize=8)
+def ray_planes(intrinsics: Intrinsics) -> Float32Array:
+    """Return `ray_table` as the kernels take it: all x / z, then all y / z, flat."""
+    return planes_of(ray_table(intrinsics))
+
+
+def planes_of(table: Float32Array) -> Float32Array:
+    """Return a table (H, W, n) as n planes of its pixels, one after another, each with room for a vector."""
+    return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
+
+
+def flat(image: AnyArray, least: int | None = None) -> AnyArray:
+    """Return an image's elements in a row, filled up with zeros to ``least``, or else to a vector of the kernels."""
+    if least is None:
+        from ..contact.kernels.simd import LANES  # not above: whoever only reads depth needs no compiler
+
+        least = LANES
+    pixels = np.ascontiguousarray(image).reshape(-1)
+    return pixels if len(pixels) >= least else np.pad(pixels, (0, least - len(pixels)))
+
+
+def valid_depth(counts: Uint16Array) -> BoolArray:
+    """Return where raw counts are a depth: neither 0 nor 65535."""
+    no_depth, saturated = NO_DEPTH_COUNTS
+    return np.asarray((counts != no_depth) & (counts != saturated))
+
+
+def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> Float32Array:
+    """Deproject the selected pixels of a depth image.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+        Raw depth.
+    camera : DepthCamera
+    pixels : int, shape (N,)
+        Flat pixel numbers; each must have a depth.
+
+    Returns
+    -------
+    float32, shape (N, 3)
+        Metres in the camera's frame.
+    """
+    depth = counts.ravel()[pixels].astype(np.float32) * np.float32(camera.depth_unit_m)
+    points = np.empty((len(pixels), 3), np.float32)
+    np.multiply(ray_table(camera.intrinsics).reshape(-1, 2)[pixels], depth[:, None], out=points[:, :2])
+    points[:, 2] = depth
+    return points
+
+
+def proximity_cloud(frame: SensorFrame, rig: Rig) -> PointCloud:
+    """Return every proximity point, in the proximity depth frame."""
+    pixels = np.flatnonzero(valid_depth(frame.proximity_depth))
+    return PointCloud(deproject(frame.proximity_depth, rig.proximity, pixels))
+
+
+def tactile_cloud(frame: SensorFrame, rig: Rig, preset: Preset) -> PointCloud:
+    """Return every tactile point brought to the proximity depth frame, depth correction included.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither the preset nor the rig knows the tactile camera's pose.
+    """
+    from ..contact.alignment import tactile_pose
+
+    pixels = np.flatnonzero(valid_depth(frame.tactile_depth))
+    points = deproject(frame.tactile_depth, rig.tactile, pixels).astype(np.float64)
+    depth = points[:, 2] * preset.alignment.depth_scale + preset.alignment.depth_offset_m
+    points *= (depth / points[:, 2])[:, None]
+    pose = tactile_pose(preset.alignment, rig)
+    colors = frame.tactile_color.reshape(-1, 3)[pixels] if frame.tactile_color is not None else None
+    return PointCloud((points @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32), colors)

@@ -1,0 +1,55 @@
+"""Files: written whole or not at all, and paths as people write them."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from ..errors import ExportError, TactuneError
+
+
+@contextmanager
+def atomic_path(target: Path | str) -> Iterator[Path]:
+    """Yield a temporary path beside ``target``; on success it replaces ``target`` in one step.
+
+    The temporary file keeps the target's suffix, so writers that choose a format by it work.
+    Its folder is made if missing. A link stays a link: what it points to is replaced. On any error
+    the temporary file is removed and ``target`` stays as it was.
+
+    Raises
+    ------
+    ExportError
+        ``target`` is a folder or a device, or the operating system refuses: no permission, disk full.
+    """
+    final = Path(os.path.realpath(target))
+    temporary = final.parent / f".{final.stem}-{secrets.token_hex(4)}{final.suffix}"
+    try:
+        if final.exists() and not final.is_file():
+            raise ExportError(f"cannot write {target}: it is no ordinary file; choose another place")
+        final.parent.mkdir(parents=True, exist_ok=True)
+        yield temporary
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
+        temporary.replace(final)
+    except OSError as error:
+        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+    finally:
+        with suppress(OSError):  # gone already, or its folder could not be made
+            temporary.unlink()
+
+
+def user_path(path: Path | str) -> Path:
+    """Return a path with a leading ``~`` replaced; where there is no such user, it stays as it is."""
+    try:
+        return Path(path).expanduser()
+    except RuntimeError:
+        return Path(path)
+
+
+def refuse_devices(path: Path, error: type[TactuneError]) -> None:
+    """Raise ``error`` where there is something that is no ordinary file: a device might never end."""
+    if path.exists() and not path.is_file():
+        raise error(f"{path} is no ordinary file; name another")

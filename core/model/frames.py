@@ -1,0 +1,233 @@
+"""What a sensor hands over: cameras, the rig they form, and frames.
+
+Conventions: depth is the z coordinate in a camera's optical frame (x right, y down, z forward);
+pixel centres lie at integers and ``(u, v)`` is ``(column, row)``; ``T_a_b`` takes coordinates in b
+to coordinates in a; lengths are metres; raw depth stays uint16 with its unit beside it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, field_validator
+
+from ..errors import FrameError
+from .arrays import BoolArray, Float32Array, Uint8Array, Uint16Array
+from .intrinsics import Intrinsics
+
+#: Raw counts that mean *no depth*; a D405 stream really contains 65535.
+NO_DEPTH_COUNTS = (0, 65535)
+
+#: Both cameras sit in one housing; a longer way between frames is a mistake, such as millimetres.
+_FARTHEST_M = 10.0
+
+Row4 = tuple[float, float, float, float]
+Matrix4 = tuple[Row4, Row4, Row4, Row4]
+
+
+def rigid_transform(matrix: Any) -> Matrix4:
+    """Check that a 4 x 4 matrix is a rigid transform and return it as nested tuples.
+
+    Parameters
+    ----------
+    matrix : array_like, shape (4, 4)
+        Translation in metres.
+
+    Raises
+    ------
+    ValueError
+        The matrix has another shape, is not finite, its rotation part is not a rotation, or its
+        translation is too long to be in metres.
+    """
+    try:
+        raw = np.asarray(matrix)
+    except ValueError as error:
+        raise ValueError("a pose is a 4 x 4 matrix, this one has rows of different lengths") from error
+    if raw.shape != (4, 4):
+        raise ValueError(f"a pose is a 4 x 4 matrix, this one is {raw.shape}")
+    if raw.dtype.kind not in "iuf":
+        raise ValueError("a pose consists of numbers, this one does not")
+    array = raw.astype(np.float64)
+    if not np.isfinite(array).all():
+        raise ValueError("a pose has finite entries, this one contains nan or inf")
+    if np.abs(array[:3]).max() > _FARTHEST_M:
+        raise ValueError(f"a pose has a rotation and metres up to {_FARTHEST_M:g}, this one contains larger numbers")
+    rotation = array[:3, :3]
+    deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
+    if deviation <= 1e-3 and np.linalg.det(rotation) < 0:
+        raise ValueError("the upper left 3 x 3 mirrors, which no rotation does; change the sign of one of its columns")
+    if deviation > 1e-3:
+        raise ValueError(f"the upper left 3 x 3 is no rotation (R R^T differs from I by {deviation:.2g})")
+    if not np.array_equal(array[3], (0.0, 0.0, 0.0, 1.0)):
+        raise ValueError(f"the last row of a pose is 0 0 0 1, this one is {array[3].tolist()}")
+    rows: Any = tuple(tuple(float(value) for value in row) for row in array)
+    return rows  # type: ignore[no-any-return]
+
+
+class _Frozen(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class DepthCamera(_Frozen):
+    """One depth camera: who it is, its lens, and the length of one raw count in metres."""
+
+    model: str = "unknown"
+    serial: str = ""
+    intrinsics: Intrinsics
+    depth_unit_m: Annotated[float, Field(ge=1e-7, le=1.0)]
+
+
+class ColorCamera(_Frozen):
+    """A colour camera beside a depth camera; ``T_color_depth`` takes depth-frame points to it."""
+
+    intrinsics: Intrinsics
+    T_color_depth: Matrix4
+
+    @field_validator("T_color_depth", mode="before")
+    @classmethod
+    def _is_rigid(cls, value: Any) -> Matrix4:
+        return rigid_transform(value)
+
+
+class Rig(_Frozen):
+    """Both depth cameras of one sensor and how they stand to each other, as far as is known.
+
+    Attributes
+    ----------
+    proximity_color : ColorCamera or None
+        None: the proximity colour image is already aligned to the proximity depth image.
+    T_proximity_tactile : 4 x 4 or None
+        Factory or nominal pose of the tactile depth camera in the proximity depth frame, metres.
+    """
+
+    proximity: DepthCamera
+    tactile: DepthCamera
+    proximity_color: ColorCamera | None = None
+    T_proximity_tactile: Matrix4 | None = None
+
+    @field_validator("T_proximity_tactile", mode="before")
+    @classmethod
+    def _is_rigid(cls, value: Any) -> Matrix4 | None:
+        return None if value is None else rigid_transform(value)
+
+    @property
+    def proximity_color_shape(self) -> tuple[int, int]:
+        """Height and width of the proximity colour image in pixels."""
+        camera = self.proximity_color.intrinsics if self.proximity_color else self.proximity.intrinsics
+        return camera.shape
+
+
+@dataclass(frozen=True)
+class TrueStrain:
+    """Largest in-plane strain of the membrane, which has 0 where it is flat and clamped.
+
+    Attributes
+    ----------
+    largest : float
+        In any direction at any place; it grows where the solver's mesh is finer.
+    length, width : float
+        Along the membrane's length and width between neighbours of a grid of 10 mm.
+    length_seen, width_seen : float
+        The same over those of which the tactile camera sees both dots whole, at least 90 % of each.
+    """
+
+    largest: float
+    length: float
+    width: float
+    length_seen: float
+    width_seen: float
+
+
+@dataclass(frozen=True, eq=False)
+class GroundTruth:
+    """What a simulator or a labelled recording knows about a frame, in proximity pixels.
+
+    Attributes
+    ----------
+    contact : bool, shape (H, W)
+        Where the membrane touches an object.
+    depth_m : float32, shape (H, W), or None
+        True depth of the membrane in the proximity depth frame, metres; nan where unknown.
+    strain : TrueStrain or None
+        Recordings do not keep it.
+    """
+
+    contact: BoolArray
+    depth_m: Float32Array | None = None
+    strain: TrueStrain | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SensorFrame:
+    """One pair of images from both cameras. The arrays become read-only views.
+
+    Attributes
+    ----------
+    sequence : int
+        Number of the frame within its source, from 0.
+    proximity_depth, tactile_depth : uint16, shape (H, W)
+        Raw counts; 0 and 65535 are *no depth*. Units in the rig.
+    proximity_color : uint8, shape (H, W, 3)
+        RGB. In the colour camera's own pixels, or in depth pixels where the rig has no colour camera.
+    tactile_color : uint8, shape (H, W, 3), or None
+        RGB, aligned to the tactile depth image.
+    proximity_time_s, tactile_time_s : float
+        Time stamps in seconds on one clock.
+    truth : GroundTruth or None
+    """
+
+    sequence: int
+    proximity_depth: Uint16Array
+    tactile_depth: Uint16Array
+    proximity_color: Uint8Array
+    tactile_color: Uint8Array | None = None
+    proximity_time_s: float = 0.0
+    tactile_time_s: float = 0.0
+    truth: GroundTruth | None = None
+
+    def __post_init__(self) -> None:
+        for name, dtype, dimensions in _FRAME_ARRAYS:
+            array = getattr(self, name)
+            if array is None and name == "tactile_color":
+                continue
+            if not isinstance(array, np.ndarray) or array.dtype != dtype or array.ndim != dimensions:
+                found = f"{array.dtype}, {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+                raise FrameError(
+                    f"frame {self.sequence}: {name} must be a {np.dtype(dtype).name} array with "
+                    f"{dimensions} dimensions, got {found}"
+                )
+            if dimensions == 3 and array.shape[2] != 3:
+                raise FrameError(f"frame {self.sequence}: {name} must have 3 channels (RGB), got {array.shape[2]}")
+            view = np.ascontiguousarray(array).view()
+            view.flags.writeable = False
+            object.__setattr__(self, name, view)
+
+    @property
+    def skew_s(self) -> float:
+        """Tactile minus proximity time stamp, seconds."""
+        return self.tactile_time_s - self.proximity_time_s
+
+    def check_against(self, rig: Rig) -> None:
+        """Raise `FrameError` where an image does not have the size that the rig states."""
+        expected = {
+            "proximity_depth": rig.proximity.intrinsics.shape,
+            "tactile_depth": rig.tactile.intrinsics.shape,
+            "proximity_color": rig.proximity_color_shape,
+        }
+        for name, shape in expected.items():
+            found = getattr(self, name).shape[:2]
+            if found != shape:
+                raise FrameError(
+                    f"frame {self.sequence}: {name} is {found[1]} x {found[0]} pixels, "
+                    f"the rig says {shape[1]} x {shape[0]}; use the rig of the camera that took it"
+                )
+
+
+_FRAME_ARRAYS = (
+    ("proximity_depth", np.dtype("=u2"), 2),
+    ("tactile_depth", np.dtype("=u2"), 2),
+    ("proximity_color", np.dtype(np.uint8), 3),
+    ("tactile_color", np.dtype(np.uint8), 3),
+)

@@ -1,0 +1,148 @@
+"""Pinhole cameras with the lens models that librealsense names, in float64."""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated, Any
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel, ConfigDict, Field
+
+from .arrays import Float32Array, Float64Array
+
+_PixelCount = Annotated[int, Field(ge=1, le=16384)]
+_FocalLength = Annotated[float, Field(ge=0.1, le=1e6)]
+_Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
+_Coefficient = Annotated[float, Field(ge=-1e3, le=1e3)]
+
+#: librealsense's own number of fixed-point steps when it removes distortion.
+_UNDISTORT_STEPS = 10
+
+
+class Distortion(StrEnum):
+    """Lens distortion models, named as librealsense names them."""
+
+    NONE = "none"
+    BROWN_CONRADY = "brown_conrady"
+    MODIFIED_BROWN_CONRADY = "modified_brown_conrady"
+    INVERSE_BROWN_CONRADY = "inverse_brown_conrady"
+
+
+class Intrinsics(BaseModel):
+    """Image size, focal lengths and principal point in pixels, and lens distortion.
+
+    ``coefficients`` are librealsense's k1, k2, p1, p2, k3.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    width: _PixelCount
+    height: _PixelCount
+    fx: _FocalLength
+    fy: _FocalLength
+    cx: _Centre
+    cy: _Centre
+    distortion: Distortion = Distortion.NONE
+    coefficients: tuple[_Coefficient, _Coefficient, _Coefficient, _Coefficient, _Coefficient] = (
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+        0.0,
+    )
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Height and width in pixels, the shape of an image array."""
+        return self.height, self.width
+
+    @property
+    def has_distortion(self) -> bool:
+        """Whether the lens model changes any pixel."""
+        return self.distortion is not Distortion.NONE and any(self.coefficients)
+
+    def camera_matrix(self) -> Float64Array:
+        """Return the 3 x 3 matrix K, in pixels."""
+        return np.array([[self.fx, 0.0, self.cx], [0.0, self.fy, self.cy], [0.0, 0.0, 1.0]])
+
+    def project(self, points: npt.ArrayLike) -> Float64Array:
+        """Project points in the camera's frame to pixels.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 3)
+            Metres; z must be positive for the result to mean anything.
+
+        Returns
+        -------
+        float64, shape (N, 2)
+            ``(u, v)`` in pixels.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        x, y = points[:, 0] / points[:, 2], points[:, 1] / points[:, 2]
+        if self.has_distortion:
+            x, y = self._distort(x, y)
+        return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=1)
+
+    def normalise(self, pixels: npt.ArrayLike) -> Float64Array:
+        """Take pixels to ``(x / z, y / z)`` on the plane z = 1, lens distortion removed.
+
+        Follows librealsense's ``rs2_deproject_pixel_to_point`` step by step, ten fixed-point
+        steps included, so both agree to single precision. Like librealsense, it leaves the modified
+        Brown-Conrady model's distortion in place: its images count as already distorted forward, and
+        the driver's own point clouds ignore it, too.
+
+        Parameters
+        ----------
+        pixels : array_like, shape (N, 2)
+            ``(u, v)`` in pixels.
+
+        Returns
+        -------
+        float64, shape (N, 2)
+        """
+        pixels = np.asarray(pixels, dtype=np.float64)
+        x, y = (pixels[:, 0] - self.cx) / self.fx, (pixels[:, 1] - self.cy) / self.fy
+        if self.has_distortion and self.distortion is not Distortion.MODIFIED_BROWN_CONRADY:
+            x, y = self._undistort(x, y)
+        return np.stack([x, y], axis=1)
+
+    def rays(self) -> Float32Array:
+        """Return ``(x / z, y / z)`` of every pixel: float32, shape (H, W, 2).
+
+        A point is its ray times its depth, so distortion costs nothing per frame.
+        """
+        v, u = np.mgrid[: self.height, : self.width]
+        table = self.normalise(np.stack([u.ravel(), v.ravel()], axis=1))
+        return table.reshape(self.height, self.width, 2).astype(np.float32)
+
+    def _radial(self, r2: Any) -> Any:
+        k1, k2, _, _, k3 = self.coefficients
+        return 1.0 + ((k3 * r2 + k2) * r2 + k1) * r2
+
+    def _tangential(self, x: Any, y: Any, r2: Any) -> tuple[Any, Any]:
+        _, _, p1, p2, _ = self.coefficients
+        return 2 * p1 * x * y + p2 * (r2 + 2 * x * x), 2 * p2 * x * y + p1 * (r2 + 2 * y * y)
+
+    def _distort(self, x: Float64Array, y: Float64Array) -> tuple[Float64Array, Float64Array]:
+        r2 = x * x + y * y
+        radial = self._radial(r2)
+        if self.distortion is Distortion.BROWN_CONRADY:
+            dx, dy = self._tangential(x, y, r2)
+            return x * radial + dx, y * radial + dy
+        x, y = x * radial, y * radial
+        dx, dy = self._tangential(x, y, r2)
+        return x + dx, y + dy
+
+    def _undistort(self, x0: Float64Array, y0: Float64Array) -> tuple[Float64Array, Float64Array]:
+        x, y = x0, y0
+        for _ in range(_UNDISTORT_STEPS):
+            r2 = x * x + y * y
+            radial = self._radial(r2)
+            if self.distortion is Distortion.INVERSE_BROWN_CONRADY:
+                dx, dy = self._tangential(x * radial, y * radial, r2)
+            else:
+                dx, dy = self._tangential(x, y, r2)
+            x, y = (x0 - dx) / radial, (y0 - dy) / radial
+        return x, y

@@ -1,0 +1,147 @@
+"""The rig as a JSON file: both cameras flat, one object each, beside a recording's frames.
+
+::
+
+    {
+      "proximity": {"model": …, "serial": …, "width": …, "height": …, "fx": …, "fy": …, "cx": …, "cy": …,
+                    "distortion": "none", "coefficients": [k1, k2, p1, p2, k3], "depth_unit_m": …},
+      "tactile": {the same fields},
+      "proximity_color": {the lens fields, "T_color_depth": 4 x 4},
+      "T_proximity_tactile": 4 x 4
+    }
+
+``model``, ``serial``, ``distortion``, ``coefficients``, ``proximity_color`` and ``T_proximity_tactile``
+may be left out.
+"""
+
+from __future__ import annotations
+
+import json
+import reprlib
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from ..errors import SourceError
+from .files import atomic_path
+from .frames import DepthCamera, Rig
+from .intrinsics import Intrinsics
+
+_LENS_FIELDS = tuple(Intrinsics.model_fields)
+
+
+def load_rig(path: Path | str) -> Rig:
+    """Read a rig file.
+
+    Raises
+    ------
+    SourceError
+        No such file, no JSON, or a field that is missing, unknown or out of range; the message
+        names the file, the field and the value.
+    """
+    return parse_rig(read_json_object(Path(path)), str(path))
+
+
+def save_rig(rig: Rig, path: Path | str) -> None:
+    """Write a rig file that `load_rig` reads back exactly; it appears whole or not at all."""
+    with atomic_path(path) as temporary:
+        temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
+
+
+def json_text(data: dict[str, Any]) -> str:
+    """Return the text of a JSON file; floats keep every bit."""
+    return json.dumps(data, indent=1, allow_nan=False) + "\n"
+
+
+def read_json_object(path: Path) -> dict[str, Any]:
+    """Read a file that holds one JSON object; `SourceError` names the file and what is wrong with it."""
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise SourceError(f"there is no file {path}; a recording needs one") from error
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check its permissions") from error
+    except (UnicodeDecodeError, RecursionError) as error:
+        raise SourceError(f"{path} is no JSON text; write it again as UTF-8") from error
+    except json.JSONDecodeError as error:
+        raise SourceError(
+            f"{path} is no JSON: line {error.lineno}, {error.msg}; correct it or write it again"
+        ) from error
+    except ValueError as error:  # Python refuses whole numbers of thousands of digits
+        raise SourceError(f"{path} contains a number of too many digits; correct it or write it again") from error
+    if not isinstance(data, dict):
+        raise SourceError(f"{path} holds a {type(data).__name__}, not a JSON object; wrap its fields in braces")
+    return data
+
+
+def rig_to_json(rig: Rig) -> dict[str, Any]:
+    """Return the rig as the JSON object described at the top of this module."""
+    data: dict[str, Any] = {"proximity": _depth_json(rig.proximity), "tactile": _depth_json(rig.tactile)}
+    if rig.proximity_color is not None:
+        pose = [list(row) for row in rig.proximity_color.T_color_depth]
+        data["proximity_color"] = {**_lens_json(rig.proximity_color.intrinsics), "T_color_depth": pose}
+    if rig.T_proximity_tactile is not None:
+        data["T_proximity_tactile"] = [list(row) for row in rig.T_proximity_tactile]
+    return data
+
+
+def parse_rig(data: dict[str, Any], origin: str) -> Rig:
+    """Make a rig of a decoded JSON object.
+
+    Parameters
+    ----------
+    data : dict
+        As described at the top of this module.
+    origin : str
+        Where it came from, for messages.
+
+    Raises
+    ------
+    SourceError
+        A field is missing, unknown or out of range.
+    """
+    nested = dict(data)
+    for key in ("proximity", "tactile", "proximity_color"):
+        if isinstance(nested.get(key), dict):
+            nested[key] = _nest_lens(nested[key])
+    try:
+        return Rig.model_validate_json(json.dumps(nested), strict=True)
+    except ValidationError as error:
+        raise SourceError(_sentence(error, origin)) from error
+
+
+def _depth_json(camera: DepthCamera) -> dict[str, Any]:
+    serial = {"serial": camera.serial} if camera.serial else {}
+    lens = _lens_json(camera.intrinsics)
+    return {"model": camera.model, **serial, **lens, "depth_unit_m": camera.depth_unit_m}
+
+
+def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
+    data = intrinsics.model_dump(mode="json")
+    if not any(intrinsics.coefficients):
+        del data["coefficients"]
+    return data
+
+
+def _nest_lens(flat: dict[str, Any]) -> dict[str, Any]:
+    """Gather the lens fields of a flat camera under ``intrinsics``, where the model has them."""
+    lens = {key: value for key, value in flat.items() if key in _LENS_FIELDS}
+    rest = {key: value for key, value in flat.items() if key not in _LENS_FIELDS}
+    return {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
+
+
+def _sentence(error: ValidationError, origin: str) -> str:
+    """Tell the first thing that is wrong, with the path as the file spells it."""
+    details = error.errors(include_url=False)
+    first = details[0]
+    where = ".".join(str(part) for part in first["loc"] if part != "intrinsics") or "the rig"
+    more = f" (and {len(details) - 1} more)" if len(details) > 1 else ""
+    if first["type"] == "missing":
+        return f"{origin}: {where} is missing{more}; add it"
+    if first["type"] == "extra_forbidden":
+        return f"{origin}: {where} is no field of a rig{more}; remove it or correct its name"
+    if first["type"] == "value_error":
+        return f"{origin}: {where}: {first['msg'].removeprefix('Value error, ')}{more}; correct it"
+    found = reprlib.repr(first["input"])
+    return f"{origin}: {where} is {found}, but it {first['msg'].removeprefix('Input ')}{more}; correct it"

@@ -1,0 +1,120 @@
+"""The part of a preset that brings tactile measurements to proximity pixels."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Final, Literal
+
+import numpy as np
+from pydantic import Field, field_validator
+
+from ..model.frames import Matrix4, rigid_transform
+from .calibration_record import CalibrationRecord
+from .fields import Section, described
+
+#: A homography means the same at any scale; its largest number lies between this and its inverse.
+_LARGEST: Final = 1e150
+
+Row3 = tuple[float, float, float]
+Matrix3 = tuple[Row3, Row3, Row3]
+
+
+class RigidAlignment(Section):
+    """The tactile camera's pose in the proximity depth frame; null takes the rig's own pose."""
+
+    T_proximity_tactile: Annotated[
+        Matrix4 | None,
+        described(
+            "Pose",
+            "Pose of the tactile camera in the proximity depth frame (4 x 4, metres). "
+            "Empty: the factory or nominal pose that the rig states.",
+            unit="m",
+        ),
+    ] = None
+
+    @field_validator("T_proximity_tactile", mode="before")
+    @classmethod
+    def _is_rigid(cls, value: Any) -> Matrix4 | None:
+        return None if value is None else rigid_transform(value)
+
+
+class HomographyAlignment(Section):
+    """A plane homography; null takes the one that the rig's pose induces on a frontal plane."""
+
+    H_p_t: Annotated[
+        Matrix3 | None,
+        described(
+            "Homography",
+            "3 x 3 matrix that takes tactile pixels to proximity pixels. "
+            "Empty: the homography that the rig's pose induces on the plane below.",
+            unit="px",
+        ),
+    ] = None
+    plane_distance_m: Annotated[
+        float,
+        described(
+            "Plane distance",
+            "Distance of the frontal plane that the homography is exact for, used while no matrix is set.",
+            unit="m",
+            step=0.001,
+        ),
+        Field(ge=0.05, le=2.0),
+    ] = 0.30
+
+    @field_validator("H_p_t")
+    @classmethod
+    def _is_regular(cls, value: Matrix3 | None) -> Matrix3 | None:
+        if value is None:
+            return None
+        largest = float(np.abs(value).max())
+        if largest and not 1 / _LARGEST <= largest <= _LARGEST:
+            raise ValueError(
+                f"the homography's largest number is {largest:g}, beyond what can be computed with; "
+                "only their ratios count, so divide all nine by the last one"
+            )
+        singular_values = np.linalg.svd(np.asarray(value), compute_uv=False)
+        if singular_values[-1] <= 1e-15 * singular_values[0]:
+            raise ValueError("the homography is singular: it maps the image onto a line or a point; fit it again")
+        return value
+
+
+class AlignmentSection(Section):
+    """How tactile measurements are brought to proximity pixels."""
+
+    model: Annotated[
+        Literal["rigid", "homography"],
+        described(
+            "Model",
+            "rigid: each proximity point is projected into the tactile image and its expected depth compared; "
+            "exact at every depth. homography: the images are laid over each other by one plane's homography.",
+        ),
+    ] = "rigid"
+    rigid: RigidAlignment = RigidAlignment()
+    homography: HomographyAlignment = HomographyAlignment()
+    depth_scale: Annotated[
+        float,
+        described("Depth scale", "Factor on the tactile depth that makes both sensors agree.", step=0.001),
+        Field(ge=0.8, le=1.25),
+    ] = 1.0
+    depth_offset_m: Annotated[
+        float,
+        described(
+            "Depth offset",
+            "Added to the scaled tactile depth so that both sensors agree on the same surface.",
+            unit="m",
+            step=0.0005,
+        ),
+        Field(ge=-0.1, le=0.1),
+    ] = 0.0
+    calibration: Annotated[
+        CalibrationRecord | None,
+        described(
+            "Calibration",
+            "The clicks, snapshots and quality of the calibration that made this alignment. Empty: set by hand.",
+            hidden=True,
+        ),
+    ] = None
+
+    @property
+    def geometry(self) -> tuple[str, RigidAlignment, HomographyAlignment, float, float]:
+        """What the pipeline computes with: all but the record of how it came about."""
+        return self.model, self.rigid, self.homography, self.depth_scale, self.depth_offset_m

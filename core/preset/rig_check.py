@@ -1,0 +1,92 @@
+"""Tell whether a preset belongs to the rig at hand."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ..errors import RigMismatchError
+from ..model.frames import ColorCamera, DepthCamera, Rig
+from ..model.intrinsics import Intrinsics
+from .notes import homography_notes
+from .preset import Preset
+
+
+def check_rig(preset: Preset, rig: Rig) -> list[str]:
+    """Return sentences on what differs between the preset's rig and the one at hand, and what does not go together.
+
+    Raises
+    ------
+    RigMismatchError
+        The image sizes differ, so that the preset cannot mean the same pixels, or the region of
+        interest lies outside the image.
+    """
+    warnings = []
+    if preset.rig is not None:
+        for role in ("proximity", "tactile"):
+            warnings += _compare(preset.name, role, getattr(preset.rig, role), getattr(rig, role))
+        warnings += _compare_color(preset.name, preset.rig.proximity_color, rig.proximity_color)
+    _check_region(preset, rig)
+    return warnings + homography_notes(preset)
+
+
+def _compare(name: str, role: str, made_for: DepthCamera, found: DepthCamera) -> list[str]:
+    if made_for.intrinsics.shape != found.intrinsics.shape:
+        raise RigMismatchError(
+            f"preset {name!r} was made for {role} images of {_size(made_for)} pixels, "
+            f"this {role} camera gives {_size(found)}; choose a preset of this rig or calibrate a new one"
+        )
+    warnings = []
+    if made_for.serial and found.serial and made_for.serial != found.serial:
+        warnings.append(
+            f"Preset {name!r} was made for the {role} camera {made_for.serial}, this one is {found.serial}; "
+            "check the alignment."
+        )
+    warnings += _compare_lenses(name, role, made_for.intrinsics, found.intrinsics)
+    if made_for.depth_unit_m != found.depth_unit_m:
+        warnings.append(
+            f"Preset {name!r} was made for a {role} depth unit of {made_for.depth_unit_m:g} m, here it is "
+            f"{found.depth_unit_m:g} m; the rig's own is used."
+        )
+    return warnings
+
+
+def _compare_lenses(name: str, role: str, made_for: Intrinsics, found: Intrinsics) -> list[str]:
+    """Return one sentence on the first field that differs by more than another driver's rounding."""
+    for field in Intrinsics.model_fields:
+        before, now = getattr(made_for, field), getattr(found, field)
+        same = before == now if field == "distortion" else np.allclose(before, now, rtol=1e-5, atol=1e-6)
+        if not same:
+            return [
+                f"Preset {name!r} was made for other {role} intrinsics ({field} {before}, here {now}); "
+                "check the alignment."
+            ]
+    return []
+
+
+def _compare_color(name: str, made_for: ColorCamera | None, found: ColorCamera | None) -> list[str]:
+    """Return sentences on the proximity colour camera: it decides which colour a point gets."""
+    if made_for is None and found is None:
+        return []
+    if made_for is None or found is None:
+        with_camera = "this rig" if made_for is None else "the rig it was made for"
+        return [f"Preset {name!r}: only {with_camera} has a separate colour camera; check the mask."]
+    warnings = _compare_lenses(name, "colour", made_for.intrinsics, found.intrinsics)
+    if not np.allclose(made_for.T_color_depth, found.T_color_depth, atol=1e-5):
+        warnings.append(
+            f"Preset {name!r} was made for a colour camera that stood differently to the depth camera; check the mask."
+        )
+    return warnings
+
+
+def _size(camera: DepthCamera) -> str:
+    return f"{camera.intrinsics.width} x {camera.intrinsics.height}"
+
+
+def _check_region(preset: Preset, rig: Rig) -> None:
+    left, top, _, _ = preset.region.rectangle
+    camera = rig.proximity
+    if preset.region.enabled and (left >= camera.intrinsics.width or top >= camera.intrinsics.height):
+        raise RigMismatchError(
+            f"region.rectangle starts at ({left}, {top}), outside the proximity image of {_size(camera)} pixels; "
+            "move the region into the image"
+        )

@@ -1,0 +1,345 @@
+"""Point clouds as files: PLY, PCD, NPZ and CSV.
+
+PLY and PCD are written here, binary and little-endian, rather than by a library: a frame without
+contact is an empty cloud, which Open3D refuses to write, and a robot needs neither Open3D nor PCL.
+"""
+
+from __future__ import annotations
+
+import re
+import struct
+import zipfile
+import zlib
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from ..contact.masking import colors_at
+from ..contact.pipeline import ContactPatch
+from ..errors import ExportError, SourceError
+from ..model.arrays import AnyArray
+from ..model.clouds import PointCloud
+from ..model.files import atomic_path
+from ..model.frames import Rig, SensorFrame
+
+#: Every column of a cloud by name, in the order of the file.
+Columns = dict[str, AnyArray]
+
+_XYZ = ("x", "y", "z")
+_RGB = ("red", "green", "blue")
+_CSV_XYZ = ("x_m", "y_m", "z_m")
+_RESERVED = {*_XYZ, *_RGB, *_CSV_XYZ, "rgb", "points", "colors", "file", "allow_pickle"}
+_NAME = re.compile(r"[A-Za-z]\w*", re.ASCII)
+
+#: Both names that PLY has for each type. The first is written: Open3D skips "ushort" but knows "uint16".
+_PLY_TYPES = {
+    "char": "<i1", "uchar": "<u1", "short": "<i2", "uint16": "<u2", "int": "<i4", "uint": "<u4", "float": "<f4",
+    "double": "<f8", "int8": "<i1", "uint8": "<u1", "int16": "<i2", "ushort": "<u2", "int32": "<i4", "uint32": "<u4",
+    "float32": "<f4", "float64": "<f8",
+}  # fmt: skip
+_PCD_TYPES = ("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8")
+_PLY_NAMES = {np.dtype(code): name for name, code in reversed(_PLY_TYPES.items())}
+_CSV_FORMATS = {"f4": "%.9g", "f8": "%.17g"}
+
+
+def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
+    """Return a patch's points with what is known of each.
+
+    Parameters
+    ----------
+    patch : ContactPatch
+    frame : SensorFrame
+        The frame that the patch was found in.
+    rig : Rig
+
+    Returns
+    -------
+    PointCloud
+        Colours of the proximity colour image, black where its camera does not see the point, and the
+        attributes ``relative_difference`` (float32) and ``u``, ``v`` (uint16, proximity pixels).
+    """
+    pixels = np.flatnonzero(patch.mask)
+    colors, _ = colors_at(patch.points, pixels, frame.proximity_color, rig)
+    v, u = np.divmod(pixels, patch.mask.shape[1])
+    attributes: dict[str, npt.NDArray[np.generic]] = {
+        "relative_difference": patch.relative_difference.ravel()[pixels],
+        "u": u.astype(np.uint16),
+        "v": v.astype(np.uint16),
+    }
+    return PointCloud(patch.points, colors, attributes)
+
+
+def write_cloud(path: Path | str, cloud: PointCloud) -> None:
+    """Write a cloud in the format of the path's suffix; the file appears whole or not at all.
+
+    ``.npz``, ``.ply`` and ``.pcd`` keep every bit of points, colours and attributes (8 to 32 bit
+    integers and floats; bool becomes uint8). ``.csv`` has a header ``x_m,y_m,z_m,red,green,blue,…``
+    and digits enough to give the same numbers back.
+
+    Raises
+    ------
+    ExportError
+        Unknown suffix, an attribute that the format cannot hold, or a place that cannot be written.
+    """
+    path = Path(path)
+    write, _ = _format(path, ExportError)
+    columns = _columns(path, cloud)
+    with atomic_path(path) as temporary:
+        write(temporary, columns)
+
+
+def read_cloud(path: Path | str) -> PointCloud:
+    """Read a cloud that `write_cloud` or another program wrote; PLY and PCD must be binary.
+
+    A CSV file holds no types: its attributes come back as float64.
+
+    Raises
+    ------
+    SourceError
+        No such file, unknown suffix, or contents that this reader does not know.
+    """
+    path = Path(path)
+    _, read = _format(path, SourceError)
+    try:
+        columns = read(path)
+        if missing := [name for name in _XYZ if name not in columns]:
+            raise ValueError(f"it has no {missing[0]}")
+        points = np.stack([columns.pop(name) for name in _XYZ], axis=1).astype(np.float32)
+        colors = None
+        if set(_RGB) <= columns.keys():
+            colors = np.stack([columns.pop(name) for name in _RGB], axis=1).astype(np.uint8)
+        return PointCloud(points, colors, dict(columns))
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    except (
+        ValueError,
+        KeyError,
+        IndexError,
+        TypeError,
+        EOFError,
+        struct.error,
+        zipfile.BadZipFile,
+        zlib.error,
+    ) as error:
+        detail = " ".join(str(error).split())
+        raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
+
+
+def _format(path: Path, error: type[Exception]) -> tuple[Callable[[Path, Columns], None], Callable[[Path], Columns]]:
+    suffix = path.suffix.lower()
+    if suffix not in _FORMATS:
+        raise error(f"{path} has the suffix {suffix!r}; clouds are {', '.join(_FORMATS)}")
+    return _FORMATS[suffix]
+
+
+def _columns(path: Path, cloud: PointCloud) -> Columns:
+    """Lay a cloud out column by column, checked."""
+    columns: Columns = dict(zip(_XYZ, np.asarray(cloud.points, np.float32).T, strict=True))
+    if cloud.colors is not None:
+        columns |= zip(_RGB, np.asarray(cloud.colors, np.uint8).T, strict=True)
+    for name, values in cloud.attributes.items():
+        if name in _RESERVED or not _NAME.fullmatch(name):
+            raise ExportError(f"cannot write {path}: an attribute cannot be called {name!r}; use another name")
+        columns[name] = values.astype(np.uint8) if values.dtype == np.bool_ else values
+    for name, values in columns.items():
+        if values.shape != (len(cloud),):
+            raise ExportError(
+                f"cannot write {path}: {name} has the shape {values.shape}, but there are {len(cloud)} points"
+            )
+    return columns
+
+
+def _records(path: Path, columns: Columns) -> npt.NDArray[np.void]:
+    """Interleave the columns, one packed little-endian record a point."""
+    for name, values in columns.items():
+        if values.dtype.newbyteorder("<") not in _PLY_NAMES:
+            raise ExportError(
+                f"cannot write {path}: {path.suffix} holds no {values.dtype} such as {name}; "
+                "convert it to 32 bits or choose .npz"
+            )
+    records = np.empty(len(columns["x"]), [(name, values.dtype.newbyteorder("<")) for name, values in columns.items()])
+    for name, values in columns.items():
+        records[name] = values
+    return records
+
+
+def _write_ply(path: Path, columns: Columns) -> None:
+    records = _records(path, columns)
+    properties = [f"property {_PLY_NAMES[records.dtype[name]]} {name}" for name in columns]
+    header = ["ply", "format binary_little_endian 1.0", f"element vertex {len(records)}", *properties, "end_header"]
+    path.write_bytes("\n".join(header).encode("ascii") + b"\n" + records.tobytes())
+
+
+def _read_ply(path: Path) -> Columns:
+    header, body = _split(path.read_bytes(), b"end_header")
+    if not header or header[0] != "ply":
+        raise ValueError("it does not begin with the line ply")
+    if "format binary_little_endian 1.0" not in header:
+        raise ValueError("it is not binary_little_endian")
+    elements = [index for index, line in enumerate(header) if line.startswith("element ")]
+    if not elements or not header[elements[0]].startswith("element vertex "):
+        raise ValueError("its first element is not vertex")
+    lines = header[elements[0] + 1 : elements[1] if len(elements) > 1 else None]
+    properties = [line.split()[1:] for line in lines if line.startswith("property ")]
+    if strange := [words for words in properties if len(words) != 2 or words[0] not in _PLY_TYPES]:
+        raise ValueError(f"its vertices have the property {' '.join(strange[0])!r}, which is of no known type")
+    layout = np.dtype([(name, _PLY_TYPES[kind]) for kind, name in properties])
+    return _unpack(body, layout, whole_number(header[elements[0]].split()[2:], "points"))
+
+
+def _write_pcd(path: Path, columns: Columns) -> None:
+    if set(_RGB) <= columns.keys():
+        red, green, blue = (columns[name].astype(np.uint32) for name in _RGB)
+        rest = {name: values for name, values in columns.items() if name not in _XYZ + _RGB}
+        columns = {name: columns[name] for name in _XYZ} | {"rgb": red << 16 | green << 8 | blue} | rest
+    records = _records(path, columns)
+    kinds = [records.dtype[name] for name in columns]
+    types = ["F" if name == "rgb" else kind.kind.upper() for name, kind in zip(columns, kinds, strict=True)]
+    header = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        f"FIELDS {' '.join(columns)}",
+        f"SIZE {' '.join(str(kind.itemsize) for kind in kinds)}",
+        f"TYPE {' '.join(types)}",
+        f"COUNT {' '.join('1' for _ in kinds)}",
+        f"WIDTH {len(records)}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {len(records)}",
+        "DATA binary",
+    ]
+    path.write_bytes("\n".join(header).encode("ascii") + b"\n" + records.tobytes())
+
+
+def _read_pcd(path: Path) -> Columns:
+    lines, body = _split(path.read_bytes(), b"DATA binary")
+    header = pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
+    if set(header["COUNT"]) != {"1"}:
+        raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known")
+    if not len(header["FIELDS"]) == len(header["TYPE"]) == len(header["SIZE"]):
+        raise ValueError("its lines FIELDS, TYPE and SIZE are of different lengths")
+    kinds = [f"{kind}{size}" for kind, size in zip(header["TYPE"], header["SIZE"], strict=True)]
+    if strange := [kind for kind in kinds if kind not in _PCD_TYPES]:
+        raise ValueError(f"it has a field of the type {strange[0]}, which is not known")
+    fields = zip(header["FIELDS"], header["TYPE"], header["SIZE"], strict=True)
+    layout = np.dtype([(name, "<u4" if name == "rgb" else f"<{kind.lower()}{size}") for name, kind, size in fields])
+    columns = _unpack(body, layout, whole_number(header["POINTS"], "points"))
+    if "rgb" in columns:
+        packed = columns.pop("rgb")
+        columns |= {name: packed >> shift & 255 for name, shift in zip(_RGB, (16, 8, 0), strict=True)}
+    return columns
+
+
+def pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
+    """Return the words of each line of a PCD header by the line's first one.
+
+    Raises
+    ------
+    ValueError
+        A needed line is missing.
+    """
+    header = {words[0]: words[1:] for words in (line.split() for line in lines) if words}
+    if missing := [name for name in needed if name not in header]:
+        raise ValueError(f"its header has no line {missing[0]}")
+    return header
+
+
+def whole_number(words: Sequence[str], what: str) -> int:
+    """Return the number that the first word of a header is.
+
+    Raises
+    ------
+    ValueError
+        It is none.
+    """
+    if not words or not re.fullmatch(r"[0-9]{1,18}", words[0]):
+        raise ValueError(f"its number of {what} is {' '.join(words)!r}")
+    return int(words[0])
+
+
+def _split(data: bytes, last_line: bytes) -> tuple[list[str], bytes]:
+    """Split a file after the line that ends its header."""
+    match = re.search(rb"^" + last_line + rb"\r?\n", data, re.MULTILINE)
+    if match is None:
+        raise ValueError(f"it has no line {last_line.decode()}")
+    return data[: match.start()].decode("ascii").splitlines(), data[match.end() :]
+
+
+def _unpack(body: bytes, layout: np.dtype[Any], count: int) -> Columns:
+    if len(body) < count * layout.itemsize:
+        raise ValueError(f"it ends after {len(body) // layout.itemsize} of {count} points")
+    records = np.frombuffer(body, layout, count)
+    return {name: records[name].astype(layout[name].newbyteorder("=")) for name in layout.names or ()}
+
+
+def _write_npz(path: Path, columns: Columns) -> None:
+    arrays = {name: values for name, values in columns.items() if name not in _XYZ + _RGB}
+    arrays["points"] = np.stack([columns[name] for name in _XYZ], axis=1)
+    if set(_RGB) <= columns.keys():
+        arrays["colors"] = np.stack([columns[name] for name in _RGB], axis=1)
+    with path.open("wb") as file:  # given a name, NumPy would add .npz to .NPZ
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def _read_npz(path: Path) -> Columns:
+    with path.open("rb") as file:
+        if not zipfile.is_zipfile(file):
+            raise ValueError("it is no archive of NumPy arrays")
+        file.seek(0)
+        with np.load(file, allow_pickle=False) as archive:
+            try:
+                arrays = dict(archive)
+            except ValueError as error:
+                raise ValueError("it holds an array of Python objects, or a damaged one") from error
+    points = arrays.pop("points", None)
+    if points is None:
+        raise ValueError("it has no array points")
+    if points.ndim != 2 or points.shape[1] != len(_XYZ) or points.dtype.kind not in "fiu":
+        raise ValueError(f"its points are {points.dtype} of the shape {points.shape}, not numbers of the shape (N, 3)")
+    columns: Columns = dict(zip(_XYZ, points.T, strict=True))
+    if "colors" in arrays:
+        columns |= zip(_RGB, arrays.pop("colors").T, strict=True)
+    return columns | arrays
+
+
+def _write_csv(path: Path, columns: Columns) -> None:
+    formats = [_CSV_FORMATS.get(values.dtype.str[1:], "%d") for values in columns.values()]
+    table = np.empty(len(columns["x"]), [(name, values.dtype) for name, values in columns.items()])
+    for name, values in columns.items():
+        table[name] = values
+    titles = [f"{name}_m" if name in _XYZ else name for name in columns]
+    np.savetxt(path, table, fmt=formats, delimiter=",", header=",".join(titles), comments="")
+
+
+def _read_csv(path: Path) -> Columns:
+    try:
+        first, _, rest = path.read_text(encoding="utf-8-sig").partition("\n")
+    except UnicodeDecodeError as error:
+        raise ValueError("it is no text") from error
+    names = first.strip().split(",")
+    if tuple(names[:3]) != _CSV_XYZ:
+        raise ValueError(f"its header does not begin with {','.join(_CSV_XYZ)}")
+    rows = [_csv_row(number, line, names) for number, line in enumerate(rest.splitlines(), 2) if line.strip()]
+    table = np.array(rows, dtype=np.float64).reshape(len(rows), len(names))
+    return dict(zip([*_XYZ, *names[3:]], table.T, strict=True))
+
+
+def _csv_row(number: int, line: str, names: list[str]) -> list[float]:
+    try:
+        values = [float(word) for word in line.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != len(names):
+        raise ValueError(f"line {number} is {line[:80]!r}, not {len(names)} numbers")
+    return values
+
+
+_FORMATS: dict[str, tuple[Callable[[Path, Columns], None], Callable[[Path], Columns]]] = {
+    ".ply": (_write_ply, _read_ply),
+    ".pcd": (_write_pcd, _read_pcd),
+    ".npz": (_write_npz, _read_npz),
+    ".csv": (_write_csv, _read_csv),
+}

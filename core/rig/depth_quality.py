@@ -1,0 +1,374 @@
+"""Depth quality in a region, as librealsense's Depth Quality Tool defines it, and the bias between both cameras.
+
+The definitions are those of librealsense's tools/depth-quality (readme.md and rs-depth-quality.cpp): fill rate,
+plane-fit RMS error, subpixel RMS error, Z accuracy and temporal noise over 40 frames. Two differences: 65535 counts
+are no depth, as everywhere in this package, and a pixel that never had a depth counts in the fill rate
+only, where the tool lets it pull the temporal noise towards zero.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from ..contact.alignment import make_alignment, tactile_homography, tactile_pose
+from ..errors import FrameError, RigMismatchError
+from ..model.arrays import BoolArray, Float32Array, Int64Array, Uint16Array
+from ..model.clouds import ray_table, valid_depth
+from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..preset import AlignmentSection
+from ..sources.base import CameraRole
+from .plane import clip_depths, fit_plane, root_mean_square, subpixel_errors
+
+#: Left, top, width, height in pixels.
+Rectangle = tuple[int, int, int, int]
+
+#: Frames over which the tool takes the temporal noise.
+NOISE_FRAMES = 40
+#: A standard deviation from fewer depths than this says nothing.
+_LEAST_DEPTHS = 5
+#: Baselines of Intel's stereo cameras, metres, from their data sheets.
+_BASELINES_M = {"D405": 0.018, "D415": 0.055, "D430": 0.050, "D435": 0.050, "D455": 0.095, "D456": 0.095}
+
+
+@dataclass(frozen=True)
+class CameraQuality:
+    """What one camera measures in a region; nan where it cannot be said.
+
+    Attributes
+    ----------
+    region : (int, int, int, int)
+        Left, top, width, height in this camera's pixels.
+    frames : int
+        How many frames the temporal noise was taken over.
+    fill_rate : float
+        Share of the region's pixels with a depth, newest frame, 0 to 1.
+    distance_m : float
+        Of the camera from the fitted plane, metres.
+    angle_deg : float
+        Between the plane's normal and the optical axis.
+    plane_rms_m, plane_rms_share : float
+        Root mean square distance of the points from the plane, metres and as a share of ``distance_m``.
+    subpixel_rms_px : float
+        The same as disparity, pixels; stereo cameras only.
+    z_accuracy : float
+        Signed error of the plane's distance as a share of the true distance; positive: too far.
+    temporal_noise_share : float
+        Median over the pixels of (standard deviation / median) over the frames.
+    temporal_noise_m : float
+        Median over the pixels of the standard deviation over the frames, metres.
+    """
+
+    role: CameraRole
+    model: str
+    region: Rectangle
+    frames: int
+    fill_rate: float
+    distance_m: float = float("nan")
+    angle_deg: float = float("nan")
+    plane_rms_m: float = float("nan")
+    plane_rms_share: float = float("nan")
+    subpixel_rms_px: float = float("nan")
+    z_accuracy: float = float("nan")
+    temporal_noise_share: float = float("nan")
+    temporal_noise_m: float = float("nan")
+
+
+@dataclass(frozen=True)
+class CameraBias:
+    """How much farther the proximity camera reads than the tactile one on the same place.
+
+    Attributes
+    ----------
+    bias_m : float
+        Median of ``dp - dt`` over the pixels of the aligned pair, metres.
+    share : float
+        ``bias_m`` over the median of ``dp``.
+    spread_m : float
+        1.4826 times the median absolute deviation from that median: how much places differ, metres.
+    pixels : int
+        Compared.
+    """
+
+    bias_m: float
+    share: float
+    spread_m: float
+    pixels: int
+
+
+@dataclass(frozen=True)
+class DepthQuality:
+    """Both cameras and the bias between them; ``bias_problem`` says why there is none."""
+
+    proximity: CameraQuality
+    tactile: CameraQuality
+    bias: CameraBias | None
+    bias_problem: str = ""
+
+    def to_json(self) -> dict[str, Any]:
+        """Return everything as JSON can hold it; what is not known is null."""
+        return {name: _without_nan(value) for name, value in asdict(self).items()}
+
+
+def fill_rate(counts: Uint16Array) -> float:
+    """Return the share of pixels with a depth, 0 to 1: neither 0 nor 65535 counts."""
+    return float(valid_depth(counts).mean())
+
+
+def temporal_noise(stack: Sequence[Uint16Array] | Uint16Array, unit_m: float) -> tuple[float, float]:
+    """Return how much a pixel's depth changes from frame to frame while nothing moves.
+
+    For each pixel, the standard deviation (over all its depths, divided by their number) and the median of its
+    depths over the frames; frames in which it has none are left out. The result is the median over the pixels.
+
+    Parameters
+    ----------
+    stack : uint16, N images (H, W)
+        Raw counts of one region; the tool takes 40.
+    unit_m : float
+
+    Returns
+    -------
+    (float, float)
+        Noise as a share of the distance, and in metres; nan where no pixel has five depths.
+    """
+    counts = np.asarray(stack)
+    valid = valid_depth(counts)
+    enough = valid.sum(axis=0) >= _LEAST_DEPTHS
+    if not enough.any():
+        return float("nan"), float("nan")
+    depths = counts[:, enough].astype(np.float32)
+    missing = ~valid[:, enough]
+    number = (~missing).sum(axis=0)
+    # Centred on a depth of each pixel's own, float32 loses nothing.
+    origin = np.where(missing, np.float32(0.0), depths).max(axis=0)
+    centred = np.where(missing, np.float32(0.0), depths - origin)
+    mean = centred.sum(axis=0) / number
+    variance = (np.where(missing, np.float32(0.0), centred - mean) ** 2).sum(axis=0) / number
+    deviation = np.sqrt(variance)
+    median = _median_of_valid(depths, missing, number)
+    return float(np.median(deviation / median)), float(np.median(deviation)) * unit_m
+
+
+def _median_of_valid(depths: Float32Array, missing: BoolArray, number: Int64Array) -> Float32Array:
+    """Return each column's median without its missing entries."""
+    ordered = np.sort(np.where(missing, np.float32(np.inf), depths), axis=0)
+    columns = np.arange(depths.shape[1])
+    return np.asarray((ordered[(number - 1) // 2, columns] + ordered[number // 2, columns]) / np.float32(2.0))
+
+
+def stereo_baseline_m(model: str) -> float | None:
+    """Return the baseline of a stereo camera by its model name, metres; None for others."""
+    found = re.search(r"D4\d\d", model.upper())
+    return _BASELINES_M.get(found[0]) if found else None
+
+
+def camera_quality(
+    role: CameraRole,
+    images: Sequence[Uint16Array],
+    camera: DepthCamera,
+    region: Rectangle,
+    true_distance_m: float | None = None,
+) -> CameraQuality:
+    """Measure one camera in a region.
+
+    All but the temporal noise is taken from the last image. The plane is fitted to all points of the region; then
+    the nearest and farthest 0.5 % are left out of the mean squares.
+
+    Parameters
+    ----------
+    role : "proximity" or "tactile"
+    images : sequence of uint16, shape (H, W)
+        Whole images, oldest first; at least one, 40 for the tool's temporal noise.
+    camera : DepthCamera
+    region : (int, int, int, int)
+        Left, top, width, height in the camera's pixels.
+    true_distance_m : float, optional
+        Measured by other means, from the camera along its axis to the target, for the Z accuracy.
+
+    Raises
+    ------
+    FrameError
+        The region does not lie within the image.
+    """
+    window = _window(region, camera, role)
+    newest = images[-1][window]
+    noise_share, noise_m = temporal_noise([image[window] for image in images], camera.depth_unit_m)
+    several = len(images) >= _LEAST_DEPTHS
+    quality = CameraQuality(
+        role=role,
+        model=camera.model,
+        region=region,
+        frames=len(images),
+        fill_rate=fill_rate(newest),
+        temporal_noise_share=noise_share if several else float("nan"),
+        temporal_noise_m=noise_m if several else float("nan"),
+    )
+    valid = valid_depth(newest)
+    depth = newest[valid].astype(np.float64) * camera.depth_unit_m
+    rays = ray_table(camera.intrinsics)[window][valid]
+    points = np.column_stack([rays * depth[:, None], depth])
+    plane = fit_plane(points)
+    if plane is None:
+        return quality
+    kept = clip_depths(points)
+    errors = plane.signed_distances(kept)
+    rms = root_mean_square(errors)
+    baseline = stereo_baseline_m(camera.model)
+    measured = {
+        "distance_m": plane.distance_m,
+        "angle_deg": plane.angle_deg,
+        "plane_rms_m": rms,
+        "plane_rms_share": rms / plane.distance_m,
+    }
+    if baseline is not None:
+        measured["subpixel_rms_px"] = root_mean_square(subpixel_errors(kept, plane, camera.intrinsics.fx, baseline))
+    if true_distance_m is not None:
+        error = float(np.median(plane.along_axis_m() - true_distance_m + errors))
+        measured["z_accuracy"] = error / true_distance_m
+    return CameraQuality(**{**asdict(quality), **measured})
+
+
+def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSection, region: Rectangle) -> CameraBias:
+    """Compare both cameras on the aligned pair, pixel by pixel, in a region of the proximity image.
+
+    ``dp`` and ``dt`` are the two sides of the tolerance test, depth scale and offset included. The result means
+    something only where both cameras see one and the same surface, such as a flat, opaque target.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither preset nor rig knows how the cameras stand to each other.
+    FrameError
+        The region does not lie within the image, or no pixel of it has a depth in both cameras.
+    """
+    _window(region, rig.proximity, "proximity")
+    left, top, width, height = region
+    ends = np.array([left, top, left + width, top + height], np.int64)
+    model = make_alignment(section, rig)
+    differences, depths = [], []
+    for frame in frames:
+        aligned = model.align(frame.proximity_depth, frame.tactile_depth, ends)
+        expected = aligned.expected_m[top : top + height, left : left + width].astype(np.float64)
+        difference = expected - aligned.measured_m[top : top + height, left : left + width]
+        both = np.isfinite(difference)
+        differences.append(difference[both])
+        depths.append(expected[both])
+    values = np.concatenate(differences)
+    if len(values) == 0:
+        raise FrameError("no pixel of the region has a depth in both cameras; move the region")
+    bias = float(np.median(values))
+    return CameraBias(
+        bias_m=bias,
+        share=bias / float(np.median(np.concatenate(depths))),
+        spread_m=1.4826 * float(np.median(np.abs(values - bias))),
+        pixels=len(values) // len(frames),
+    )
+
+
+def tactile_region(frame: SensorFrame, rig: Rig, section: AlignmentSection, region: Rectangle) -> Rectangle:
+    """Return the rectangle of the tactile image that sees what a region of the proximity image sees.
+
+    The region's corners are put at the median proximity depth within it and projected (rigid), or taken
+    through the homography.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither preset nor rig knows how the cameras stand to each other.
+    FrameError
+        The region does not lie within the image, has no depth, or lies outside the tactile image.
+    """
+    counts = frame.proximity_depth[_window(region, rig.proximity, "proximity")]
+    valid = counts[valid_depth(counts)]
+    left, top, width, height = region
+    right, bottom = left + width - 1, top + height - 1
+    corners = np.array([[left, top], [right, top], [left, bottom], [right, bottom]], np.float64)
+    if section.model == "homography":
+        u, v, w = np.linalg.inv(tactile_homography(section, rig)) @ np.column_stack([corners, np.ones(4)]).T
+        pixels = np.column_stack([u / w, v / w])
+    else:
+        if len(valid) == 0:
+            raise FrameError("the proximity camera sees no depth in the region; move it")
+        T_t_p = np.linalg.inv(tactile_pose(section, rig))
+        depth = float(np.median(valid)) * rig.proximity.depth_unit_m
+        points = np.column_stack([rig.proximity.intrinsics.normalise(corners), np.ones(4)]) * depth
+        pixels = rig.tactile.intrinsics.project(points @ T_t_p[:3, :3].T + T_t_p[:3, 3])
+    limits = np.array([rig.tactile.intrinsics.width, rig.tactile.intrinsics.height])
+    first = np.clip(np.rint(pixels.min(axis=0)), 0, limits).astype(int)
+    last = np.clip(np.rint(pixels.max(axis=0)) + 1, 0, limits).astype(int)
+    if (last - first < 2).any():
+        raise FrameError("the tactile camera does not see the region; move it")
+    return int(first[0]), int(first[1]), int(last[0] - first[0]), int(last[1] - first[1])
+
+
+def measure_quality(
+    frames: Sequence[SensorFrame],
+    rig: Rig,
+    section: AlignmentSection,
+    region: Rectangle,
+    true_distance_m: float | None = None,
+) -> DepthQuality:
+    """Measure both cameras and the bias between them.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+        Oldest first, at least one; the last 40 are used.
+    rig : Rig
+    section : AlignmentSection
+        The preset's; without any pose the tactile camera is measured in the same rectangle, and there is no bias.
+    region : (int, int, int, int)
+        Left, top, width, height in proximity pixels.
+    true_distance_m : float, optional
+        See `camera_quality`.
+
+    Raises
+    ------
+    FrameError
+        There is no frame, a frame has another size than the rig's, or the region does not lie within the image.
+    """
+    frames = list(frames)[-NOISE_FRAMES:]
+    if not frames:
+        raise FrameError("there is no frame to measure; let the source play")
+    for frame in frames:
+        frame.check_against(rig)
+    problem, bias, beside = "", None, _cut(region, rig.tactile)
+    try:
+        beside = tactile_region(frames[-1], rig, section, region)
+        bias = camera_bias(frames[-1:], rig, section, region)
+    except (RigMismatchError, FrameError) as error:
+        problem = str(error)
+    proximity = camera_quality(
+        "proximity", [frame.proximity_depth for frame in frames], rig.proximity, region, true_distance_m
+    )
+    tactile = camera_quality("tactile", [frame.tactile_depth for frame in frames], rig.tactile, beside, true_distance_m)
+    return DepthQuality(proximity, tactile, bias, problem)
+
+
+def _window(region: Rectangle, camera: DepthCamera, role: CameraRole) -> tuple[slice, slice]:
+    left, top, width, height = region
+    size = camera.intrinsics
+    if min(left, top) < 0 or min(width, height) < 1 or left + width > size.width or top + height > size.height:
+        raise FrameError(
+            f"the region {width} x {height} at ({left}, {top}) does not lie within the {role} image of "
+            f"{size.width} x {size.height} pixels; move it"
+        )
+    return slice(top, top + height), slice(left, left + width)
+
+
+def _cut(region: Rectangle, camera: DepthCamera) -> Rectangle:
+    """Return a region cut to an image; all of the image where nothing remains."""
+    size = camera.intrinsics
+    left, top = min(region[0], size.width - 1), min(region[1], size.height - 1)
+    return left, top, min(region[2], size.width - left), min(region[3], size.height - top)
+
+
+def _without_nan(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {key: _without_nan(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not np.isfinite(value) else value

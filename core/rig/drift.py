@@ -1,0 +1,201 @@
+"""Whether the untouched membrane is still where the reference has it: the depth change of both cameras, in words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+
+from ..errors import CalibrationError
+from ..methods.membrane_view import MembraneView
+from ..model.arrays import Float64Array, Uint16Array
+from ..model.clouds import ray_table, valid_depth
+from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..preset import Preset
+
+#: Changes from which methods that compare with the reference go wrong: half of proximity-only's margin.
+LIMIT_M: Final = 0.001
+
+Verdict = Literal["fine", "inflation", "camera", "touched"]
+
+_NORMAL: Final = 1.4826
+#: What no change of pressure or pose explains is a touch, where it is so large in such a share of the membrane.
+_DENT_M: Final = 0.003
+_DENT_SHARE: Final = 0.02
+#: The proximity camera sees the membrane itself only on prints: where it agrees with the tactile camera.
+_SAME_SURFACE_M: Final = 0.006
+#: A membrane that is flatter than this has no bulge to tell a change of inflation by.
+_LEAST_BULGE_M: Final = 0.005
+_FEWEST_PIXELS: Final = 200
+_MOST_PIXELS: Final = 20_000
+_ROUNDS: Final = 4
+
+
+@dataclass(frozen=True)
+class DepthChange:
+    """How one camera sees the membrane change, present minus reference; positive is farther away.
+
+    Attributes
+    ----------
+    median_m, spread_m : float
+        Median and robust spread (1.4826 median absolute deviations) over the pixels of the membrane.
+    moved_m : float
+        Root mean square of the part that is a plane over the image, as when a camera moves.
+    pixels : int
+    """
+
+    median_m: float
+    spread_m: float
+    moved_m: float
+    pixels: int
+
+
+@dataclass(frozen=True)
+class MembraneDrift:
+    """What has changed since the reference was captured.
+
+    Attributes
+    ----------
+    tactile : DepthChange
+    proximity : DepthChange or None
+        None where the proximity camera sees too little of the membrane itself.
+    inflation_m : float
+        How much farther the middle stands from the rim.
+    verdict : {"fine", "inflation", "camera", "touched"}
+    sentence : str
+        All that in words, with what to do.
+    """
+
+    tactile: DepthChange
+    proximity: DepthChange | None
+    inflation_m: float
+    verdict: Verdict
+    sentence: str
+
+
+def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, reference: SensorFrame) -> MembraneDrift:
+    """Compare the present untouched membrane with the reference.
+
+    The change of the tactile depth is taken apart, robustly, into a multiple of the membrane's own bulge, which
+    a change of pressure makes, and a plane over the image, which a camera that moves or drifts makes; what
+    is left over in one place is a touch.
+
+    Parameters
+    ----------
+    preset : Preset
+        Its alignment tells where the proximity camera sees the membrane.
+    rig : Rig
+    frame : SensorFrame
+        One frame while nothing touches, or the median of several.
+    reference : SensorFrame
+
+    Raises
+    ------
+    CalibrationError
+        Both frames share too little tactile depth.
+    FrameError
+        One of them is of another rig.
+    RigMismatchError
+        The preset leaves the pose to a rig that has none.
+    """
+    for one in (frame, reference):
+        one.check_against(rig)
+    change, x, y, before = _changes(frame.tactile_depth, reference.tactile_depth, rig.tactile)
+    if len(change) < _FEWEST_PIXELS:
+        raise CalibrationError(
+            f"the tactile camera sees only {len(change)} pixels of the membrane both now and in the reference; "
+            "check that it sees the membrane, or capture the reference anew"
+        )
+    rim, apex = np.quantile(before, [0.02, 0.98])
+    inflated = apex - rim >= _LEAST_BULGE_M
+    bulge = (before - rim) / (apex - rim) if inflated else np.zeros_like(before)
+    fitted = _fit(change, np.column_stack([np.ones_like(x), x, y, bulge]))
+    inflation_m = float(fitted[3]) if inflated else 0.0
+    plane = fitted[0] + fitted[1] * x + fitted[2] * y
+    tactile = _sum_up(change, plane)
+    dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
+    proximity = _proximity_change(preset, rig, frame, reference, inflation_m)
+    verdict, sentence = _judge(tactile, proximity, inflation_m, dented)
+    return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence)
+
+
+def _proximity_change(
+    preset: Preset,
+    rig: Rig,
+    frame: SensorFrame,
+    reference: SensorFrame,
+    inflation_m: float,
+) -> DepthChange | None:
+    """Return the change where the proximity camera sees the membrane, less what the inflation explains."""
+    view = MembraneView(preset.alignment, rig)
+    membrane = view.depth_m(reference.tactile_depth)
+    with np.errstate(invalid="ignore"):
+        seen = np.abs(reference.proximity_depth * rig.proximity.depth_unit_m - membrane) < _SAME_SURFACE_M
+    where = np.where(seen, reference.proximity_depth, np.uint16(0))
+    change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
+    if len(change) < _FEWEST_PIXELS:
+        return None
+    rim, apex = np.nanquantile(membrane, [0.02, 0.98])  # as this camera sees them
+    bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
+    fitted = _fit(change - inflation_m * bulge, np.column_stack([np.ones_like(x), x, y]))
+    return _sum_up(change, fitted[0] + fitted[1] * x + fitted[2] * y)
+
+
+def _changes(
+    now: Uint16Array, then: Uint16Array, camera: DepthCamera
+) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
+    """Return the changes of depth in metres where both have one, the pixels' rays x and y, and the depth before."""
+    pixels = np.flatnonzero(valid_depth(now) & valid_depth(then))
+    pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
+    before, after = (image.reshape(-1)[pixels].astype(np.float64) * camera.depth_unit_m for image in (then, now))
+    rays = ray_table(camera.intrinsics).reshape(-1, 2)[pixels].astype(np.float64)
+    return after - before, rays[:, 0], rays[:, 1], before
+
+
+def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
+    """Return the least-squares coefficients over the pixels that agree with each other."""
+    kept = np.abs(change - np.median(change)) <= 3 * _spread(change) + LIMIT_M
+    fitted: Float64Array = np.zeros(columns.shape[1])
+    for _ in range(_ROUNDS):
+        fitted = np.asarray(np.linalg.lstsq(columns[kept], change[kept], rcond=None)[0], np.float64)
+        left = change - columns @ fitted
+        kept = np.abs(left) <= 3 * _spread(left) + LIMIT_M / 2
+    return fitted
+
+
+def _spread(values: Float64Array) -> float:
+    return float(_NORMAL * np.median(np.abs(values - np.median(values))))
+
+
+def _sum_up(change: Float64Array, plane: Float64Array) -> DepthChange:
+    moved = float(np.sqrt(np.mean(plane**2)))
+    return DepthChange(float(np.median(change)), _spread(change), moved, len(change))
+
+
+def _judge(
+    tactile: DepthChange, proximity: DepthChange | None, inflation_m: float, dented: float
+) -> tuple[Verdict, str]:
+    if dented > _DENT_SHARE:
+        return "touched", (
+            f"Something touches the membrane: {100 * dented:.0f} % of it differs from the reference by more than "
+            f"{1e3 * _DENT_M:.0f} mm; take it away and check again."
+        )
+    known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
+    moved = {name: change.moved_m for name, change in known.items() if change.moved_m > LIMIT_M}
+    if moved:
+        by = " and ".join(f"{1e3 * metres:.1f} mm" for metres in moved.values())
+        cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
+        return "camera", (
+            f"{cameras} moved, or drifted with temperature: the membrane's depth is off by {by} up to its rim; "
+            "calibrate again, then capture the reference anew."
+        )
+    if abs(inflation_m) > LIMIT_M:
+        return "inflation", (
+            f"The inflation has changed: the middle of the membrane stands {1e3 * abs(inflation_m):.1f} mm "
+            f"{'farther out' if inflation_m > 0 else 'farther in'} than in the reference; inflate it as before, or "
+            "capture the reference anew."
+        )
+    numbers = ", ".join(f"{name} {1e3 * change.median_m:+.2f} mm" for name, change in known.items())
+    unseen = "" if proximity else "; the proximity camera sees too little of the membrane itself to be judged"
+    return "fine", f"The membrane is as in the reference (median change: {numbers}){unseen}."

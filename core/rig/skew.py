@@ -1,0 +1,317 @@
+"""The delay between both cameras, from what they show: the same motion, seen by both, shifted in time.
+
+Time stamps tell when a driver believes an image was taken. Here the motion itself tells: how far the object is
+pressed in is correlated between both cameras over a range of delays, and the peak is refined by a parabola.
+
+Both cameras average over different places and one of them drifts, so that a millimetre here need not be one there.
+The change of the tactile depth over a tenth of a second is therefore compared with the change of the best function
+of the proximity depth (piecewise linear), and the correlation is that of this best prediction, the coefficient of
+multiple correlation. With a wrong delay no function fits, because the tactile depth then differs between pressing in
+and pulling out at the same proximity depth: the two draw a loop, which only the right delay closes.
+
+The uncertainty comes from leaving out one stretch of time after the other (the delete-a-group jackknife), so that
+motion which fits badly somewhere makes it large. No answer is given where there is little motion, where both
+series do not agree, or where several delays fit almost equally well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from scipy.interpolate import CubicSpline
+
+from ..errors import TactuneError
+from ..model.arrays import Float64Array
+from ..model.frames import Rig
+from ..preset import AlignmentSection
+from ..sources.base import Progress
+from .motion import MotionSeries, Sample, pressed_depths
+
+#: Delays that are looked for, seconds.
+LARGEST_DELAY_S = 0.75
+#: What a measurement needs at least.
+LEAST_TIME_S = 2.0
+LEAST_WAY_M = 0.004
+#: Time is not bridged over a longer gap between two frames, seconds.
+LARGEST_GAP_S = 0.25
+_LEAST_NOISE_RATIO = 5.0
+_LEAST_CORRELATION = 0.8
+#: Another delay that leaves less than this many times the unexplained variance makes the answer ambiguous.
+_AMBIGUOUS_RATIO = 3.0
+_LARGEST_UNCERTAINTY_S = 0.015
+
+_DELAY_STEP_S = 0.002
+_GRID_STEP_S = 0.01
+#: Depths are compared by how much they change over this time, so that slow drifts matter little.
+_CHANGE_OVER_S = 0.1
+_KNOTS = 14
+#: How far a shortened series' peak may lie from that of the whole.
+_REACH_S = 0.06
+#: Share of the time and of the motion that must remain where both series overlap.
+_LEAST_OVERLAP = 0.5
+_LEAST_VARIANCE = 0.25
+_GROUPS = 10
+#: What reading between frames costs at least, added to what the jackknife tells.
+_INTERPOLATION_S = 0.001
+_LEAST_PAIRS = 20
+_LEAST_STRETCH = 6
+
+
+class SkewError(TactuneError):
+    """No delay can be told from this motion; the message says why and what to do."""
+
+
+@dataclass(frozen=True, eq=False)
+class Skew:
+    """The delay between both cameras.
+
+    Attributes
+    ----------
+    delay_s : float
+        How much later the tactile camera's time stamp is than the proximity camera's for the same moment. To be
+        taken off the tactile time stamps: the preset's ``cameras.tactile_delay_s``.
+    uncertainty_s : float
+        95 %, seconds.
+    correlation : float
+        At the peak, -1 to 1.
+    delays_s, correlations : float64, shape (K,)
+        The curve; nan where too little of both series overlaps.
+    proximity, tactile : MotionSeries
+        What was compared.
+    stamped_s : float
+        Median of tactile minus proximity time stamp, which pairing already knows of.
+    """
+
+    delay_s: float
+    uncertainty_s: float
+    correlation: float
+    delays_s: Float64Array
+    correlations: Float64Array
+    proximity: MotionSeries
+    tactile: MotionSeries
+    stamped_s: float
+
+    @property
+    def agrees(self) -> bool:
+        """Whether no delay can be told from none."""
+        return abs(self.delay_s) <= self.uncertainty_s
+
+    @property
+    def sentence(self) -> str:
+        """All that in words."""
+        about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
+        if self.agrees:
+            return f"Both cameras' time stamps agree as far as can be told: {1e3 * self.delay_s:+.1f} {about}."
+        later = "later" if self.delay_s > 0 else "earlier"
+        return (
+            f"The tactile camera's time stamps are {1e3 * abs(self.delay_s):.1f} {about} {later} "
+            "than the proximity camera's for the same moment."
+        )
+
+
+def measure_skew(
+    samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None = None
+) -> Skew:
+    """Measure the delay from a few seconds in which an object is pressed in and pulled out.
+
+    Parameters
+    ----------
+    samples : sequence of Sample
+        In the order in which they came; a recording may have begun again in between.
+    rig : Rig
+    section : AlignmentSection
+        The preset's.
+    progress : callable, optional
+
+    Raises
+    ------
+    SkewError
+        Too short, too little motion, no agreement or no single answer; the message says what to do.
+    RigMismatchError, FrameError
+        See `tactune.core.rig.motion.pressed_depths`.
+    """
+    if len(samples) < _LEAST_PAIRS:
+        raise SkewError(
+            f"there are only {len(samples)} frames; record at least {LEAST_TIME_S:g} s in which something moves"
+        )
+    proximity, tactile = pressed_depths(samples, rig, section, progress)
+    return find_delay(proximity, tactile)
+
+
+def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
+    """Find by how much the tactile series is later than the proximity series.
+
+    Parameters
+    ----------
+    proximity, tactile : MotionSeries
+        Sample by sample from the same frames.
+
+    Raises
+    ------
+    SkewError
+        See `measure_skew`.
+    """
+    _check_motion("proximity", proximity)
+    _check_motion("tactile", tactile)
+    steps = round(LARGEST_DELAY_S / _DELAY_STEP_S)
+    delays: Float64Array = _DELAY_STEP_S * np.arange(-steps, steps + 1, dtype=np.float64)
+    regressors, shifted = _resample(proximity, tactile, delays)
+    curve = _correlate(regressors, shifted)
+    best = _check_peak(delays, curve)
+    delay = _refine(delays, curve, best)
+    uncertainty = _jackknife(regressors, shifted, delays, best)
+    if uncertainty > _LARGEST_UNCERTAINTY_S:
+        raise SkewError(
+            f"the delay is uncertain by {1e3 * uncertainty:.0f} ms; move longer, faster and irregularly, "
+            "and measure again"
+        )
+    stamped = float(np.median(tactile.time_s - proximity.time_s))
+    return Skew(delay, uncertainty, float(curve[best]), delays, curve, proximity, tactile, stamped)
+
+
+def _check_motion(camera: str, series: MotionSeries) -> None:
+    """Refuse a series in which too little happens."""
+    way, needed = series.way_m, max(LEAST_WAY_M, _LEAST_NOISE_RATIO * series.noise_m)
+    if not way >= needed:
+        raise SkewError(
+            f"the {camera} camera sees too little motion, {1e3 * way:.1f} mm where {1e3 * needed:.0f} mm are needed; "
+            "press an object into the membrane and pull it out, several times and irregularly"
+        )
+
+
+def _resample(
+    proximity: MotionSeries, tactile: MotionSeries, delays: Float64Array
+) -> tuple[Float64Array, Float64Array]:
+    """Return what the proximity camera predicts on a fine grid, and the tactile depth there at each delay.
+
+    Depths are read from splines, nan where a spline does not reach. Nothing is taken across a gap or a jump of either
+    clock.
+
+    Returns
+    -------
+    regressors : float64, shape (M, R)
+        One, and the changes of the tent functions of the proximity depth.
+    shifted : float64, shape (K, M)
+        Change of the tactile depth at each delay, over its way.
+    """
+    depth, shifted = [], []
+    half = _CHANGE_OVER_S / 2
+    for stretch in _stretches(proximity, tactile):
+        near, far = _spline(proximity, stretch), _spline(tactile, stretch)
+        if near is None or far is None:
+            continue
+        grid = np.arange(near.x[0] + half, near.x[-1] - half, _GRID_STEP_S)
+        later = grid[None, :] + delays[:, None]
+        depth.append(np.stack([near(grid - half), near(grid + half)]))
+        shifted.append((far(later + half) - far(later - half)) / tactile.way_m)
+    if not depth:
+        raise SkewError("the time stamps jump all the time; check the cameras' clocks and measure again")
+    before, after = np.concatenate(depth, axis=1)
+    knots = np.linspace(before.min(), before.max(), _KNOTS)
+    # The last tent follows from the others, since all of them add up to 1.
+    tents = [np.interp(after, knots, tent) - np.interp(before, knots, tent) for tent in np.eye(_KNOTS)[:-1]]
+    return np.column_stack([np.ones_like(before), *tents]), np.concatenate(shifted, axis=1)
+
+
+def _stretches(proximity: MotionSeries, tactile: MotionSeries) -> list[slice]:
+    """Cut where time runs back (a recording that begins again) or a gap is too long."""
+    steps = np.stack([np.diff(proximity.time_s), np.diff(tactile.time_s)])
+    breaks = np.flatnonzero(((steps <= 0) | (steps > LARGEST_GAP_S)).any(axis=0)) + 1
+    ends = [0, *breaks.tolist(), len(proximity.time_s)]
+    return [slice(first, last) for first, last in pairwise(ends)]
+
+
+def _spline(series: MotionSeries, stretch: slice) -> CubicSpline | None:
+    time, depth = series.time_s[stretch], series.depth_m[stretch]
+    seen = np.isfinite(depth)
+    return CubicSpline(time[seen], depth[seen], extrapolate=False) if seen.sum() >= _LEAST_STRETCH else None
+
+
+def _correlate(regressors: Float64Array, shifted: Float64Array) -> Float64Array:
+    """Return the multiple correlation at each delay, where both overlap; nan where too little does."""
+    both = np.isfinite(shifted) & np.isfinite(regressors[:, 0])
+    number = both.sum(axis=1)
+    x = np.nan_to_num(regressors)
+    y = np.where(both, shifted, 0.0)
+    rows, columns = np.triu_indices(x.shape[1])
+    moments = np.empty((len(shifted), x.shape[1], x.shape[1]))
+    moments[:, rows, columns] = moments[:, columns, rows] = both.astype(np.float64) @ (x[:, rows] * x[:, columns])
+    n = np.maximum(number, 1)
+    mean = y.sum(axis=1) / n
+    variance = (y * y).sum(axis=1) / n - mean**2
+    known = (number >= _LEAST_OVERLAP * number.max()) & (variance > _LEAST_VARIANCE * variance.max())
+    targets = (y @ x)[known]
+    ridge = 1e-9 * n[known, None, None] * np.eye(x.shape[1])
+    fitted = np.linalg.solve(moments[known] + ridge, targets[:, :, None])[:, :, 0]
+    explained = (targets * fitted).sum(axis=1) / n[known] - mean[known] ** 2
+    curve: Float64Array = np.full(len(shifted), np.nan)
+    curve[known] = np.sqrt(np.clip(explained / variance[known], 0.0, 1.0))
+    return curve
+
+
+def _check_peak(delays: Float64Array, curve: Float64Array) -> int:
+    """Return where the one clear peak is."""
+    known = np.flatnonzero(np.isfinite(curve))
+    if len(known) < 3:
+        raise SkewError("both cameras' series hardly overlap in time; check their clocks and measure again")
+    best = int(np.nanargmax(curve))
+    if curve[best] < _LEAST_CORRELATION:
+        raise SkewError(
+            f"both cameras do not see the same motion (correlation {curve[best]:.2f}, {_LEAST_CORRELATION} is needed); "
+            "press one object into the middle of the membrane, and check the alignment"
+        )
+    if best in (known[0], known[-1]):
+        raise SkewError(
+            f"no peak lies within ±{1e3 * LARGEST_DELAY_S:.0f} ms; check that both cameras use global time, "
+            "and measure again"
+        )
+    other = _other_peak(curve, best)
+    if other is not None:
+        raise SkewError(
+            f"delays of {1e3 * delays[best]:.0f} ms and {1e3 * delays[other]:.0f} ms fit almost equally well, because "
+            "the motion repeats or goes one way only; press in and pull out irregularly and measure again"
+        )
+    return best
+
+
+def _other_peak(curve: Float64Array, best: int) -> int | None:
+    """Return the highest other peak, where it leaves hardly more unexplained."""
+    inner = curve[1:-1]
+    tops = np.flatnonzero((inner > curve[:-2]) & (inner >= curve[2:])) + 1
+    tops = tops[np.abs(tops - best) * _DELAY_STEP_S > _REACH_S]
+    if len(tops) == 0:
+        return None
+    highest = int(tops[np.argmax(curve[tops])])
+    unexplained = (1.0 - curve[highest] ** 2) / max(1.0 - curve[best] ** 2, 1e-9)
+    return highest if unexplained <= _AMBIGUOUS_RATIO else None
+
+
+def _refine(delays: Float64Array, curve: Float64Array, best: int) -> float:
+    """Return the vertex of the parabola through the highest value and its neighbours."""
+    before, top, after = curve[best - 1 : best + 2]
+    bend = before - 2 * top + after
+    return float(delays[best] + (0.5 * (before - after) / bend * _DELAY_STEP_S if bend < 0 else 0.0))
+
+
+def _jackknife(regressors: Float64Array, shifted: Float64Array, delays: Float64Array, best: int) -> float:
+    """Return the 95 % uncertainty of the delay: what leaving out a tenth of the time changes.
+
+    ``var = (G - 1) / G * sum (d_g - mean d)^2`` over G groups (Efron, The Jackknife, the Bootstrap and Other
+    Resampling Plans, 1982, ch. 3, applied to blocks, since neighbouring values depend on each other).
+    """
+    reach = round(_REACH_S / _DELAY_STEP_S)
+    first, last = max(best - reach, 0), min(best + reach + 1, len(delays))
+    estimates = []
+    for group in np.array_split(np.arange(len(regressors)), _GROUPS):
+        left_out = regressors.copy()
+        left_out[group] = np.nan
+        curve = _correlate(left_out, shifted[first:last])
+        top = int(np.nanargmax(curve))
+        inner = 0 < top < len(curve) - 1
+        estimates.append(_refine(delays[first:last], curve, top) if inner else delays[first + top])
+    deviations = np.asarray(estimates) - np.mean(estimates)
+    jackknife = 2.0 * float(np.sqrt((_GROUPS - 1) / _GROUPS * np.sum(deviations**2)))
+    return float(np.hypot(jackknife, _INTERPOLATION_S))

@@ -1,0 +1,1 @@
+"""Painted 3D scans of the object as ground truth."""

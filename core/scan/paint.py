@@ -1,0 +1,184 @@
+"""Contact from thermochromic paint: which part of a scan has turned pink, and points on it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from pydantic import ValidationError
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from ..contact.masking import in_hsv_range
+from ..errors import TactuneError
+from ..model.arrays import AnyArray, BoolArray, Float32Array, Float64Array
+from ..preset import MaskSection
+from .scan import Scan
+
+SPACING_M: Final = 0.0005
+_MOST_POINTS: Final = 5_000_000
+
+#: Steps of the sequence of points that fills a square evenly: powers of 1 over the root of x^3 = x + 1 (Roberts' R2).
+_PLASTIC: Final = 1.3247179572447460
+_STEPS: Final = (1 / _PLASTIC, 1 / _PLASTIC**2)
+
+
+@dataclass(frozen=True)
+class PaintSettings:
+    """Which colour means contact, and which spots are believed.
+
+    Attributes
+    ----------
+    hue : tuple of int
+        Range of the touched paint, OpenCV's 0 to 179; a low end above the high end wraps around through red.
+    saturation, value : tuple of int
+        Ranges, 0 to 255.
+    least_area_mm2 : float
+        Smaller spots are dropped and smaller holes filled.
+    largest : int
+        How many spots are kept, the largest first; 0 keeps all.
+
+    Raises
+    ------
+    TactuneError
+        A range or number that cannot be.
+    """
+
+    hue: tuple[int, int] = (150, 179)
+    saturation: tuple[int, int] = (40, 255)
+    value: tuple[int, int] = (60, 255)
+    least_area_mm2: float = 20.0
+    largest: int = 0
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.least_area_mm2) and self.least_area_mm2 >= 0):
+            raise TactuneError(f"the paint's least area is {self.least_area_mm2} mm2; give a number from 0")
+        if self.largest < 0:
+            raise TactuneError(f"the paint keeps {self.largest} spots; give a number from 0, where 0 keeps all")
+        self.color_range()
+
+    def color_range(self) -> MaskSection:
+        """Return the range of colours, checked."""
+        try:
+            return MaskSection(hue=self.hue, saturation=self.saturation, value=self.value)
+        except ValidationError as error:
+            first = error.errors()[0]
+            name = ".".join(map(str, first["loc"])) or "range"
+            raise TactuneError(f"the paint's {name} cannot be: {first['msg']}; it is {first['input']!r}") from error
+
+
+def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
+    """Tell which vertices have the touched paint's colour, after the clean-up.
+
+    Holes and then spots of less than the least area change sides; of what remains, the largest spots are
+    kept. A spot is connected by the mesh's edges, and a vertex has a third of its triangles' area.
+
+    Returns
+    -------
+    bool, shape (N,)
+    """
+    contact = in_hsv_range(scan.colors[None], paint.color_range())[0]
+    least_m2 = 1e-6 * paint.least_area_mm2
+    shares = _vertex_areas(scan)
+    contact = contact | _small(scan, ~contact, shares, least_m2)
+    contact = contact & ~_small(scan, contact, shares, least_m2)
+    return _among_largest(scan, contact, shares, paint.largest) if paint.largest else contact
+
+
+def contact_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> Float32Array:
+    """Return points that cover the surface in contact evenly, by area, the same for the same arguments.
+
+    Between vertices contact is interpolated and ends at one half.
+
+    Parameters
+    ----------
+    scan : Scan
+    contact : bool, shape (N,)
+        As from `painted_contact`.
+    spacing_m : float
+        A point has the area of a square of this side, metres.
+
+    Returns
+    -------
+    float32, shape (K, 3)
+        Metres, the scan's frame; empty where nothing is in contact.
+
+    Raises
+    ------
+    TactuneError
+        ``contact`` belongs to another scan, or the spacing gives no or far too many points.
+    """
+    return surface_points(scan, contact, spacing_m)[0].astype(np.float32)
+
+
+def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> tuple[Float64Array, Float64Array]:
+    """Return the points of `contact_points` and the unit normals of their triangles, float64, each (K, 3)."""
+    if contact.shape != (len(scan.vertices_m),):
+        raise TactuneError(
+            f"contact has the shape {contact.shape}, but the scan has {len(scan.vertices_m)} vertices; "
+            "take it from this scan"
+        )
+    touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
+    areas = scan.areas_m2[touching]
+    if not (math.isfinite(spacing_m) and spacing_m > 0):
+        raise TactuneError(f"the spacing is {spacing_m} m; give the distance of neighbouring points, such as 0.0005")
+    if areas.sum() / spacing_m**2 > _MOST_POINTS:
+        raise TactuneError(
+            f"the painted contact is {1e4 * areas.sum():.3g} cm2 on a scan of {scan.size_m:.3g} m, too much for points "
+            f"{1e3 * spacing_m:g} mm apart; check the scan's unit and the paint's colour"
+        )
+    if len(touching) == 0:
+        return np.empty((0, 3)), np.empty((0, 3))
+    count = max(round(areas.sum() / spacing_m**2), 1)
+    ends = np.cumsum(areas)
+    places = (np.arange(count) + 0.5) / count * ends[-1]
+    chosen = np.minimum(np.searchsorted(ends, places, side="right"), len(touching) - 1)
+    corners = scan.triangles[touching[chosen]]
+    weights = _spread_weights(count)
+    inside = (weights * contact[corners]).sum(axis=1) >= 0.5
+    a, b, c = (scan.vertices_m[corners[inside, k]] for k in range(3))
+    w = weights[inside]
+    across = np.cross(b - a, c - a)
+    points = w[:, :1] * a + w[:, 1:2] * b + w[:, 2:] * c
+    return points, across / np.linalg.norm(across, axis=1, keepdims=True)
+
+
+def _spread_weights(count: int) -> Float64Array:
+    """Return barycentric weights, (count, 3), that fill a triangle evenly."""
+    numbers = np.arange(1, count + 1)
+    s, t = ((0.5 + step * numbers) % 1.0 for step in _STEPS)
+    folded = s + t > 1.0
+    s, t = np.where(folded, 1 - s, s), np.where(folded, 1 - t, t)
+    return np.column_stack([1 - s - t, s, t])
+
+
+def _vertex_areas(scan: Scan) -> Float64Array:
+    """Return a third of the area of each vertex's triangles, m^2."""
+    thirds = np.repeat(scan.areas_m2 / 3, 3)
+    return np.asarray(np.bincount(scan.triangles.ravel(), thirds, minlength=len(scan.vertices_m)), np.float64)
+
+
+def _spots(scan: Scan, marked: BoolArray) -> tuple[int, AnyArray]:
+    """Return the number of connected groups of marked vertices, and the group of each vertex."""
+    t = scan.triangles
+    edges = np.concatenate([t[:, (0, 1)], t[:, (1, 2)], t[:, (2, 0)]])
+    edges = edges[marked[edges].all(axis=1)]
+    graph = coo_array((np.ones(len(edges), np.int8), (edges[:, 0], edges[:, 1])), (len(marked), len(marked)))
+    count, labels = connected_components(graph, directed=False)
+    return int(count), labels
+
+
+def _small(scan: Scan, marked: BoolArray, shares: Float64Array, least_m2: float) -> BoolArray:
+    """Tell which marked vertices belong to a group of less than an area."""
+    count, labels = _spots(scan, marked)
+    return np.asarray(marked & (np.bincount(labels, shares, minlength=count)[labels] < least_m2))
+
+
+def _among_largest(scan: Scan, marked: BoolArray, shares: Float64Array, most: int) -> BoolArray:
+    """Tell which vertices belong to the largest groups of marked ones."""
+    count, labels = _spots(scan, marked)
+    areas = np.bincount(labels, shares * marked, minlength=count)
+    kept = np.argsort(-areas, kind="stable")[:most]
+    return np.asarray(np.isin(labels, kept) & marked)

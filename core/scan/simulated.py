@@ -1,0 +1,233 @@
+"""Painted scans of simulated objects: what a person would have scanned, with the contact that the solver knows."""
+
+from __future__ import annotations
+
+import io
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from scipy.spatial import cKDTree
+
+from ..errors import ExportError, MissingExtraError, SourceError
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
+from ..model.files import atomic_path
+from ..model.frames import GroundTruth, Matrix4, Rig
+from ..sources.base import FrameSource
+from ..sources.simulator.source import SimulatorSource
+from .pose import save_transform, transformed
+from .scan import SUFFIXES
+from .surface import object_surface, to_surface
+
+#: Thermochromic paint, touched and not, RGB.
+PINK: Final = (235, 110, 170)
+PURPLE: Final = (90, 50, 140)
+
+#: Sides of the mesh's quads, metres: fine enough for colours of vertices, and coarse with a texture.
+FINE_M: Final = 0.0008
+COARSE_M: Final = 0.004
+_FINEST_M, _COARSEST_M = 0.0003, 0.010
+#: Texels along a quad's side; the outermost only repeat their neighbours'.
+_BLOCK: Final = 14
+#: The film is this near to the surface that it touches, along the camera's axis: between the membrane's
+#: nodes, and where the surface is steep within a pixel. The other side of any object is farther away.
+_NEAR_M: Final = 0.003
+_SPECK_RADIUS_M: Final = 0.0012
+
+
+@dataclass(frozen=True)
+class PaintFlaws:
+    """How a real scan's colours differ from two pure ones.
+
+    Attributes
+    ----------
+    noise : float
+        Standard deviation of each channel at each vertex or texel, 0 to 255.
+    specks : int
+        Spots of the other colour, 2.4 mm wide, anywhere on the object.
+    seed : int
+    """
+
+    noise: float = 0.0
+    specks: int = 0
+    seed: int = 0
+
+
+def export_painted_scan(
+    source: FrameSource,
+    index: int,
+    path: Path | str,
+    *,
+    texture: bool = False,
+    spacing_m: float | None = None,
+    flaws: PaintFlaws | None = None,
+) -> list[Path]:
+    """Write the object of a simulated frame as a scan, pink where the membrane touches it, and its true pose.
+
+    Contact is the frame's truth, projected from the proximity camera onto the object: what the camera cannot
+    see stays purple.
+
+    Parameters
+    ----------
+    source : FrameSource
+        A `SimulatorSource`.
+    index : int
+        Which frame.
+    path : path
+        ``.ply`` with vertex colours; with ``texture`` ``.obj``, and a ``.mtl`` and ``.png`` beside it.
+    texture : bool
+        A coarse mesh with a fine texture instead of a fine mesh with vertex colours.
+    spacing_m : float, optional
+        Side of the mesh's quads; 0.8 mm, or 4 mm with a texture, unless given.
+    flaws : PaintFlaws, optional
+
+    Returns
+    -------
+    list of Path
+        The scan, its further files and last ``NAME.transform.json``, as `load_transform` reads it.
+
+    Raises
+    ------
+    SourceError
+        The source is no simulator or has no such frame.
+    ExportError
+        Another suffix or spacing, or a place that cannot be written.
+    MissingExtraError
+        trimesh or Pillow is not installed.
+    """
+    path, flaws = Path(path), flaws or PaintFlaws()
+    if spacing_m is None:
+        spacing_m = COARSE_M if texture else FINE_M
+    if path.suffix.lower() != SUFFIXES[texture]:
+        kind = "a texture" if texture else "vertex colours"
+        raise ExportError(f"{path} has the suffix {path.suffix!r}; a scan with {kind} is {SUFFIXES[texture]}")
+    if not _FINEST_M <= spacing_m <= _COARSEST_M:
+        raise ExportError(
+            f"the spacing is {1e3 * spacing_m:g} mm; give {1e3 * _FINEST_M:g} to {1e3 * _COARSEST_M:g} mm"
+        )
+    if not isinstance(source, SimulatorSource):
+        raise SourceError(f"{source.name} knows no object's shape; painted scans come from the simulator, sim:")
+    if not 0 <= index < len(source.scene.frames):
+        raise SourceError(f"{source.name} has no frame {index}; it has 0 to {len(source.scene.frames) - 1}")
+    truth, pose = source.read(index).truth, source.facts(index).T_proximity_object
+    assert truth is not None
+    painter = _Painter(source.scene.pressed.kind, pose, truth, source.rig, flaws)
+    vertices, quads = object_surface(painter.kind, spacing_m)
+    write = _textured_files if texture else _coloured_files
+    transform = path.with_suffix(".transform.json")
+    _write(write(path, vertices, quads, painter))
+    save_transform(transform, pose)
+    return [path, *([path.with_suffix(suffix) for suffix in (".mtl", ".png")] if texture else []), transform]
+
+
+@dataclass(frozen=True, eq=False)
+class _Painter:
+    """Tells the colour of places on the object of one frame."""
+
+    kind: int
+    T_proximity_object: Matrix4
+    truth: GroundTruth
+    rig: Rig
+    flaws: PaintFlaws
+
+    def touched(self, points: Float64Array) -> BoolArray:
+        """Tell which points of the surface, (N, 3), the proximity camera sees in contact."""
+        normals = to_surface(self.kind, points)
+        seen = transformed(self.T_proximity_object, points)
+        outward = normals @ np.asarray(self.T_proximity_object)[:3, :3].T
+        u, v = self.rig.proximity.intrinsics.project(seen).astype(np.float32).T
+        assert self.truth.depth_m is not None
+        share = _looked_up(self.truth.contact.astype(np.float32), u, v, cv2.INTER_LINEAR)
+        film = _looked_up(self.truth.depth_m, u, v, cv2.INTER_NEAREST)
+        facing = (outward * seen).sum(axis=1) < 0
+        return np.asarray(facing & (share >= 0.5) & (np.abs(seen[:, 2] - film) < _NEAR_M))
+
+    def colors(self, points: Float64Array) -> Uint8Array:
+        """Return the paint's colour, uint8 (N, 3), of points of the surface, flaws included."""
+        touched, random = self.touched(points), np.random.default_rng(self.flaws.seed)
+        if self.flaws.specks:
+            middles = points[random.integers(len(points), size=self.flaws.specks)]
+            hit = np.unique(np.concatenate(cKDTree(points).query_ball_point(middles, _SPECK_RADIUS_M)))
+            touched[hit.astype(np.intp)] ^= True
+        colors = np.where(touched[:, None], PINK, PURPLE).astype(np.float64)
+        colors += self.flaws.noise * random.standard_normal(colors.shape)
+        return np.clip(np.round(colors), 0, 255).astype(np.uint8)
+
+
+def _looked_up(image: Float32Array, u: Float32Array, v: Float32Array, how: int) -> Float32Array:
+    """Return an image's values at pixels, (N,), 0 outside."""
+    rows = 4096  # OpenCV takes no more than 32767 columns
+    wide = [np.pad(where, (0, -len(where) % rows)).reshape(-1, rows) for where in (u, v)]
+    found = cv2.remap(image, wide[0], wide[1], how, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
+    return np.asarray(found, np.float32).reshape(-1)[: len(u)]
+
+
+def _coloured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
+    mesh = _trimesh().Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
+    return {path: mesh.export(file_type="ply")}
+
+
+def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
+    """Give each quad a square block of one texture."""
+    import PIL.Image
+
+    trimesh = _trimesh()
+    across = math.ceil(math.sqrt(len(quads)))
+    down, size = -(-len(quads) // across), across * _BLOCK
+    row, column = np.divmod(np.arange(len(quads)), across)
+    s = (np.clip(np.arange(_BLOCK), 1, _BLOCK - 2) - 1) / (_BLOCK - 3)
+    colors = painter.colors(_places(vertices[quads], s).reshape(-1, 3)).reshape(len(quads), _BLOCK, _BLOCK, 3)
+    blocks = np.zeros((down, _BLOCK, across, _BLOCK, 3), np.uint8)
+    blocks[row, :, column] = colors
+    image = blocks.reshape(down * _BLOCK, size, 3)
+    ends = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (_BLOCK - 3) + 1.5  # middles of texels
+    x, y = (np.stack([column, row], axis=1)[:, None] * _BLOCK + ends).reshape(-1, 2).T
+    material = trimesh.visual.material.SimpleMaterial(name=path.stem, image=PIL.Image.fromarray(image))
+    uv = np.column_stack([x / size, 1 - y / len(image)])
+    corners = np.arange(4 * len(quads)).reshape(-1, 4)
+    mesh = trimesh.Trimesh(
+        vertices[quads].reshape(-1, 3), _halves(corners), process=False,
+        visual=trimesh.visual.TextureVisuals(uv=uv, material=material),
+    )  # fmt: skip
+    text = trimesh.exchange.obj.export_obj(mesh, write_texture=False, mtl_name=path.with_suffix(".mtl").name)
+    picture = io.BytesIO()
+    PIL.Image.fromarray(image).save(picture, "PNG")
+    lines = f"newmtl {path.stem}\nKd 1.0 1.0 1.0\nmap_Kd {path.with_suffix('.png').name}\n"
+    return {path.with_suffix(".png"): picture.getvalue(), path.with_suffix(".mtl"): lines.encode(), path: text.encode()}
+
+
+def _places(corners: Float64Array, s: Float64Array) -> Float64Array:
+    """Return places on quads, (N, 4, 3), by their shares of both sides: (N, rows, columns, 3).
+
+    A quad is two flat triangles, cut from its first corner to its third.
+    """
+    a, b, c, d = (corners[:, None, None, k] for k in range(4))
+    right, down = s[None, None, :, None], s[None, :, None, None]
+    lower = a + right * (b - a) + down * (c - b)
+    upper = a + down * (d - a) + right * (c - d)
+    return np.asarray(np.where(right >= down, lower, upper))
+
+
+def _halves(quads: Int64Array) -> Int64Array:
+    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
+
+
+def _write(files: Mapping[Path, bytes]) -> None:
+    for path, data in files.items():
+        with atomic_path(path) as temporary:
+            temporary.write_bytes(data)
+
+
+def _trimesh() -> Any:
+    try:
+        import PIL.Image  # noqa: F401
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f'writing a scan needs {error.name}, which is not installed: pip install "tactune[scan]"'
+        ) from error
+    return trimesh

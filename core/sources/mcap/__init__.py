@@ -1,0 +1,1 @@
+"""Recordings as ROS 2 bags in MCAP: the format, its reader, and the source that plays them."""

@@ -1,0 +1,251 @@
+"""ROS 2 messages of a recording: topics, frames, definitions and their bytes (CDR).
+
+A recording holds, for every frame of the sensor:
+
+=================================== ========================== ==================================
+topic                               type                       contents
+=================================== ========================== ==================================
+``/proximity/depth/image``          ``sensor_msgs/Image``      16UC1, raw counts
+``/proximity/color/image``          ``sensor_msgs/Image``      rgb8
+``/tactile/depth/image``            ``sensor_msgs/Image``      16UC1, raw counts
+``/tactile/color/image``            ``sensor_msgs/Image``      rgb8, aligned to depth  (where known)
+``…/camera_info``                   ``sensor_msgs/CameraInfo`` beside each of these images
+``/truth/contact/image``            ``sensor_msgs/Image``      mono8, 0 or 255         (where known)
+``/truth/depth/image``              ``sensor_msgs/Image``      32FC1, metres           (where known)
+``/tactune/frame``                  ``std_msgs/String``        JSON: the sequence number and both
+                                                               time stamps, every bit
+``/tactune/rig``                    ``std_msgs/String``        JSON: the rig, once
+``/tf_static``                      ``tf2_msgs/TFMessage``     factory poses, once
+=================================== ========================== ==================================
+
+Depth stays as the cameras count it, so that playback gives the very bits. ROS takes 16UC1 for
+millimetres: clouds that Foxglove or RViz make of it are too large by the ratio of the units, 4 for
+an L515 (0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the rig, which is also attached as
+``rig.json``; the topic is there for tools that copy messages and leave attachments out.
+
+A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is told as
+``plumb_bob`` with the same coefficients, as the camera maker's own ROS driver does.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from enum import StrEnum
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from rosbags.typesys import Stores, get_typestore
+from scipy.spatial.transform import Rotation
+
+from ...errors import SourceError
+from ...model.arrays import Float32Array, Float64Array
+from ...model.frames import Matrix4, Rig, SensorFrame, rigid_transform
+from ...model.intrinsics import Intrinsics
+
+TYPES: Final = get_typestore(Stores.ROS2_HUMBLE)
+
+IMAGE: Final = "sensor_msgs/msg/Image"
+CAMERA_INFO: Final = "sensor_msgs/msg/CameraInfo"
+POINT_CLOUD: Final = "sensor_msgs/msg/PointCloud2"
+TEXT: Final = "std_msgs/msg/String"
+TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
+
+#: Transient local and reliable, in the numbers that every release of rosbag2 understands; without
+#: this, players publish static transforms in a way to which no listener listens.
+STATIC_QOS: Final = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+
+
+class Topic(StrEnum):
+    """Topics of a recording."""
+
+    FRAME = "/tactune/frame"
+    RIG = "/tactune/rig"
+    STATIC_TRANSFORMS = "/tf_static"
+    PROXIMITY_DEPTH = "/proximity/depth/image"
+    PROXIMITY_COLOR = "/proximity/color/image"
+    TACTILE_DEPTH = "/tactile/depth/image"
+    TACTILE_COLOR = "/tactile/color/image"
+    TRUTH_CONTACT = "/truth/contact/image"
+    TRUTH_DEPTH = "/truth/depth/image"
+    PATCH = "/contact/patch"
+
+    @property
+    def camera_info(self) -> str:
+        """The topic of the lens of an image topic."""
+        return self.removesuffix("image") + "camera_info"
+
+
+#: Topics with one message, which is kept for listeners who come later.
+SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
+
+PROXIMITY_FRAME: Final = "proximity_depth_optical_frame"
+PROXIMITY_COLOR_FRAME: Final = "proximity_color_optical_frame"
+TACTILE_FRAME: Final = "tactile_depth_optical_frame"
+
+_LAST_STAMP_NS = (2**31) * 10**9 - 1
+
+
+def nanoseconds(time_s: float) -> int:
+    """Return a time in whole nanoseconds, within what a ROS time stamp can hold."""
+    return min(max(round(time_s * 1e9), -(2**31) * 10**9), _LAST_STAMP_NS)
+
+
+class LogClock:
+    """Log times that follow the time stamps and always grow, whatever the stamps do.
+
+    Players sort by log time: a camera's clock that jumps back must not shuffle the frames.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_ns = max(nanoseconds(period_s), 1)
+        self._shift_ns = 0
+        self._last_ns: int | None = None
+
+    def tick(self, stamp_ns: int) -> int:
+        """Return the log time of a frame with this stamp, nanoseconds from 0."""
+        earliest_ns = 0 if self._last_ns is None else self._last_ns + 1
+        if stamp_ns + self._shift_ns < earliest_ns:
+            resume_ns = 0 if self._last_ns is None else self._last_ns + self._period_ns
+            self._shift_ns = resume_ns - stamp_ns
+        self._last_ns = stamp_ns + self._shift_ns
+        return self._last_ns
+
+
+def definition(message_type: str) -> str:
+    """Return the definition of a message type with all that it contains."""
+    return TYPES.generate_msgdef(message_type, ros_version=2)[0]
+
+
+def type_hash(message_type: str) -> str:
+    """Return the hash by which ROS 2 names this very definition."""
+    return TYPES.hash_rihs01(message_type)
+
+
+def stamped(template: bytes, stamp_ns: int) -> bytes:
+    """Return a serialised message, whose first field is a header, with another time stamp."""
+    seconds, rest = divmod(stamp_ns, 10**9)
+    return template[:4] + struct.pack("<iI", seconds, rest) + template[12:]
+
+
+def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes: int) -> bytes:
+    """Return a serialised image up to its pixels, which follow it as they are."""
+    height, width = shape
+    row_bytes = width * pixel_bytes
+    empty = _type(IMAGE)(_header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
+    return _serialise(empty, IMAGE)[:-4] + struct.pack("<I", height * row_bytes)
+
+
+def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
+    """Return a serialised lens."""
+    k = lens.camera_matrix()
+    region = _type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
+    message = _type(CAMERA_INFO)(
+        header=_header(frame_id),
+        height=lens.height,
+        width=lens.width,
+        distortion_model="plumb_bob",
+        d=np.array(lens.coefficients),
+        k=k.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.hstack([k, np.zeros((3, 1))]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+    return _serialise(message, CAMERA_INFO)
+
+
+def static_transforms(rig: Rig, stamp_ns: int) -> bytes:
+    """Return the factory poses that the rig knows, serialised, in the proximity depth frame."""
+    poses: list[tuple[str, Float64Array]] = []
+    if rig.T_proximity_tactile is not None:
+        poses.append((TACTILE_FRAME, np.array(rig.T_proximity_tactile)))
+    if rig.proximity_color is not None:
+        T_depth_color = np.linalg.inv(np.array(rig.proximity_color.T_color_depth)).astype(np.float64)
+        poses.append((PROXIMITY_COLOR_FRAME, T_depth_color))
+    seconds, rest = divmod(stamp_ns, 10**9)
+    header = _header(PROXIMITY_FRAME, seconds, rest)
+    stamped_pose = _type("geometry_msgs/msg/TransformStamped")
+    return _serialise(
+        _type(TRANSFORMS)([stamped_pose(header, child, _transform(pose)) for child, pose in poses]), TRANSFORMS
+    )
+
+
+def text(value: str) -> bytes:
+    """Return a text, serialised."""
+    return _serialise(_type(TEXT)(value), TEXT)
+
+
+def frame_text(frame: SensorFrame) -> bytes:
+    """Return what images cannot say of a frame, serialised: its number and its exact time stamps."""
+    values = {
+        "sequence": int(frame.sequence),
+        "proximity_time_s": float(frame.proximity_time_s),
+        "tactile_time_s": float(frame.tactile_time_s),
+    }
+    return text(json.dumps(values, allow_nan=False))
+
+
+def point_cloud(points: Float32Array, stamp_ns: int) -> bytes:
+    """Return points (N, 3) in the proximity depth frame, metres, serialised."""
+    field = _type("sensor_msgs/msg/PointField")
+    seconds, rest = divmod(stamp_ns, 10**9)
+    message = _type(POINT_CLOUD)(
+        header=_header(PROXIMITY_FRAME, seconds, rest),
+        height=1,
+        width=len(points),
+        fields=[field(name, 4 * i, field.FLOAT32, 1) for i, name in enumerate("xyz")],
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * len(points),
+        data=np.ascontiguousarray(points, "<f4").view(np.uint8).ravel(),
+        is_dense=True,
+    )
+    return _serialise(message, POINT_CLOUD)
+
+
+def parse(data: memoryview, message_type: str, origin: Path) -> Any:
+    """Return a message from its bytes; `SourceError` names the file, ``origin``, where they are none."""
+    try:
+        return TYPES.deserialize_cdr(data, message_type)
+    except Exception as error:  # the library checks with whatever Python raises
+        raise SourceError(f"{origin} has a message that is no {message_type}; record it again") from error
+
+
+def matrix_of(transform: Any) -> Matrix4:
+    """Return the 4 x 4 matrix of a ROS transform; `ValueError` where it is none."""
+    q, t = transform.rotation, transform.translation
+    matrix = np.eye(4)
+    matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+    matrix[:3, 3] = t.x, t.y, t.z
+    return rigid_transform(matrix)
+
+
+def _transform(pose: Float64Array) -> Any:
+    vector, quaternion = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Quaternion")
+    rotation = Rotation.from_matrix(pose[:3, :3]).as_quat()
+    return _type("geometry_msgs/msg/Transform")(vector(*map(float, pose[:3, 3])), quaternion(*map(float, rotation)))
+
+
+def _header(frame_id: str, seconds: int = 0, nanoseconds: int = 0) -> Any:
+    return _type("std_msgs/msg/Header")(_type("builtin_interfaces/msg/Time")(seconds, nanoseconds), frame_id)
+
+
+def _serialise(message: Any, message_type: str) -> bytes:
+    return bytes(TYPES.serialize_cdr(message, message_type))
+
+
+def _type(name: str) -> Any:
+    return TYPES.types[name]

@@ -1,0 +1,273 @@
+"""ROS 2 bags in MCAP: our own recordings, exactly, and others that have the same topics."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...errors import SourceError
+from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
+from ...model.files import user_path
+from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.rig_file import parse_rig
+from ...model.untouched_archive import parse_reference
+from ...preset import Preset
+from ...preset.file import preset_from_text
+from ...recording.bag import FORMAT_VERSION, METADATA_NAME, PRESET_NAME, REFERENCE_NAME, RIG_NAME
+from ..base import Health, Progress, SeekableSource
+from .lenses import rig_from_lenses
+from .messages import IMAGE, TEXT, Topic, parse
+from .reader import McapFile
+
+_Encodings = dict[str, tuple[np.dtype[Any], int, int | None]]
+
+#: Pixel type and channels of each encoding that is read, and OpenCV's conversion to RGB.
+_DEPTH: _Encodings = {"16UC1": (np.dtype(np.uint16), 1, None), "mono16": (np.dtype(np.uint16), 1, None)}
+_COLOR: _Encodings = {
+    "rgb8": (np.dtype(np.uint8), 3, None),
+    "bgr8": (np.dtype(np.uint8), 3, cv2.COLOR_BGR2RGB),
+    "rgba8": (np.dtype(np.uint8), 4, cv2.COLOR_RGBA2RGB),
+    "bgra8": (np.dtype(np.uint8), 4, cv2.COLOR_BGRA2RGB),
+    "mono8": (np.dtype(np.uint8), 1, cv2.COLOR_GRAY2RGB),
+}
+_MASK: _Encodings = {"mono8": (np.dtype(np.uint8), 1, None)}
+_METRES: _Encodings = {"32FC1": (np.dtype(np.float32), 1, None)}
+_ENCODINGS: dict[Topic, _Encodings] = {
+    Topic.PROXIMITY_DEPTH: _DEPTH,
+    Topic.PROXIMITY_COLOR: _COLOR,
+    Topic.TACTILE_DEPTH: _DEPTH,
+    Topic.TACTILE_COLOR: _COLOR,
+    Topic.TRUTH_CONTACT: _MASK,
+    Topic.TRUTH_DEPTH: _METRES,
+}
+
+
+class McapSource(SeekableSource):
+    """A recording in MCAP, with one frame for each proximity depth image.
+
+    Recordings of `SessionWriter` come back bit for bit. One that was cut off plays up to its last
+    complete chunk, and `health` says so. In bags of others with the same topics, images of one frame
+    are those nearest in log time, and a rig that is not attached is made of the camera infos.
+
+    Parameters
+    ----------
+    path : path of the ``.mcap`` file
+    progress : callable, optional
+        Told the share of the file that is indexed, and what is being done.
+
+    Raises
+    ------
+    SourceError
+        No such file, damaged, or without frames of both depth cameras.
+    """
+
+    def __init__(self, path: Path | str, progress: Progress | None = None) -> None:
+        name = f"mcap:{path}"
+        self._path = user_path(path)
+        if not self._path.is_file():
+            raise SourceError(f"{name}: there is no file {self._path}; check the path")
+        self._file = McapFile(self._path, progress)
+        try:
+            places = {topic: self._file.places(topic) for topic in (Topic.FRAME, *_ENCODINGS)}
+            self._check_topics(places)
+            self._about = self._file.metadata(METADATA_NAME)
+            self._refuse_newer_format()
+            times_ns = _log_times(places[Topic.PROXIMITY_DEPTH])
+            exact = bool(np.isin(times_ns, _log_times(places[Topic.FRAME])).all())
+            self._places = places
+            self._partners = {topic: _partners(times_ns, _log_times(table), exact) for topic, table in places.items()}
+            self._gap_s = float(np.median(np.diff(times_ns))) * 1e-9 if len(times_ns) > 1 else 0.0
+            super().__init__(name, self._read_rig(), len(times_ns))
+            self.read(0)
+        except BaseException:
+            self._file.close()
+            raise
+
+    @property
+    def frame_rate_hz(self) -> float:
+        """The rate that the recording names, else that of its log times."""
+        try:
+            named_hz = float(self._about["frame_rate_hz"])
+        except (KeyError, ValueError):
+            named_hz = 0.0
+        if 0.0 < named_hz < math.inf:
+            return named_hz
+        return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
+
+    def preset(self) -> Preset | None:
+        """Return the preset with which it was recorded, or None where it has none.
+
+        Raises
+        ------
+        PresetError
+            It is none that this version can use.
+        """
+        found = self.preset_text()
+        return None if found is None else preset_from_text(*found)
+
+    def preset_text(self) -> tuple[str, str] | None:
+        """Return the text of the preset and what messages call it, or None where there is none."""
+        data = self._file.attachment(PRESET_NAME)
+        return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
+
+    def reference(self) -> SensorFrame | None:
+        """Return the frame of the untouched membrane, or None where there is none."""
+        data = self._file.attachment(REFERENCE_NAME)
+        return None if data is None else parse_reference(data, str(self._path))
+
+    def health(self) -> Health:
+        """Say what the recording lacks."""
+        lacks = []
+        if not self._file.complete:
+            lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")
+        if not self._has_rig:
+            lacks.append("this recording has no rig: depth counts as millimetres, as ROS has it")
+        if self._rig.tactile.model == "none":
+            lacks.append("this recording has one depth camera: for viewing only")
+        if not len(self._places[Topic.PROXIMITY_COLOR]):
+            lacks.append("this recording has no proximity colour: its image stays black")
+        return Health(ok=not lacks, message="; ".join(lacks))
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def read(self, index: int) -> SensorFrame:
+        """Read frame ``index`` from the file."""
+        proximity, tactile = self._rig.proximity.intrinsics.shape, self._rig.tactile.intrinsics.shape
+        depth, depth_time_s = self._required(Topic.PROXIMITY_DEPTH, index, proximity)
+        tactile_depth, tactile_time_s = self._required(Topic.TACTILE_DEPTH, index, tactile)
+        sequence = index
+        if (place := self._place(Topic.FRAME, index)) is not None:
+            sequence, depth_time_s, tactile_time_s = self._frame_record(place)
+        color = self._optional(Topic.PROXIMITY_COLOR, index, self._rig.proximity_color_shape)
+        return SensorFrame(
+            sequence=sequence,
+            proximity_depth=depth,
+            tactile_depth=tactile_depth,
+            proximity_color=np.zeros((*self._rig.proximity_color_shape, 3), np.uint8) if color is None else color,
+            tactile_color=self._optional(Topic.TACTILE_COLOR, index, tactile),
+            proximity_time_s=depth_time_s,
+            tactile_time_s=tactile_time_s,
+            truth=self._truth(index),
+        )
+
+    def _check_topics(self, places: dict[Topic, Uint64Array]) -> None:
+        topics = self._file.topics
+        if Topic.PATCH in topics and Topic.PROXIMITY_DEPTH not in topics:
+            raise SourceError(f"{self._path} holds contact patches, no images; open it with a viewer of ROS bags")
+        for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH):
+            if not len(places[topic]):
+                known = f"its topics are {', '.join(sorted(topics)[:8])}" if topics else "it has no messages"
+                raise SourceError(
+                    f"{self._path} holds no frame: there is no image on {topic} ({known}); record it again"
+                )
+        for topic in places:
+            expected = TEXT if topic == Topic.FRAME else IMAGE
+            if topic in topics and (topics[topic].message_type, topics[topic].encoding) != (expected, "cdr"):
+                raise SourceError(
+                    f"{self._path}: {topic} has messages of the type {topics[topic].message_type} in "
+                    f"{topics[topic].encoding}, but {expected} in cdr is needed; record it again"
+                )
+
+    def _refuse_newer_format(self) -> None:
+        version = self._about.get("format_version", str(FORMAT_VERSION))
+        if version != str(FORMAT_VERSION):
+            raise SourceError(f"{self._path} has the format version {version}; open it with a newer Tactune")
+
+    def _read_rig(self) -> Rig:
+        data = self._file.attachment(RIG_NAME)
+        if data is None and len(places := self._file.places(Topic.RIG)):
+            data = self._parse(places[0], TEXT).data.encode()
+        self._has_rig = data is not None
+        if data is None:
+            return rig_from_lenses(self._file)
+        return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
+
+    def _frame_record(self, place: Uint64Array) -> tuple[int, float, float]:
+        data = self._json_object(self._parse(place, TEXT).data, Topic.FRAME)
+        try:
+            return int(data["sequence"]), float(data["proximity_time_s"]), float(data["tactile_time_s"])
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise SourceError(f"{self._path}: a message of {Topic.FRAME} is damaged; record it again") from error
+
+    def _truth(self, index: int) -> GroundTruth | None:
+        shape = self._rig.proximity.intrinsics.shape
+        contact = self._optional(Topic.TRUTH_CONTACT, index, shape)
+        return None if contact is None else GroundTruth(contact != 0, self._optional(Topic.TRUTH_DEPTH, index, shape))
+
+    def _place(self, topic: Topic, index: int) -> Uint64Array | None:
+        """Return where a frame's message of a topic lies, or None where it has none."""
+        partner = self._partners[topic][index]
+        return None if partner < 0 else self._places[topic][partner]
+
+    def _required(self, topic: Topic, index: int, shape: tuple[int, int]) -> tuple[AnyArray, float]:
+        place = self._place(topic, index)
+        if place is None:
+            raise SourceError(f"{self._path}: frame {index} has no image on {topic}; record it again")
+        return self._image(topic, place, shape)
+
+    def _optional(self, topic: Topic, index: int, shape: tuple[int, int]) -> AnyArray | None:
+        place = self._place(topic, index)
+        return None if place is None else self._image(topic, place, shape)[0]
+
+    def _image(self, topic: Topic, place: Uint64Array, shape: tuple[int, int]) -> tuple[AnyArray, float]:
+        """Return an image and its time stamp in seconds."""
+        message = self._parse(place, IMAGE)
+        known = _ENCODINGS[topic]
+        if message.encoding not in known:
+            raise SourceError(
+                f"{self._path}: {topic} is encoded as {message.encoding!r}; known are {', '.join(known)}; convert it"
+            )
+        dtype, channels, conversion = known[message.encoding]
+        height, width = shape
+        if (message.height, message.width) != shape:
+            raise SourceError(
+                f"{self._path}: {topic} has an image of {message.width} x {message.height} pixels, but its rig says "
+                f"{width} x {height}; use the rig of the camera that took it"
+            )
+        row_bytes = width * channels * dtype.itemsize
+        if message.step < row_bytes or len(message.data) != height * message.step:
+            raise SourceError(f"{self._path}: {topic} has an image of {len(message.data)} bytes; record it again")
+        rows = np.ascontiguousarray(message.data.reshape(height, message.step)[:, :row_bytes])
+        pixels = rows.view(dtype.newbyteorder(">" if message.is_bigendian else "<")).astype(dtype)
+        image = pixels if channels == 1 else pixels.reshape(height, width, channels)
+        stamp = message.header.stamp
+        return image if conversion is None else cv2.cvtColor(image, conversion), stamp.sec + stamp.nanosec * 1e-9
+
+    def _parse(self, place: Uint64Array, message_type: str) -> Any:
+        return parse(self._file.message(place), message_type, self._path)
+
+    def _json_object(self, data: str | bytes, what: str) -> dict[str, Any]:
+        try:
+            value = json.loads(data)
+        except (ValueError, RecursionError):
+            value = None
+        if not isinstance(value, dict):
+            raise SourceError(f"{self._path}: {what} is no JSON object; copy or record it again")
+        return value
+
+
+def _log_times(places: Uint64Array) -> Int64Array:
+    return places[:, 0].astype(np.int64)
+
+
+def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> IndexArray:
+    """Return for each frame the message of the same log time, or else the nearest; -1 where there is none."""
+    if not len(candidates_ns):
+        return np.full(len(times_ns), -1)
+    after = np.searchsorted(candidates_ns, times_ns).clip(max=len(candidates_ns) - 1)
+    if exact:
+        return np.where(candidates_ns[after] == times_ns, after, -1)
+    before = (after - 1).clip(min=0)
+    later_is_nearer = np.abs(candidates_ns[after] - times_ns) < np.abs(times_ns - candidates_ns[before])
+    return np.where(later_is_nearer, after, before)
+
+
+def _text(data: bytes) -> str:
+    return data.decode(errors="replace")

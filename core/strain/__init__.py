@@ -1,0 +1,1 @@
+"""Membrane strain from a grid of printed dots."""

@@ -1,0 +1,73 @@
+"""Figures of strain: the curve against displacement, and the map of the last frame."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import MissingExtraError
+from ..model.files import atomic_path
+from .strain import StrainMeasurement
+
+
+def draw_strain(
+    displacement_mm: Sequence[float],
+    length_percent: Sequence[float],
+    width_percent: Sequence[float],
+    last: StrainMeasurement,
+    path: Path,
+    solver_percent: Sequence[tuple[float, float]] = (),
+) -> None:
+    """Draw strain against displacement, and beside it the strain at each dot of the last frame.
+
+    Parameters
+    ----------
+    displacement_mm, length_percent, width_percent : sequence of float
+        One value a frame.
+    last : StrainMeasurement
+    path : Path
+        A .png file.
+    solver_percent : sequence of (float, float)
+        The true strain along length and width between dots that are seen, one pair a frame; empty where unknown.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    ExportError
+        The file cannot be written.
+    """
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[bench]'") from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    figure, (curve, *maps) = plt.subplots(1, 3, figsize=(15, 4.2))
+    order = np.argsort(displacement_mm, kind="stable")
+    along = np.take(displacement_mm, order)
+    for label, values, style in (("length", length_percent, "C0o-"), ("width", width_percent, "C1s-")):
+        curve.plot(along, np.take(values, order), style, markersize=4, linewidth=0.7, label=f"{label}, measured")
+    if solver_percent:
+        for label, values, color in zip(
+            ("length", "width"), np.transpose(solver_percent), ("navy", "maroon"), strict=True
+        ):
+            curve.plot(along, values[order], "--", color=color, label=f"{label}, solver at the dots seen")
+    curve.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
+    curve.grid(True, alpha=0.3)
+    curve.legend(fontsize=9)
+    at_dots = 100 * last.at_dots()
+    for axis, values, label in zip(maps, at_dots.T, ("length", "width"), strict=True):
+        drawn = axis.scatter(*last.pixels.T, c=values, s=16, cmap="viridis")
+        axis.set(title=f"Last frame: strain along the {label}, %", xlabel="u, px", ylabel="v, px", aspect="equal")
+        axis.invert_yaxis()
+        figure.colorbar(drawn, ax=axis, shrink=0.7)
+    figure.tight_layout()
+    try:
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format="png", dpi=110)
+    finally:
+        plt.close(figure)

@@ -1,0 +1,203 @@
+"""What a sweep runs over: some frames of one source, with what identifies them."""
+
+from __future__ import annotations
+
+import hashlib
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ..model.arrays import AnyArray
+from ..model.files import user_path
+from ..model.frames import Rig, SensorFrame
+from ..preset import Preset
+from ..preset.rig_check import check_rig
+from ..rig.untouched_source import untouched_frame
+from ..sources.base import FrameSource
+from ..sources.realsense_files.names import recording_files
+from ..sources.registry import open_source
+from .values import SweepError
+
+#: Opens a source by its name.
+OpenSource = Callable[[str], FrameSource]
+
+_FRAMES: Final = re.compile(r"([0-9]{0,9}):([0-9]{0,9})(?::([0-9]{1,9}))?|([0-9]{1,9})")
+
+
+@dataclass(frozen=True)
+class FrameRange:
+    """Frames ``first``, ``first + step`` and so on, before ``last`` or to the end."""
+
+    first: int = 0
+    last: int | None = None
+    step: int = 1
+
+    def indices(self, length: int) -> range:
+        """Return which frames of a source that are."""
+        return range(self.first, length if self.last is None else min(self.last, length), self.step)
+
+    def __str__(self) -> str:
+        return f"{self.first}:{'' if self.last is None else self.last}" + (f":{self.step}" if self.step > 1 else "")
+
+
+@dataclass(frozen=True)
+class Take:
+    """Frames of one source with one seed.
+
+    Attributes
+    ----------
+    source : str
+        As a person wrote it.
+    name : str
+        As every process can open it: with the seed, and with absolute paths.
+    seed : int
+    frames : range
+        Indices.
+    identity : str
+        Hash of the rig and of the frames' images and truth.
+    reference : str
+        Hash of the untouched membrane; empty where no method asks for it.
+    has_truth : bool
+        Whether at least one frame knows its truth.
+    """
+
+    source: str
+    name: str
+    seed: int
+    frames: range
+    identity: str
+    reference: str
+    has_truth: bool
+
+
+def parse_frames(text: str) -> FrameRange:
+    """Read ``N``, ``A:B`` or ``A:B:STEP``.
+
+    Raises
+    ------
+    SweepError
+        It is none of them, or holds no frame.
+    """
+    found = _FRAMES.fullmatch(text)
+    if found is None:
+        raise SweepError(f"--frames is {text!r}; write a number of frames, or FIRST:END or FIRST:END:STEP")
+    first, last, step, count = found.groups()
+    frames = FrameRange(0, int(count)) if count else FrameRange(int(first or 0), int(last) if last else None,
+                                                                int(step or 1))  # fmt: skip
+    if frames.step == 0 or (frames.last is not None and frames.last <= frames.first):
+        raise SweepError(f"--frames {text} holds no frame; the end must lie behind the first frame")
+    return frames
+
+
+def seeded(source: str, seeds: int) -> list[tuple[str, int]]:
+    """Return the names of a source with each seed; sources other than the simulator know one only.
+
+    Raises
+    ------
+    SweepError
+        The source names a seed of its own beside several seeds, or is live.
+    """
+    scheme = source.partition(":")[0]
+    if scheme in ("live", "realsense"):
+        raise SweepError(f"{source} is live and never twice the same; record it first with tactune record")
+    if scheme != "sim":
+        return [(_absolute(source), 0)]
+    if "seed=" in source:
+        if seeds > 1:
+            raise SweepError(f"{source} names its seed; leave that out, or --seeds")
+        return [(source, int(found[1]) if (found := re.search(r"seed=([0-9]{1,10})", source)) else 0)]
+    name = source if ":" in source else f"{source}:"
+    return [(f"{name}{'&' if '?' in name else '?'}seed={seed}", seed) for seed in range(seeds)]
+
+
+def inspect_takes(
+    sources: Sequence[str],
+    seeds: int,
+    frames: FrameRange,
+    preset: Preset,
+    with_reference: bool,
+    reference: SensorFrame | None = None,
+    opener: OpenSource = open_source,
+    progress: Callable[[str], None] = lambda source: None,
+) -> list[Take]:
+    """Open every source once and find out what identifies its frames.
+
+    Raises
+    ------
+    TactuneError
+        A source cannot be read, is live, has no such frames, or does not fit the preset.
+    """
+    takes: list[Take] = []
+    for source in dict.fromkeys(sources):
+        held: FrameSource | None = None  # seeds share a solved scene as long as one of its sources is open
+        try:
+            for name, seed in seeded(source, seeds):
+                progress(name)
+                opened = opener(name)
+                if held is not None:
+                    held.close()
+                held = opened
+                check_rig(preset, opened.rig)
+                images, has_truth, chosen = _read_frames(source, opened, frames)
+                of_reference = _reference_identity(opened, reference) if with_reference else ""
+                takes.append(Take(source, name, seed, chosen, images, of_reference, has_truth))
+        finally:
+            if held is not None:
+                held.close()
+    return takes
+
+
+def frames_identity(rig: Rig) -> hashlib.blake2b:
+    """Begin a hash over frames of a rig, which `add_frame` goes on with."""
+    return hashlib.blake2b(rig.model_dump_json().encode(), digest_size=16)
+
+
+def add_frame(digest: hashlib.blake2b, frame: SensorFrame) -> None:
+    """Add a frame's images and truth to a hash."""
+    truth = frame.truth
+    images: list[AnyArray | None] = [frame.proximity_depth, frame.proximity_color, frame.tactile_depth]
+    images += [frame.tactile_color, *((truth.contact, truth.depth_m) if truth else (None, None))]
+    for image in images:
+        if image is None:
+            digest.update(b"none")
+        else:
+            digest.update(repr(image.shape).encode() + np.ascontiguousarray(image).tobytes())
+
+
+def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
+    """Return what identifies the frames, whether one of them knows its truth, and which they are."""
+    if opened.length is None:
+        raise SweepError(f"{source} has no end; record it first with tactune record")
+    chosen = frames.indices(opened.length)
+    if not chosen:
+        raise SweepError(f"{source} has {opened.length} frames, none of them in {frames}; choose others with --frames")
+    digest, has_truth = frames_identity(opened.rig), False
+    for index in chosen:
+        opened.seek(index)
+        frame = opened.next_frame()
+        if frame is None:
+            raise SweepError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
+        add_frame(digest, frame)
+        has_truth = has_truth or frame.truth is not None
+    return digest.hexdigest(), has_truth, chosen
+
+
+def _reference_identity(opened: FrameSource, reference: SensorFrame | None) -> str:
+    untouched = untouched_frame(opened) if reference is None else reference
+    if untouched is None:
+        return ""
+    digest = frames_identity(opened.rig)
+    add_frame(digest, untouched)
+    return digest.hexdigest()
+
+
+def _absolute(source: str) -> str:
+    """Return a source's name with absolute paths, since workers may run in another folder."""
+    scheme, colon, rest = source.partition(":")
+    if not colon or scheme not in ("folder", "bag", "mcap"):
+        scheme, rest = "", source
+    files = recording_files(rest) or (user_path(rest),)
+    return (f"{scheme}:" if scheme else "") + ",".join(str(file.absolute()) for file in files)

@@ -1,0 +1,296 @@
+"""A sweep before it runs: which presets, over which frames, in which order and pieces."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+from ..evaluation.cells import check_methods, code_version
+from ..methods.registry import FUSION_FIELDS, method_names, needs_reference
+from ..model.frames import SensorFrame
+from ..preset import Preset
+from ..sources.registry import open_source
+from .clips import FrameRange, OpenSource, Take, inspect_takes
+from .values import (
+    MOST_RUNS,
+    Axis,
+    Choice,
+    SweepError,
+    check_contact_test,
+    check_free,
+    check_switched_on,
+    checked_axis,
+    grid,
+    grid_size,
+    plain_value,
+    result_paths,
+    sample,
+)
+
+#: The preset's own pipeline.
+FUSION: Final = "fusion"
+
+_ALL_FRAMES: Final = FrameRange()
+
+#: Frames that one piece of work processes at most, over all of its runs: some ten seconds.
+_FRAMES_A_BATCH: Final = 500
+#: Runs of it at most: those of methods hold about 5 MB each, all at once.
+_RUNS_A_BATCH: Final = 50
+#: Pieces that each worker gets at least, so that all are busy to the end.
+_BATCHES_A_WORKER: Final = 4
+
+#: In which stage of the pipeline, after the first, a field is used; later ones vary faster.
+STAGE_OF: Final = {
+    **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "calibrated.bias_m", "calibrated.slope"), 1),
+    **dict.fromkeys(("calibrated.gap_m", "calibrated.retreat", "calibrated.core", "calibrated.most_px"), 2),
+    **dict.fromkeys(("calibrated.curvature", "calibrated.curvature_px"), 3),
+    "calibrated.balance": 4,
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 5),
+    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 6),
+}
+
+
+@dataclass(frozen=True)
+class Request:
+    """What a person asks of a sweep; as `make_plan` takes it.
+
+    Attributes
+    ----------
+    axes : tuple of Axis
+    sources : tuple of str
+    methods : tuple of str
+        ``fusion`` or names of `baselines.registry.method_names`.
+    frames : FrameRange
+    seeds : int
+        Choices of noise for each simulated source.
+    sample : int or None
+        Take so many combinations instead of all.
+    sample_seed : int
+    reference : SensorFrame or None
+        The preset's own untouched membrane, for methods that compare with one; without it the sources'.
+    """
+
+    axes: tuple[Axis, ...]
+    sources: tuple[str, ...]
+    methods: tuple[str, ...] = (FUSION,)
+    frames: FrameRange = _ALL_FRAMES
+    seeds: int = 1
+    sample: int | None = None
+    sample_seed: int = 0
+    reference: SensorFrame | None = None
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One choice of method and parameters.
+
+    Attributes
+    ----------
+    values : dict
+        Path and plain value of each swept field.
+    parameters : dict
+        Path and plain value of every field that results depend on, as the method has it.
+    """
+
+    method: str
+    values: dict[str, Any]
+    parameters: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Run:
+    """One setting on one take; the key stands for all that its result depends on."""
+
+    key: str
+    setting: Setting
+    take: Take
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Runs over one take that a worker does together."""
+
+    base: Preset
+    take: Take
+    code: str
+    runs: tuple[tuple[str, str, dict[str, Any]], ...]
+    reference: SensorFrame | None = None
+
+    @property
+    def name(self) -> str:
+        """Stands for the runs in it."""
+        return hashlib.sha256("".join(key for key, _, _ in self.runs).encode()).hexdigest()[:24]
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Everything that a sweep will run.
+
+    Attributes
+    ----------
+    base : Preset
+    paths : tuple of str
+        The swept fields.
+    settings : tuple of Setting
+    takes : tuple of Take
+    code : str
+        Version of the program's code.
+    reference : SensorFrame or None
+        As in `Request`, where a method asks for it.
+    """
+
+    base: Preset
+    paths: tuple[str, ...]
+    settings: tuple[Setting, ...]
+    takes: tuple[Take, ...]
+    code: str
+    reference: SensorFrame | None = None
+
+    @cached_property
+    def runs(self) -> tuple[Run, ...]:
+        """All runs: take by take, with the parameters of late stages varying fastest."""
+        return tuple(Run(self._key(setting, take), setting, take) for take in self.takes for setting in self.settings)
+
+    @property
+    def has_truth(self) -> bool:
+        """Whether every source knows its truth."""
+        return all(take.has_truth for take in self.takes)
+
+    def batches(self, done: Callable[[str], bool], workers: int) -> Iterator[Batch]:
+        """Part the runs that are not done into pieces of work, each over one take."""
+        for number, take in enumerate(self.takes):
+            of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
+            waiting = [run for run in of_take if not done(run.key)]
+            share = -(-len(waiting) // (_BATCHES_A_WORKER * workers))
+            size = max(1, min(_FRAMES_A_BATCH // len(take.frames), _RUNS_A_BATCH, share))
+            for start in range(0, len(waiting), size):
+                part = waiting[start : start + size]
+                runs = tuple((run.key, run.setting.method, run.setting.values) for run in part)
+                yield Batch(self.base, take, self.code, runs, self.reference)
+
+    def _key(self, setting: Setting, take: Take) -> str:
+        reference = take.reference if needs_reference(setting.method) else ""
+        frames = take.frames
+        text = json.dumps(
+            [setting.method, setting.parameters, take.source, take.seed, frames.start, frames.stop, frames.step,
+             take.identity, reference, self.code],
+            sort_keys=True,
+        )  # fmt: skip
+        return hashlib.sha256(text.encode()).hexdigest()[:32]
+
+
+def make_plan(
+    base: Preset,
+    request: Request,
+    opener: OpenSource = open_source,
+    progress: Callable[[str], None] = lambda source: None,
+) -> Plan:
+    """Check everything that is asked for, and list the runs; nothing is computed yet but hashes.
+
+    Parameters
+    ----------
+    base : Preset
+        Gives the parameters that are not swept.
+    request : Request
+    opener : callable
+        Opens sources.
+    progress : callable
+        Told the name of each source that is read.
+
+    Raises
+    ------
+    TactuneError
+        An unknown field, value, method or source, too many runs, or nothing to run over.
+    """
+    check_methods(request.methods, (FUSION, *method_names()))
+    paths = [axis.path for axis in request.axes]
+    for path in paths:
+        if paths.count(path) > 1:
+            raise SweepError(f"{path} is given twice; give all its values at once, separated by commas")
+    if not request.sources:
+        raise SweepError("there is nothing to run over; give --source, such as --source 'sim:cup?press=medium'")
+    axes = [checked_axis(axis, base) for axis in request.axes]
+    check_free(axes, request.methods)
+    check_switched_on(axes, base)
+    if set(request.methods) == {FUSION}:
+        check_contact_test(axes, base)
+    settings = _settings(base, axes, request)
+    wanted = any(map(needs_reference, request.methods))
+    takes = inspect_takes(
+        request.sources, request.seeds, request.frames, base, wanted, request.reference, opener, progress
+    )
+    count = len(settings) * len(takes)
+    _check_size(count, request)
+    reference = request.reference if wanted else None
+    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), reference)
+
+
+def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
+    """Say of each source that has fewer frames than were asked for which ones are taken."""
+    if frames.last is None:
+        return []
+    return list(dict.fromkeys(
+        f"{take.source} ends after {take.frames.stop} frames, so of --frames {frames} only "
+        f"{len(take.frames)} {'are' if len(take.frames) > 1 else 'is'} taken"
+        for take in plan.takes if take.frames.stop < frames.last
+    ))  # fmt: skip
+
+
+def little_averaged(plan: Plan) -> list[str]:
+    """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
+    averaged = {
+        setting.parameters["calibrated.frames"] for setting in plan.settings
+        if setting.parameters["contact_test"] == "calibrated" and not needs_reference(setting.method)
+    }  # fmt: skip
+    most, said = max(averaged, default=1), []
+    for take in plan.takes:
+        count, step = len(take.frames), take.frames.step
+        if step > 1 < min(most, count):
+            said.append(
+                f"{take.source} gives one frame in {step}, so calibrated.frames {most} averages frames that do not "
+                "follow each other; leave the step out of --frames"
+            )
+        elif count < most:
+            said.append(
+                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so calibrated.frames {most} averages "
+                "no more than that; take more frames"
+            )
+    return list(dict.fromkeys(said))
+
+
+def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Setting]:
+    if request.sample is None:
+        _check_size(grid_size(axes) * len(request.methods) * len(request.sources) * request.seeds, request)
+        combinations = grid(axes, base)
+    else:
+        _check_size(request.sample * len(request.methods) * len(request.sources), request)
+        if not axes:
+            raise SweepError("there is nothing to sample; give --set FIELD=LOW:HIGH")
+        combinations = sample(axes, base, request.sample, request.sample_seed)
+    fixed = {path: plain_value(base, path) for path in result_paths()}
+    found = [
+        Setting(method, values, fixed | values | FUSION_FIELDS.get(method, {}))
+        for values in combinations
+        for method in dict.fromkeys(request.methods)
+    ]  # fmt: skip
+    numbers = {axis.path: axis.values for axis in axes if isinstance(axis, Choice)}
+
+    def order(setting: Setting) -> list[Any]:
+        """Early stages first; within a field as it was listed."""
+        ranks = sorted(setting.values, key=lambda path: (STAGE_OF.get(path, 0), path))
+        return [setting.method, *(
+            numbers[path].index(setting.values[path]) if path in numbers else setting.values[path] for path in ranks
+        )]  # fmt: skip
+
+    return list({json.dumps([setting.method, setting.parameters]): setting for setting in sorted(found, key=order)}
+                .values())  # fmt: skip
+
+
+def _check_size(count: int, request: Request) -> None:
+    if count > MOST_RUNS:
+        remedy = "sample fewer" if request.sample is not None else "take some of them with --sample N, or fewer values"
+        raise SweepError(f"these are {count} runs, and at most {MOST_RUNS} make sense; {remedy}")

@@ -1,0 +1,205 @@
+"""The work of a sweep's worker: a batch of runs over one take.
+
+Frames come in the outer loop and runs in the inner one, so a frame is read once for all runs, and what
+two runs that follow each other have in common is not computed again. A worker keeps its last source open.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import cv2
+
+from ..contact.kernels.threads import get_threads, set_threads
+from ..contact.pipeline import ContactPipeline, averaged_frames
+from ..contact.warmup import warm_up
+from ..errors import TactuneError
+from ..evaluation.cells import code_version
+from ..methods.method import ContactMethod, MethodPatch
+from ..methods.registry import Fusion, make_method, needs_reference
+from ..model.frames import SensorFrame
+from ..preset import Preset
+from ..rig.untouched_source import untouched_frame
+from ..sources.base import FrameSource
+from ..sources.registry import open_source
+from .clips import Take, add_frame, frames_identity
+from .plan import FUSION, Batch
+from .results import JudgedFrame, Result, Tally
+from .values import SweepError
+
+#: Finds the patch of a frame, and says how many milliseconds that took.
+Find = Callable[[SensorFrame], tuple[MethodPatch, float]]
+
+_kept: Final = threading.local()
+
+
+def run_batch(batch: Batch) -> list[Result]:
+    """Do all runs of a batch, on one thread.
+
+    A run that cannot be done with its parameters gives a result with the reason in it.
+
+    Raises
+    ------
+    TactuneError
+        This process runs other code than the sweep was planned with, or reads other frames.
+    """
+    if code_version() != batch.code:
+        raise SweepError(
+            "a worker runs another version of Tactune than this sweep; install the same one everywhere, "
+            "start the workers anew and give the same command again"
+        )
+    with _one_thread():
+        return _OpenTake.of(batch.take).run(batch)
+
+
+class _OpenTake:
+    """A take whose source is open."""
+
+    def __init__(self, take: Take) -> None:
+        self.take = take
+        self.source = open_source(take.name)
+        self._checked = False
+        self._reference: SensorFrame | None = None
+
+    @staticmethod
+    def of(take: Take) -> _OpenTake:
+        """Return the calling thread's open take, another one where need be."""
+        before: _OpenTake | None = getattr(_kept, "take", None)
+        if before is not None and before.take == take:
+            return before
+        if before is None:
+            warm_up()  # so that no run's time is that of loading code
+        fresh = _OpenTake(take)  # before the old one is closed: they may share a solved scene
+        _kept.take = fresh
+        if before is not None:
+            before.source.close()
+        return fresh
+
+    def run(self, batch: Batch) -> list[Result]:
+        """Do the runs of a batch."""
+        digest = None if self._checked else frames_identity(self.source.rig)
+        shared = _SharedPipeline(batch.base, self.source)
+        tallies = [Tally(key) for key, _, _ in batch.runs]
+        finds = [
+            self._make_find(tally, shared, method, batch, values)
+            for tally, (_, method, values) in zip(tallies, batch.runs, strict=True)
+        ]
+        for frame in self._frames():
+            if digest is not None:
+                add_frame(digest, frame)
+            judged = JudgedFrame(frame, self.source.rig)
+            for tally, find in zip(tallies, finds, strict=True):
+                if find is not None:
+                    with _failures_of(tally):
+                        tally.add(judged, *find(frame))
+        if digest is not None and digest.hexdigest() != self.take.identity:
+            raise SweepError(
+                f"{self.take.source} holds other frames than when this sweep began, or on this worker; "
+                "make it the same everywhere and give the same command again"
+            )
+        self._checked = True
+        return [tally.result() for tally in tallies]
+
+    def _frames(self) -> Iterator[SensorFrame]:
+        for index in self.take.frames:
+            self.source.seek(index)
+            frame = self.source.next_frame()
+            if frame is None:
+                raise SweepError(f"{self.take.source} ends before its frame {index}; check the recording")
+            yield frame
+
+    def _make_find(
+        self, tally: Tally, shared: _SharedPipeline, method: str, batch: Batch, values: dict[str, Any]
+    ) -> Find | None:
+        """Return how a run finds patches; None, and the tally knows why, where it cannot."""
+        with _failures_of(tally):
+            preset = batch.base.with_values(values)
+            if method != FUSION:
+                return _find_by(make_method(method, preset, self.source.rig, self._reference_for(method, batch)))
+            if averaged_frames(preset) > 1:
+                return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it remembers frames: not to be shared
+            return lambda frame: shared.find(preset, frame)
+        return None
+
+    def _reference_for(self, method: str, batch: Batch) -> SensorFrame | None:
+        if needs_reference(method) and self._reference is None:
+            self._reference = batch.reference or untouched_frame(self.source)
+        return self._reference
+
+
+def _find_by(method: ContactMethod) -> Find:
+    def find(frame: SensorFrame) -> tuple[MethodPatch, float]:
+        started = time.perf_counter_ns()
+        patch = method.find(frame)
+        return patch, (time.perf_counter_ns() - started) / 1e6
+
+    return find
+
+
+class _SharedPipeline:
+    """One pipeline for all runs of a batch; a stage that nothing has changed is not computed again."""
+
+    def __init__(self, base: Preset, source: FrameSource) -> None:
+        self._pipeline = ContactPipeline(base, source.rig)
+        self._stage_ms: dict[str, float] = {}
+
+    def find(self, preset: Preset, frame: SensorFrame) -> tuple[MethodPatch, float]:
+        """Return the patch, and the milliseconds that it takes where nothing is remembered."""
+        self._pipeline.update(preset)
+        patch = self._pipeline.process(frame)
+        before, self._stage_ms, fresh = self._stage_ms, {}, False
+        for stage, ms in patch.stage_ms.items():
+            fresh = fresh or ms > 0  # stages before the first that ran were taken from memory
+            self._stage_ms[stage] = ms if fresh else before.get(stage, 0.0)
+        return MethodPatch(patch.points, lambda: patch.mask), sum(self._stage_ms.values())
+
+
+@contextmanager
+def _failures_of(tally: Tally) -> Iterator[None]:
+    """Turn what goes wrong in a run into its failure; what a machine lacks is no run's fault."""
+    try:
+        yield
+    except TactuneError as error:
+        tally.fail(str(error))
+    except (ValueError, ArithmeticError, LookupError, TypeError, cv2.error) as error:
+        tally.fail(f"{type(error).__name__}: {error}")
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let the kernels that the calling thread starts use no other thread, and OpenCV's none while a batch runs."""
+    before = get_threads()
+    set_threads(1)
+    _single_opencv.enter()
+    try:
+        yield
+    finally:
+        _single_opencv.leave()
+        set_threads(before)
+
+
+class _SingleOpenCV:
+    """OpenCV's number of threads is the process's: the first batch sets it to 1, the last one restores it."""
+
+    def __init__(self) -> None:
+        self._lock, self._inside, self._before = threading.Lock(), 0, 1
+
+    def enter(self) -> None:
+        with self._lock:
+            if self._inside == 0:
+                self._before = cv2.getNumThreads()
+                cv2.setNumThreads(1)
+            self._inside += 1
+
+    def leave(self) -> None:
+        with self._lock:
+            self._inside -= 1
+            if self._inside == 0:
+                cv2.setNumThreads(self._before)
+
+
+_single_opencv: Final = _SingleOpenCV()

@@ -1,0 +1,229 @@
+"""A whole calibration by mouse and keys, from the first snapshot to the preset, and headless from there."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from tactune.app.calibration.averaging import take_snapshot
+from tactune.app.worker.playback import PlaybackState
+from tactune.core.contact.alignment import tactile_pose
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.preset.file import load_preset
+
+pytestmark = pytest.mark.usefixtures("qapp")
+
+#: Dots that are clicked, spread over the membrane.
+CORNERS = (1, 7, 55, 61, 31, 21)
+LEFT = Qt.MouseButton.LeftButton
+CONTROL = Qt.KeyboardModifier.ControlModifier
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+
+
+def press_button(button):
+    QTest.mouseClick(button, LEFT)
+
+
+def choose(box, index):
+    """Choose by keys: to the top, then down."""
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Home)
+    for _ in range(index):
+        QTest.keyClick(box, Qt.Key.Key_Down)
+
+
+def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, step by step
+    open_wizard, hand, scene, frames, feed, document, qtbot, tmp_path
+):
+    wizard = open_wizard()
+    state = lambda: wizard.session.state  # noqa: E731
+
+    # Frames: two inflation levels
+    assert wizard.stack.currentIndex() == 0
+    wizard.frames.average.setValue(1)
+    press_button(wizard.frames.take)
+    qtbot.waitUntil(lambda: len(state().snapshots) == 1)
+    first = state().choices.snapshot
+    feed.deliver(frames[1.0], PlaybackState(index=1, length=2))
+    press_button(wizard.frames.take)
+    qtbot.waitUntil(lambda: len(state().snapshots) == 2)
+    second = state().choices.snapshot
+    press_button(wizard.next)
+    assert wizard.stack.currentIndex() == 1
+    page = wizard.points
+    left, right = page.view.images["proximity"], page.view.images["tactile"]
+    QApplication.processEvents()
+
+    # Points: six pairs on the high level, clicked beside the dots, either side first; snapping puts them right
+    places = {level: (scene.proximity_pixels(level), scene.tactile_pixels(level)) for level in (0.2, 1.0)}
+
+    def click_pair(level, dot, right_first=False):
+        sides = [(left, places[level][0][dot]), (right, places[level][1][dot])]
+        for image, place in reversed(sides) if right_first else sides:
+            hand.click(image, place + np.array((1.6, -1.2)))
+
+    for number, dot in enumerate(CORNERS):
+        click_pair(1.0, dot, right_first=number % 2 == 1)
+    assert len(state().complete_pairs) == 6
+    for pair, dot in zip(state().pairs, CORNERS, strict=True):
+        np.testing.assert_allclose(pair.proximity, places[1.0][0][dot], atol=0.12)
+        np.testing.assert_allclose(pair.tactile, places[1.0][1][dot], atol=0.12)
+        assert pair.proximity_image == "color"
+        assert pair.snapshot == second
+        assert pair.tactile_depth_m == pytest.approx(tactile_depth(scene, 1.0, dot), abs=4e-4)
+
+    # The other level, through the combo box
+    choose(page.snapshot, 0)
+    assert state().choices.snapshot == first
+    for dot in (10, 52):
+        click_pair(0.2, dot)
+    assert len(state().complete_pairs) == 8
+
+    # Drag one away: the fit shows it; undo brings it back
+    before = state().pairs[6].proximity
+    hand.drag(left, before, (before[0] + 30, before[1] + 9))
+    assert np.hypot(*(np.array(state().pairs[6].proximity) - before)) > 20
+    QTest.keyClick(wizard, Qt.Key.Key_Z, CONTROL)
+    assert state().pairs[6].proximity == before
+
+    # Delete one by its row, and undo
+    row = page.table.visualRect(page.table.model().index(2, 3))
+    page.table.scrollTo(page.table.model().index(2, 3))
+    QTest.mouseClick(page.table.viewport(), LEFT, Qt.KeyboardModifier.NoModifier, row.center())
+    assert wizard.session.selected == (3,)
+    QTest.keyClick(page.table, Qt.Key.Key_Delete)
+    assert [pair.key for pair in state().pairs] == [1, 2, 4, 5, 6, 7, 8]
+    QTest.keyClick(wizard, Qt.Key.Key_Z, CONTROL)
+    assert [pair.key for pair in state().pairs] == [1, 2, 3, 4, 5, 6, 7, 8]
+
+    # Ghosts: the partner is predicted and accepted with one key
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and wizard.outcome.pairs == state().complete_pairs)
+    choose(page.snapshot, 0)
+    for dot in (40, 16):
+        hand.click(left, places[0.2][0][dot] + np.array((1.0, 1.0)))
+        assert page.ghost is not None and page.ghost[0] == "tactile"
+        QTest.keyClick(left, Qt.Key.Key_Return)
+        np.testing.assert_allclose(state().pairs[-1].tactile, places[0.2][1][dot], atol=0.12)
+        qtbot.waitUntil(lambda: wizard.outcome.pairs == state().complete_pairs)
+
+    # Nudge by keys: a tenth there and back
+    nudged = state().pairs[-1].proximity
+    QTest.keyClick(left, Qt.Key.Key_Right, SHIFT)
+    assert state().pairs[-1].proximity == (pytest.approx(nudged[0] + 0.1), nudged[1])
+    QTest.keyClick(wizard, Qt.Key.Key_Z, CONTROL)
+    assert state().pairs[-1].proximity == nudged
+
+    # Model, quality, save
+    qtbot.waitUntil(lambda: not wizard.fitter.busy)
+    QTest.keyClick(wizard, Qt.Key.Key_4, CONTROL)
+    assert wizard.stack.currentIndex() == 3
+    report = wizard.outcome.report
+    assert report is not None and report.recommended == "rigid"
+    assert "depth" in wizard.model.reason.text()
+    QTest.keyClick(wizard, Qt.Key.Key_5, CONTROL)
+    assert wizard.quality.grade.text() in {"Good", "Usable"}
+    with qtbot.waitSignal(wizard.saved):
+        press_button(wizard.save)
+    assert document.undo_stack.count() == 1
+
+    # Headless from here on
+    path = tmp_path / "calibrated.json"
+    document.save(path)
+    preset = load_preset(path)
+    assert scene.alignment_error_px(tactile_pose(preset.alignment, scene.rig)) < 0.25
+    assert scene.alignment_error_px(np.asarray(scene.rig.T_proximity_tactile)) > 1
+    record = preset.alignment.calibration
+    assert record is not None
+    assert [point.id for point in record.points] == [str(number) for number in range(1, 11)]
+    assert {snapshot.sha256 for snapshot in record.snapshots} == {first, second}
+    assert record.tactile_serial == "t1"
+    assert ContactPipeline(preset, scene.rig).process(frames[1.0]).mask.shape == (240, 320)
+    document.undo_stack.undo()
+    assert document.preset.alignment.calibration is None
+
+
+def tactile_depth(scene, level, dot):
+    T = np.linalg.inv(scene.T_p_t)
+    return float((T[:3, :3] @ scene.points(level)[dot] + T[:3, 3])[2])
+
+
+def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbot):
+    wizard = open_wizard()
+    wizard.frames.average.setValue(1)
+    press_button(wizard.frames.take)
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    QTest.keyClick(wizard, Qt.Key.Key_2, CONTROL)
+    left = wizard.points.view.images["proximity"]
+    QApplication.processEvents()
+    hand.click(left, scene.proximity_pixels(0.2)[30])
+    kept = wizard.session.state
+    assert kept.pending is not None
+    press_button(wizard.leave)
+
+    again = open_wizard()
+    assert again.session.state.pairs == kept.pairs
+    assert again.session.state.choices == kept.choices
+    assert [snap.digest for snap in again.session.state.snapshots] == [snap.digest for snap in kept.snapshots]
+    np.testing.assert_array_equal(again.session.state.snapshots[0].frame.tactile_depth, frames[0.2].tactile_depth)
+    assert again.stack.currentIndex() == 1
+    assert any("left on" in sentence for sentence in again.messages.sentences())
+
+    press_button(again.over)
+    assert again.session.state.empty
+    QTest.keyClick(again, Qt.Key.Key_Z, CONTROL)
+    assert again.session.state.pairs == kept.pairs
+
+
+def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
+    wizard = open_wizard()
+    proximity, tactile = scene.proximity_pixels(0.2), scene.tactile_pixels(0.2)
+    for dot in (0, 8, 40, 60):
+        wizard.session.click("proximity", *proximity[dot])
+        wizard.session.click("tactile", *tactile[dot])
+    wizard.session.enable([2], False)
+    before = [(pair.proximity, pair.tactile, pair.enabled, pair.proximity_image) for pair in wizard.session.state.pairs]
+    path = tmp_path / "points.csv"
+    wizard.export_points(path)
+    wizard.start_over()
+    wizard.import_points(path)
+    after = [(pair.proximity, pair.tactile, pair.enabled, pair.proximity_image) for pair in wizard.session.state.pairs]
+    assert after == before
+    assert wizard.session.undo_stack.undoText() == "Import 4 pairs"
+
+    wizard.import_points(tmp_path / "missing.csv")
+    assert any("missing.csv" in sentence for sentence in wizard.messages.sentences())
+
+
+def test_a_qgis_file_is_read_as_clicks_in_the_present_images(open_wizard, feed, frames, scene, tmp_path):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(take_snapshot([frames[0.2]], 1, feed.info, lambda share, words: None))
+    proximity, tactile = scene.proximity_pixels(0.2)[30], scene.tactile_pixels(0.2)[30]
+    path = tmp_path / "clicks.points"
+    path.write_text(
+        "mapX,mapY,sourceX,sourceY,enable,dX,dY,residual\n"
+        f"{proximity[0]},{-proximity[1]},{tactile[0]},{-tactile[1]},1,0,0,0\n"
+    )
+    wizard.import_points(path)
+    (pair,) = wizard.session.state.pairs
+    assert pair.proximity == pytest.approx(tuple(proximity))
+    assert pair.tactile == pytest.approx(tuple(tactile))
+    assert pair.proximity_image == "color"
+    assert pair.snapshot == wizard.session.state.choices.snapshot
+    assert pair.tactile_depth_m == pytest.approx(tactile_depth(scene, 0.2, 30), abs=4e-4)
+
+
+def test_degenerate_points_are_refused_in_words(open_wizard, scene, qtbot):
+    wizard = open_wizard()
+    for step in range(5):
+        wizard.session.click("proximity", 40 + 20 * step, 60 + 10 * step)
+        wizard.session.click("tactile", 50 + 20 * step, 62 + 10 * step)
+    qtbot.waitUntil(lambda: "line" in wizard.outcome.sentence)
+    assert wizard.outcome.report is None
+    assert not wizard.save.isEnabled()
+    assert "line" in wizard.model.reason.text()
+    assert "line" in wizard.points.fit_line.text()

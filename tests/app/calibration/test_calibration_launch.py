@@ -1,0 +1,94 @@
+"""From the main window: the wizard on the present source, and the re-check."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QEvent, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from tactune.app.settings import Settings
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.preset import Preset
+from tactune.core.sources.base import SeekableSource
+
+CONTROL = Qt.KeyboardModifier.ControlModifier
+
+
+class TinySource(SeekableSource):
+    """Two inflation levels by turns."""
+
+    def __init__(self, scene, frames):
+        super().__init__("tiny", scene.rig, 6)
+        self._scene, self._frames = scene, list(frames.values())
+
+    def read(self, index):
+        frame = self._frames[index % 2]
+        return type(frame)(
+            sequence=index,
+            proximity_depth=frame.proximity_depth,
+            tactile_depth=frame.tactile_depth,
+            proximity_color=frame.proximity_color,
+            tactile_color=frame.tactile_color,
+        )
+
+
+@pytest.fixture
+def window(qtbot, tmp_path, scene, frames):
+    made = MainWindow(
+        Preset(name="tiny"), Settings(tmp_path / "w.ini"), tmp_path / "data", native_dialogs=False, backend="software"
+    )
+    made.resize(1100, 700)
+    made.show()
+    made.activateWindow()
+    qtbot.waitUntil(made.isActiveWindow, timeout=15000)
+    yield made
+    made.close_without_asking()
+    made.deleteLater()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+
+
+def test_without_a_source_the_window_says_what_is_missing(window):
+    window.actions_.calibrate.trigger()
+    assert window.calibration.wizard is None
+    assert any("open a source" in sentence for sentence in window.messages.sentences())
+
+
+def test_snapshots_come_from_the_present_source(window, scene, frames, qtbot):
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    window.worker.pause()
+    window.worker.seek(2)
+    qtbot.waitUntil(lambda: not window.transport.state.playing, timeout=15000)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
+    QTest.keyClick(window, Qt.Key.Key_K, CONTROL)
+    wizard = window.calibration.wizard
+    assert wizard is not None and wizard.isVisible()
+
+    wizard.frames.average.setValue(3)
+    wizard.frames.start()
+    qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
+    assert wizard.session.state.snapshots[0].averaged == 3
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 2, timeout=15000)
+    qtbot.waitUntil(lambda: not window.transport.state.playing, timeout=15000)
+
+    window.actions_.calibrate.trigger()
+    assert window.calibration.wizard is wizard
+    wizard.close()
+    assert window.calibration.wizard is None
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    assert not window.document.edit("tolerance.t", -5.0)
+    window.document.edit("tolerance.t", 0.02)
+    window.actions_.calibrate.trigger()
+    assert len(window.calibration.wizard.session.state.snapshots) == 1
+
+
+def test_the_recheck_opens_on_the_present_frame(window, scene, frames, qtbot):
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    window.actions_.recheck.trigger()
+    check = window.calibration.recheck
+    qtbot.waitUntil(lambda: check.drift is not None, timeout=15000)
+    assert check.drift.recalibrate
+    assert "calibrate again" in check.sentence.text()

@@ -1,0 +1,350 @@
+"""Each page and window by itself: snapshots, helpers, check, re-check, kept state."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+
+from tactune.app.calibration.averaging import take_snapshot
+from tactune.app.calibration.fitting import fit
+from tactune.app.calibration.keeping import Keeper
+from tactune.app.calibration.overlay import OverlayMode, make_overlay
+from tactune.app.calibration.pictures import image_choices, picture
+from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
+from tactune.app.calibration.proposals import Helper, HelperOptions, find_proposals
+from tactune.app.calibration.recheck_window import RecheckWindow
+from tactune.app.calibration.session import Session
+from tactune.app.calibration.state import Choices, PointPair, SessionState, Snapshot
+from tactune.app.worker.playback import PlaybackState
+from tactune.core.errors import CalibrationError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.preset import Preset
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+def snapshot_of(frame, feed):
+    return take_snapshot([frame], frame.sequence + 1, feed.info, lambda share, words: None)
+
+
+def with_pairs(scene, frames, feed, dots=range(0, 63, 5)):
+    """A state with exact pairs on both levels."""
+    snapshots = tuple(snapshot_of(frames[level], feed) for level in (0.2, 1.0))
+    pairs = []
+    for snapshot, level in zip(snapshots, (0.2, 1.0), strict=True):
+        T = np.linalg.inv(scene.T_p_t)
+        depths = (scene.points(level) @ T[:3, :3].T + T[:3, 3])[:, 2]
+        for dot in dots:
+            pairs.append(
+                PointPair(
+                    key=len(pairs) + 1,
+                    proximity=tuple(scene.proximity_pixels(level)[dot].tolist()),
+                    tactile=tuple(scene.tactile_pixels(level)[dot].tolist()),
+                    tactile_depth_m=float(depths[dot]),
+                    snapshot=snapshot.digest,
+                )
+            )
+    return SessionState(snapshots, tuple(pairs)).with_choices(snapshot=snapshots[1].digest)
+
+
+# Frames
+
+
+def test_several_frames_are_averaged_and_movement_is_told(open_wizard, feed, frames, qtbot):
+    wizard = open_wizard()
+    page = wizard.frames
+    page.average.setValue(3)
+    QTest.mouseClick(page.take, LEFT)
+    assert page.cancel.isVisible() and not page.take.isEnabled()
+    for number, level in ((1, 1.0), (2, 1.0)):
+        frame = frames[level]
+        copy = SensorFrame(
+            sequence=number,
+            proximity_depth=frame.proximity_depth,
+            tactile_depth=frame.tactile_depth,
+            proximity_color=frame.proximity_color,
+            tactile_color=frame.tactile_color,
+        )
+        feed.deliver(copy, PlaybackState(index=number, length=None, playing=True))
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    taken = wizard.session.state.snapshots[0]
+    assert taken.averaged == 3
+    np.testing.assert_array_equal(taken.frame.tactile_depth, frames[1.0].tactile_depth)
+    assert "moved by" in page.note.text()
+
+
+def test_taking_a_snapshot_can_be_cancelled(open_wizard, feed, qtbot):
+    wizard = open_wizard()
+    wizard.frames.average.setValue(5)
+    QTest.mouseClick(wizard.frames.take, LEFT)
+    QTest.mouseClick(wizard.frames.cancel, LEFT)
+    assert not wizard.session.state.snapshots
+    assert wizard.frames.take.isEnabled()
+    assert "Cancelled" in wizard.frames.note.text()
+
+
+def test_removing_a_snapshot_takes_its_points_and_undo_brings_both_back(open_wizard, scene, frames, feed):
+    wizard = open_wizard()
+    state = with_pairs(scene, frames, feed)
+    wizard.session.edit("all", state)
+    wizard.go_to(0)
+    wizard.frames.list.setCurrentRow(0)
+    QTest.mouseClick(wizard.frames.remove, LEFT)
+    assert {pair.snapshot for pair in wizard.session.state.pairs} == {state.snapshots[1].digest}
+    wizard.session.undo_stack.undo()
+    assert wizard.session.state.pairs == state.pairs
+
+
+# Pictures and predictions
+
+
+@pytest.mark.parametrize("stretch", [True, False])
+@pytest.mark.parametrize("choice", ["color", "depth", "relative"])
+def test_every_image_can_be_shown(scene, frames, choice, stretch):
+    for side in ("proximity", "tactile"):
+        shown = picture(frames[1.0], scene.rig, side, choice, stretch)
+        assert shown.pixels.shape == (240, 320, 4)
+        assert shown.gray.shape == (240, 320)
+    bare = SensorFrame(
+        sequence=0,
+        proximity_depth=np.zeros((240, 320), np.uint16),
+        tactile_depth=np.full((240, 320), 65535, np.uint16),
+        proximity_color=np.zeros((240, 320, 3), np.uint8),
+    )
+    assert "color" not in image_choices(bare, "tactile")
+    assert picture(bare, scene.rig, "tactile", choice, stretch).pixels.shape == (240, 320, 4)
+
+
+def test_partners_are_found_both_ways(scene, frames):
+    alignment = Alignment(pose=scene.T_p_t)
+    left, right = scene.proximity_pixels(1.0), scene.tactile_pixels(1.0)
+    for dot in (5, 31, 50):
+        found = proximity_partner(alignment, scene.rig, frames[1.0], "color", tuple(right[dot]))
+        assert found == pytest.approx(tuple(left[dot]), abs=0.05)
+        found = tactile_partner(alignment, scene.rig, frames[1.0], "color", tuple(left[dot]))
+        assert found == pytest.approx(tuple(right[dot]), abs=0.05)
+    assert tactile_partner(alignment, scene.rig, frames[1.0], "color", (-5000.0, 0.0)) is None
+
+
+def test_the_homography_predicts_in_the_colour_image_too(scene, frames, feed):
+    state = with_pairs(scene, frames, feed).with_choices(model="homography")
+    outcome = fit(state, scene.rig)
+    assert outcome.alignment.homography is not None
+    left, right = scene.proximity_pixels(1.0), scene.tactile_pixels(1.0)
+    found = proximity_partner(outcome.alignment, scene.rig, frames[1.0], "color", tuple(right[31]))
+    assert found == pytest.approx(tuple(left[31]), abs=8)
+    back = tactile_partner(outcome.alignment, scene.rig, frames[1.0], "color", found)
+    assert back == pytest.approx(tuple(right[31]), abs=1.0)
+
+
+# Points
+
+
+def test_a_click_without_depth_is_told_in_words(open_wizard, scene, frames, feed):
+    holes = np.zeros((240, 320), np.uint16)
+    frame = SensorFrame(
+        sequence=9,
+        proximity_depth=frames[0.2].proximity_depth,
+        tactile_depth=holes,
+        proximity_color=frames[0.2].proximity_color,
+        tactile_color=frames[0.2].tactile_color,
+    )
+    wizard = open_wizard()
+    wizard.session.add_snapshot(snapshot_of(frame, feed))
+    wizard.session.click("tactile", 100.0, 100.0)
+    wizard.session.click("proximity", 130.0, 100.0)
+    assert wizard.session.state.pairs[0].tactile_depth_m is None
+    assert "No tactile depth under point 1" in wizard.points.hint.text()
+    assert "no depth here" in wizard.points.table.rows()[0].hint
+
+
+def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, frames, feed, qtbot):
+    state = with_pairs(scene, frames, feed)
+    wrong = state.pairs[4]
+    moved = wrong.model_copy(update={"proximity": (wrong.proximity[0] + 25, wrong.proximity[1] - 11)})
+    wizard = open_wizard()
+    wizard.session.edit("all", state.with_pair(moved))
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
+    rows = {row.key: row for row in wizard.points.table.rows()}
+    assert [key for key, row in rows.items() if row.worst] == [5]
+    assert "contradicts" in rows[5].hint
+    assert "pair 5" in wizard.quality.step.text()
+
+
+def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
+    wizard.session.look(proximity_image="depth")
+    wizard.session.click("proximity", 100.0, 100.0)
+    wizard.session.click("tactile", 80.0, 100.0)
+    wizard.session.look(proximity_image="color")
+    assert wizard.session.state.pairs[0].proximity_image == "depth"
+    assert not wizard.points.view.images["proximity"].layer.marks
+    assert len(wizard.points.view.images["tactile"].layer.marks) == 1
+
+
+# Helpers
+
+
+def test_a_chessboard_is_found_refused_in_part_and_accepted(open_wizard, feed, scene, frames, qtbot):
+    squares = (np.indices((8, 11)).sum(axis=0) % 2 * 255).astype(np.uint8)
+    board = np.full((240, 320), 255, np.uint8)
+    board[30 : 30 + 8 * 20, 40 : 40 + 11 * 20] = cv2.resize(squares, (220, 160), interpolation=cv2.INTER_NEAREST)
+    color = np.repeat(board[:, :, None], 3, axis=2)
+    frame = SensorFrame(
+        sequence=0,
+        proximity_depth=frames[0.2].proximity_depth,
+        tactile_depth=frames[0.2].tactile_depth,
+        proximity_color=color,
+        tactile_color=np.roll(color, -8, axis=1),
+    )
+    wizard = open_wizard()
+    wizard.session.add_snapshot(snapshot_of(frame, feed))
+    page = wizard.helpers
+    wizard.go_to(2)
+    QTest.mouseClick(page.radios[Helper.CHESSBOARD], LEFT, pos=page.radios[Helper.CHESSBOARD].rect().center() * 0.2)
+    page.columns.setValue(10)
+    page.rows.setValue(7)
+    QTest.mouseClick(page.search, LEFT)
+    qtbot.waitUntil(lambda: len(page.proposals) == 70)
+    first = page.proposals[0]
+    assert first.tactile == pytest.approx((first.proximity[0] - 8, first.proximity[1]), abs=0.05)
+    page.toggle(first.key)
+    QTest.mouseClick(page.accept, LEFT)
+    assert len(wizard.session.state.pairs) == 69
+    wizard.session.undo_stack.undo()
+    assert not wizard.session.state.pairs
+
+    QTest.mouseClick(page.radios[Helper.CIRCLES], LEFT, pos=page.radios[Helper.CIRCLES].rect().center() * 0.2)
+    QTest.mouseClick(page.search, LEFT)
+    qtbot.waitUntil(lambda: "circles is seen" in page.words.text())
+    assert not page.proposals
+
+
+# Check
+
+
+def test_the_overlay_fits_with_the_true_pose_and_not_with_a_wrong_one(scene, frames):
+    def difference(pose):
+        overlay = make_overlay(Alignment(pose=pose), scene.rig, frames[1.0], "color")
+        gap = np.abs(overlay.proximity.astype(float) - overlay.tactile)[..., 0]
+        return gap[overlay.known][::7].mean(), overlay
+
+    right, overlay = difference(scene.T_p_t)
+    moved = scene.T_p_t.copy()
+    moved[0, 3] += 0.004
+    assert right < 0.4 * difference(moved)[0]
+    assert overlay.known.mean() > 0.5
+    pictures = [overlay.composed(mode, 0.5).tobytes() for mode in OverlayMode]
+    assert len(set(pictures)) == len(OverlayMode)
+    np.testing.assert_array_equal(overlay.composed(OverlayMode.BLINK, 0.5, True), overlay.tactile)
+
+
+def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, frames, feed, qtbot):
+    wizard = open_wizard()
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
+    shown = wizard.quality.map
+    wizard.go_to(4)
+    assert "Drawing the map" in shown._empty.text() and not shown.layer.marks
+    qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
+    assert "Drawing" not in shown._empty.text()
+
+
+def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, document, qtbot):
+    wizard = open_wizard()
+    page = wizard.check
+    wizard.go_to(5)
+    qtbot.waitUntil(lambda: "No calibration yet" in page.image._empty.text())
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(lambda: page._overlay is not None and "cm²" in page.note.text(), timeout=15000)
+    blended = page.image.grab().toImage()
+    QTest.mouseClick(page.modes.button(1), LEFT)
+    assert page.mode is OverlayMode.CHECKER
+    assert page.image.grab().toImage() != blended
+    assert "by the preset's contact test" in page.note.text()
+    assert "does not use it" not in page.set_tolerance.text()
+    document.edit("contact_test", "calibrated")
+    assert "calibrated test does not use it" in page.set_tolerance.text()
+    page.set_tolerance.setChecked(True)
+    wizard.save_into_preset()
+    assert document.preset.tolerance.t == pytest.approx(
+        wizard.outcome.report.chosen.effect.supported_tolerance, abs=1e-4
+    )
+
+
+def test_texture_without_a_colour_image_is_said_of_the_snapshot(scene, frames):
+    snapshot = Snapshot("digest", "Frames 3 to 7", replace(frames[0.2], tactile_color=None), 5, 0.0)
+    with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: there is no tactile colour image"):
+        find_proposals(HelperOptions(), [snapshot], Choices(), scene.rig, lambda *_: None)
+
+
+# Re-check
+
+
+def test_recheck_tells_drift_in_words(scene, frames, qtbot):
+    window = RecheckWindow()
+    qtbot.addWidget(window)
+    window.show()
+    moved = scene.T_p_t.copy()
+    moved[0, 3] += 0.004
+    for pose, verdict in ((scene.T_p_t, "no need"), (moved, "calibrate again")):
+        preset = Preset(name="x").with_value("alignment.rigid.T_proximity_tactile", pose.tolist())
+        window.check(preset, scene.rig, frames[1.0])
+        qtbot.waitUntil(lambda verdict=verdict: verdict in window.sentence.text(), timeout=15000)
+        assert "mm" in window.sentence.text()
+    assert window.drift.drift_px == pytest.approx(4 / 280 * 230, rel=0.2)
+    window.close()
+
+
+# Kept state
+
+
+def test_two_windows_on_one_rig_keep_apart(scene, tmp_path, qapp):
+    sessions = [Session(scene.rig, lambda *_: None) for _ in range(2)]
+    keepers = [Keeper(session, tmp_path) for session in sessions]
+    assert keepers[0].file != keepers[1].file
+    for keeper in keepers:
+        keeper.close()
+
+
+def test_a_damaged_file_is_set_aside_and_said(scene, frames, feed, tmp_path, qapp):
+    session = Session(scene.rig, lambda *_: None)
+    keeper = Keeper(session, tmp_path)
+    session.edit("all", with_pairs(scene, frames, feed))
+    keeper.close()
+    content = json.loads(keeper.file.read_text())
+    content["pairs"][0]["proximity"] = ["a", "b"]
+    keeper.file.write_text(json.dumps(content))
+
+    again = Session(scene.rig, lambda *_: None)
+    second = Keeper(again, tmp_path)
+    said = []
+    second.failed.connect(said.append)
+    assert second.restore() is None
+    assert "set aside" in said[0]
+    assert again.state.empty
+    second.close()
+    assert keeper.file.with_suffix(".damaged").exists()
+
+
+def test_lost_images_keep_their_points(scene, frames, feed, tmp_path, qapp):
+    session = Session(scene.rig, lambda *_: None)
+    keeper = Keeper(session, tmp_path)
+    state = with_pairs(scene, frames, feed)
+    session.edit("all", state)
+    keeper.close()
+    next(iter(tmp_path.glob("snapshot-*.npz"))).unlink()
+
+    again = Session(scene.rig, lambda *_: None)
+    second = Keeper(again, tmp_path)
+    assert second.restore() is not None
+    assert again.state.pairs == state.pairs
+    assert len(again.state.snapshots) == 1
+    second.close()

@@ -1,0 +1,240 @@
+"""The point image, the loupe, the table and the small plots, by real events."""
+
+from __future__ import annotations
+
+from math import nan
+
+import numpy as np
+import pyqtgraph as pg
+import pytest
+from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QWidget
+
+from tactune.widgets.basics.point_table import PointRow, PointTable
+from tactune.widgets.images.loupe import Loupe
+from tactune.widgets.images.marks import COLORS, REACH, Mark, MarkKind
+from tactune.widgets.images.point_image import PointImage
+from tactune.widgets.plots.coverage_grid import CoverageGrid
+from tactune.widgets.plots.residual_plot import Residual, ResidualPlot, round_limit
+
+LEFT = Qt.MouseButton.LeftButton
+PLAIN = Qt.KeyboardModifier.NoModifier
+
+
+@pytest.fixture
+def image(qtbot):
+    pg.setConfigOptions(mouseRateLimit=-1)
+    made = PointImage("Left")
+    qtbot.addWidget(made)
+    made.resize(640, 500)
+    pixels = np.zeros((120, 160, 4), np.uint8)
+    pixels[..., 3] = 255
+    made.set_image(pixels)
+    made.show()
+    qtbot.waitExposed(made)
+    QApplication.processEvents()
+    return made
+
+
+def test_places_survive_the_way_to_the_screen_and_back(image):
+    for place in ((0.0, 0.0), (80.25, 59.5), (159.0, 119.0)):
+        assert image.image_place(image.screen_place(*place)) == pytest.approx(place, abs=1e-6)
+    image.zoom(7.3)
+    QApplication.processEvents()
+    assert image.image_place(image.screen_place(81.125, 60.5)) == pytest.approx((81.125, 60.5), abs=1e-6)
+
+
+def test_a_click_places_a_point_to_a_fraction_of_a_pixel(image, qtbot):
+    image.zoom(4)
+    QApplication.processEvents()
+    target = image.screen_place(80.5, 60.25).toPoint()
+    with qtbot.waitSignal(image.placed) as caught:
+        QTest.mouseClick(image.view.viewport(), LEFT, PLAIN, target)
+    assert caught.args[:2] == pytest.approx(image.image_place(QPointF(target)))
+    assert caught.args[:2] == pytest.approx((80.5, 60.25), abs=0.1)
+    assert image.hasFocus()
+
+
+def test_a_drag_on_free_ground_pans_and_places_nothing(image, qtbot):
+    image.zoom(2)
+    QApplication.processEvents()
+    seen = image.box.viewRect().center().x()
+    viewport = image.view.viewport()
+    start = image.screen_place(80, 60).toPoint()
+    with qtbot.assertNotEmitted(image.placed):
+        QTest.mousePress(viewport, LEFT, PLAIN, start)
+        for step in (10, 30, 60):
+            QTest.mouseMove(viewport, start + start.__class__(step, 0))
+        QTest.mouseRelease(viewport, LEFT, PLAIN, start + start.__class__(60, 0))
+    assert image.box.viewRect().center().x() < seen - 5
+
+
+def test_a_mark_is_taken_hold_of_and_keeps_its_grip(image, qtbot):
+    image.set_marks([Mark(7, 40.0, 30.0), Mark(8, 100.0, 90.0)])
+    viewport = image.view.viewport()
+    moves = []
+    image.dragged.connect(lambda *args: moves.append(args))
+    grip = image.screen_place(40, 30).toPoint() + QPointF(3, -2).toPoint()
+    with qtbot.waitSignal(image.pressed) as pressed:
+        QTest.mousePress(viewport, LEFT, PLAIN, grip)
+    assert pressed.args[0] == 7
+    goal = image.screen_place(60, 50).toPoint() + QPointF(3, -2).toPoint()
+    QTest.mouseMove(viewport, goal)
+    QTest.mouseRelease(viewport, LEFT, PLAIN, goal)
+    key, u, v, done = moves[-1]
+    assert (key, done) == (7, True)
+    assert (u, v) == pytest.approx((60, 50), abs=0.5)
+
+
+def test_the_nearest_mark_within_reach_is_hit(image):
+    image.set_marks([Mark(1, 40, 30), Mark(2, 42, 30)])
+    place = image.screen_place(41.4, 30)
+    assert image.layer.mark_at(place).key == 2
+    assert image.layer.mark_at(image.screen_place(40, 30) - QPointF(REACH + 1, 0)) is None
+
+
+@pytest.mark.parametrize(
+    ("key", "modifier", "step"),
+    [
+        (Qt.Key.Key_Left, PLAIN, (-1.0, 0.0)),
+        (Qt.Key.Key_Down, PLAIN, (0.0, 1.0)),
+        (Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier, (0.1, 0.0)),
+        (Qt.Key.Key_Up, Qt.KeyboardModifier.ShiftModifier, (0.0, -0.1)),
+    ],
+)
+def test_arrow_keys_nudge(image, qtbot, key, modifier, step):
+    with qtbot.waitSignal(image.nudged) as caught:
+        QTest.keyClick(image, key, modifier)
+    assert tuple(caught.args) == pytest.approx(step)
+
+
+@pytest.mark.parametrize(
+    ("key", "signal"),
+    [
+        (Qt.Key.Key_Delete, "deleteRequested"),
+        (Qt.Key.Key_Return, "acceptRequested"),
+        (Qt.Key.Key_Space, "acceptRequested"),
+        (Qt.Key.Key_Escape, "cancelRequested"),
+    ],
+)
+def test_keys_ask(image, qtbot, key, signal):
+    with qtbot.waitSignal(getattr(image, signal)):
+        QTest.keyClick(image, key)
+
+
+def test_arrows_and_ghost_change_the_picture(image):
+    image.set_marks([Mark(1, 40, 30, arrow=(0.5, 0.0))])
+    plain = image.grab().toImage()
+    image.layer.set_arrow_factor(100)
+    assert image.grab().toImage() != plain
+    image.layer.set_arrow_factor(0)
+    assert image.grab().toImage() == plain
+    image.layer.set_ghost((90, 60))
+    assert image.grab().toImage() != plain
+
+
+def test_the_loupe_stays_inside_and_tells_how_far_it_snaps(qtbot):
+    parent = QWidget()
+    qtbot.addWidget(parent)
+    parent.resize(500, 400)
+    loupe = Loupe(parent)
+    loupe.set_pixels(np.full((50, 60, 4), 200, np.uint8))
+    for cursor in (QPointF(2, 2), QPointF(498, 398), QPointF(498, 2), QPointF(250, 200)):
+        loupe.show_at(cursor, (10.0, 12.0))
+        assert parent.rect().contains(loupe.geometry())
+        assert not loupe.geometry().contains(cursor.toPoint())
+    loupe.set_snapped((13.0, 16.0))
+    assert "snap 5.0 px" in loupe.text()
+    loupe.grab()
+
+
+ROWS = [
+    PointRow(1, True, (1.0, 2.0), (3.0, 4.0), 0.3, 0.1, 0.2, 0.22, 0.14, 0.3),
+    PointRow(2, False, (5.0, 6.0), (7.0, 8.0)),
+    PointRow(3, True, (9.0, 2.0), (3.0, 4.0), 0.29, 3.0, 4.0, 5.0, 3.1, 6.0, worst=True, hint="look again"),
+]
+
+
+@pytest.fixture
+def table(qtbot):
+    made = PointTable("proximity", "tactile")
+    qtbot.addWidget(made)
+    made.resize(1100, 200)
+    made.set_rows(ROWS)
+    made.show()
+    return made
+
+
+def cell(table, row, column, role=Qt.ItemDataRole.DisplayRole):
+    model = table.model()
+    return model.data(model.index(row, column), role)
+
+
+def test_the_table_shows_numbers_dashes_and_the_worst(table):
+    assert cell(table, 0, 6) == "300.0"
+    assert cell(table, 1, 6) == "–"
+    assert cell(table, 2, 10) == "3.10"
+    assert cell(table, 2, 0, Qt.ItemDataRole.ToolTipRole) == "look again"
+    assert cell(table, 2, 3, Qt.ItemDataRole.BackgroundRole) is not None
+    assert cell(table, 0, 3, Qt.ItemDataRole.BackgroundRole) is None
+
+
+def test_sorting_by_residual_puts_the_worst_first_and_unknown_last(table):
+    table.sortByColumn(9, Qt.SortOrder.DescendingOrder)
+    assert [cell(table, row, 0) for row in range(3)] == ["3", "1", "2"]
+
+
+def test_a_check_mark_asks_and_changes_nothing_by_itself(table, qtbot):
+    model = table.model()
+    with qtbot.waitSignal(table.enabledToggled) as caught:
+        model.setData(model.index(1, 1), Qt.CheckState.Checked, Qt.ItemDataRole.CheckStateRole)
+    assert caught.args == [2, True]
+    assert table.rows()[1].enabled is False
+
+
+def test_space_switches_the_selected_rows(table, qtbot):
+    table.select([1, 3])
+    told = []
+    table.enabledToggled.connect(lambda key, on: told.append((key, on)))
+    QTest.keyClick(table, Qt.Key.Key_Space)
+    assert told == [(1, False), (3, False)]
+
+
+def test_the_selection_stays_with_its_pairs(table, qtbot):
+    table.select([3])
+    with qtbot.assertNotEmitted(table.selectionEdited):
+        table.set_rows(ROWS[1:])
+    assert table.selected_keys() == (3,)
+    with qtbot.waitSignal(table.selectionEdited) as caught:
+        QTest.keyClick(table, Qt.Key.Key_Up)
+    assert caught.args == [(2,)]
+
+
+@pytest.mark.parametrize(("largest", "limit"), [(0.0, 1.0), (0.3, 0.5), (1.0, 1.0), (1.2, 2.0), (37.0, 50.0)])
+def test_the_outer_ring_is_round(largest, limit):
+    assert round_limit([Residual(largest, 0.0)]) == pytest.approx(limit)
+
+
+def test_plots_paint_in_every_state(qtbot):
+    plot, grid = ResidualPlot(), CoverageGrid()
+    for widget in (plot, grid):
+        qtbot.addWidget(widget)
+        widget.resize(300, 240)
+        widget.show()
+    empty = plot.grab().toImage()
+    plot.set_residuals([Residual(0.3, -0.2), Residual(900.0, 0.0, "7", True)], limit=1.0)
+    assert plot.grab().toImage() != empty
+    plot.set_residuals([], message="Not fitted")
+    grid.grab()
+    grid.set_coverage([[0, 1, 5, 2]] * 3, [280.0, nan, 310.0][::2])
+    assert "3 parts are empty" in grid.toolTip()
+    grid.grab()
+
+
+def test_every_kind_of_mark_has_a_colour(image):
+    for kind in MarkKind:
+        image.set_marks([Mark(1, 80.0, 60.0, "1", kind)])
+        shown = image.view.grab().toImage()
+        colors = {shown.pixelColor(x, y).name() for x in range(shown.width()) for y in range(0, shown.height(), 2)}
+        assert COLORS[kind].name() in colors

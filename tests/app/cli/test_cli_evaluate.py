@@ -1,0 +1,108 @@
+"""``tactune evaluate table`` and ``tactune run --method``."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.app.cli.main import main
+from tactune.core.evaluation import table as table_module
+from tactune.core.methods.registry import method_names
+from tactune.core.recording.cloud_files import read_cloud
+
+SIM = "sim:cup?press=medium"
+
+
+def tactune(monkeypatch, *words: object) -> int:
+    monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
+    return main()
+
+
+def lines(text: str) -> list[dict]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--methods", "fuson"], "no method 'fuson'; known are straight, fusion-rigid"),
+        (["--methods", ","], "--methods is ','"),
+        (["--objects", "mug"], "no object 'mug'; it is kept for --held-out"),
+        (["--held-out", "--objects", "cup"], "no object 'cup'"),
+        (["--presses", "hard"], "no press 'hard'"),
+        (["--plot", "figure.xyz"], "suffix '.xyz'"),
+        (["--preset", "nowhere.json"], "nowhere.json"),
+    ],
+)
+def test_what_cannot_be_is_said_before_anything_is_measured(tmp_path, monkeypatch, capsys, words, said):
+    assert tactune(monkeypatch, "evaluate", "table", "--work", tmp_path / "work", *words) == 2
+    shown = capsys.readouterr()
+    assert said in shown.err and shown.out == ""
+    assert not (tmp_path / "work").exists()
+
+
+def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, monkeypatch, capsys):
+    small = ["--methods", "fusion-rigid,proximity-only", "--objects", "cup", "--presses", "medium", "--seeds", 1]
+    words = ["evaluate", "table", *small, "--no-extra", "--work", tmp_path / "work"]
+    measure = table_module.measure_cell
+
+    def interrupted(name, *rest):
+        if name == "proximity-only":
+            raise KeyboardInterrupt
+        return measure(name, *rest)
+
+    monkeypatch.setattr(table_module, "measure_cell", interrupted)
+    assert tactune(monkeypatch, *words) == 130
+    assert "1 of 2 cells are kept" in capsys.readouterr().err
+
+    measured = []
+    monkeypatch.setattr(table_module, "measure_cell", lambda name, *rest: measured.append(name) or measure(name, *rest))
+    assert tactune(monkeypatch, *words, "--json", "--csv", tmp_path / "t.csv") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert measured == ["proximity-only"]
+    rmse = {cell["method"]: cell["rmse_mm"] for cell in document["cells"]}
+    assert 0 < rmse["fusion-rigid"] < rmse["proximity-only"] < 20
+    assert len((tmp_path / "t.csv").read_text().splitlines()) == 3
+
+
+@pytest.mark.parametrize("method", ["fusion", *method_names()])
+def test_run_knows_every_method(monkeypatch, capsys, method):
+    assert tactune(monkeypatch, "run", "-s", SIM, "-n", 1, "--json", "--truth", "--method", method) == 0
+    (record,) = lines(capsys.readouterr().out)
+    assert (record["method"], record["failure"]) == (method, "")
+    assert record["points"] > 100 and record["iou"] > 0.1
+
+
+def test_a_method_writes_its_points(tmp_path, monkeypatch, capsys):
+    words = ["run", "-s", SIM, "-n", 1, "--json", "--method", "tactile-only", "--out", tmp_path, "--format", "ply"]
+    assert tactune(monkeypatch, *words) == 0
+    (record,) = lines(capsys.readouterr().out)
+    points = read_cloud(tmp_path / "patch_000000.ply").points
+    assert len(points) == record["points"]
+    np.testing.assert_allclose(points.mean(axis=0, dtype=float), record["centroid_m"], rtol=1e-6)
+
+
+def test_a_recording_needs_a_reference_and_takes_one(make_recording, monkeypatch, capsys):
+    recording: Path = make_recording()
+    words = ["run", "-s", recording, "--json", "--method", "proximity-only"]
+    assert tactune(monkeypatch, *words) == 2
+    assert "give --reference" in capsys.readouterr().err
+    assert tactune(monkeypatch, *words, "--reference", recording) == 0
+    assert {record["method"] for record in lines(capsys.readouterr().out)} == {"proximity-only"}
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--method", "magic"], "no method 'magic'; known are fusion, fusion-rigid"),
+        (["--method", "fusion", "--reference", "sim"], "leave --reference out"),
+        (["--method", "mechanics", "--reference", "nowhere"], "nowhere"),
+    ],
+)
+def test_run_says_what_is_wrong_with_a_method(make_recording, monkeypatch, capsys, words, said):
+    assert tactune(monkeypatch, "run", "-s", make_recording(), "--json", *words) == 2
+    shown = capsys.readouterr()
+    assert said in shown.err and shown.out == ""

@@ -1,0 +1,334 @@
+"""``tactune record``, ``tactune convert`` and ``tactune run --out patches.mcap``."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from tactune.app.cli import run as cli_run
+from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core.errors import SourceError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.sources import FrameSource
+from tactune.core.sources.base import Health
+from tactune.core.sources.mcap.source import McapSource
+
+DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[3].parent / "shared/data"))
+Run = Callable[..., Any]
+
+
+def same(first: SensorFrame, second: SensorFrame) -> bool:
+    """Whether two frames have the same bits."""
+
+    def bits(frame: SensorFrame) -> list[object]:
+        truth = frame.truth
+        arrays = [frame.proximity_depth, frame.tactile_depth, frame.proximity_color, frame.tactile_color]
+        arrays += [] if truth is None else [truth.contact, truth.depth_m]
+        times = (frame.sequence, frame.proximity_time_s, frame.tactile_time_s)
+        return [times, *(None if array is None else (array.shape, array.tobytes()) for array in arrays)]
+
+    return bits(first) == bits(second)
+
+
+def assert_same_recording(first: FrameSource, second: FrameSource) -> None:
+    assert first.rig == second.rig
+    assert first.length == second.length
+    for one, other in zip(first, second, strict=True):
+        assert same(one, other)
+
+
+def length_of(path: Path) -> int | None:
+    with McapSource(path) as source:
+        return source.length
+
+
+class LiveSource(FrameSource):
+    """Plays a recording as if live, without an end: not ready every other time."""
+
+    def __init__(self, source: FrameSource) -> None:
+        self.name = "live"
+        self._source = source
+        self._asked = 0
+        self.given = 0
+        self.message = ""
+        self.lost_each = 0
+
+    @property
+    def rig(self) -> Any:
+        return self._source.rig
+
+    def wait(self, timeout_s: float) -> bool:
+        self._asked += 1
+        if self._asked % 2:
+            time.sleep(min(timeout_s, 0.001))
+        return self._asked % 2 == 0
+
+    def next_frame(self) -> SensorFrame | None:
+        frame = self._source.next_frame()
+        if frame is None:
+            self._source.seek(0)
+            frame = self._source.next_frame()
+        self.given += 1
+        return frame
+
+    def health(self) -> Health:
+        return Health(ok=not self.message, message=self.message, dropped=self.lost_each * self.given)
+
+
+@pytest.fixture
+def live(recording: Path, monkeypatch: pytest.MonkeyPatch) -> LiveSource:
+    source = LiveSource(open_source(str(recording)))
+    monkeypatch.setattr(cli_run, "open_source", lambda *_: source)
+    return source
+
+
+def test_a_recording_is_recorded_whole(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    done = tactune("record", "--source", recording, "--out", tmp_path / "new" / "a.mcap", "--preset", "default")
+    assert done.status == 0
+    assert done.out.startswith(f"recorded 4 frames of folder:{recording}, ")
+    assert done.out.endswith(f" MB, into {tmp_path / 'new' / 'a.mcap'}\n")
+    assert done.err == ""
+    with McapSource(tmp_path / "new" / "a.mcap") as source:
+        assert source.preset() == load_preset("default")
+        with open_source(str(recording)) as original:
+            assert_same_recording(source, original)
+
+
+def test_frames_and_seconds_end_a_recording(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    for option, value, count in (
+        ("--frames", 3, 3),
+        ("--seconds", 0.05, 2),
+        ("--seconds", "inf", 4),
+        ("--frames", 9, 4),
+    ):
+        tactune("record", "-s", recording, "-o", tmp_path / "a.mcap", option, value, "--force")
+        assert length_of(tmp_path / "a.mcap") == count
+
+
+def test_nothing_is_overwritten_unless_forced(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    out = tmp_path / "a.mcap"
+    out.write_text("precious")
+    for words in (("record", "-s", recording, "-o", out), ("convert", recording, out)):
+        assert "a.mcap is already there; choose another name or give --force" in tactune(*words).sentence
+        assert out.read_text() == "precious"
+    assert tactune("convert", recording, out, "--force").status == 0
+    assert tactune("record", "-s", recording, "-o", out, "--force").status == 0
+    (tmp_path / "dir.mcap").mkdir()
+    assert "is already there" in tactune("record", "-s", recording, "-o", tmp_path / "dir.mcap", "--force").sentence
+
+
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("record", "-s", "sim:tea", "-o", "{}/a.mcap"), "there is no scene 'tea'"),
+        (("record", "-s", "sim", "-o", "{}/a.bag"), "a recording is a .mcap file; name it so"),
+        (("record", "-s", "sim", "-o", "{}/a.mcap", "-p", "nowhere"), "cannot read preset nowhere"),
+        (("convert", "{}/none.bag", "{}/a.mcap"), "nothing is at that path"),
+        (("convert", "sim", "{}/a.bag"), ".bag is read only; name a .mcap or a folder"),
+    ],
+)
+def test_what_cannot_be_done_is_told_and_leaves_no_file(
+    tmp_path: Path, tactune: Run, words: tuple[str, ...], sentence: str
+) -> None:
+    assert sentence in tactune(*(word.format(tmp_path) for word in words)).sentence
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_live_source_ends_by_frames_time_or_its_own_end(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--frames", 7)
+    assert done.status == 0
+    assert length_of(tmp_path / "a.mcap") == 7
+    assert tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--seconds", 0.2).status == 0
+    assert length_of(tmp_path / "b.mcap") >= 1
+
+
+def test_what_a_live_source_has_to_say_is_said_once(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
+    live.message = "the tactile camera is missing"
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--frames", 3)
+    assert done.err == "tactune: the tactile camera is missing\n"
+    live.message, live.lost_each = "", 5
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "b.mcap", "--frames", 2)
+    assert done.err.startswith("tactune: 10 frames lost before they got here;"), "the 15 of the first are no news"
+
+
+def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
+    threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    usual = signal.getsignal(signal.SIGINT)
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap")
+    assert done.status == 0
+    assert signal.getsignal(signal.SIGINT) is usual
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert source.health().ok
+        assert source.length >= 1
+        assert f"recorded {source.length} frames" in done.out
+
+
+def test_dropped_frames_are_told(
+    tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactune.core.recording import writer
+    from tactune.core.sources.mcap import container
+
+    write_chunk = container.McapWriter.write_chunk
+
+    def slowly(self: container.McapWriter, messages: Any) -> None:
+        time.sleep(0.1)
+        write_chunk(self, messages)
+
+    monkeypatch.setattr(container.McapWriter, "write_chunk", slowly)
+    monkeypatch.setattr(writer.SessionWriter.__init__, "__kwdefaults__", {
+        **writer.SessionWriter.__init__.__kwdefaults__, "queue_bytes": 1
+    })  # fmt: skip
+    done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap", "--seconds", 0.5)
+    assert done.status == 0
+    assert " dropped, because the disk was too slow; record to a faster one\n" in done.err
+    assert length_of(tmp_path / "a.mcap") < live.given
+
+
+def test_a_full_disk_is_told_with_what_was_kept(
+    tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tactune.core.sources.mcap import container
+
+    write_chunk = container.McapWriter.write_chunk
+    chunks = 0
+
+    def fill(self: container.McapWriter, messages: Any) -> None:
+        nonlocal chunks
+        chunks += 1
+        if chunks == 3:
+            raise OSError(28, "No space left on device")
+        write_chunk(self, messages)
+
+    monkeypatch.setattr(container.McapWriter, "write_chunk", fill)
+    out = tmp_path / "a.mcap"
+    sentence = tactune("record", "-s", recording, "-o", out).sentence
+    assert sentence == (
+        f"tactune: cannot write {out}: No space left on device; choose another place; "
+        "the 2 frames before are in the file\n"
+    )
+    assert length_of(out) == 2
+    chunks = 0
+    sentence = tactune("convert", recording, tmp_path / "b.mcap").sentence
+    assert sentence == f"tactune: cannot write {tmp_path / 'b.mcap'}: No space left on device; choose another place\n"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.mcap", "recording"]
+
+
+def test_a_file_that_cannot_be_begun_is_named_as_the_person_named_it(
+    tmp_path: Path, recording: Path, tactune: Run
+) -> None:
+    """The temporary file's name is a little longer, and so too long."""
+    target = tmp_path / f"{'x' * 245}.mcap"
+    sentence = tactune("convert", recording, target).sentence
+    assert sentence == f"tactune: cannot write {target}: File name too long; choose another place\n"
+
+
+def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    assert tactune("convert", recording, tmp_path / "a.mcap", "--preset", "simulator").status == 0
+    done = tactune("convert", tmp_path / "a.mcap", tmp_path / "back")
+    assert done.status == 0
+    assert done.out == f"wrote 4 frames of mcap:{tmp_path / 'a.mcap'} to {tmp_path / 'back'}\n"
+    assert "a folder holds no preset; 'simulator' stays behind" in done.err
+    assert tactune("convert", tmp_path / "a.mcap", tmp_path / "b.mcap").err == ""
+    with McapSource(tmp_path / "b.mcap") as source:
+        assert source.preset() == load_preset("simulator")
+    for copy in ("back", "b.mcap"):
+        with open_source(str(recording)) as original, open_source(str(tmp_path / copy)) as source:
+            assert_same_recording(source, original)
+
+
+@pytest.mark.parametrize("name", ["realsense_bag/single_depth_color_640x480.bag", "real_pair"])
+def test_real_recordings_convert_there_and_back(tmp_path: Path, tactune: Run, name: str) -> None:
+    if not (DATA / name).exists():
+        pytest.skip(f"{DATA / name} is not there")
+    assert tactune("convert", DATA / name, tmp_path / "a.mcap").status == 0
+    assert tactune("convert", tmp_path / "a.mcap", tmp_path / "folder").status == 0
+    for copy in ("a.mcap", "folder"):
+        with open_source(str(DATA / name)) as original, open_source(str(tmp_path / copy)) as source:
+            assert_same_recording(source, original)
+
+
+def test_a_recording_of_one_camera_stays_for_viewing_only(tmp_path: Path, tactune: Run) -> None:
+    bag = DATA / "realsense_bag/single_depth_color_640x480.bag"
+    if not bag.exists():
+        pytest.skip(f"{bag} is not there")
+    tactune("convert", bag, tmp_path / "a.mcap")
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert source.health().message == "this recording has one depth camera: for viewing only"
+
+
+def test_a_source_that_breaks_leaves_what_was_recorded(
+    tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    next_frame = live.next_frame
+
+    def breaks() -> SensorFrame | None:
+        if live.given == 3:
+            raise SourceError("the camera is gone; plug it in")
+        return next_frame()
+
+    monkeypatch.setattr(live, "next_frame", breaks)
+    assert "the camera is gone" in tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap").sentence
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert (source.length, source.health().ok) == (3, True)
+
+
+def test_patches_go_into_one_bag_with_the_stamps_of_their_frames(tmp_path: Path, recording: Path, tactune: Run) -> None:
+    out = tmp_path / "patches.mcap"
+    done = tactune("run", "--source", recording, "--preset", "default", "--out", out)
+    assert done.status == 0
+    assert f"wrote {out}\n" in done.out
+    clouds = []
+    with out.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        clouds = [(channel.topic, message, cloud) for _, channel, message, cloud in reader.iter_decoded_messages()]
+    with open_source(str(recording)) as source:
+        pipeline = ContactPipeline(load_preset("default"), source.rig)
+        for frame, (topic, message, cloud) in zip(source, clouds, strict=True):
+            assert topic == "/contact/patch"
+            stamp = cloud.header.stamp
+            assert stamp.sec * 10**9 + stamp.nanosec == round(frame.proximity_time_s * 1e9)
+            assert message.sequence == frame.sequence
+            points = np.frombuffer(cloud.data, np.float32).reshape(-1, 3)
+            np.testing.assert_array_equal(points, pipeline.process(frame).points)
+    assert len(clouds[-1][2].data) > 0
+    assert "patches.mcap is already there" in tactune("run", "-s", recording, "--out", out).sentence
+    assert "holds contact patches, no images" in tactune("run", "-s", out, "--json").sentence
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_the_command_itself_ends_on_a_signal_with_a_whole_file(
+    tmp_path: Path, recording: Path, sent: signal.Signals
+) -> None:
+    out = tmp_path / "a.mcap"
+    command = [sys.executable, "-m", "tactune.app", "record", "-s", f"live:folder:{recording}", "-o", out]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as child:
+        end = time.monotonic() + 60
+        while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
+            time.sleep(0.05)
+        child.send_signal(sent)
+        printed, said = child.communicate(timeout=60)
+    assert child.returncode == 0, said
+    with McapSource(out) as source:
+        assert source.health().ok
+        assert f"recorded {source.length} frames" in printed
+
+
+def test_patches_of_a_live_source_say_which_frames_are_lost(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
+    live.lost_each = 2
+    live.given = 4
+    done = tactune("run", "-s", "live:x", "--out", tmp_path / "patches.mcap", "--frames", 3)
+    assert done.status == 0
+    assert "tactune: 6 frames lost before they got here;" in done.err

@@ -1,0 +1,328 @@
+"""``tactune run`` and ``tactune export-folder``."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.rig_file import load_rig
+from tactune.core.preset import Preset
+from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.sources.registry import open_source
+
+Tactune = Callable[..., Any]
+COMMAND = [sys.executable, "-m", "tactune.app"]
+
+
+def json_lines(text: str) -> list[dict[str, Any]]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    return [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(file.name for file in folder.iterdir())
+
+
+REAL_PAIR = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_pair"
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "RECORDING",
+        "sim:cup",
+        pytest.param(
+            f"folder:{REAL_PAIR}",
+            marks=pytest.mark.skipif(not REAL_PAIR.is_dir(), reason="the real recording is not part of the repository"),
+        ),
+    ],
+)
+def test_the_files_hold_what_three_lines_of_python_give(
+    tactune: Tactune, recording: Path, tmp_path: Path, source: str
+) -> None:
+    name = source.replace("RECORDING", str(recording))
+    words = ["--source", name, "--preset", "default", "--frames", "40", "--out", tmp_path / "out"]
+    assert tactune("run", *words).status == 0
+
+    with open_source(name) as frames:
+        pipeline = ContactPipeline(load_preset("default"), frames.rig)
+        patches = [pipeline.process(frame) for frame in itertools.islice(frames, 40)]
+
+    assert any(len(patch.points) for patch in patches)
+    assert names(tmp_path / "out") == [f"patch_{patch.sequence:06d}.npz" for patch in patches]
+    for patch in patches:
+        with np.load(tmp_path / "out" / f"patch_{patch.sequence:06d}.npz") as saved:
+            assert saved["points"].dtype == np.float32
+            assert saved["points"].tobytes() == patch.points.tobytes()
+            assert np.array_equal(np.stack([saved["v"], saved["u"]]), np.nonzero(patch.mask))
+            difference = patch.relative_difference[patch.mask]
+            assert saved["relative_difference"].tobytes() == difference.tobytes()
+
+
+def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> None:
+    finished = tactune("run", "--source", recording, "--json")
+    lines = json_lines(finished.out)
+    assert finished.status == 0
+    assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
+    assert set(lines[0]) == {
+        "sequence",
+        "points",
+        "area_mm2",
+        "centroid_m",
+        "averaged_frames",
+        "stage_ms",
+        "method",
+        "failure",
+    }
+    assert lines[0]["points"] == 0
+    assert lines[0]["centroid_m"] is None
+    assert lines[0]["area_mm2"] == 0
+    assert lines[3]["area_mm2"] == pytest.approx(lines[3]["points"] * (300 / 60) ** 2)
+    assert lines[3]["centroid_m"] == pytest.approx([-0.06, -0.02, 0.3], abs=0.005)
+    assert list(lines[3]["stage_ms"]) == ["fusion", "outliers", "clusters"]
+
+
+def test_truth_is_compared_where_it_is_known(
+    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    everything = tmp_path / "all.json"
+    save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.03}), everything)
+    labelled = tactune("run", "-s", make_recording(), "-p", everything, "--json", "--truth")
+    lines = json_lines(labelled.out)
+    assert [line["touched"] for line in lines] == [False, True, True, True]
+    assert [line["iou"] for line in lines] == [1, 1, 1, 1]
+    assert [line["precision"] for line in lines] == [1, 1, 1, 1]
+    assert [line["recall"] for line in lines] == [1, 1, 1, 1]
+    assert lines[0]["rmse_mm"] is None
+    assert lines[3]["rmse_mm"] == pytest.approx(0, abs=1e-3)
+
+    unlabelled = tactune("run", "-s", make_recording("unlabelled", with_truth=False), "--json", "--truth")
+    assert [line["iou"] for line in json_lines(unlabelled.out)] == [None] * 4
+    assert "knows no truth" in unlabelled.err
+
+
+def test_the_summary_is_for_people(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    finished = tactune("run", "-s", recording, "-n", "9", "-o", tmp_path / "out", "--truth")
+    assert "4 frames of folder:" in finished.out
+    assert "contact in 3 of them" in finished.out
+    assert "ms a frame" in finished.out
+    assert re.search(r"^iou: median 0\.\d+ over 3 frames with touch$", finished.out, re.MULTILINE)
+    assert "1 frame without touch, 0 of them with false points\n" in finished.out
+    assert "ended after 4 of the 9 frames asked for" in finished.out
+    assert "patch_000000.npz to patch_000003.npz" in finished.out
+    assert finished.err == ""
+
+
+def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_are_told(
+    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    loose = tmp_path / "loose.json"
+    save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.25}), loose)
+    finished = tactune("run", "-s", make_recording(), "-p", loose, "--truth")
+    shares = [8 * 8 / (64 * 48), 16 * 16 / (64 * 48), 24 * 24 / (64 * 48)]  # everything is taken for contact
+    assert f"iou: median {shares[1]:.3f} over 3 frames with touch\n" in finished.out
+    assert "1 frame without touch, 1 of them with false points\n" in finished.out
+
+
+def test_frames_limits_the_number_of_frames(tactune: Tactune, recording: Path) -> None:
+    assert len(tactune("run", "-s", recording, "-n", "2", "--json").out.splitlines()) == 2
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "csv"])
+def test_other_formats(tactune: Tactune, recording: Path, tmp_path: Path, suffix: str) -> None:
+    assert tactune("run", "-s", recording, "--format", suffix, "--out", tmp_path / "out").status == 0
+    out = tmp_path / "out"
+    assert names(out) == [f"patch_{i:06d}.{suffix}" for i in range(4)]
+    assert (out / f"patch_000003.{suffix}").stat().st_size > (out / f"patch_000000.{suffix}").stat().st_size > 0
+
+
+def test_another_serial_is_a_warning_and_another_size_an_error(
+    tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
+) -> None:
+    preset = tmp_path / "mine.json"
+    save_preset(Preset(name="mine", rig=load_rig(make_recording("first") / "rig.json")), preset)
+
+    other_serial = tactune("run", "-s", make_recording("second", serial="P2"), "-p", preset, "--json")
+    assert other_serial.status == 0
+    assert "P1" in other_serial.err
+    assert "P2" in other_serial.err
+    assert len(other_serial.out.splitlines()) == 4
+
+    sentence = tactune("run", "-s", make_recording("third", width=80), "-p", preset, "--json").sentence
+    assert "64 x 48" in sentence
+    assert "80 x 48" in sentence
+
+
+def test_older_patches_in_the_folder_are_mentioned(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    tactune("run", "-s", recording, "-o", tmp_path / "out")
+    again = tactune("run", "-s", recording, "-o", tmp_path / "out", "-n", "1")
+    assert again.status == 0
+    assert "already holds 4 patch files" in again.err
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["run", "--source", "folder:/no/such/folder", "--json"], "/no/such/folder"),
+        (["run", "--source", "simulator", "--json"], "simulator"),
+        (["run", "--source", "sim:teapot", "--json"], "teapot"),
+        (["run", "--source", "RECORDING", "--preset", "no_such_preset", "--json"], "no_such_preset"),
+        (["run", "--source", "RECORDING", "--preset", "RECORDING/rig.json", "--json"], "rig.json"),
+        (["run", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
+        (["run", "--source", "RECORDING", "--out", "RECORDING/rig.json"], "rig.json"),
+        (["export-folder", "--source", "RECORDING", "--out", "RECORDING"], "recording"),
+        (["export-folder", "--source", "RECORDING", "--out", "/dev/null/out"], "/dev/null/out"),
+        (["export-folder", "--source", "RECORDING", "--out", "."], "working folder"),
+        (["run", "--source", "x" * 5000, "--json"], "too long"),
+        (["run", "--source", "~nosuchuser/x", "--json"], "nosuchuser"),
+    ],
+)
+def test_what_cannot_be_used_is_named_in_one_sentence(
+    tactune: Tactune, recording: Path, words: list[str], named: str
+) -> None:
+    assert named in tactune(*(word.replace("RECORDING", str(recording)) for word in words)).sentence
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["run", "--source", "sim"],
+        ["run", "--json", "--frames", "0"],
+        ["run", "--json", "--frames", "many"],
+        ["run", "--json", "--format", "xyz"],
+        ["run", "--no-such-option"],
+        ["export-folder"],
+        ["dance"],
+    ],
+)
+def test_wrong_usage_exits_with_2(tactune: Tactune, words: list[str]) -> None:
+    finished = tactune(*words)
+    assert finished.status == 2
+    assert finished.out == ""
+    assert "Error: " in finished.err
+
+
+def test_export_folder_writes_what_it_read(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
+    finished = tactune("export-folder", "--source", recording, "--out", tmp_path / "copy", "--frames", "3")
+    assert finished.status == 0
+    assert "wrote 3 frames" in finished.out
+    original, copy = open_source(str(recording)), open_source(str(tmp_path / "copy"))
+    assert copy.rig == original.rig
+    assert copy.length == 3
+    for one, other in zip(original, copy, strict=False):
+        assert np.array_equal(one.proximity_depth, other.proximity_depth)
+        assert np.array_equal(one.tactile_depth, other.tactile_depth)
+        assert np.array_equal(one.proximity_color, other.proximity_color)
+
+
+def test_a_full_disk_behind_standard_output_is_told_in_one_sentence(recording: Path) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [*COMMAND, "run", "--source", str(recording), "--json"],
+            check=False, stdout=full, stderr=subprocess.PIPE, text=True,
+        )  # fmt: skip
+    assert done.returncode == 2
+    assert "No space left" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_name_that_is_no_unicode_can_be_printed(recording: Path, tmp_path: Path) -> None:
+    odd = recording.rename(recording.with_name(os.fsdecode(b"scene\xff")))
+    command = [*COMMAND, "run", "--source", str(odd), "--out", str(tmp_path / "out")]
+    done = subprocess.run(
+        command, check=False, capture_output=True, text=True, env=os.environ | {"PYTHONIOENCODING": "utf-8:strict"}
+    )
+    assert done.returncode == 0
+    assert "scene\\udcff" in done.stdout
+
+
+def test_a_reader_that_stops_reading_is_no_error(recording: Path) -> None:
+    command = [*COMMAND, "run", "--source", str(recording), "--json"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == ""
+    assert process.returncode not in (0, 2)
+
+
+def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    slow = (
+        "import sys, time\n"
+        "from tactune.app.cli.main import main\n"
+        "from tactune.core.contact.pipeline import ContactPipeline as P\n"
+        "process = P.process\n"
+        "P.process = lambda self, frame: (time.sleep(2 * (frame.sequence == 2)), process(self, frame))[1]\n"
+        "sys.exit(main())"
+    )
+    command = [sys.executable, "-c", slow, "run", "--source", str(recording), "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        while not (out / "patch_000001.npz").exists() and process.poll() is None:
+            time.sleep(0.01)
+        process.send_signal(signal.SIGINT)
+        printed, complaints = process.communicate()
+    assert process.returncode == 130
+    assert complaints == "tactune: stopped after 3 of 4 frames\n"
+    assert printed.startswith("3 frames of folder:")
+    assert names(out) == ["patch_000000.npz", "patch_000001.npz", "patch_000002.npz"]
+    with np.load(out / "patch_000001.npz") as saved:
+        assert len(saved["points"]) > 0
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_patches_of_a_live_source_with_a_whole_file_and_a_summary(
+    recording: Path, tmp_path: Path, sent: signal.Signals
+) -> None:
+    out = tmp_path / "patches.mcap"
+    command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--out", str(out)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        end = time.monotonic() + 60
+        while not (out.exists() and out.stat().st_size > 20_000) and time.monotonic() < end:
+            time.sleep(0.05)
+        process.send_signal(sent)
+        printed, complaints = process.communicate(timeout=60)
+    assert process.returncode == 0, complaints
+    with out.open("rb") as file:
+        counted = make_reader(file).get_summary().statistics.message_count
+    assert printed.startswith(f"{counted} frames of live:folder:")
+    assert f"wrote {out}" in printed
+
+
+def test_standard_output_holds_json_only_while_a_bar_is_drawn_on_a_terminal(recording: Path) -> None:
+    master, terminal = os.openpty()
+    command = [*COMMAND, "run", "--source", str(recording), "--json"]
+    environment = os.environ | {"TERM": "xterm"}
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=terminal, text=True, env=environment) as process:
+        os.close(terminal)
+        drawn = b""
+        while chunk := _read(master):
+            drawn += chunk
+        out, _ = process.communicate()
+    os.close(master)
+    assert process.returncode == 0
+    assert len(json_lines(out)) == 4
+    assert b"frames" in drawn
+
+
+def _read(master: int) -> bytes:
+    try:
+        return os.read(master, 4096)
+    except OSError:  # how Linux tells that the other end of a terminal is closed
+        return b""

@@ -1,0 +1,137 @@
+"""The command as a whole: version, help, the window, and how quickly it starts."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+Tactune = Callable[..., Any]
+HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph", "OpenGL")
+
+
+def test_version(tactune: Tactune) -> None:
+    assert tactune("--version").out == f"tactune {version('tactune')}\n"
+
+
+def test_help_names_every_command(tactune: Tactune) -> None:
+    finished = tactune("--help")
+    assert finished.status == 0
+    for command in ("gui", "run", "export-folder", "preset"):
+        assert f"\n  {command} " in finished.out
+
+
+def test_the_installed_command_is_the_module(tmp_path: Path) -> None:
+    command = Path(sys.executable).with_name("tactune")
+    words = ["preset", "validate", str(tmp_path / "missing.json")]
+    ends = [
+        subprocess.run([*start, *words], check=False, capture_output=True, text=True)
+        for start in ([str(command)], [sys.executable, "-m", "tactune.app"])
+    ]
+    assert ends[0].returncode == ends[1].returncode == 2
+    assert ends[0].stderr == ends[1].stderr != ""
+
+
+def test_help_imports_nothing_heavy() -> None:
+    program = (
+        "import sys; from tactune.app.cli.main import main; sys.argv = ['tactune', '--help']; main(); "
+        f"print([name for name in {HEAVY} if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
+    """Stand in for the window and note what it is asked to show."""
+    monkeypatch.setenv("QT_QPA_PLATFORM", "offscreen")
+    from tactune.app import gui
+
+    calls: list[tuple[Any, ...]] = []
+
+    def run_gui(*words: object, **options: object) -> int:
+        calls.append((*words, options))
+        return 0
+
+    monkeypatch.setattr(gui, "run_gui", run_gui)
+    return calls
+
+
+def test_without_a_command_the_window_opens_on_the_simulator(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+    assert tactune().status == 0
+    assert [call[:3] for call in opened] == [("sim", None, None)]
+
+
+def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
+    words = ["--source", "sim:cup", "--preset", "default", "--screenshot", "window.png", "--after", "7"]
+    assert tactune("gui", *words, "--size", "1280x800", "--theme", "dark").status == 0
+    options = {"size": (1280, 800), "theme": "dark"}
+    assert opened == [("sim:cup", "default", Path("window.png"), 7, options)]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--size", "big"],
+        ["--size", "1280x"],
+        ["--theme", "pink"],
+        ["--size", "9x9"],
+        ["--after", "0"],
+        ["--after", "-3"],
+    ],
+)
+def test_gui_refuses_what_it_cannot_do(tactune: Tactune, opened: list[tuple[Any, ...]], words: list[str]) -> None:
+    finished = tactune("gui", *words)
+    assert finished.status == 2
+    assert words[0] in finished.err
+    assert opened == []
+
+
+@pytest.mark.parametrize(
+    ("obstacle", "remedy"),
+    [
+        ("sys.modules['PyQt6'] = None", 'pip install "tactune[gui]"'),
+        ("sys.modules['pyqtgraph'] = None", 'pip install "tactune[gui]"'),
+        ("sys.meta_path.insert(0, WithoutLibrary)", "libEGL.so.1"),
+    ],
+)
+def test_a_window_that_cannot_open_says_what_to_install(obstacle: str, remedy: str) -> None:
+    program = f"""
+import sys
+class WithoutLibrary:
+    def find_spec(name, path=None, target=None):
+        if name == "PyQt6.QtGui":
+            raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
+{obstacle}
+sys.argv = ["tactune", "gui"]
+from tactune.app.cli import main
+sys.exit(main())
+"""
+    environment = os.environ | {"QT_QPA_PLATFORM": "offscreen"}
+    command = [sys.executable, "-c", program]
+    done = subprocess.run(command, check=False, capture_output=True, text=True, env=environment)
+    assert done.returncode == 2
+    assert done.stderr.startswith("tactune: ")
+    assert done.stderr.count("\n") == 1
+    assert remedy in done.stderr
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="elsewhere there is always a display")
+def test_without_a_display_the_window_is_declined(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    assert "tactune run" in tactune().sentence
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="X displays are tried on Linux only")
+def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("WAYLAND_DISPLAY", "QT_QPA_PLATFORM"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("DISPLAY", ":9999")
+    assert "display :9999 does not answer" in tactune().sentence

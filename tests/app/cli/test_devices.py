@@ -1,0 +1,147 @@
+"""``tactune devices`` with cameras, without, and with a driver that is missing, hangs or crashes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from tactune.app.cameras import list_devices
+from tactune.app.cli import devices as cli_devices
+from tactune.app.doctor import cameras as doctor_cameras
+from tactune.app.doctor import checks as doctor
+from tactune.app.doctor.cameras import UsbCamera
+from tactune.app.doctor.checks import Child
+from tactune.core.sources.realsense import devices as realsense_devices
+from tactune.core.sources.realsense import driver
+from tactune.core.sources.realsense.devices import DeviceInfo, StreamMode
+
+
+def mode(stream, width, height, rate_hz, format_="z16"):
+    return {"stream": stream, "width": width, "height": height, "rate_hz": rate_hz, "format": format_}
+
+
+L515 = {
+    "model": "L515",
+    "serial": "f0190001",
+    "firmware": "1.5.8.1",
+    "usb": "3.2",
+    "problem": "",
+    "modes": [mode("depth", 640, 480, 30), mode("depth", 1024, 768, 30), mode("color", 640, 480, 30, "rgb8")]
+    + [mode("color", 640, 480, rate, format_) for rate in (15, 30) for format_ in ("rgb8", "bgr8")],
+}
+D405 = {
+    "model": "D405",
+    "serial": "12345",
+    "firmware": "",
+    "usb": "2.1",
+    "problem": "it runs at USB 2, too slow for these cameras; use a USB 3 port and cable",
+    "modes": [mode("depth", 480, 270, 15)],
+}
+
+
+@pytest.fixture(autouse=True)
+def usb(monkeypatch):
+    """What the operating system sees; nothing at first."""
+    cameras: list[UsbCamera] = []
+    monkeypatch.setattr(doctor_cameras, "usb_cameras", lambda: cameras)
+    monkeypatch.setattr(driver, "driver_version", lambda: "2.54.2.5684")
+    return cameras
+
+
+@pytest.fixture
+def answer(monkeypatch):
+    """Let the driver's process answer."""
+
+    def set_answer(devices=None, problem="", died=""):
+        told = {"problem": problem} if problem else {"devices": devices}
+        child = Child(problem=died) if died else Child(json.dumps(told))
+        monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: child)
+
+    return set_answer
+
+
+def test_cameras_are_described_in_words(tactune, answer):
+    answer([L515, D405])
+    done = tactune("devices")
+    assert done.status == 0
+    assert done.out.splitlines() == [
+        "L515, serial f0190001",
+        "  firmware 1.5.8.1, USB 3.2",
+        "  color: 640 x 480 at 15, 30 Hz",
+        "  depth: 640 x 480 at 30 Hz; 1024 x 768 at 30 Hz",
+        "D405, serial 12345",
+        "  firmware unknown, USB 2.1",
+        "  It runs at USB 2, too slow for these cameras; use a USB 3 port and cable.",
+        "  depth: 480 x 270 at 15 Hz",
+        "  It has no depth of 640 x 480 at 30 Hz, which Tactune needs.",
+    ]
+
+
+def test_json_has_every_mode(tactune, answer):
+    answer([L515])
+    done = tactune("devices", "--json")
+    assert done.status == 0
+    assert json.loads(done.out) == {"devices": [L515], "notes": []}
+
+
+def test_no_camera_is_status_1_with_the_remedy(tactune, answer):
+    answer([])
+    done = tactune("devices")
+    assert done.status == 1
+    assert "No RealSense camera is connected" in done.out
+    assert tactune("devices", "--json").status == 1
+
+
+def test_a_driver_without_the_l515_says_so(tactune, answer, monkeypatch):
+    monkeypatch.setattr(driver, "driver_version", lambda: "2.57.7.10000")
+    answer([D405])
+    assert "no longer supports the L515" in tactune("devices").out
+    answer([L515])
+    assert "L515:" not in tactune("devices").out
+
+
+def test_a_camera_that_only_usb_sees_is_named(tactune, answer, usb):
+    usb.append(UsbCamera("Intel RealSense L515", 5000.0, Path("/dev/null")))
+    answer([])
+    done = tactune("devices")
+    assert done.status == 1
+    assert "On USB there are Intel RealSense L515; the driver does not list all of them" in done.out
+
+
+@pytest.mark.parametrize("died", ["crashed (SIGSEGV)", "no answer within 15 s"])
+def test_a_driver_that_crashes_or_hangs_is_one_sentence(tactune, answer, died):
+    answer(died=died)
+    assert died in tactune("devices").sentence
+
+
+def test_a_missing_driver_is_one_sentence(tactune, answer):
+    answer(problem="live cameras need the camera driver pyrealsense2, which is not installed: pip install it")
+    assert "not installed" in tactune("devices").sentence
+
+
+def test_the_program_that_is_asked_exists():
+    finished = doctor.run_child([cli_devices.sys.executable, *cli_devices._PROGRAM], 30.0)
+    assert {"devices", "problem"} & set(finished.answer()), finished
+
+
+def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, monkeypatch, capsys):
+    modes = tuple(StreamMode(**each) for each in L515["modes"])
+    connected = [DeviceInfo(**{**L515, "modes": modes}), DeviceInfo("unknown", "", problem="it does not answer")]
+    monkeypatch.setattr(realsense_devices, "list_devices", lambda: connected)
+    assert list_devices.main() == 0
+    written = capsys.readouterr().out
+    monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(written))
+    done = tactune("devices")
+    assert done.status == 0
+    assert done.out.splitlines() == [
+        "L515, serial f0190001",
+        "  firmware 1.5.8.1, USB 3.2",
+        "  color: 640 x 480 at 15, 30 Hz",
+        "  depth: 640 x 480 at 30 Hz; 1024 x 768 at 30 Hz",
+        "unknown, serial unknown",
+        "  firmware unknown, USB version unknown",
+        "  It does not answer.",
+    ]
+    assert json.loads(tactune("devices", "--json").out)["devices"][0] == L515

@@ -1,0 +1,270 @@
+"""``tactune doctor``: every check with what it looks at in order, and faked broken in each way it can break."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from importlib.metadata import PackageNotFoundError
+
+import pytest
+
+from tactune.app.cli import doctor as cli_doctor
+from tactune.app.doctor import system as doctor_system
+from tactune.app.doctor import window as doctor_window
+from tactune.app.doctor.cameras import check_cameras, check_driver, check_libraries, check_udev_rules
+from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
+from tactune.app.doctor.system import (
+    check_cache_folder,
+    check_compiled_code,
+    check_packages,
+    check_python,
+    check_shared_memory,
+)
+from tactune.app.doctor.window import check_opengl, check_qt, check_qt_libraries
+
+CRASH = Child(problem="crashed (SIGSEGV)")
+
+
+def answering(answer="", problem=""):
+    """A child process that was never started."""
+    text = answer if isinstance(answer, str) else json.dumps(answer)
+    return lambda command: Child(text, problem)
+
+
+def only(lines):
+    (line,) = lines
+    return line
+
+
+# Child processes
+
+
+def test_a_child_that_crashes_hangs_fails_or_is_missing_is_told_in_words():
+    crash = run_child(python_child("import os, signal; os.kill(os.getpid(), signal.SIGSEGV)"))
+    assert crash.problem == "crashed (SIGSEGV)"
+    assert "no answer within" in run_child(python_child("import time; time.sleep(60)"), patience_s=0.3).problem
+    assert run_child(python_child("raise ValueError('odd')")).problem == "ValueError: odd"
+    assert "cannot be started" in run_child(["/no/such/program"]).problem
+    assert run_child(python_child("print('chatter'); print('{\"a\": 1}')")).answer() == {"a": 1}
+    assert Child("no json").answer() == {}
+    assert Child("[1]").answer() == {}
+
+
+def test_a_check_that_fails_itself_is_a_line_and_the_others_go_on():
+    def check_the_moon():
+        raise ZeroDivisionError("dust")
+
+    lines = run_checks([check_the_moon, lambda: [Check("Sun", State.OK, "shines")]])
+    assert [line.state for line in lines] == [State.WARN, State.OK]
+    assert lines[0].name == "the moon"
+    assert "ZeroDivisionError: dust" in lines[0].found
+
+
+# Python, packages, folders
+
+
+@pytest.mark.parametrize(
+    ("version", "state", "words"),
+    [((3, 10, 4), State.FAIL, "3.11 or newer"), ((3, 11, 7), State.OK, ""), ((3, 13, 0), State.WARN, "L515")],
+)
+def test_python(version, state, words):
+    line = only(check_python(version))
+    assert line.state is state
+    assert words in line.remedy
+
+
+def test_packages(monkeypatch):
+    assert only(check_packages(answering({}))).state is State.OK
+    broken = only(check_packages(answering({"cv2": "ImportError: libGL.so.1"})))
+    assert broken.state is State.FAIL
+    assert "cv2: ImportError: libGL.so.1" in broken.found
+    assert only(check_packages(lambda _: CRASH)).state is State.FAIL
+
+    def nothing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(doctor_system, "version", nothing)
+    missing = only(check_packages(answering({})))
+    assert missing.state is State.FAIL
+    assert "not installed: numpy" in missing.found
+
+
+def test_compiled_code():
+    assert only(check_compiled_code(answering('[4, "omp"]'))).found == "numba, 4 threads by omp"
+    assert only(check_compiled_code(answering('[4, "workqueue"]'))).state is State.WARN
+    assert only(check_compiled_code(answering("", "crashed (SIGILL)"))).state is State.FAIL
+    assert only(check_compiled_code(answering("nonsense"))).state is State.FAIL
+
+
+def test_the_cache_folder(tmp_path, monkeypatch):
+    assert only(check_cache_folder(tmp_path / "new")).state is State.OK
+    (tmp_path / "file").write_text("")
+    blocked = only(check_cache_folder(tmp_path / "file"))
+    assert blocked.state is State.FAIL
+    assert "XDG_CACHE_HOME" in blocked.remedy
+    usage = type("Usage", (), {"free": 1e9})
+    monkeypatch.setattr(doctor_system.shutil, "disk_usage", lambda _: usage)
+    assert only(check_cache_folder(tmp_path)).state is State.WARN
+    usage.free = 1e8
+    assert only(check_cache_folder(tmp_path)).state is State.FAIL
+
+
+def test_shared_memory():
+    assert only(check_shared_memory(answering(""))).state is State.OK
+    assert only(check_shared_memory(answering("", "SourceError: there are no 32 MB"))).state is State.FAIL
+
+
+# Cameras
+
+
+def test_libraries():
+    assert only(check_libraries(answering({}))).state is State.OK
+    line = only(check_libraries(answering({"libusb-1.0.so.0": "libusb-1.0.so.0: cannot open shared object file"})))
+    assert line.state is State.FAIL
+    assert line.remedy == "Install what is missing: sudo apt-get install libusb-1.0-0"
+
+
+def test_the_driver():
+    fine = only(check_driver(answering({"version": "2.54.2.5684", "no_l515": ""})))
+    assert (fine.state, fine.remedy) == (State.OK, "")
+    newer = only(check_driver(answering({"version": "2.57.7.1", "no_l515": "the driver 2.57.7 knows no L515"})))
+    assert newer.state is State.WARN
+    assert newer.remedy == "The driver 2.57.7 knows no L515."
+    absent = only(check_driver(answering({"problem": "it is not installed: pip install it", "installed": False})))
+    assert (absent.state, absent.found, absent.remedy) == (State.WARN, "it is not installed", "Pip install it")
+    assert only(check_driver(answering({"problem": "needs libudev: apt", "installed": True}))).state is State.FAIL
+    crash = only(check_driver(lambda _: CRASH))
+    assert crash.state is State.FAIL
+    assert "crashed (SIGSEGV)" in crash.found
+
+
+def test_udev_rules(tmp_path):
+    line = only(check_udev_rules([tmp_path, tmp_path / "none"]))
+    assert line.state is State.WARN
+    assert "udevadm control --reload-rules" in line.remedy
+    (tmp_path / "99-realsense-libusb.rules").write_text("")
+    assert only(check_udev_rules([tmp_path])).state is State.OK
+
+
+@pytest.fixture
+def plug_in(tmp_path):
+    """Make a USB device as Linux shows it; returns its node."""
+    (tmp_path / "usb").mkdir()
+
+    def make(port="2-1", product="Intel RealSense L515", speed="5000", number=7, vendor="8086"):
+        folder = tmp_path / "usb" / port
+        folder.mkdir()
+        for name, text in (("idVendor", vendor), ("product", product), ("speed", speed), ("busnum", "2")):
+            (folder / name).write_text(f"{text}\n")
+        (folder / "devnum").write_text(f"{number}\n")
+        node = tmp_path / "nodes" / "002" / f"{number:03d}"
+        node.parent.mkdir(parents=True, exist_ok=True)
+        node.write_text("")
+        return node
+
+    return make
+
+
+def test_cameras_on_usb(tmp_path, plug_in, monkeypatch):
+    assert "container" in only(check_cameras(tmp_path / "usb", tmp_path / "nodes")).remedy
+    plug_in()
+    plug_in("2-2", "Intel RealSense D405", speed="480", number=8)
+    plug_in("2-3", "Bluetooth adapter", number=9)
+    plug_in("2-4", "RealSense look-alike", number=10, vendor="1234")
+    fast, slow = check_cameras(tmp_path / "usb", tmp_path / "nodes")
+    assert (fast.state, fast.found) == (State.OK, "Intel RealSense L515 on USB 3 (5000 Mbit/s)")
+    assert slow.state is State.FAIL
+    assert "USB 2 (480 Mbit/s)" in slow.found
+    monkeypatch.setattr(os, "access", lambda path, mode: False)
+    closed = check_cameras(tmp_path / "usb", tmp_path / "nodes")
+    assert [line.state for line in closed] == [State.FAIL] * 2
+    assert "no permission" in closed[0].found
+    assert "udev" in closed[0].remedy
+
+
+def test_a_camera_that_is_unplugged_while_we_look_is_passed_over(tmp_path, plug_in):
+    plug_in()
+    (tmp_path / "usb" / "2-1" / "speed").unlink()
+    assert only(check_cameras(tmp_path / "usb", tmp_path / "nodes")).state is State.WARN
+
+
+# Window
+
+
+def test_qt(monkeypatch):
+    assert only(check_qt()).state is State.OK
+
+    def nothing(name):
+        raise PackageNotFoundError(name)
+
+    monkeypatch.setattr(doctor_window, "version", nothing)
+    line = only(check_qt())
+    assert line.state is State.WARN
+    assert "tactune[gui]" in line.remedy
+
+
+def test_qt_libraries(tmp_path, monkeypatch):
+    files = (tmp_path / "libqxcb.so",)
+    ldd = "\tlibxcb-cursor.so.0 => not found\n\tlibc.so.6 => /lib/libc.so.6 (0x0)\n\tlibnew.so.3 => not found\n"
+    line = only(check_qt_libraries(answering(ldd), files))
+    assert line.state is State.FAIL
+    assert line.found == "missing: libxcb-cursor.so.0, libnew.so.3"
+    assert line.remedy == "Install what is missing: sudo apt-get install libxcb-cursor0 libnew.so.3"
+    assert only(check_qt_libraries(answering("\tlibc.so.6 => /lib/libc.so.6\n"), files)).state is State.OK
+    assert only(check_qt_libraries(answering("", "no answer"), files)).state is State.WARN
+    monkeypatch.setattr(doctor_window.shutil, "which", lambda _: None)
+    assert "no ldd" in only(check_qt_libraries(answering(""), files)).found
+
+
+def test_opengl():
+    display = {"DISPLAY": ":0"}
+    assert "no display" in only(check_opengl(answering(""), {})).found
+    good = only(check_opengl(answering({"renderer": "Iris", "version": "4.6"}), display))
+    assert (good.state, good.found) == (State.OK, "4.6, Iris")
+    assert only(check_opengl(answering({"renderer": "llvmpipe", "version": "4.5"}), display)).state is State.WARN
+    refused = only(check_opengl(answering({"problem": "this display has OpenGL 1.4, not 2.1"}), display))
+    assert refused.state is State.WARN
+    assert "painted in software" in refused.remedy
+    assert only(check_opengl(lambda _: CRASH, display)).state is State.FAIL
+
+
+# The command
+
+
+def test_the_report_is_lines_with_remedies_or_json_and_its_status_tells(tactune, monkeypatch):
+    lines = [Check("Sun", State.OK, "shines"), Check("Moon", State.WARN, "waxes", "Wait.")]
+    monkeypatch.setattr(cli_doctor, "all_checks", lambda: [lambda: lines])
+    done = tactune("doctor")
+    assert done.status == 0
+    assert done.out.splitlines()[:3] == [
+        "ok   Sun             shines",
+        "warn Moon            waxes",
+        "                     Wait.",
+    ]
+    assert "2 checks: 0 failed, 1 with a warning" in done.out
+    lines.append(Check("Earth", State.FAIL, "quakes", "Hold on."))
+    assert tactune("doctor").status == 1
+    done = tactune("doctor", "--json")
+    assert done.status == 1
+    report = json.loads(done.out)
+    assert report["ok"] is False
+    assert report["checks"][2] == {"name": "Earth", "state": "fail", "found": "quakes", "remedy": "Hold on."}
+
+
+def test_the_real_checks_run_here_without_a_traceback():
+    done = subprocess.run(
+        [sys.executable, "-m", "tactune.app", "doctor", "--json"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=60,
+    )
+    assert done.stderr == ""
+    report = json.loads(done.stdout)
+    assert done.returncode == (0 if report["ok"] else 1)
+    states = {check["name"]: check["state"] for check in report["checks"]}
+    assert states["Python"] != "fail"
+    assert states["Packages"] == states["Compiled code"] == states["Shared memory"] == "ok"
+    assert all(check["remedy"] for check in report["checks"] if check["state"] != "ok")

@@ -1,0 +1,332 @@
+"""The window that checks the cameras, from the main window's action to the numbers, on sources that are known."""
+
+from __future__ import annotations
+
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from threading import Event
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QEvent
+from PyQt6.QtGui import QGuiApplication
+from PyQt6.QtWidgets import QApplication
+
+from tactune.app.rig import interference_flow, skew_tab
+from tactune.app.settings import Settings
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.worker import SourceRequest
+from tactune.core.errors import FrameError, SourceError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.preset import Preset
+from tactune.core.sources.base import CameraOption, FrameSource, Health, SeekableSource
+
+from .conftest import HEIGHT, WIDTH, counts
+
+DELAY_S = 0.120
+
+
+class Wall(SeekableSource):
+    """A wall 300 mm away with known noise; the tactile camera reads 6 mm less."""
+
+    def __init__(self, rig, length=60):
+        super().__init__("wall", rig, length)
+
+    def read(self, index):
+        rng = np.random.default_rng(index)
+        noise = rng.normal(0, 0.0006, (2, HEIGHT, WIDTH))
+        return frame(index, self.rig, 0.300 + noise[0], 0.294 + noise[1], index / 30, index / 30)
+
+
+class Stairs(Wall):
+    """Steps that the tactile camera does not see: both cameras have no surface in common."""
+
+    def read(self, index):
+        steps = 0.300 + 0.04 * (np.arange(WIDTH) // 16 % 2) + np.zeros((HEIGHT, 1))
+        return frame(index, self.rig, steps, np.full((HEIGHT, WIDTH), 0.3), index / 30, index / 30)
+
+
+class Press(SeekableSource):
+    """A board that presses irregularly; the tactile camera's stamps are late."""
+
+    def __init__(self, rig):
+        super().__init__("press", rig, 150)
+
+    def read(self, index):
+        def board(t):
+            return 0.30 - 0.02 * (np.sin(2.4 * t) + 0.55 * np.sin(5.3 * t + 1.0) + 0.3 * np.sin(9.1 * t))
+
+        near_s = index / 30
+        shape = (HEIGHT, WIDTH)
+        membrane = min(0.30, board(near_s - DELAY_S))
+        noise = np.random.default_rng(index).normal(0, 0.0003, (2, *shape))
+        return frame(index, self.rig, board(near_s) + noise[0], membrane + noise[1], near_s, near_s)
+
+
+class Cameras(FrameSource):
+    """Live cameras; while the proximity camera's emitter is on, the tactile camera sees worse."""
+
+    name = "cameras"
+
+    def __init__(self, rig, names=("emitter_enabled",), obeys=True):
+        self._rig, self._names, self._obeys = rig, names, obeys
+        self.values = dict.fromkeys(names, 1.0)
+        self.history: list[float] = []
+        self.silent = Event()
+        self.closed = False
+        self._count = 0
+
+    @property
+    def rig(self):
+        return self._rig
+
+    def wait(self, timeout_s):
+        time.sleep(0.015)
+        return not self.silent.is_set()
+
+    def next_frame(self) -> SensorFrame:
+        self._count += 1
+        rng = np.random.default_rng(self._count)
+        on = any(self.values.values())
+        tactile = 0.3 + rng.normal(0, 0.0009 if on else 0.0003, (HEIGHT, WIDTH))
+        if on:
+            tactile[rng.random(tactile.shape) < 0.1] = 0.0
+        at_s = self._count / 30
+        return frame(self._count, self._rig, 0.3 + np.zeros((HEIGHT, WIDTH)), tactile, at_s, at_s)
+
+    def options(self):
+        return tuple(
+            CameraOption("proximity", name, "", 0.0, 1.0, 1.0, 1.0, value) for name, value in self.values.items()
+        )
+
+    def set_option(self, camera, name, value):
+        if not self._obeys:
+            raise SourceError("the proximity camera refuses emitter_enabled; plug it in again")
+        self.values[name] = value
+        self.history.append(value)
+
+    def health(self):
+        return Health()
+
+    def close(self):
+        self.closed = True
+
+
+def frame(index, rig, proximity_m, tactile_m, proximity_s, tactile_s):
+    return SensorFrame(
+        sequence=index,
+        proximity_depth=counts(proximity_m, rig.proximity),
+        tactile_depth=counts(tactile_m, rig.tactile),
+        proximity_color=np.zeros((HEIGHT, WIDTH, 3), np.uint8),
+        proximity_time_s=proximity_s,
+        tactile_time_s=tactile_s,
+    )
+
+
+Open = Callable[[FrameSource], MainWindow]
+
+
+@pytest.fixture
+def open_checks(qtbot, tmp_path) -> Iterator[Open]:
+    """A main window on a source, with the check window open."""
+    windows = []
+
+    def make(source: FrameSource) -> MainWindow:
+        preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
+        main = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, native_dialogs=False, backend="software")
+        windows.append(main)
+        main.show()
+        main.open_request(SourceRequest(source.name, lambda _: source))
+        qtbot.waitUntil(lambda: main.result is not None, timeout=15000)
+        main.actions_.check_cameras.trigger()
+        qtbot.waitUntil(main.live.checks.window.isVisible)
+        return main
+
+    yield make
+    for main in windows:
+        main.close_without_asking()
+        main.deleteLater()
+    QApplication.sendPostedEvents(None, QEvent.Type.DeferredDelete)
+    QApplication.processEvents()
+
+
+def wait(qtbot, condition):
+    qtbot.waitUntil(condition, timeout=30000)
+
+
+def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot, tmp_path):
+    main = open_checks(Wall(rig))
+    tab = main.live.checks.window.quality
+    wait(qtbot, lambda: tab.quality is not None and tab.quality.proximity.frames == 40)
+    quality = tab.quality
+    assert quality.proximity.fill_rate == 1.0
+    assert quality.proximity.temporal_noise_m == pytest.approx(0.0006, rel=0.05)
+    assert quality.tactile.distance_m == pytest.approx(0.294, abs=1e-4)
+    assert quality.bias.bias_m == pytest.approx(0.006, abs=1e-4)
+    assert "<b>100.0 %</b>" in tab.lines["proximity"].text()
+    assert "add +6.0 mm" in tab.lines["bias"].text()
+    assert tab.region == (48, 36, 64, 48)
+
+    tab.copy.click()
+    assert re.search(r"Temporal noise: 0\.(59|60) mm", QGuiApplication.clipboard().text())
+    tab.save_to(tmp_path / "quality.json")
+    saved = json.loads((tmp_path / "quality.json").read_text())
+    assert saved["source"] == "wall"
+    assert saved["bias"]["bias_m"] == pytest.approx(0.006, abs=1e-4)
+    (tmp_path / "file").write_text("")
+    tab.save_to(tmp_path / "file" / "quality.json")
+    assert "cannot write" in tab.status.text().lower()
+
+
+def test_a_bias_that_says_nothing_is_not_printed_bold(open_checks, rig, qtbot):
+    tab = open_checks(Stairs(rig)).live.checks.window.quality
+    wait(qtbot, lambda: tab.quality is not None)
+    text = tab.lines["bias"].text()
+    assert "mm" in text and "not known" in text
+    assert "<b>" not in text
+    assert "<b>" in tab.lines["proximity"].text()
+
+
+def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(open_checks, rig, qtbot):
+    main = open_checks(Wall(rig))
+    tab = main.live.checks.window.quality
+    wait(qtbot, lambda: tab.quality is not None)
+    tab.entries["Left"].setValue(60)
+    tab.entries["Width"].setValue(500)
+    assert tab.region == (60, 36, WIDTH - 60, 48)
+    tab.true_distance.setValue(291.0)
+    wait(qtbot, lambda: tab.quality.proximity.region == tab.region and tab.quality.tactile.z_accuracy > 0)
+    assert tab.quality.tactile.z_accuracy == pytest.approx(0.003 / 0.291, rel=0.1)
+    tab.middle.click()
+    assert tab.region == (48, 36, 64, 48)
+
+
+def test_a_closed_window_takes_no_frames(open_checks, rig, qtbot):
+    main = open_checks(Wall(rig))
+    checks = main.live.checks.window
+    wait(qtbot, lambda: checks.quality.quality is not None)
+    checks.close()
+    before = main.result.frame
+    wait(qtbot, lambda: main.result.frame is not before)
+    assert len(checks.quality._frames) == 0
+    main.actions_.check_cameras.trigger()
+    wait(qtbot, lambda: len(checks.quality._frames) > 0)
+
+
+def test_the_delay_is_measured_shown_and_compensated_with_undo(open_checks, rig, qtbot):
+    main = open_checks(Press(rig))
+    tab = main.live.checks.window.skew
+    tab.seconds.setValue(5)
+    tab.start.click()
+    assert not tab.start.isEnabled()
+    wait(qtbot, lambda: not tab.busy)
+    assert tab.skew is not None, tab.sentence.text()
+    assert tab.skew.delay_s == pytest.approx(DELAY_S, abs=0.005)
+    assert "later" in tab.sentence.text()
+    assert tab.compensate.isVisibleTo(tab)
+    tab.compensate.click()
+    assert main.document.preset.cameras.tactile_delay_s == pytest.approx(DELAY_S, abs=0.005)
+    main.document.undo_stack.undo()
+    assert main.document.preset.cameras.tactile_delay_s == 0.0
+
+
+def test_a_still_scene_and_a_cancelled_measurement_leave_everything(open_checks, rig, qtbot):
+    main = open_checks(Wall(rig))
+    tab = main.live.checks.window.skew
+    tab.start.click()
+    tab.cancel.click()
+    assert tab.start.isEnabled()
+    assert not tab.busy
+    tab.seconds.setValue(2)
+    tab.start.click()
+    wait(qtbot, lambda: not tab.busy)
+    assert tab.skew is None
+    assert "too little motion" in tab.sentence.text()
+    assert not tab.compensate.isVisibleTo(tab)
+
+
+def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monkeypatch):
+    monkeypatch.setattr(skew_tab, "PATIENCE_S", 0.5)
+    cameras = Cameras(rig)
+    tab = open_checks(cameras).live.checks.window.skew
+    tab.start.click()
+    cameras.silent.set()
+    wait(qtbot, lambda: not tab.busy)
+    assert "No frames come any more" in tab.sentence.text()
+
+
+def test_a_frame_that_cannot_be_used_ends_the_measurement_and_the_cameras_go_on(open_checks, rig, qtbot, monkeypatch):
+    main = open_checks(Cameras(rig))
+    tab = main.live.checks.window.skew
+
+    def refuse(_):
+        raise FrameError("this frame has no depth")
+
+    monkeypatch.setattr(skew_tab.Sample, "of", refuse)
+    tab.start.click()
+    wait(qtbot, lambda: not tab.busy)
+    assert tab.sentence.text() == "This frame has no depth"
+    shown = main.result.frame.sequence
+    wait(qtbot, lambda: main.result.frame.sequence > shown + 3)
+
+
+def test_interference_is_found_and_the_laser_is_put_back(open_checks, rig, qtbot, monkeypatch):
+    cameras = Cameras(rig)
+    main = open_checks(cameras)
+    tab = main.live.checks.window.interference
+    tab.flow._settle_s = 0.1
+    tab.start.click()
+    wait(qtbot, lambda: not tab.flow.busy)
+    assert tab.found is not None, tab.sentence.text()
+    assert tab.found.disturbed
+    assert tab.found.fill_lost == pytest.approx(0.1, abs=0.005)
+    assert tab.found.noise_ratio == pytest.approx(3.0, rel=0.05)
+    assert "costs the tactile camera" in tab.sentence.text()
+    assert "laser power" in tab.remedy.text()
+    wait(qtbot, lambda: cameras.history == [1.0, 0.0, 1.0])
+
+
+def reach_the_dark(tab, cameras, qtbot):
+    tab.flow._settle_s = 0.1
+    tab.start.click()
+    wait(qtbot, lambda: cameras.history == [1.0, 0.0])
+
+
+@pytest.mark.parametrize("way_out", ["cancel", "close the checks", "close everything", "another source", "silence"])
+def test_whatever_ends_the_test_the_laser_is_put_back(open_checks, rig, qtbot, monkeypatch, way_out):
+    monkeypatch.setattr(interference_flow, "PATIENCE_S", 1.0)
+    cameras = Cameras(rig)
+    main = open_checks(cameras)
+    tab = main.live.checks.window.interference
+    reach_the_dark(tab, cameras, qtbot)
+    if way_out == "cancel":
+        tab.cancel.click()
+    elif way_out == "close the checks":
+        main.live.checks.window.close()
+    elif way_out == "close everything":
+        main.close_without_asking()
+        assert cameras.closed
+    elif way_out == "another source":
+        main.open_request(SourceRequest("wall", lambda _: Wall(rig)))
+    else:
+        cameras.silent.set()
+    wait(qtbot, lambda: cameras.history == [1.0, 0.0, 1.0])
+    wait(qtbot, lambda: not tab.flow.busy)
+
+
+def test_a_camera_that_refuses_or_has_no_switch_is_said_in_words(open_checks, rig, qtbot):
+    stubborn = open_checks(Cameras(rig, obeys=False)).live.checks.window.interference
+    stubborn.start.click()
+    wait(qtbot, lambda: "refuses emitter_enabled" in stubborn.sentence.text())
+    assert stubborn.start.isEnabled()
+    plain = open_checks(Cameras(rig, names=("gain",))).live.checks.window.interference
+    plain.start.click()
+    assert "neither the option emitter_enabled nor a laser_power" in plain.sentence.text()
+    plain.set_options(())  # as the simulator played as if live: there is nothing to cover by hand
+    plain.start.click()
+    assert "it is a recording or the simulator" in plain.sentence.text()
+    recording = open_checks(Wall(rig)).live.checks.window.interference
+    recording.start.click()
+    assert "it is a recording or the simulator" in recording.sentence.text()

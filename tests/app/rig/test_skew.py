@@ -1,0 +1,166 @@
+"""The delay between both cameras, put in and found again: on a board that moves as told, and on the simulator."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import FrameError, RigMismatchError
+from tactune.core.preset import AlignmentSection
+from tactune.core.rig.motion import STEP, Sample, pressed_depths
+from tactune.core.rig.skew import SkewError, measure_skew
+from tactune.core.sources.registry import open_source
+
+from .conftest import HEIGHT, WIDTH, counts
+
+RATE_HZ = 30.0
+REST_M = 0.30
+TARGET_S = 0.003
+
+
+def press(t):
+    """Depth of the board, metres: an irregular in and out that begins and ends before it touches."""
+    return REST_M - 0.02 * (np.sin(2.4 * t) + 0.55 * np.sin(5.3 * t + 1.0) + 0.3 * np.sin(9.1 * t))
+
+
+def still(t):
+    return REST_M - 0.01
+
+
+@pytest.fixture
+def record(rig) -> Callable[..., list[Sample]]:
+    """A few seconds in which the tactile camera's stamps are ``delay_s`` later than what they show."""
+    shape = -(-HEIGHT // STEP), -(-WIDTH // STEP)
+    across = np.hypot(*(np.indices(shape) - np.array([shape[0] / 2, shape[1] / 2])[:, None, None]))
+    bulge = np.clip(1.4 - across / 10, 0, 1)
+
+    def make(delay_s, motion=press, seconds=5.0, noise_m=0.001, drop=0.0, jitter_s=0.0, phase_s=0.011):
+        rng = np.random.default_rng(7)
+        samples = []
+        for index in range(round(seconds * RATE_HZ)):
+            if rng.random() < drop:
+                continue
+            near_s = index / RATE_HZ
+            far_s = near_s + phase_s + rng.uniform(-jitter_s, jitter_s)
+            pressed = np.maximum(REST_M - motion(far_s - delay_s), 0.0)
+            noise = rng.normal(0, noise_m, (2, *shape))
+            near = counts(motion(near_s) + noise[0], rig.proximity)
+            samples.append(Sample(near_s, far_s, near, counts(REST_M - pressed * bulge + noise[1], rig.tactile)))
+        return samples
+
+    return make
+
+
+@pytest.mark.parametrize("delay_s", [-0.5, -0.1234, -0.033, 0.0, 0.0041, 0.017, 0.25, 0.5])
+def test_a_known_delay_is_found_to_a_fraction_of_a_frame(rig, record, delay_s):
+    skew = measure_skew(record(delay_s), rig, AlignmentSection())
+    assert skew.delay_s == pytest.approx(delay_s, abs=TARGET_S)
+    assert skew.uncertainty_s < 0.010
+    assert abs(skew.delay_s - delay_s) <= skew.uncertainty_s
+    assert skew.correlation > 0.95
+    assert skew.stamped_s == pytest.approx(0.011, abs=1e-9)
+
+
+def test_the_delay_is_on_the_time_stamps_not_on_the_frame_numbers(rig, record):
+    skew = measure_skew(record(0.08, drop=0.15, jitter_s=0.008), rig, AlignmentSection())
+    assert skew.delay_s == pytest.approx(0.08, abs=TARGET_S)
+
+
+def test_both_alignment_models_give_the_delay(rig, record):
+    skew = measure_skew(record(0.06), rig, AlignmentSection(model="homography"))
+    assert skew.delay_s == pytest.approx(0.06, abs=TARGET_S)
+
+
+def test_a_bias_between_the_cameras_does_no_harm(rig, record):
+    skew = measure_skew(record(0.06), rig, AlignmentSection(depth_offset_m=0.004))
+    assert skew.delay_s == pytest.approx(0.06, abs=TARGET_S)
+
+
+def shift(frames, first, seconds, delay_s):
+    """Play simulator frames over and over; the tactile image is mixed of the two between which the delay falls."""
+    samples = []
+    for index in range(round(seconds * RATE_HZ)):
+        near_s = index / RATE_HZ
+        shown = (first + (near_s + 0.0021 - delay_s) * RATE_HZ) % len(frames)
+        before = frames[int(shown)].tactile_depth[::STEP, ::STEP]
+        after = frames[(int(shown) + 1) % len(frames)].tactile_depth[::STEP, ::STEP]
+        mixed = np.rint(before + (shown % 1.0) * (after.astype(float) - before))
+        both = (before % 65535 > 0) & (after % 65535 > 0)
+        near = frames[(first + index) % len(frames)].proximity_depth[::STEP, ::STEP]
+        samples.append(Sample(near_s, near_s + 0.0021, near, np.where(both, mixed, 0).astype(np.uint16)))
+    return samples
+
+
+@pytest.mark.parametrize("scene", ["cube", "cup", "octopus"])
+def test_the_simulator_pressed_over_and_over_gives_its_delay(scene):
+    source = open_source(f"sim:{scene}?seed=1")
+    frames = [source.read(index) for index in range(source.length)]
+    for delay_s in (-0.5, -0.0767, 0.0, 0.0083, 0.21, 0.5):
+        skew = measure_skew(shift(frames, 20, 5.0, delay_s), source.rig, AlignmentSection())
+        assert skew.delay_s == pytest.approx(delay_s, abs=TARGET_S)
+        assert abs(skew.delay_s - delay_s) <= skew.uncertainty_s
+    with pytest.raises(SkewError, match=r"too little motion"):
+        measure_skew([Sample.of(frames[45])] * 60, source.rig, AlignmentSection())
+
+
+def test_a_recording_that_begins_again_is_not_read_across_the_seam(rig, record):
+    once = record(0.05, seconds=2.5)
+    skew = measure_skew([*once, *once], rig, AlignmentSection())
+    assert skew.delay_s == pytest.approx(0.05, abs=TARGET_S)
+
+
+def test_nothing_is_pressed_in_before_the_object_touches(rig, record):
+    near, far = pressed_depths(record(0.0, noise_m=0.0), rig, AlignmentSection())
+    true_m = np.maximum(REST_M - press(near.time_s), 0.0)
+    assert near.depth_m == pytest.approx(true_m, abs=0.0002)
+    assert far.depth_m.min() == pytest.approx(0.0, abs=0.0002)
+    assert far.way_m > 0.015
+
+
+def test_a_still_scene_is_refused_with_the_reason(rig, record):
+    with pytest.raises(SkewError, match=r"proximity camera sees too little motion, .* press an object"):
+        measure_skew(record(0.0, motion=still), rig, AlignmentSection())
+
+
+def test_a_motion_that_repeats_is_refused_with_both_delays(rig, record):
+    def beat(t):
+        return REST_M - 0.02 * np.sin(2 * np.pi * t / 0.5)
+
+    with pytest.raises(SkewError, match=r"delays of .* fit almost equally well"):
+        measure_skew(record(0.02, motion=beat), rig, AlignmentSection())
+
+
+def test_cameras_that_see_different_motions_are_refused(rig, record):
+    one, other = record(0.0), record(0.0, motion=lambda t: press(1.7 * t + 20.0))
+    mixed = [
+        Sample(a.proximity_time_s, b.tactile_time_s, a.proximity_depth, b.tactile_depth)
+        for a, b in zip(one, other, strict=True)
+    ]
+    with pytest.raises(SkewError, match=r"do not see the same motion"):
+        measure_skew(mixed, rig, AlignmentSection())
+
+
+def test_clocks_that_do_not_overlap_are_refused(rig, record):
+    apart = [
+        Sample(s.proximity_time_s, s.tactile_time_s + 1000.0, s.proximity_depth, s.tactile_depth) for s in record(0.0)
+    ]
+    with pytest.raises(SkewError, match=r"overlap|within"):
+        measure_skew(apart, rig, AlignmentSection())
+
+
+def test_too_few_frames_missing_depth_and_a_missing_pose_are_said(rig, record):
+    samples = record(0.0, seconds=1.0)
+    with pytest.raises(SkewError, match=r"only 10 frames"):
+        measure_skew(samples[:10], rig, AlignmentSection())
+    blind = [Sample(s.proximity_time_s, s.tactile_time_s, s.proximity_depth, s.tactile_depth * 0) for s in samples]
+    with pytest.raises(FrameError, match=r"tactile camera sees hardly any depth"):
+        measure_skew(blind, rig, AlignmentSection())
+    with pytest.raises(RigMismatchError, match=r"calibrate"):
+        measure_skew(samples, rig.model_copy(update={"T_proximity_tactile": None}), AlignmentSection())
+
+
+@pytest.mark.parametrize(("delay_s", "words"), [(0.05, "ms later than"), (-0.05, "ms earlier than"), (0.0, "agree")])
+def test_the_result_in_words(rig, record, delay_s, words):
+    assert words in measure_skew(record(delay_s), rig, AlignmentSection()).sentence

@@ -1,0 +1,215 @@
+"""The benchmark measures what it says: engines agree, clocks tell, shortfalls are found."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.bench import gate, run
+from tactune.core.bench.cold_start import OURS, import_seconds
+from tactune.core.bench.gate import Check
+from tactune.core.bench.growth import GrowthRow, growth_as_text, growth_with_size
+from tactune.core.bench.long_run import LongRunReport
+from tactune.core.bench.measure import allocated_bytes, bandwidth_bytes_per_s, peak_bytes, time_in_turns
+from tactune.core.bench.registry import Job, engines, find_engine
+from tactune.core.bench.report import BenchReport, write_report
+from tactune.core.bench.roofline import roofline
+from tactune.core.bench.run import compare_engines, expected_mask, rows_as_json, rows_as_text
+from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synthetic_scene
+from tactune.core.bench.stability import check_stability
+from tactune.core.bench.stages import stage_breakdown, thread_scaling
+from tactune.core.contact.kernels.threads import available_threads, get_threads
+from tactune.core.errors import TactuneError
+
+pytest.importorskip("open3d", reason="needs the extra bench")
+
+
+@pytest.fixture(scope="module")
+def scene() -> BenchScene:
+    return replace(synthetic_scene(3000, 160, 120), name="small")
+
+
+def test_exact_engines_agree_with_the_float64_reference(scene: BenchScene) -> None:
+    checked = 0
+    for found in engines():
+        if found.exact and not found.missing and found.job in {Job.PIPELINE, Job.PER_PIXEL, Job.OUTLIERS}:
+            mask = found.make(scene)().mask
+            assert mask is not None
+            assert np.array_equal(mask, expected_mask(scene, found.job)), found.name
+            checked += 1
+    assert checked >= 6
+
+
+def test_approximations_differ_a_little(scene: BenchScene) -> None:
+    expected = expected_mask(scene, Job.PIPELINE)
+    for name in ("tactune-windowed", "tactune-strided", "tactune-voxel", "tactune-half"):
+        mask = find_engine(name).make(scene)().mask
+        assert mask is not None
+        assert np.mean(mask != expected) < 0.05, name
+
+
+def test_the_driver_aligns_as_we_do(scene: BenchScene) -> None:
+    found = find_engine("librealsense-align")
+    if found.missing:
+        pytest.skip("pyrealsense2 is not installed")
+    aligned = found.make(scene)().values
+    assert aligned is not None
+    middle = aligned[50:70, 70:90]
+    truth = scene.truth
+    assert truth is not None
+    assert truth.depth_m is not None
+    seen = middle > 0
+    assert seen.mean() > 0.5
+    # the driver keeps the tactile camera's depth, a few millimetres from the proximity camera's
+    assert np.abs(middle[seen] - truth.depth_m[50:70, 70:90][seen]).max() < 0.01
+
+
+def test_a_slower_engine_takes_longer() -> None:
+    timings = time_in_turns({"fast": lambda: None, "slow": lambda: time.sleep(0.003)}, 5)
+    assert timings["slow"].median_ms >= 3.0
+    assert timings["slow"].median_ms > 10 * timings["fast"].median_ms
+    assert timings["fast"].lower_ms <= timings["fast"].median_ms <= timings["fast"].upper_ms
+    assert timings["slow"].calls >= 5
+
+
+def test_memory_is_seen() -> None:
+    kept: list[np.ndarray] = []
+
+    def wasteful() -> None:
+        kept[:] = [np.ones(8 << 20)]
+
+    assert allocated_bytes(wasteful) >= 60 << 20
+    assert allocated_bytes(lambda: None) < 10_000
+    peak = peak_bytes(wasteful)
+    assert peak is None or peak >= 30 << 20
+
+
+def test_the_pipeline_allocates_little_but_its_result(scene: BenchScene) -> None:
+    runner = find_engine("tactune").make(scene)
+    points = runner().points
+    assert points is not None
+    image = scene.frame.proximity_depth.size
+    assert allocated_bytes(runner) < 4 * points.nbytes + image
+
+
+def test_rows_are_told_as_text_and_json() -> None:
+    rows = compare_engines(["empty"], [Job.PIPELINE], rounds=3, only=["tactune", "copy-depths"])
+    assert [row.engine for row in rows] == ["reference", "tactune", "copy-depths"]
+    assert rows[0].ratio == 1.0
+    assert all(row.differing_px == 0 for row in rows)
+    text = rows_as_text(rows)
+    assert "empty, pipeline" in text
+    assert "copy-depths" in text
+    record = rows_as_json(rows)[1]
+    assert record["rmse_mm"] is None
+    assert json.loads(json.dumps(record, allow_nan=False))["engine"] == "tactune"
+
+
+def test_unknown_names_are_refused() -> None:
+    with pytest.raises(TactuneError, match="no scene 'nowhere'"):
+        make_scene("nowhere")
+    with pytest.raises(TactuneError, match="no engine 'magic'"):
+        compare_engines(["empty"], [Job.PIPELINE], only=["magic"])
+    assert "empty" in scene_names()
+
+
+def test_a_check_that_falls_short_says_so() -> None:
+    assert str(Check("speed", 5.9, 6)).startswith("SHORT speed: 5.90 (must be >= 6)")
+    assert Check("speed", 6.0, 6).holds
+    assert not Check("pixels", 1, 0, at_least=False).holds
+    assert not Check("nothing measured", math.nan, 6).holds
+
+
+def test_the_gate_finds_a_slow_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
+    """With the baseline's own engine in place of ours the ratio is about 1, and the gate must say so."""
+    monkeypatch.setattr(gate, "_WHOLE", ("empty",))
+    monkeypatch.setattr(gate, "compare_engines", lambda *args, **kwargs: _slowed(run.compare_engines(*args, **kwargs)))
+    checks = gate._whole_pipeline(3)
+    assert [check.holds for check in checks] == [False, True]
+
+
+def _slowed(rows: list[run.Row]) -> list[run.Row]:
+    return [replace(row, ratio=rows[0].ratio) for row in rows]
+
+
+def test_the_roofline_counts_each_byte_once(scene: BenchScene) -> None:
+    limit = roofline(scene, 100, 90, 1e9)
+    pixels = 160 * 120
+    assert limit.must_bytes == 2 * 2 * pixels + pixels + 90 * 12 + 100 * 3
+    assert limit.limit_ms == pytest.approx(1e3 * limit.must_bytes / 1e9)
+    assert bandwidth_bytes_per_s(8 << 20) > 1e8
+
+
+def test_growth_is_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tactune.core.bench.growth.SIZES", ((80, 60), (160, 120)))
+    rows = growth_with_size(3, ["tactune"])
+    assert [(row.width, row.height) for row in rows] == [(80, 60), (160, 120)]
+    assert "160 x 120" in growth_as_text(rows)
+
+
+def test_figures_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactune.core.bench.plots import draw_growth, draw_pareto
+
+    pytest.importorskip("matplotlib")
+    folder = tmp_path
+    monkeypatch.setattr("tactune.core.bench.growth.SIZES", ((80, 60),))
+    rows = compare_engines(["full-contact"], [Job.PIPELINE], rounds=3, only=["tactune-strided"])
+    sizes = growth_with_size(3, ["tactune"])
+    written = draw_pareto(rows, folder) + draw_growth(sizes, sizes, folder)
+    assert sorted(path.name for path in written) == [
+        "growth.png", "growth.svg", "run-time-against-error.png", "run-time-against-error.svg",
+    ]  # fmt: skip
+    assert all(path.stat().st_size > 5000 for path in written)
+
+
+def test_stages_and_threads_are_told() -> None:
+    (row,) = stage_breakdown(["noisy-51k"], frames=3)
+    assert row.points > 40_000
+    assert row.stage_ms["outliers"] > 0
+    scaling = thread_scaling(["empty"], 3)["empty"]
+    assert 1 in scaling
+    assert all(timing.median_ms > 0 for timing in scaling.values())
+    assert get_threads() == available_threads()
+
+
+def test_the_page_holds_every_part(tmp_path: Path) -> None:
+    rows = compare_engines(["empty"], [Job.PIPELINE], rounds=3, only=["tactune"])
+    timing = rows[0].timing
+    report = BenchReport(
+        machine="a machine",
+        checks=[Check("speed", 5.0, 6)],
+        rows=rows,
+        points=[GrowthRow(10, 64, 48, {"tactune": timing})],
+        sizes=[],
+        stages=stage_breakdown(["empty"], frames=2),
+        threads={"empty": {1: timing}},
+        stability=check_stability(2),
+        long_run=LongRunReport(5, 0),
+    )
+    page = tmp_path / "docs" / "benchmarks.md"
+    write_report(report, page, [tmp_path / "docs" / "images" / "bench" / "growth.png"])
+    text = page.read_text()
+    assert "SHORT speed: 5.00" in text
+    assert "![growth](images/bench/growth.png)" in text
+    assert "5 changes of parameters" in text
+    assert "a machine" in text
+
+
+def test_imports_are_timed_in_processes_of_their_own() -> None:
+    slow, quick = import_seconds(("time.sleep(0.2)", "pass"), 3)
+    assert slow > 0.2 > quick
+
+
+def test_the_pipeline_imports_no_large_library_before_it_needs_one() -> None:
+    large = {"scipy.spatial", "scipy.ndimage", "cv2", "open3d", "matplotlib"}
+    program = f"import sys; {OURS}; print(sorted({large} & set(sys.modules)))"
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert done.stdout == "[]\n"

@@ -1,0 +1,204 @@
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.core.calibration import Correspondence, calibrate
+from tactune.core.calibration.quality import patch_effect
+from tactune.core.calibration.rigid import LEAST_POINTS
+from tactune.core.calibration.synthetic import ClickNoise, judged_places, make_clicks
+from tactune.core.calibration.verdict import place_name
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import CalibrationError
+from tactune.core.preset import Preset
+from tactune.core.preset.file import preset_from_text, preset_json
+
+CLEAN = ClickNoise(0.0, 0.0, 0.0)
+
+
+def clicked(rig, count=12, seed=0, **options):
+    return make_clicks(rig, count, seed, **options).correspondences()
+
+
+def test_points_that_span_depth_make_it_recommend_rigid(rig):
+    report = calibrate(clicked(rig, color_share=0.5), rig)
+    assert (report.model, report.recommended) == ("rigid", "rigid")
+    assert "mm of depth" in report.reason
+    plane, rigid = report.quality["homography"], report.quality["rigid"]
+    assert rigid.cross_validated_px < 0.6 * plane.cross_validated_px
+    assert plane.excluded == rigid.excluded == ()
+    assert plane.effect.supported_tolerance > 1.5 * rigid.effect.supported_tolerance
+
+
+def test_wrong_depths_make_it_recommend_the_homography(rig, plane):
+    tactile, proximity = plane.clicks(0, 12)
+    points = [Correspondence(str(i), *proximity[i], *tactile[i], 0.2 + 0.01 * (i % 5)) for i in range(len(tactile))]
+    report = calibrate(points, rig)
+    assert report.model == "homography"
+    assert plane.error(report.homography).mean() < 4.0
+
+
+def test_points_without_depth_give_a_homography_and_say_why(rig, plane):
+    tactile, proximity = plane.clicks(0, 8)
+    points = [Correspondence(str(i), *proximity[i], *tactile[i]) for i in range(8)]
+    report = calibrate(points, rig)
+    assert report.model == "homography"
+    assert "only 0 of the 8 pairs have a tactile depth" in report.refused["rigid"]
+    with pytest.raises(CalibrationError, match="tactile depth"):
+        calibrate(points, rig, "rigid")
+
+
+def test_clicks_in_colour_reach_the_homography_through_the_extrinsic(rig):
+    in_depth = calibrate(clicked(rig, noise=CLEAN), rig, "homography")
+    in_color = calibrate(clicked(rig, noise=CLEAN, color_share=1.0), rig, "homography")
+    assert np.abs(in_depth.homography.residuals_px - in_color.homography.residuals_px).max() < 1e-6
+
+
+def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
+    report = calibrate(clicked(rig, LEAST_POINTS), rig, "homography")
+    quality = report.quality["homography"]
+    assert quality.rms_px is quality.worst_px is quality.cross_validated_px is quality.click_noise_px is None
+    assert report.to_json()["rms_px"] is None
+    assert "say nothing" in report.verdict
+    assert "Add 2 more points" in report.verdict
+    assert " 0.00" not in report.words().split("Points per cell")[0]
+
+
+def test_a_wrong_pair_is_left_out_of_both_models_and_named(rig):
+    points = clicked(rig, 14)
+    points[4] = replace(points[4], proximity_u=points[4].proximity_u - 60)
+    report = calibrate(points, rig)
+    assert report.quality["rigid"].excluded == ("5",)
+    assert report.quality["homography"].excluded == ("5",)
+    assert "pair 5" in report.verdict
+
+
+def test_a_disabled_wrong_pair_does_no_harm_and_stays_in_the_record(rig):
+    points = clicked(rig, 12)
+    bad = replace(points[4], id="bad", proximity_u=5.0, enabled=False)
+    report = calibrate([*points, bad], rig)
+    assert report.chosen.excluded == ()
+    assert [pair.id for pair in report.record().points][-1] == "bad"
+
+
+def test_an_empty_corner_is_named_as_the_next_step(rig):
+    points = [p for p in clicked(rig, 60, 3) if not (p.tactile_u < 330 and p.tactile_v < 260)][:14]
+    report = calibrate(points, rig)
+    assert "Add points at the upper left: none within" in report.verdict
+
+
+def test_points_of_one_depth_are_asked_for_another_inflation_level(rig):
+    points = [p for p in clicked(rig, 200, 1) if 0.262 < p.tactile_depth_m < 0.275][:24]
+    report = calibrate(points, rig, "rigid")
+    assert report.coverage.depth_span_mm < 14
+    assert "another inflation level" in report.verdict or "none within" in report.verdict
+
+
+@pytest.mark.parametrize(("noise", "word"), [(ClickNoise(0.1, 0.1, 1e-4), "Good"), (ClickNoise(3, 3, 2e-3), "Poor")])
+def test_the_verdict_follows_the_noise(rig, noise, word):
+    report = calibrate(clicked(rig, 20, 5, noise=noise), rig)
+    assert report.verdict.startswith(word)
+    assert report.quality["rigid"].click_noise_px == pytest.approx(noise.tactile_px, rel=0.5)
+
+
+def test_the_expected_error_is_the_one_that_happens(rig):
+    places, true = judged_places(rig)
+    expected, happened = [], []
+    for seed in range(40):
+        report = calibrate(clicked(rig, 12, seed), rig, "rigid", membrane=places[::9])
+        expected.append(report.chosen.alignment_px**2)
+        happened.append(np.mean(np.sum((report.rigid.predict(places) - true) ** 2, axis=1)))
+    assert np.mean(happened) == pytest.approx(np.mean(expected), rel=0.35)
+
+
+def test_the_tolerance_follows_its_formula():
+    effect = patch_effect([2.0], [1.0], [0.25], proximity_noise_m=0.0, tactile_noise_m=0.0)
+    assert effect.supported_tolerance == pytest.approx(1.96 * np.sqrt(1 + 0.5) / 250)
+    assert effect.boundary_mm == pytest.approx(np.sqrt(5))
+    quiet = patch_effect([0.0], [0.0], [0.3], proximity_noise_m=0.001, tactile_noise_m=0.0)
+    assert quiet.supported_tolerance == pytest.approx(1.96 / 300)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda points: [*points, replace(points[0], id="again")], "1 and again are the same points"),
+        (lambda points: [*points, points[0]], "2 pairs have the id '1'"),
+        (lambda points: points[:3], "at least 4"),
+        (lambda points: [replace(p, enabled=False) for p in points], "there are 0"),
+        (lambda points: [replace(p, proximity_u=u) for p, u in zip(points, RANDOM, strict=True)], "agree"),
+    ],
+)
+def test_impossible_pairs_are_refused_with_the_reason(rig, change, words):
+    with pytest.raises(CalibrationError, match=words):
+        calibrate(change(clicked(rig)), rig)
+
+
+RANDOM = np.random.default_rng(0).uniform(0, 639, 12)
+
+
+def test_pairs_that_agree_on_two_alignments_are_refused(rig):
+    points = clicked(rig, 30)
+    shifted = [replace(p, proximity_u=p.proximity_u + 40) if int(p.id) % 5 < 3 else p for p in points]
+    with pytest.raises(CalibrationError, match="two different alignments"):
+        calibrate(shifted, rig, "rigid")
+
+
+def test_a_depth_scale_without_proximity_depths_is_warned_about(rig):
+    assert "cannot tell the depth scale" in calibrate(clicked(rig), rig, depth_scale=True).warnings[0]
+
+
+def test_a_fit_that_no_preset_allows_is_refused(rig):
+    report = calibrate(clicked(rig, 20), rig, depth_scale=True)
+    wild = replace(report, rigid=replace(report.rigid, pose=replace(report.rigid.pose, scale=1.4)))
+    with pytest.raises(CalibrationError, match=r"depth_scale is 1\.4"):
+        wild.apply_to(Preset())
+
+
+def test_pairs_from_another_rig_are_warned_about(rig):
+    pose = np.array(rig.T_proximity_tactile)
+    pose[0, 3] += 0.05
+    other = rig.model_copy(update={"T_proximity_tactile": pose.tolist()})
+    assert "mm and" in " ".join(calibrate(clicked(rig), other).warnings)
+    assert calibrate(clicked(rig), rig).warnings == ()
+
+
+def test_the_report_is_json_with_the_promised_keys(rig):
+    report = calibrate(clicked(rig), rig)
+    data = json.loads(json.dumps(report.to_json(), allow_nan=False))
+    assert {"model", "homography", "T_proximity_tactile", "rms_px", "cross_validated_px"} <= data.keys()
+    assert {"supported_tolerance", "verdict"} <= data.keys()
+    assert np.shape(data["homography"]) == (3, 3)
+    assert np.shape(data["T_proximity_tactile"]) == (4, 4)
+    assert len(data["models"]["rigid"]["pairs"]) == 12
+
+
+def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig):
+    report = calibrate(clicked(rig), rig)
+    preset = report.apply_to(Preset(), set_tolerance=True)
+    assert preset_from_text(preset_json(preset), "memory") == preset
+    assert preset.value("alignment.rigid.T_proximity_tactile") == tuple(map(tuple, report.rigid.T_proximity_tactile))
+    assert preset.alignment.calibration.proximity_serial == "SIM-L515"
+    assert preset.tolerance.t == pytest.approx(report.chosen.effect.supported_tolerance, abs=1e-4)
+    assert preset.rig == rig
+
+
+def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig):
+    preset = calibrate(clicked(rig), rig).apply_to(Preset())
+    pipeline = ContactPipeline(preset, rig)
+    model = pipeline._finder.alignment
+    pipeline.update(preset.with_value("alignment.calibration", None))
+    assert pipeline._finder.alignment is model
+    pipeline.update(preset.with_value("alignment.depth_scale", 1.01))
+    assert pipeline._finder.alignment is not model
+
+
+@pytest.mark.parametrize(
+    ("pixel", "words"),
+    [((10, 10), "at the upper left"), ((630, 240), "at the right"), ((320, 470), "at the lower middle")],
+)
+def test_places_are_named(pixel, words):
+    assert place_name(np.array(pixel), (480, 640)) == words

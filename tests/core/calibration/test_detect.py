@@ -1,0 +1,154 @@
+from __future__ import annotations
+
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.calibration.detect import (
+    detect_charuco,
+    detect_chessboard,
+    detect_circles,
+    match_detections,
+    snap_to_feature,
+)
+from tactune.core.calibration.homography import fit_homography
+from tactune.core.errors import CalibrationError
+
+BOARDS = Path(__file__).resolve().parents[4] / "shared" / "data" / "stereo_boards"
+H = np.array([[0.95, 0.06, 20], [-0.05, 0.92, 40], [1e-4, 5e-5, 1]])
+TILT = np.array([[0.9, -0.04, 60], [0.06, 0.95, 10], [-8e-5, 1e-4, 1]])
+
+
+def seen(picture, H):
+    return cv2.warpPerspective(picture, H, (640, 480), flags=cv2.INTER_AREA, borderValue=255)
+
+
+def mapped(H, points):
+    return cv2.perspectiveTransform(np.asarray(points, np.float64).reshape(-1, 1, 2), H).reshape(-1, 2)
+
+
+def chessboard():
+    squares = np.indices((7, 10)).sum(axis=0) % 2 * 220 + 20
+    picture = np.full((480, 640), 255, np.uint8)
+    picture[30:450, 20:620] = np.kron(squares, np.ones((60, 60)))
+    corners = np.stack(np.meshgrid(20 + 60 * np.arange(1, 10), 30 + 60 * np.arange(1, 7)), axis=-1).reshape(-1, 2) - 0.5
+    return picture, corners
+
+
+def dots(asymmetric):
+    picture = np.full((480, 640), 240, np.uint8)
+    centers = [
+        (80 + 55 * (2 * column + row % 2), 50 + 40 * row) if asymmetric else (80 + 70 * column, 60 + 55 * row)
+        for row in range(9 if asymmetric else 6)
+        for column in range(4 if asymmetric else 7)
+    ]
+    for center in centers:
+        cv2.circle(picture, center, 13, 15, -1, cv2.LINE_AA)
+    return picture, np.array(centers, float)
+
+
+def test_a_chessboard_is_found_and_matched_by_order():
+    picture, corners = chessboard()
+    pairs = match_detections(detect_chessboard(seen(picture, H), 9, 6), detect_chessboard(seen(picture, TILT), 9, 6))
+    assert len(pairs) == 54
+    left, right = (np.array([pair[side] for pair in pairs]) for side in (1, 2))
+    order = [int(np.argmin(np.hypot(*(mapped(H, corners) - pixel).T))) for pixel in left]
+    assert sorted(order) == list(range(54))
+    assert np.hypot(*(left - mapped(H, corners)[order]).T).max() < 0.25
+    assert np.hypot(*(right - mapped(TILT, corners)[order]).T).max() < 0.25
+
+
+def test_half_a_turn_between_both_images_is_undone():
+    picture, _ = chessboard()
+    left = detect_chessboard(seen(picture, H), 9, 6)
+    right = detect_chessboard(seen(picture, TILT), 9, 6)
+    turned = type(right)(right.ids, right.pixels[::-1])
+    straight = match_detections(left, right)
+    assert [pair[2].tolist() for pair in match_detections(left, turned)] == [pair[2].tolist() for pair in straight]
+
+
+@pytest.mark.parametrize(("asymmetric", "columns", "rows"), [(True, 4, 9), (False, 7, 6)])
+def test_grids_of_circles_are_found(asymmetric, columns, rows):
+    picture, centers = dots(asymmetric)
+    detections = [detect_circles(seen(picture, view), columns, rows, asymmetric=asymmetric) for view in (H, TILT)]
+    pairs = match_detections(*detections)
+    assert len(pairs) == columns * rows
+    for _, left, right in pairs:
+        gaps = np.hypot(*(mapped(H, centers) - left).T)
+        assert gaps.min() < 0.5
+        assert np.hypot(*(mapped(TILT, centers)[gaps.argmin()] - right)) < 0.5
+
+
+def test_charuco_corners_are_matched_by_their_printed_ids():
+    dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_250)
+    board = cv2.aruco.CharucoBoard((7, 5), 1.0, 0.7, dictionary)
+    picture = cv2.copyMakeBorder(board.generateImage((560, 400)), 40, 40, 40, 40, cv2.BORDER_CONSTANT, value=255)
+    hidden = seen(picture, TILT)
+    hidden[:, 420:] = 128
+    whole, part = detect_charuco(seen(picture, H), 7, 5), detect_charuco(hidden, 7, 5)
+    pairs = match_detections(whole, part)
+    assert 4 <= len(part.ids) < len(whole.ids) == 24
+    left, right = (np.array([pair[side] for pair in pairs]) for side in (1, 2))
+    assert np.hypot(*(mapped(TILT @ np.linalg.inv(H), left) - right).T).max() < 1.0
+
+
+@pytest.mark.parametrize(
+    "find",
+    [
+        lambda image: detect_chessboard(image, 9, 6),
+        lambda image: detect_charuco(image, 7, 5),
+        lambda image: detect_circles(image, 4, 9),
+        lambda image: detect_circles(image, 1, 9),
+        lambda image: detect_charuco(image, 7, 5, dictionary="DICT_9X9"),
+    ],
+)
+def test_what_is_not_there_is_refused_in_words(find):
+    with pytest.raises(CalibrationError, match=r"no .* is seen|too small|no marker dictionary"):
+        find(np.full((480, 640, 3), 128, np.uint8))
+
+
+@pytest.mark.parametrize(("bright", "kind"), [(False, np.uint8), (True, np.uint8), (False, np.uint16)])
+def test_a_click_beside_a_droplet_snaps_to_its_centre(bright, kind):
+    rng = np.random.default_rng(0)
+    big = np.zeros((800, 800), np.uint8)
+    center = (403, 391)
+    cv2.ellipse(big, center, (30, 22), 30, 0, 360, 255, -1)
+    ink = cv2.resize(big, (100, 100), interpolation=cv2.INTER_AREA).astype(float) / 255
+    true = (np.array(center) + 0.5) / 8 - 0.5
+    image = (60 + 120 * ink if bright else 180 - 120 * ink) + 2 * rng.standard_normal(ink.shape)
+    image = (image * (200 if kind is np.uint16 else 1)).astype(kind)
+    for angle in np.linspace(0, 6, 9):
+        click = true + 5.5 * np.array([np.cos(angle), np.sin(angle)])
+        snapped = snap_to_feature(image, *click)
+        assert snapped.kind == "blob"
+        assert np.hypot(snapped.u - true[0], snapped.v - true[1]) < 0.12
+
+
+def test_nothing_to_snap_to_is_none():
+    flat = np.full((100, 100), 90, np.uint8) + np.random.default_rng(0).integers(0, 4, (100, 100), np.uint8)
+    assert snap_to_feature(flat, 50, 50) is None
+    assert snap_to_feature(flat, -3, 50) is None
+    far = flat.copy()
+    cv2.circle(far, (50, 50), 4, 0, -1)
+    assert snap_to_feature(far, 70, 50) is None
+    assert snap_to_feature(far, 0, 0) is None
+
+
+@pytest.mark.skipif(not BOARDS.is_dir(), reason=f"the real boards are not at {BOARDS}")
+@pytest.mark.parametrize("number", range(1, 7))
+def test_real_boards_as_well_as_opencv(number):
+    left, right = (cv2.imread(str(BOARDS / f"{side}0{number}.jpg"), cv2.IMREAD_GRAYSCALE) for side in ("left", "right"))
+    a, b = detect_chessboard(left, 9, 6).pixels, detect_chessboard(right, 9, 6).pixels
+    fit = fit_homography(a, b)
+    refined, _ = cv2.findHomography(a, b, 0)
+    opencv = np.sqrt(np.mean(np.sum((mapped(refined, a) - b) ** 2, axis=1)))
+    assert fit.used.all()
+    assert abs(fit.rms_px - opencv) < 0.02
+    rng = np.random.default_rng(number)
+    for u, v in a:
+        angle, radius = rng.uniform(0, 2 * np.pi), 6 * np.sqrt(rng.uniform())
+        snapped = snap_to_feature(left, u + radius * np.cos(angle), v + radius * np.sin(angle))
+        assert snapped.kind == "corner"
+        assert np.hypot(snapped.u - u, snapped.v - v) < 0.1

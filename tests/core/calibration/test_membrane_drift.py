@@ -1,0 +1,158 @@
+"""What has changed since the reference: pressure, a camera, a touch, or nothing."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import CalibrationError, FrameError
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.preset import Preset
+from tactune.core.preset.file import load_preset
+from tactune.core.rig.drift import LIMIT_M, compare_with_reference
+from tactune.core.rig.untouched_source import untouched_frame
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator import scene as scene_module
+from tactune.core.sources.simulator import source as source_module
+from tactune.core.sources.simulator.scenes import Scene, resolve_scene
+
+WIDTH, HEIGHT = 160, 120
+RIM_M, BULGE_M = 0.25, 0.06
+LENS = Intrinsics(width=WIDTH, height=HEIGHT, fx=115.0, fy=115.0, cx=79.5, cy=59.5)
+RIG = Rig(
+    proximity=DepthCamera(intrinsics=LENS, depth_unit_m=0.00025),
+    tactile=DepthCamera(intrinsics=LENS, depth_unit_m=0.0001),
+    T_proximity_tactile=np.eye(4).tolist(),
+)
+V, U = np.mgrid[:HEIGHT, :WIDTH]
+X, Y = (U - LENS.cx) / LENS.fx, (V - LENS.cy) / LENS.fy
+RADIUS = np.hypot(U - LENS.cx, V - LENS.cy) / 55
+#: Prints on which the proximity camera sees the membrane, three of them off the middle.
+PRINTS = sum(np.hypot(U - u, V - v) < 9 for u, v in ((50, 40), (110, 50), (80, 90))) > 0
+
+
+def membrane(bulge_m: float = BULGE_M) -> np.ndarray:
+    return RIM_M + bulge_m * (1 - RADIUS**2)
+
+
+def seen(tactile_m: np.ndarray, proximity_m: np.ndarray | None = None, seed: int = 1) -> SensorFrame:
+    """A frame with noise; off the prints the proximity camera sees the room, which may be another each time."""
+    rng = np.random.default_rng(seed)
+    tactile = np.where(RADIUS < 1, tactile_m + rng.normal(0, 0.0006, tactile_m.shape), 0.0)
+    on_prints = tactile_m if proximity_m is None else proximity_m
+    proximity = np.where(PRINTS, on_prints + rng.normal(0, 0.001, tactile_m.shape), 0.6 + 0.1 * rng.random())
+    return SensorFrame(
+        sequence=seed,
+        tactile_depth=np.rint(tactile / 0.0001).astype(np.uint16),
+        proximity_depth=np.rint(proximity / 0.00025).astype(np.uint16),
+        proximity_color=np.zeros((HEIGHT, WIDTH, 3), np.uint8),
+    )
+
+
+REFERENCE = seen(membrane(), seed=0)
+
+
+def test_the_same_membrane_is_fine_and_the_change_is_the_noise() -> None:
+    drift = compare_with_reference(Preset(), RIG, seen(membrane()), REFERENCE)
+    assert drift.verdict == "fine"
+    assert drift.proximity is not None
+    assert abs(drift.tactile.median_m) < 1e-4
+    assert abs(drift.proximity.median_m) < 3e-4
+    assert drift.tactile.spread_m == pytest.approx(0.0006 * np.sqrt(2), rel=0.15)
+    assert abs(drift.inflation_m) < 1e-4
+
+
+@pytest.mark.parametrize("more_m", [0.004, -0.003])
+def test_another_pressure_is_told_from_a_camera_that_moved(more_m: float) -> None:
+    drift = compare_with_reference(Preset(), RIG, seen(membrane(BULGE_M + more_m)), REFERENCE)
+    assert drift.verdict == "inflation"
+    assert drift.inflation_m == pytest.approx(more_m, rel=0.1)
+    assert f"{1e3 * abs(drift.inflation_m):.1f} mm farther {'out' if more_m > 0 else 'in'}" in drift.sentence
+    assert drift.tactile.moved_m < LIMIT_M / 2
+
+
+def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back() -> None:
+    back_m = 0.02
+    pose = np.eye(4)
+    pose[2, 3] = back_m
+    rig = RIG.model_copy(update={"T_proximity_tactile": tuple(map(tuple, pose.tolist()))})
+    now, then = membrane(BULGE_M + 0.004), membrane()
+    drift = compare_with_reference(Preset(), rig, seen(now, now + back_m), seen(then, then + back_m, seed=0))
+    assert drift.proximity is not None
+    assert drift.verdict == "inflation", drift.sentence
+
+
+@pytest.mark.parametrize(
+    ("tactile", "proximity", "said"),
+    [
+        (0.003, 0.0, "The tactile camera has moved"),
+        (0.010 * X, 0.0, "The tactile camera has moved"),
+        (0.0, -0.004, "The proximity camera has moved"),
+        (0.002, 0.002, "Both cameras have moved"),
+    ],
+)
+def test_an_offset_up_to_the_rim_is_a_camera(tactile: np.ndarray, proximity: float, said: str) -> None:
+    now = membrane()
+    drift = compare_with_reference(Preset(), RIG, seen(now + tactile, now + proximity), REFERENCE)
+    assert drift.verdict == "camera"
+    assert drift.sentence.startswith(said)
+    assert abs(drift.inflation_m) < LIMIT_M / 2
+
+
+def test_a_dent_is_a_touch_and_no_drift() -> None:
+    dent = 0.012 * np.exp(-((U - 60) ** 2 + (V - 50) ** 2) / (2 * 10**2))
+    drift = compare_with_reference(Preset(), RIG, seen(membrane() - dent, membrane()), REFERENCE)
+    assert drift.verdict == "touched"
+    assert "take it away" in drift.sentence
+
+
+def test_without_prints_the_proximity_camera_is_not_judged() -> None:
+    plain = replace(REFERENCE, proximity_depth=np.full((HEIGHT, WIDTH), 2600, np.uint16))
+    drift = compare_with_reference(Preset(), RIG, seen(membrane()), plain)
+    assert drift.proximity is None
+    assert drift.verdict == "fine"
+    assert "sees too little" in drift.sentence
+
+
+def test_frames_that_cannot_be_compared_are_refused() -> None:
+    with pytest.raises(CalibrationError, match="only 0 pixels"):
+        compare_with_reference(
+            Preset(), RIG, replace(REFERENCE, tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16)), REFERENCE
+        )
+    half = replace(REFERENCE, tactile_depth=np.ones((60, 80), np.uint16))
+    with pytest.raises(FrameError, match="80 x 60"):
+        compare_with_reference(Preset(), RIG, half, REFERENCE)
+
+
+def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
+    preset = load_preset("simulator")
+    with open_source("sim:cup?press=medium") as source:
+        reference, pressed = untouched_frame(source), source.read(0)
+        with source.untouched() as away:
+            now = away.read(20)
+    assert reference is not None
+    fine = compare_with_reference(preset, source.rig, now, reference)
+    assert (fine.verdict, fine.proximity is not None) == ("fine", True), fine.sentence
+    assert compare_with_reference(preset, source.rig, pressed, reference).verdict == "touched"
+
+
+def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+    reference = untouched_frame(open_source("sim:cup?press=none"))
+    assert reference is not None
+    more_m = 0.004
+
+    def inflated(*words: Any) -> Scene:
+        made = resolve_scene(*words)
+        design = replace(made.design, apex_m=made.design.apex_m + more_m)
+        return replace(made, name="cup-inflated-118x68", design=design)
+
+    monkeypatch.setattr(source_module, "resolve_scene", inflated)
+    monkeypatch.setattr(scene_module, "APEX_M", scene_module.APEX_M + more_m)  # the rim stays where it is
+    now = open_source("sim:cup?press=none&seed=3")
+    drift = compare_with_reference(load_preset("simulator"), now.rig, now.next_frame(), reference)
+    assert drift.verdict == "inflation"
+    assert drift.inflation_m == pytest.approx(more_m, abs=0.0002)

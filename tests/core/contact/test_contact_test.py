@@ -1,0 +1,305 @@
+"""The calibrated contact test as an option of the pipeline."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.kernels.threads import set_threads
+from tactune.core.contact.masking import colors_at, in_hsv_range
+from tactune.core.contact.membrane.differences import DifferenceFinder
+from tactune.core.contact.pipeline import CALIBRATED_STAGES, STAGES, ContactPipeline, Still
+from tactune.core.contact.provenance import Provenance
+from tactune.core.model.clouds import ray_table
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.preset import Preset
+
+WIDTH, HEIGHT = 200, 120
+MEMBRANE_M = 0.3
+CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
+PRINT_RGB = (200, 30, 120)
+
+
+@pytest.fixture(scope="module")
+def rig() -> Rig:
+    """Two cameras in one place, so that pixels compare one by one."""
+    lens = Intrinsics(width=WIDTH, height=HEIGHT, fx=300.0, fy=300.0, cx=99.5, cy=59.5)
+    camera = DepthCamera(intrinsics=lens, depth_unit_m=1e-5)
+    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+
+
+def frame_of(gap_m, color=None) -> SensorFrame:
+    """A flat membrane and an object so far behind it; nan where the proximity camera sees nothing."""
+    proximity = np.nan_to_num(np.rint((MEMBRANE_M + gap_m) / 1e-5)).astype(np.uint16)
+    tactile = np.full((HEIGHT, WIDTH), round(MEMBRANE_M / 1e-5), np.uint16)
+    return SensorFrame(0, proximity, tactile, np.zeros((HEIGHT, WIDTH, 3), np.uint8) if color is None else color)
+
+
+@pytest.fixture(scope="module")
+def scene() -> SensorFrame:
+    """A disc in contact that leaves by the square of the way; beside it whatever else pixels can be."""
+    v, u = np.mgrid[:HEIGHT, :WIDTH]
+    r = np.hypot(u - 60, v - 60)
+    gap = np.where(r < 25, 0.0, 3e-5 * (r - 25) ** 2)
+    gap[gap > 0.02] = 0.1
+    gap[20:24, 140:144] = 0.0  # small, at 1 mm2 a pixel
+    gap[60, 140] = 0.0  # lone
+    gap[60, 60] = np.nan  # a hole inside
+    gap[80:100, 170:190] = np.nan
+    color = np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    color[50:70, 70:75] = PRINT_RGB
+    return frame_of(gap, color)
+
+
+def masked(preset: Preset) -> Preset:
+    return preset.with_values({"mask.enabled": True, "mask.saturation": (100, 255), "mask.value": (100, 255)})
+
+
+def same_patch(one, other) -> bool:
+    return (
+        np.array_equal(one.provenance, other.provenance)
+        and np.array_equal(one.mask, other.mask)
+        and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))
+    )  # fmt: skip
+
+
+def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
+    # a window whose means the four small pixels pass, and a lone one does not
+    preset = masked(CALIBRATED).with_values({"calibrated.window_px": 1.0, "calibrated.least_area_mm2": 50.0})
+    limits = {"region.enabled": True, "region.rectangle": (0, 0, 196, HEIGHT), "range.enabled": True,
+              "range.limits_m": (0.1, 0.35)}  # fmt: skip
+    patch = ContactPipeline(preset.with_values(limits), rig).process(scene)
+    expected = {
+        (60, 60): Provenance.CONTACT,  # no depth of its own, but its neighbours tell
+        (60, 50): Provenance.CONTACT,
+        (60, 30): Provenance.RIM,
+        (60, 24): Provenance.OUTSIDE_TOLERANCE,
+        (22, 142): Provenance.SMALL_CLUSTER,
+        (60, 140): Provenance.OUTLIER,
+        (60, 72): Provenance.MASKED,
+        (90, 180): Provenance.NO_PROXIMITY_DEPTH,
+        (10, 198): Provenance.OUTSIDE_REGION,
+        (10, 100): Provenance.OUTSIDE_RANGE,
+    }
+    assert {pixel: Provenance(int(patch.provenance[pixel])) for pixel in expected} == expected
+    np.testing.assert_array_equal(patch.mask, patch.provenance == Provenance.CONTACT)
+    assert all(verdict.explanation.endswith(".") for verdict in Provenance)
+
+
+def test_a_patch_without_a_tactile_depth_says_so(rig, scene):
+    blind = replace(scene, tactile_depth=np.full_like(scene.tactile_depth, 65535))
+    patch = ContactPipeline(CALIBRATED, rig).process(blind)
+    assert set(np.unique(patch.provenance)) == {Provenance.NO_PROXIMITY_DEPTH, Provenance.NO_TACTILE_DEPTH}
+    assert patch.skipped == ("no candidates",)
+
+
+def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surfaces(rig, scene):
+    patch = ContactPipeline(CALIBRATED, rig).process(scene)
+    rays = ray_table(rig.proximity.intrinsics)[patch.mask]
+    np.testing.assert_allclose(patch.points[:, :2] / patch.points[:, 2:], rays, atol=1e-6)
+    z = patch.points[:, 2].astype(float)
+    assert z.min() > MEMBRANE_M - 1e-6
+    assert z.max() < MEMBRANE_M + 0.0009
+    assert patch.area_mm2 == pytest.approx(np.pi * 25**2, rel=0.1)
+
+
+def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
+    """The means reach beyond, contact does not."""
+    cut = CALIBRATED.with_values({"region.enabled": True, "region.rectangle": (0, 0, 60, HEIGHT)})
+    patch = ContactPipeline(cut, rig).process(scene)
+    assert patch.mask[60, 59]
+    assert not patch.mask[:, 60:].any()
+    near = CALIBRATED.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
+    assert not ContactPipeline(near, rig).process(scene).mask.any()
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "repeated"),
+    [
+        ("calibrated.tactile_weight", 0.2, {"points"}),
+        ("calibrated.least_area_mm2", 9.0, {"clusters", "points"}),
+        ("calibrated.balance", False, {"balance", "clusters", "points"}),
+        ("calibrated.gap_m", 0.001, {"edge", "press", "balance", "clusters", "points"}),
+        ("calibrated.retreat", 0.0, {"edge", "press", "balance", "clusters", "points"}),
+        ("calibrated.curvature", 0.5, {"press", "balance", "clusters", "points"}),
+        ("calibrated.curvature_px", 5.0, {"press", "balance", "clusters", "points"}),
+        ("calibrated.bias_m", 0.001, {"gaps", "edge", "press", "balance", "clusters", "points"}),
+        ("calibrated.difference_m", 0.004, set(CALIBRATED_STAGES)),
+        ("calibrated.window_px", 4.0, set(CALIBRATED_STAGES)),
+        ("mask.value", (120, 255), set(CALIBRATED_STAGES)),
+        ("alignment.depth_offset_m", 0.0001, set(CALIBRATED_STAGES)),
+        ("tolerance.t", 0.5, set()),
+        ("outliers.k", 9, set()),
+        ("outliers.min_cluster_area_mm2", 1e5, set()),
+    ],
+)
+def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repeated):
+    preset = masked(CALIBRATED)
+    contact = ContactPipeline(preset, rig)
+    first = contact.process(scene)
+    assert tuple(first.stage_ms) == CALIBRATED_STAGES
+    assert all(first.stage_ms.values())
+    changed = preset.with_value(path, value)
+    contact.update(changed)
+    again = contact.process(scene)
+    assert {name for name, ms in again.stage_ms.items() if ms > 0} == repeated
+    assert again.skipped == (() if repeated else ("nothing changed",))
+    assert same_patch(again, ContactPipeline(changed, rig).process(scene))
+
+
+def test_the_tolerance_test_does_not_care_for_the_calibrated_section(rig, scene):
+    contact = ContactPipeline(Preset(), rig)
+    first = contact.process(scene)
+    contact.update(Preset().with_values({"calibrated.gap_m": 0.0001, "calibrated.window_px": 1.0}))
+    assert contact.process(scene).points is first.points
+    assert tuple(first.stage_ms) == STAGES
+
+
+choices = st.fixed_dictionaries(
+    {
+        "contact_test": st.sampled_from(["tolerance", "calibrated", "calibrated"]),
+        "alignment.model": st.sampled_from(["rigid", "homography"]),
+        "alignment.depth_offset_m": st.sampled_from([0.0, 0.002, 0.05]),
+        "mask.enabled": st.booleans(),
+        "mask.saturation": st.sampled_from([(0, 120), (60, 255)]),
+        "calibrated.gap_m": st.sampled_from([0.0, 0.0018, 0.005]),
+        "calibrated.window_px": st.sampled_from([0.0, 0.5, 2.5]),
+        "calibrated.retreat": st.sampled_from([0.0, 0.9]),
+        "calibrated.curvature": st.sampled_from([0.0, 0.5, 0.9]),
+        "calibrated.balance": st.booleans(),
+        "calibrated.curvature_px": st.sampled_from([2.0, 10.0]),
+        "calibrated.bias_m": st.sampled_from([0.0, 0.0012]),
+        "calibrated.smooth_px": st.sampled_from([0.0, 2.0]),
+        "calibrated.slope": st.booleans(),
+        "calibrated.least_area_mm2": st.sampled_from([0.0, 25.0, 1e5]),
+        "region.enabled": st.booleans(),
+        "region.rectangle": st.tuples(st.integers(0, 60), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
+    }
+)
+
+
+@settings(max_examples=60, deadline=None)
+@given(first=choices, then=choices, new_frame=st.booleans())
+def test_memory_never_changes_a_result_whichever_the_test(make_rig, make_frame, first, then, new_frame):
+    rig = make_rig()
+    frame = make_frame(rig, 1, 0.001)
+    used = ContactPipeline(Preset().with_values(first), rig)
+    used.process(frame)
+    used.update(Preset().with_values(then))
+    if new_frame:
+        frame = make_frame(rig, 2, 0.001)
+    patch = used.process(frame)
+    assert same_patch(patch, ContactPipeline(Preset().with_values(then), rig).process(frame))
+    assert len(patch.points) == patch.mask.sum()
+    assert np.isfinite(patch.points).all()
+    np.testing.assert_array_equal(patch.mask, patch.provenance == Provenance.CONTACT)
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    width=st.sampled_from([80, 73, 64, 17, 9]), seed=st.integers(0, 1000), color=st.booleans(), mask=st.booleans(),
+    model=st.sampled_from(["rigid", "homography"]), distortion=st.sampled_from(["none", "brown_conrady"]),
+    rectangle=st.tuples(st.integers(0, 8), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
+)  # fmt: skip
+def test_differences_are_those_of_whole_images(
+    make_rig, make_frame, width, seed, color, mask, model, distortion, rectangle
+):
+    rig = make_rig(width=width, color=color, distortion=distortion, bend=0.02)
+    frame = make_frame(rig, seed)
+    preset = CALIBRATED.with_values(
+        {"mask.enabled": mask, "mask.saturation": (60, 255), "alignment.model": model, "region.enabled": True,
+         "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5)}
+    )  # fmt: skip
+    finder = DifferenceFinder(preset, rig, make_alignment(preset.alignment, rig))
+    aligned = finder.aligned(frame)
+    difference = aligned.expected_m - aligned.measured_m
+    depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
+    usable = (
+        (np.abs(difference) < np.float32(preset.calibrated.difference_m))
+        & (depth >= np.float32(0.27))
+        & (depth <= np.float32(0.5))
+    )
+    if mask:
+        points = np.dstack([ray_table(rig.proximity.intrinsics) * depth[..., None], depth]).reshape(-1, 3)
+        colors, seen = colors_at(points.astype(np.float32), np.arange(depth.size), frame.proximity_color, rig)
+        usable &= ~(in_hsv_range(colors, preset.mask) & seen).reshape(usable.shape)
+
+    found = finder.find(frame)
+    assert (found is None) == (not usable.any())
+    verdicts = finder.classify(frame)
+    np.testing.assert_array_equal(verdicts == Provenance.CONTACT, usable)
+    if found is not None:
+        np.testing.assert_array_equal(found.usable, usable[found.place])
+        assert found.usable.sum() == usable.sum()
+        np.testing.assert_array_equal(found.difference_m[found.usable], difference[found.place][found.usable])
+
+
+def test_nothing_is_done_for_a_frame_with_nothing_near(rig, monkeypatch):
+    far = frame_of(np.full((HEIGHT, WIDTH), 0.02))
+    monkeypatch.setattr(DifferenceFinder, "_look", None)
+    patch = ContactPipeline(CALIBRATED, rig).process(far)
+    monkeypatch.undo()
+    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
+    assert patch.skipped == ("no candidates",)
+    assert len(patch.points) == 0
+    assert not patch.mask.any()
+    assert set(np.unique(patch.provenance)) == {Provenance.OUTSIDE_TOLERANCE}
+
+
+def test_lone_pixels_stop_after_their_shares(rig):
+    gap = np.full((HEIGHT, WIDTH), 0.1)
+    gap[::20, ::20] = 0.0
+    patch = ContactPipeline(CALIBRATED, rig).process(frame_of(gap))
+    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion", "gaps"]
+    assert (patch.provenance[::20, ::20] == Provenance.OUTLIER).all()
+
+
+def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
+    """Lone pixels near the membrane make what is looked at larger, and must not reach contact."""
+    crowded = scene.proximity_depth.copy()
+    crowded[[2, 2, -3, -3], [3, -4, 3, -4]] = round(MEMBRANE_M / 1e-5)
+    alone, among = (
+        ContactPipeline(CALIBRATED, rig).process(frame)
+        for frame in (scene, replace(scene, proximity_depth=crowded))
+    )  # fmt: skip
+    assert len(alone.points) > 1000
+    np.testing.assert_array_equal(alone.points.view(np.uint32), among.points.view(np.uint32))
+    np.testing.assert_array_equal(alone.mask, among.mask)
+
+
+def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
+    rig = make_rig(width=640, height=480)
+    frame = make_frame(rig, 3, 0.0008, 0.02)
+    preset = CALIBRATED.with_values({"calibrated.bias_m": 0.001, "calibrated.gap_m": 0.0003})
+
+    def patch_with(threads):
+        set_threads(threads)
+        return ContactPipeline(preset, rig).process(frame)
+
+    with ThreadPoolExecutor(1) as pool:  # whose thread keeps the setting to itself
+        one, three = (pool.submit(patch_with, threads).result() for threads in (1, 3))
+    assert len(one.points) > 1000
+    assert same_patch(one, three)
+
+
+def test_a_still_scene_is_computed_once_where_that_is_asked_for(rig, scene):
+    contact = ContactPipeline(CALIBRATED, rig, still=Still(0.002))
+    first = contact.process(scene)
+    moved = np.where(scene.proximity_depth > 0, scene.proximity_depth + 1, 0).astype(np.uint16)
+    again = contact.process(replace(scene, proximity_depth=moved))
+    assert again.points is first.points
+    assert again.skipped == ("no depth changed beyond noise",)
+    assert tuple(again.stage_ms) == CALIBRATED_STAGES
+
+
+def test_a_homography_with_the_calibrated_test_is_warned_of(rig):
+    assert ContactPipeline(CALIBRATED, rig).warnings == []
+    (warning,) = ContactPipeline(CALIBRATED.with_value("alignment.model", "homography"), rig).warnings
+    assert "rigid" in warning

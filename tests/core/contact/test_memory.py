@@ -1,0 +1,103 @@
+"""Frame after frame takes no memory but that of the results."""
+
+from __future__ import annotations
+
+import tracemalloc
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numba.core.errors import NumbaError
+from numba.core.runtime import _nrt_python, rtsys
+
+from tactune.core.contact.kernels.compiling import kernel
+from tactune.core.contact.outliers.statistical import NeighbourMemory, statistical_inliers
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.contact.provenance import Provenance
+from tactune.core.preset import Preset
+
+FRAMES = 50
+#: Python's objects of one frame: the patch, its closures, views; far less than any array of one entry a point.
+SLACK_BYTES = 32 * 1024
+
+
+@pytest.fixture
+def pipeline_and_frame(make_rig, make_frame):
+    rig = make_rig(width=320, height=240, color=True)
+    preset = Preset().with_values({"tolerance.t": 0.05, "outliers.min_cluster_area_mm2": 10.0})
+    pipeline, frame = ContactPipeline(preset, rig), make_frame(rig)
+    for _ in range(5):
+        patch = pipeline.process(replace(frame))
+    assert len(patch.points) > 20_000
+    return pipeline, frame, len(patch.points)
+
+
+def test_fifty_frames_leave_nothing_behind_and_take_no_more_than_the_results(pipeline_and_frame):
+    """Results: pixel and point of every candidate, inlier and contact, and flags that tell one from the other."""
+    pipeline, frame, contact = pipeline_and_frame
+    provenance = pipeline.process(replace(frame)).provenance
+    candidates, inliers = (int((provenance >= least).sum()) for least in (Provenance.OUTLIER, Provenance.SMALL_CLUSTER))
+    results = (candidates + inliers + contact) * (8 + 12) + candidates + inliers
+    rise, left_behind = rise_and_rest(lambda: pipeline.process(replace(frame)))
+    assert left_behind < SLACK_BYTES
+    assert rise < results + SLACK_BYTES
+
+
+def test_outliers_are_searched_in_arrays_from_before(pipeline_and_frame):
+    """Flags that tell inliers, and which means are still open: nothing of eight bytes a point."""
+    pipeline, frame, _ = pipeline_and_frame
+    patch, camera = pipeline.process(replace(frame)), pipeline.rig.proximity.intrinsics
+    pixels, memory = np.flatnonzero(patch.mask), NeighbourMemory()
+
+    def search():
+        memory.room(0)  # forgets what was found before
+        return statistical_inliers(patch.points, pixels, camera, 20, 2.0, memory)
+
+    search()
+    rise, _ = rise_and_rest(search)
+    assert rise < 3 * len(pixels) + SLACK_BYTES
+
+
+def rise_and_rest(call: Callable[[], object]) -> tuple[int, int]:
+    """Return how far a call raises traced memory at most, and what many calls leave behind, bytes."""
+    tracemalloc.start()
+    try:
+        result = call()
+        first, _ = tracemalloc.get_traced_memory()
+        rises = []
+        for _ in range(FRAMES):
+            before, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            result = call()
+            rises.append(tracemalloc.get_traced_memory()[1] - before)
+        last, _ = tracemalloc.get_traced_memory()
+        del result
+    finally:
+        tracemalloc.stop()
+    return max(rises), last - first
+
+
+def test_kernels_take_no_memory_of_their_own(pipeline_and_frame):
+    """numba's arrays are not traced by Python; its own counter must stand still."""
+    pipeline, frame, _ = pipeline_and_frame
+    _nrt_python.memsys_enable_stats()
+    try:
+        before = rtsys.get_allocation_stats()
+        for _ in range(FRAMES):
+            pipeline.process(replace(frame))
+        assert rtsys.get_allocation_stats() == before
+    finally:
+        _nrt_python.memsys_disable_stats()
+
+
+def test_a_kernel_that_makes_an_array_is_refused():
+    def refused(count):
+        return np.zeros(count).sum()
+
+    def allowed(count):
+        return np.zeros(count).sum()
+
+    with pytest.raises((NumbaError, RuntimeError)):
+        kernel(refused)(3)
+    assert kernel(allowed, allocates=True)(3) == 0.0

@@ -1,0 +1,382 @@
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactune.core.bench.reference_pipeline import reference_patch
+from tactune.core.contact import pipeline as pipeline_module
+from tactune.core.contact.alignment import homography_table, tactile_homography
+from tactune.core.contact.candidates import CandidateFinder
+from tactune.core.contact.outliers import statistical
+from tactune.core.contact.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
+from tactune.core.contact.pipeline import STAGES, ContactPipeline, Still
+from tactune.core.contact.provenance import Provenance
+from tactune.core.errors import FrameError, RigMismatchError, SourceError
+from tactune.core.model.clouds import proximity_cloud, tactile_cloud
+from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Distortion
+from tactune.core.preset import Preset
+
+settings_of_all_kinds = st.fixed_dictionaries(
+    {
+        "alignment.model": st.sampled_from(["rigid", "homography"]),
+        "alignment.depth_scale": st.floats(0.95, 1.05),
+        "alignment.depth_offset_m": st.floats(-0.01, 0.01),
+        "tolerance.t": st.sampled_from([0.0, 0.005, 0.02, 0.05, 1.0]),
+        "mask.enabled": st.booleans(),
+        "mask.hue": st.tuples(st.integers(0, 179), st.integers(0, 179)),
+        "mask.saturation": st.sampled_from([(0, 255), (60, 255), (0, 120)]),
+        "outliers.enabled": st.booleans(),
+        "outliers.k": st.integers(2, 30),
+        "outliers.ratio": st.floats(0.2, 3.0),
+        "outliers.min_cluster_area_mm2": st.sampled_from([0.0, 100.0, 2000.0]),
+        "range.enabled": st.booleans(),
+        "range.limits_m": st.sampled_from([(0.1, 0.28), (0.26, 0.5)]),
+        "region.enabled": st.booleans(),
+        "region.rectangle": st.tuples(st.integers(0, 60), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
+    }
+)
+
+
+def same_patch(one, other) -> bool:
+    return (
+        np.array_equal(one.provenance, other.provenance)
+        and np.array_equal(one.points.view(np.uint32), other.points.view(np.uint32))
+    )  # fmt: skip
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    values=settings_of_all_kinds, seed=st.integers(0, 1000), color=st.booleans(),
+    width=st.sampled_from([80, 80, 64, 73, 17, 9]),
+    distortion=st.sampled_from(["none", "brown_conrady", "modified_brown_conrady", "inverse_brown_conrady"]),
+)  # fmt: skip
+def test_every_input_gives_the_references_bits(make_rig, make_frame, values, seed, color, width, distortion):
+    rig = make_rig(width=width, color=color, distortion=distortion, bend=0.02)
+    if values["region.rectangle"][0] >= width:
+        values = values | {"region.enabled": False}
+    preset = Preset().with_values(values)
+    frame = make_frame(rig, seed)
+    patch = ContactPipeline(preset, rig).process(frame)
+    assert same_patch(patch, reference_patch(preset, rig, frame))
+    assert patch.points.dtype == np.float32
+    assert patch.mask.sum() == len(patch.points)
+
+
+@settings(max_examples=60, deadline=None)
+@given(first=settings_of_all_kinds, then=settings_of_all_kinds, new_frame=st.booleans())
+def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_frame):
+    rig = make_rig()
+    frame = make_frame(rig, 1)
+    used = ContactPipeline(Preset().with_values(first), rig)
+    used.process(frame)
+    used.update(Preset().with_values(then))
+    if new_frame:
+        frame = make_frame(rig, 2)
+    fresh = ContactPipeline(Preset().with_values(then), rig)
+    assert same_patch(used.process(frame), fresh.process(frame))
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "repeated"),
+    [
+        ("outliers.min_cluster_area_mm2", 5.0, {"clusters"}),
+        ("outliers.k", 9, {"outliers", "clusters"}),
+        ("outliers.ratio", 1.0, {"outliers", "clusters"}),
+        ("mask.hue", (10, 20), set(STAGES)),
+        ("tolerance.t", 0.02, set(STAGES)),
+        ("range.enabled", True, set(STAGES)),
+        ("region.enabled", True, set(STAGES)),
+        ("alignment.depth_offset_m", 0.001, set(STAGES)),
+        ("name", "other", set()),
+    ],
+)
+def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, value, repeated):
+    rig = make_rig()
+    frame = make_frame(rig)
+    preset = Preset().with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
+    contact = ContactPipeline(preset, rig)
+    first = contact.process(frame)
+    assert set(first.stage_ms) == set(STAGES)
+    assert all(first.stage_ms.values())
+    contact.update(preset.with_value(path, value))
+    assert {name for name, ms in contact.process(frame).stage_ms.items() if ms > 0} == repeated
+
+
+def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
+    rig = make_rig()
+    frame = make_frame(rig)
+    contact = ContactPipeline(Preset(), rig)
+    first = contact.process(frame)
+    provenance = first.provenance
+    monkeypatch.setattr(CandidateFinder, "find", None)
+    for function in ("drop_outliers", "drop_small_clusters"):
+        monkeypatch.setattr(pipeline_module, function, None)
+    again = contact.process(frame)
+    assert again.points is first.points
+    assert again.provenance is provenance
+    assert not any(again.stage_ms.values())
+    assert again.skipped == ("nothing changed",)
+
+
+def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_frame):
+    rig = make_rig()
+    frame = make_frame(rig, noise_m=0.0005)
+    contact = ContactPipeline(Preset(), rig, still=Still(0.002, share=0.01))
+    first = contact.process(frame)
+
+    def moved(by_counts, pixels):
+        counts = frame.proximity_depth.copy()
+        chosen = np.flatnonzero((counts > 0) & (counts < 65535))[:pixels]
+        counts.reshape(-1)[chosen] += by_counts
+        return SensorFrame(7, counts, frame.tactile_depth, frame.proximity_color)
+
+    same = contact.process(moved(8, None))  # 2 mm
+    assert same.points is first.points
+    assert same.sequence == 7
+    assert same.skipped == ("no depth changed beyond noise",)
+    assert contact.process(moved(200, 40)).points is first.points
+    for other in (moved(9, None), moved(200, 60)):
+        assert same_patch(contact.process(other), ContactPipeline(Preset(), rig).process(other))
+        contact.process(frame)
+    contact.update(Preset().with_value("tolerance.t", 0.01))
+    assert "no depth changed beyond noise" not in contact.process(moved(1, None)).skipped
+    contact = ContactPipeline(Preset(), rig)
+    contact.process(frame)
+    assert contact.process(moved(1, None)).skipped == ()
+
+
+@pytest.mark.parametrize("variant", [windowed_inliers, strided_inliers, voxel_inliers])
+def test_a_faster_outlier_removal_can_be_chosen(make_rig, make_frame, variant):
+    rig = make_rig(width=160)
+    frame = make_frame(rig, noise_m=0.001)
+    preset = Preset().with_value("tolerance.t", 0.05)
+    exact = ContactPipeline(preset, rig).process(frame).mask
+    fast = ContactPipeline(preset, rig, inliers=variant).process(frame).mask
+    assert (exact != fast).sum() < (0.001 if variant is windowed_inliers else 0.05) * exact.sum()
+    empty = ContactPipeline(preset.with_value("alignment.depth_offset_m", 0.08), rig, inliers=variant).process(frame)
+    assert not empty.mask.any()
+    assert not variant(np.zeros((0, 3), np.float32), np.zeros(0, np.intp), rig.proximity.intrinsics, 20, 2.0).any()
+
+
+def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
+    rig = make_rig()
+    frame = make_frame(rig)
+    contact = ContactPipeline(Preset(), rig)
+    contact.process(frame)
+    monkeypatch.setattr(statistical, "near_means", None)
+    strict = Preset().with_value("outliers.ratio", 0.5)
+    contact.update(strict)
+    patch = contact.process(frame)
+    monkeypatch.undo()
+    assert same_patch(patch, ContactPipeline(strict, rig).process(frame))
+
+
+def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame, monkeypatch):
+    rig = make_rig()
+    frame = make_frame(rig)
+    for function in ("drop_outliers", "drop_small_clusters"):
+        monkeypatch.setattr(pipeline_module, function, None)
+    preset = Preset().with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
+    patch = ContactPipeline(preset, rig).process(frame)
+    assert len(patch.points) == 0
+    assert patch.area_mm2 == 0
+    assert patch.centroid_m is None
+    assert not patch.mask.any()
+    assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
+    assert "no candidates" in patch.skipped
+    assert same_patch(patch, reference_patch(preset, rig, frame))
+
+
+def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):
+    """A plane rendered exactly for both cameras agrees everywhere that both see it."""
+    rig = make_rig(width=160)
+    normal, distance = np.array([0.1, -0.05, 1.0]), 0.3
+
+    def render(camera, pose):
+        v, u = np.mgrid[: camera.intrinsics.height, : camera.intrinsics.width]
+        rays = np.c_[camera.intrinsics.normalise(np.c_[u.ravel(), v.ravel()]), np.ones(u.size)]
+        plane = normal @ pose[:3, :3]
+        depth = (distance - normal @ pose[:3, 3]) / (rays @ plane)
+        return np.rint(depth / camera.depth_unit_m).astype(np.uint16).reshape(u.shape)
+
+    frame = SensorFrame(
+        0, render(rig.proximity, np.eye(4)), render(rig.tactile, np.asarray(rig.T_proximity_tactile)),
+        np.zeros((*rig.proximity_color_shape, 3), np.uint8),
+    )  # fmt: skip
+    preset = Preset().with_values({"tolerance.t": 0.003, "outliers.enabled": False})
+    patch = ContactPipeline(preset, rig).process(frame)
+    verdicts = set(np.unique(patch.provenance))
+    assert verdicts == {Provenance.CONTACT, Provenance.NO_TACTILE_DEPTH}
+    assert np.nanmax(np.abs(patch.relative_difference)) < 0.003
+
+    tactile = tactile_cloud(frame, rig, preset).points @ normal
+    assert tactile == pytest.approx(distance, abs=2e-4)
+    assert proximity_cloud(frame, rig).points @ normal == pytest.approx(distance, abs=2e-4)
+
+
+def test_the_induced_homography_is_exact_on_its_plane(make_rig):
+    rig = make_rig()
+    section = Preset().with_value("alignment.homography.plane_distance_m", 0.25).alignment
+    corners = np.array([[-0.05, -0.04, 0.25], [0.06, -0.03, 0.25], [0.04, 0.05, 0.25], [-0.03, 0.02, 0.25]])
+    T_t_p = np.linalg.inv(np.asarray(rig.T_proximity_tactile))
+    seen = rig.tactile.intrinsics.project(corners @ T_t_p[:3, :3].T + T_t_p[:3, 3])
+    mapped = cv2.perspectiveTransform(seen.reshape(-1, 1, 2), tactile_homography(section, rig)).reshape(-1, 2)
+    assert mapped == pytest.approx(rig.proximity.intrinsics.project(corners), abs=1e-9)
+
+
+def test_the_homography_lookup_is_opencvs_nearest_warp():
+    H = np.array([[1.02, 0.03, -4.3], [-0.02, 0.97, 2.6], [1e-4, -2e-4, 1.0]])
+    image = np.arange(1, 60 * 80 + 1, dtype=np.float32).reshape(60, 80)
+    table = homography_table(H, (50, 70), (60, 80))
+    ours = np.where(table >= 0, image.ravel()[table], 0)
+    v, u = np.mgrid[:50, :70].astype(np.float64)
+    x, y, w = np.einsum("ij,jvu->ivu", np.linalg.inv(H), np.stack([u, v, np.ones_like(u)]))
+    theirs = cv2.remap(image, np.rint(x / w).astype(np.float32), np.rint(y / w).astype(np.float32), cv2.INTER_NEAREST)
+    assert (ours != theirs).mean() < 0.001  # pixels whose preimage lies half way between two
+    assert (ours > 0).mean() > 0.8
+
+
+def test_pixels_beyond_the_horizon_have_no_partner():
+    H = np.array([[1.0, 0, 0], [0, 1.0, 0], [0.02, 0, -1.0]])  # w changes sign at u = 50
+    table = homography_table(np.linalg.inv(H), (60, 80), (60, 80))
+    u = np.arange(80)[None].repeat(60, axis=0)
+    w = 0.02 * u - 1.0
+    centre_side = np.sign(np.linalg.inv(H)[2] @ (39.5, 29.5, 1.0))
+    assert (table[np.sign(w) != centre_side] == -1).all()
+
+
+def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
+    rig = make_rig()
+    frame = make_frame(rig)
+    turned = Rig.model_validate(rig.model_dump() | {"proximity_color": rig.proximity_color.model_dump() | {
+        "T_color_depth": [[1, 0, 0, 9.0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})  # fmt: skip
+    everything = Preset().with_values({"mask.enabled": True, "tolerance.t": 0.05})
+    assert (ContactPipeline(everything, rig).process(frame).provenance == Provenance.MASKED).any()
+    assert not (ContactPipeline(everything, turned).process(frame).provenance == Provenance.MASKED).any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.floats(0, 0.2), st.floats(0, 0.2), st.sampled_from(["rigid", "homography"]))
+def test_candidates_grow_with_the_tolerance(make_rig, make_frame, a, b, model):
+    rig = make_rig()
+    frame = make_frame(rig)
+    base = Preset().with_values({"outliers.enabled": False, "alignment.model": model})
+    small, large = (ContactPipeline(base.with_value("tolerance.t", t), rig).process(frame).mask for t in sorted((a, b)))
+    assert not (small & ~large).any()
+
+
+def test_area_and_centroid_of_a_known_patch(make_rig):
+    rig = make_rig(color=False)
+    counts = np.zeros((60, 80), np.uint16)
+    counts[20:30, 30:50] = 1200  # 0.3 m
+    frame = SensorFrame(0, counts, np.full((60, 80), 3000, np.uint16), np.zeros((60, 80, 3), np.uint8))
+    patch = ContactPipeline(Preset().with_values({"tolerance.t": 0.05, "outliers.enabled": False}), rig).process(frame)
+    camera = rig.proximity.intrinsics
+    assert patch.mask.sum() == 200
+    assert patch.area_mm2 == pytest.approx(200 * (300 / camera.fx) * (300 / camera.fy), rel=1e-5)
+    expected = np.append(camera.normalise([[39.5, 24.5]])[0] * 0.3, 0.3)
+    assert patch.centroid_m == pytest.approx(expected, rel=1e-5)
+
+
+def test_a_preset_of_another_size_is_refused_and_of_another_serial_warned_of(make_rig):
+    rig = make_rig()
+    with pytest.raises(RigMismatchError, match=r"100 x 60.*80 x 60"):
+        ContactPipeline(Preset(name="wide", rig=make_rig(width=100)), rig)
+    other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"serial": "T2"})})
+    (warning,) = ContactPipeline(Preset(name="mine", rig=rig), other).warnings
+    assert "T1" in warning
+    assert "T2" in warning
+    assert ContactPipeline(Preset(rig=rig), rig).warnings == []
+
+
+def test_another_lens_or_colour_camera_is_warned_of_and_rounding_is_not(make_rig):
+    rig = make_rig()
+
+    def with_focal(factor, role="proximity"):
+        camera = getattr(rig, role)
+        lens = camera.intrinsics.model_copy(update={"fx": camera.intrinsics.fx * factor})
+        return rig.model_copy(update={role: camera.model_copy(update={"intrinsics": lens})})
+
+    preset = Preset(name="mine", rig=rig)
+    assert ContactPipeline(preset, with_focal(1 + 1e-7)).warnings == []
+    (lens,) = ContactPipeline(preset, with_focal(1.01)).warnings
+    assert "proximity intrinsics (fx" in lens
+    (color,) = ContactPipeline(preset, with_focal(1.01, "proximity_color")).warnings
+    assert "colour intrinsics (fx" in color
+    (missing,) = ContactPipeline(preset, rig.model_copy(update={"proximity_color": None})).warnings
+    assert "only the rig it was made for" in missing
+
+
+def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
+    rig = make_rig()
+    contact = ContactPipeline(Preset(), rig)
+    before = contact.process(make_frame(rig))
+    with pytest.raises(RigMismatchError):
+        contact.update(Preset(rig=make_rig(width=100)))
+    assert contact.preset == Preset(created=contact.preset.created, modified=contact.preset.modified)
+    assert same_patch(contact.process(make_frame(rig)), before)
+
+
+def test_a_rig_without_a_pose_is_refused_in_words(make_rig):
+    rig = make_rig().model_copy(update={"T_proximity_tactile": None})
+    with pytest.raises(RigMismatchError, match="T_proximity_tactile is empty"):
+        ContactPipeline(Preset(), rig)
+
+
+def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
+    pose = np.eye(4)
+    pose[2, 3] = 0.3
+    rig = make_rig().model_copy(update={"T_proximity_tactile": rigid_transform(pose)})
+    preset = Preset().with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
+    with pytest.raises(RigMismatchError, match=r"plane_distance_m is 0\.3"):
+        ContactPipeline(preset, rig)
+
+
+def test_a_lens_without_a_ray_for_every_pixel_is_refused(make_rig, make_frame):
+    rig = make_rig()
+    # Ten fixed-point steps with such tangential coefficients run away.
+    wild = rig.proximity.intrinsics.model_copy(
+        update={"distortion": Distortion.BROWN_CONRADY, "coefficients": (0.0, 0.0, 900.0, 900.0, 0.0)}
+    )
+    rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"intrinsics": wild})})
+    with pytest.raises(SourceError, match="without a ray"):
+        ContactPipeline(Preset(), rig).process(make_frame(rig))
+
+
+def test_other_intrinsics_are_warned_of_with_what_differs(make_rig):
+    rig = make_rig()
+    lens = rig.tactile.intrinsics.model_copy(update={"cy": 31.5})
+    other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
+    (warning,) = ContactPipeline(Preset(rig=rig), other).warnings
+    assert f"(cy {rig.tactile.intrinsics.cy}, here 31.5)" in warning
+
+
+def test_a_region_outside_the_image_is_refused(make_rig):
+    preset = Preset().with_values({"region.enabled": True, "region.rectangle": [80, 0, 5, 5]})
+    with pytest.raises(RigMismatchError, match=r"\(80, 0\).*80 x 60"):
+        ContactPipeline(preset, make_rig())
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"proximity_depth": np.zeros((60, 80), np.float32)}, "proximity_depth must be a uint16"),
+        ({"tactile_depth": np.zeros((60, 80, 1), np.uint16)}, "tactile_depth must be .* 2 dimensions"),
+        ({"proximity_color": np.zeros((60, 80, 4), np.uint8)}, "3 channels"),
+        ({"proximity_depth": None}, "NoneType"),
+        ({"tactile_depth": np.zeros((59, 80), np.uint16)}, "80 x 59 pixels.*80 x 60"),
+    ],
+)
+def test_frames_of_the_wrong_shape_are_refused(make_rig, change, words):
+    rig = make_rig()
+    arrays = {
+        "proximity_depth": np.zeros((60, 80), np.uint16),
+        "tactile_depth": np.zeros((60, 80), np.uint16),
+        "proximity_color": np.zeros((60, 80, 3), np.uint8),
+    }
+    with pytest.raises(FrameError, match=words):
+        ContactPipeline(Preset(), rig).process(SensorFrame(sequence=7, **(arrays | change)))

@@ -1,0 +1,199 @@
+"""Depth averaged over frames while the membrane keeps still."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.membrane.average import SteadyDepth
+from tactune.core.contact.pipeline import CALIBRATED_STAGES, ContactPipeline, Still
+from tactune.core.preset import Preset
+
+AVERAGED = Preset().with_values({"contact_test": "calibrated", "calibrated.frames": 10})
+
+
+@pytest.fixture(scope="module")
+def rig(make_rig):
+    return make_rig(width=160, height=120)
+
+
+def frames_of(make_frame, rig, count: int, noise_m: float = 0.0008, share_missing: float = 0.1):
+    return [make_frame(rig, seed, noise_m, share_missing) for seed in range(count)]
+
+
+def test_the_mean_is_that_of_the_frames(make_frame, rig):
+    frames = frames_of(make_frame, rig, 8, share_missing=0.0)
+    steady = SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+    for name in ("proximity_depth", "tactile_depth"):
+        mean = np.mean([getattr(frame, name).astype(float) for frame in frames], axis=0)
+        assert np.abs(getattr(shown, name) - mean).max() <= 0.51
+    assert shown.sequence == frames[-1].sequence
+
+
+def test_no_more_than_so_many_frames_weigh(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    later = replace(still, tactile_depth=still.tactile_depth + np.uint16(3))  # 0.3 mm, below what counts as movement
+    steady = SteadyDepth(rig, 4)
+    for _ in range(50):
+        steady.add(still)
+    shown = [int(np.median(steady.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
+    assert shown[0] == 1
+    assert shown[-1] == 3
+
+
+def test_noise_fades_and_holes_are_filled(make_frame, rig):
+    clean = make_frame(rig, 0, 0.0, 0.0).tactile_depth.astype(float)
+    frames = frames_of(make_frame, rig, 10)
+    steady = SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+    seen = (frames[-1].tactile_depth > 0) & (frames[-1].tactile_depth < 65535)
+    before, after = (np.std((image - clean)[seen]) for image in (frames[-1].tactile_depth, shown.tactile_depth))
+    assert after < 0.45 * before
+    assert (shown.tactile_depth > 0).mean() > 0.999 > seen.mean() + 0.05
+
+
+def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    for _ in range(5):
+        steady.add(still)
+    pressed = still.tactile_depth.copy()
+    pressed[32:96, 32:96] -= np.uint16(12)  # 1.2 mm, in four squares
+    nearer = still.proximity_depth - np.uint16(1)  # 0.25 mm, which alone would be averaged
+    moved = replace(still, tactile_depth=pressed, proximity_depth=nearer)
+    shown = steady.add(moved)
+    np.testing.assert_array_equal(shown.tactile_depth, pressed)
+    np.testing.assert_array_equal(shown.proximity_depth, nearer)
+
+
+def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    for _ in range(5):
+        steady.add(replace(still, tactile_depth=still.tactile_depth + np.uint16(2)))
+    behind = still.proximity_depth.copy()
+    behind[:32, :32] += np.uint16(8)  # 2 mm
+    behind[70, 70] += np.uint16(100)  # one pixel
+    shown = steady.add(replace(still, proximity_depth=behind))
+    np.testing.assert_array_equal(shown.proximity_depth, behind)
+    assert (shown.tactile_depth > still.tactile_depth).mean() > 0.99
+
+
+def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame, rig):
+    still = make_frame(rig, 0, 0.0, 0.0)
+    blind = replace(still, tactile_depth=np.full_like(still.tactile_depth, 65535))
+    steady = SteadyDepth(rig, 3)
+    steady.add(still)
+    steady.add(still)
+    assert (steady.add(blind).tactile_depth > 0).all()
+    assert (steady.add(blind).tactile_depth == 0).all()
+
+
+def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
+    frames = frames_of(make_frame, rig, 6)
+    alone = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig)
+    averaging, steady = ContactPipeline(AVERAGED, rig), SteadyDepth(rig, 10)
+    for frame in frames:
+        shown = steady.add(frame)
+        for _ in range(3):
+            patch = averaging.process(frame)
+        single = alone.process(frame)
+    expected = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig).process(shown)
+    np.testing.assert_array_equal(patch.points, expected.points)
+    fresh = ContactPipeline(AVERAGED, rig).process(frames[-1])
+    np.testing.assert_array_equal(single.points, fresh.points)
+    assert patch.points.shape != single.points.shape or not np.array_equal(patch.points, single.points)
+
+
+def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
+    frames = frames_of(make_frame, rig, 4)
+    contact = ContactPipeline(AVERAGED, rig)
+    for frame in frames:
+        contact.process(frame)
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    off = contact.process(frames[-1])
+    np.testing.assert_array_equal(off.points, ContactPipeline(contact.preset, rig).process(frames[-1]).points)
+    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.002))
+    begun = ContactPipeline(contact.preset, rig).process(frames[-1])
+    np.testing.assert_array_equal(contact.process(frames[-1]).points, begun.points)
+
+
+def test_a_still_scene_is_averaged_before_its_patch_is_given_again(make_frame, rig):
+    frames = frames_of(make_frame, rig, 9, share_missing=0.0)
+    preset = AVERAGED.with_value("calibrated.frames", 4)
+    contact, every = ContactPipeline(preset, rig, still=Still(0.01)), ContactPipeline(preset, rig)
+    patches = [contact.process(frame) for frame in frames]
+    expected = [every.process(frame) for frame in frames]
+    for patch, full in zip(patches[:4], expected, strict=False):
+        assert patch.skipped == ()
+        np.testing.assert_array_equal(patch.points, full.points)
+    for patch in patches[4:]:
+        assert patch.skipped == ("no depth changed beyond noise",)
+        assert patch.points is patches[3].points
+
+
+def test_the_average_is_a_stage_of_its_own(make_frame, rig):
+    first, second = frames_of(make_frame, rig, 2)
+    contact = ContactPipeline(AVERAGED, rig)
+    contact.process(first)
+    patch = contact.process(second)
+    assert tuple(patch.stage_ms) == ("average", *CALIBRATED_STAGES)
+    assert patch.stage_ms["average"] > 0
+    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.001))
+    assert contact.process(second).stage_ms["average"] == 0
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    assert tuple(contact.process(second).stage_ms) == CALIBRATED_STAGES
+
+
+def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
+    frames = frames_of(make_frame, rig, 7)
+    changed, constant = (
+        ContactPipeline(AVERAGED, rig),
+        ContactPipeline(AVERAGED.with_value("calibrated.frames", 12), rig),
+    )
+    for frame in frames[:5]:
+        changed.process(frame)
+        constant.process(frame)
+    changed.update(constant.preset)
+    for frame in frames[5:]:
+        np.testing.assert_array_equal(changed.process(frame).points, constant.process(frame).points)
+
+
+@pytest.mark.parametrize(("width", "height"), [(160, 104), (72, 120), (16, 16)])
+def test_squares_cut_off_by_the_border_are_judged_too(make_rig, make_frame, width, height):
+    rig = make_rig(width=width, height=height)
+    still = make_frame(rig, 0, 0.0, 0.0)
+    steady = SteadyDepth(rig, 10)
+    steady.add(still)
+    moved = still.tactile_depth.copy()
+    moved[-8:, -8:] += np.uint16(30)  # 3 mm
+    shown = steady.add(replace(still, tactile_depth=moved))
+    np.testing.assert_array_equal(shown.tactile_depth, moved)
+
+
+def test_what_moves_slowly_together_stays_together(make_frame, rig):
+    """The difference of both depths tells contact, so one may not lag behind the other."""
+    still = make_frame(rig, 0, 0.0, 0.0)
+    nearer = replace(still, proximity_depth=(still.proximity_depth * 0.93).astype(np.uint16))
+    steady = SteadyDepth(rig, 15)
+    cameras = ("proximity_depth", rig.proximity.depth_unit_m), ("tactile_depth", rig.tactile.depth_unit_m)
+    for step in range(60):
+        way_m = 0.00005 * step
+        moved = {name: np.rint(getattr(nearer, name) + way_m / unit_m).astype(np.uint16) for name, unit_m in cameras}
+        shown = steady.add(replace(still, **moved))
+        lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
+        assert abs(lags_m[0] - lags_m[1]) < 0.0003
+
+
+def test_a_patch_says_over_how_many_frames_it_is(make_frame, rig):
+    frames = frames_of(make_frame, rig, 4, share_missing=0.0)
+    contact = ContactPipeline(AVERAGED.with_value("calibrated.frames", 3), rig)
+    assert [contact.process(frame).averaged_frames for frame in frames] == [1, 2, 3, 3]
+    assert contact.process(frames[-1]).averaged_frames == 3
+    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    assert contact.process(frames[-1]).averaged_frames == 1

@@ -1,0 +1,132 @@
+"""Compiling before the first frame: kept on disk, possible without a disk, in threads and in forked children."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+PROCESS = """
+import numpy as np
+from tactune.core.warmup import _frame, _rig, is_compiled, warm_up
+from tactune.core.pipeline import ContactPipeline
+from tactune.core.preset import Preset
+"""
+
+
+def run(program: str, **environment: str) -> str:
+    done = subprocess.run(
+        [sys.executable, "-W", "error", "-c", PROCESS + program],
+        check=False, capture_output=True, text=True, env=os.environ | environment, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_kernels_are_kept_where_the_environment_says(tmp_path):
+    program = """
+from tactune.core.compiling import compiled_so_far, is_kept
+from tactune.core.colors import colors_in_range
+from tactune.core.masking import in_hsv_range
+print(is_compiled(), is_kept(colors_in_range))
+in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask)
+print(compiled_so_far())
+"""
+    first = run(program, NUMBA_CACHE_DIR=str(tmp_path))
+    assert first.startswith("False False\nCompiled(loaded=0, compiled=1")
+    assert str(tmp_path) in first
+    again = run(program, NUMBA_CACHE_DIR=str(tmp_path))
+    assert again.startswith("False True\nCompiled(loaded=1, compiled=0")
+
+
+def test_without_any_folder_to_write_to_the_kernels_still_run():
+    program = """
+import numba.core.caching as caching
+caching.CacheImpl._locator_classes = []
+import importlib, tactune.core.contact.kernels.compiling, tactune.core.contact.kernels.colors
+importlib.reload(tactune.core.contact.kernels.colors)
+from tactune.core.masking import in_hsv_range
+print(in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask).tolist(), is_compiled() in (True, False))
+print(tactune.core.contact.kernels.colors.colors_in_range.stats.cache_path)
+"""
+    assert run(program).splitlines() == ["[True, True] True", "None"]
+
+
+def test_the_command_says_what_it_did():
+    run("warm_up()")
+    done = subprocess.run(
+        [sys.executable, "-m", "tactune.app", "warmup"],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
+    assert done.returncode == 0, done.stderr
+    assert "nothing to compile" in done.stdout
+    assert "kept in" in done.stdout
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    "values", [{}, {"calibrated.frames": 2}, {"calibrated.slope": False, "calibrated.bias_m": 0.0}]
+)
+def test_no_frame_of_the_calibrated_test_waits_for_a_compiler(values):
+    program = f"""
+from tactune.core.compiling import compiled_so_far
+from tactune.core.preset_file import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+source = SimulatorSource("cup", seed=3, variant=Variant(press="low"))
+frames = [source.read(index) for index in range(2)]
+warm_up()
+before = compiled_so_far()
+preset = load_preset("simulator").with_values({{"contact_test": "calibrated", "alignment.model": "rigid"}} | {values!r})
+pipeline = ContactPipeline(preset, source.rig)
+for frame in frames:
+    patch = pipeline.process(frame)
+after = compiled_so_far()
+print(patch.stage_ms["balance"] > 0.2, after.loaded - before.loaded, after.compiled - before.compiled)
+"""
+    assert run(program).split() == ["True", "0", "0"]
+
+
+def test_two_pipelines_in_two_threads_at_once():
+    program = """
+import threading
+frame, rig = _frame(), _rig()
+wanted = ContactPipeline(Preset(), rig).process(frame)
+wrong = []
+def work():
+    pipeline = ContactPipeline(Preset(), rig)
+    for _ in range(150):
+        patch = pipeline.process(type(frame)(0, frame.proximity_depth, frame.tactile_depth, frame.proximity_color))
+        if not np.array_equal(patch.points, wanted.points) or not np.array_equal(patch.provenance, wanted.provenance):
+            wrong.append(patch)
+threads = [threading.Thread(target=work) for _ in range(4)]
+for thread in threads: thread.start()
+for thread in threads: thread.join()
+print(len(wrong), len(wanted.points) > 100)
+"""
+    assert run(program).split() == ["0", "True"]
+    assert run(program, NUMBA_THREADING_LAYER="workqueue").split() == ["0", "True"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="no fork on this system")
+def test_a_forked_child_goes_on():
+    program = """
+import os
+frame, rig = _frame(), _rig()
+pipeline = ContactPipeline(Preset(), rig)
+wanted = pipeline.process(frame).points
+child = os.fork()
+if child == 0:
+    fresh = type(frame)(0, frame.proximity_depth, frame.tactile_depth, frame.proximity_color)
+    os._exit(0 if np.array_equal(pipeline.process(fresh).points, wanted) else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+    assert run("import warnings; warnings.simplefilter('ignore', DeprecationWarning)\n" + program).split() == ["0"]

@@ -1,0 +1,179 @@
+"""`tactune evaluate patch`: clouds of files, of this program and of others."""
+
+from __future__ import annotations
+
+import io
+import json
+import pickle
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.app.cli.main import main
+from tactune.core.errors import SourceError
+from tactune.core.model.clouds import PointCloud
+from tactune.core.recording.cloud_files import write_cloud
+from tactune.core.recording.foreign_clouds import read_points
+
+RNG = np.random.default_rng(5)
+PATCH = RNG.normal(0, 0.02, (150, 3)).astype(np.float32)
+TRUTH = RNG.normal(0, 0.02, (120, 3)).astype(np.float32)
+
+
+def tactune(monkeypatch, *words: object) -> int:
+    monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
+    return main()
+
+
+def brute_force() -> dict[str, float]:
+    apart = 1e3 * np.linalg.norm(PATCH[:, None].astype(float) - TRUTH[None], axis=2)
+    there, back = apart.min(axis=1), apart.min(axis=0)
+    rms = [float(np.sqrt(np.mean(side**2))) for side in (there, back)]
+    return {
+        "patch_to_truth_rms_mm": rms[0],
+        "truth_to_patch_rms_mm": rms[1],
+        "symmetric_rmse_mm": sum(rms) / 2,
+        "hausdorff_mm": max(there.max(), back.max()),
+        "percentile_95_mm": max(np.percentile(there, 95), np.percentile(back, 95)),
+        "chamfer_mm": (there.mean() + back.mean()) / 2,
+    }
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
+def test_a_device_behind_a_link_is_refused(tmp_path, suffix):
+    (tmp_path / f"a.{suffix}").symlink_to("/dev/zero")
+    with pytest.raises(SourceError, match="no ordinary file"):
+        read_points(tmp_path / f"a.{suffix}")
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
+def test_files_of_this_program_against_brute_force(tmp_path, monkeypatch, capsys, suffix):
+    write_cloud(tmp_path / f"a.{suffix}", PointCloud(PATCH))
+    write_cloud(tmp_path / f"b.{suffix}", PointCloud(TRUTH))
+    files = ["--patch", tmp_path / f"a.{suffix}", "--truth", tmp_path / f"b.{suffix}"]
+    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found.pop("patch_points"), found.pop("truth_points")) == (150, 120)
+    assert found == pytest.approx(brute_force(), rel=1e-6)
+    assert tactune(monkeypatch, "evaluate", "patch", *files) == 0
+    assert f"{brute_force()['symmetric_rmse_mm']:.3f} mm" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("suffix", ["ply", "pcd"])
+@pytest.mark.parametrize("ascii_text", [True, False])
+def test_files_of_open3d_and_its_distances(tmp_path, suffix, ascii_text):
+    open3d = pytest.importorskip("open3d")
+    clouds = []
+    for name, points in (("a", PATCH), ("b", TRUTH)):
+        cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points.astype(float)))
+        cloud.paint_uniform_color([0.1, 0.5, 0.9])
+        path = tmp_path / f"{name}.{suffix}"
+        assert open3d.io.write_point_cloud(str(path), cloud, write_ascii=ascii_text)
+        np.testing.assert_allclose(read_points(path)[0], points, atol=1e-6 if ascii_text else 1e-8)
+        clouds.append(cloud)
+    there, back = (np.asarray(one.compute_point_cloud_distance(other)) for one, other in (clouds, clouds[::-1]))
+    rms = [1e3 * float(np.sqrt(np.mean(side**2))) for side in (there, back)]
+    assert sum(rms) / 2 == pytest.approx(brute_force()["symmetric_rmse_mm"], rel=1e-6)
+    assert 1e3 * max(there.max(), back.max()) == pytest.approx(brute_force()["hausdorff_mm"], rel=1e-6)
+
+
+@pytest.mark.parametrize("empty", [PATCH[:0], np.full((2, 3), np.nan, np.float32)])
+@pytest.mark.parametrize("which", ["--patch", "--truth"])
+def test_an_empty_cloud_is_refused(tmp_path, monkeypatch, capsys, empty, which):
+    write_cloud(tmp_path / "a.ply", PointCloud(empty))
+    write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
+    (other,) = {"--patch", "--truth"} - {which}
+    files = [which, tmp_path / "a.ply", other, tmp_path / "b.ply"]
+    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 2
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "a.ply holds no point" in shown.err
+
+
+def test_points_with_a_nan_are_counted(tmp_path, monkeypatch, capsys):
+    write_cloud(tmp_path / "a.npz", PointCloud(np.vstack([PATCH, np.full((3, 3), np.nan, np.float32)])))
+    write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
+    files = ["--patch", tmp_path / "a.npz", "--truth", tmp_path / "b.ply"]
+    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
+    shown = capsys.readouterr()
+    assert json.loads(shown.out)["patch_points"] == 150
+    assert "a.npz: 3 points of 153 left out" in shown.err
+
+
+def test_points_that_are_none_are_left_out_and_infinite_ones_refused(tmp_path):
+    head = "VERSION .7\nFIELDS x y z\nSIZE 4 4 4\nTYPE F F F\nCOUNT 1 1 1\nWIDTH 2\nHEIGHT 1\nPOINTS 2\nDATA ascii\n"
+    (tmp_path / "a.pcd").write_text(head + "nan nan nan\n1 2 3\n")
+    points, dropped = read_points(tmp_path / "a.pcd")
+    np.testing.assert_array_equal(points, [[1, 2, 3]])
+    assert dropped == 1
+    (tmp_path / "a.pcd").write_text(head + "inf 0 0\n1 2 3\n")
+    with pytest.raises(SourceError, match="infinite"):
+        read_points(tmp_path / "a.pcd")
+
+
+PLY = b"ply\nformat ascii 1.0\nelement vertex 2\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+
+
+def npz(**arrays: np.ndarray) -> bytes:
+    file = io.BytesIO()
+    np.savez(file, **arrays)
+    return file.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "words"),
+    [
+        ("a.npz", npz(points=np.array([{1: 2}], object)), "an array of Python objects"),
+        ("a.npz", pickle.dumps([1, 2]), "no archive of NumPy arrays"),
+        ("a.npz", npz(xyz=PATCH), "it has no array points"),
+        ("a.npz", npz(points=PATCH[:, :2]), "its points are float32 of the shape (150, 2)"),
+        ("a.npz", None, "No such file"),
+        ("a.csv", b"x_m,y_m,z_m\n1,2,3\n\n1,2\n", "line 4 is '1,2', not 3 numbers"),
+        ("a.csv", b"x_m,y_m,z_m\n1,2,x\n", "line 2 is '1,2,x', not 3 numbers"),
+        ("a.csv", b"x_m,y_m,z_m\n\xff\n", "it is no text"),
+        ("a.ply", PLY + b"1 2 3\n1 x 3\n", "line 9 is '1 x 3', not numbers"),
+        ("a.ply", PLY.replace(b"ascii", b"binary_little_endian").replace(b"float z", b"half z"), "property 'half z'"),
+        ("a.pcd", b"DATA ascii\n1 2 3\n", "its header has no line FIELDS"),
+        ("a.pcd", b"FIELDS x y z\nPOINTS\nDATA ascii\n1 2 3\n", "its number of points is ''"),
+        ("a.pcd", b"FIELDS x y\nSIZE 4 4\nTYPE F Q\nCOUNT 1 1\nPOINTS 0\nDATA binary\n", "the type Q4"),
+    ],
+)
+def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, name, data, words):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    with pytest.raises(SourceError, match=re.escape(words)):
+        read_points(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    ("name", "data"),
+    [
+        ("a.ply", b""),
+        ("a.ply", PLY + b"1 2 3\n"),
+        ("a.ply", PLY + b"1 2 3\n1 x 3\n"),
+        ("a.ply", PLY + b"1 2\n1 2\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex 99999999999999") + b"1 2 3\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex -2") + b"1 2 3\n"),
+        ("a.ply", PLY.replace(b"vertex 2", b"vertex")),
+        ("a.ply", PLY.replace(b"float z", b"float w") + b"1 2 3\n1 2 3\n"),
+        ("a.ply", PLY + b"\xff\xfe\x00 2 3\n1 2 3\n"),
+        ("a.pcd", b"DATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nCOUNT 1 1\nPOINTS 1\nDATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nPOINTS\nDATA ascii\n1 2 3\n"),
+        ("a.pcd", b"FIELDS x y z\nDATA binary_compressed\n123"),
+        ("a.npz", b"PK\x03\x04garbage"),
+        ("a.csv", b"x,y\n1,2\n"),
+        ("a.txt", b"1 2 3\n"),
+        ("missing.ply", None),
+        ("a.ply", RNG.bytes(5000)),
+    ],
+)
+def test_garbage_is_one_sentence(tmp_path: Path, monkeypatch, capsys, name, data):
+    if data is not None:
+        (tmp_path / name).write_bytes(data)
+    write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
+    assert tactune(monkeypatch, "evaluate", "patch", "--patch", tmp_path / name, "--truth", tmp_path / "b.ply") == 2
+    shown = capsys.readouterr()
+    assert shown.out == "" and len(shown.err.strip().splitlines()) == 1 and name in shown.err

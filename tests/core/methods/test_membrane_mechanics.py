@@ -1,0 +1,231 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.sparse.linalg import spsolve
+
+from tactune.core.errors import FrameError, TactuneError
+from tactune.core.evaluation.metrics import pixel_scores
+from tactune.core.methods import mechanics_solver as membrane_solver
+from tactune.core.methods.mechanics import MembraneMechanics
+from tactune.core.methods.mechanics_mesh import MembraneMesh
+from tactune.core.methods.mechanics_problem import curvature_radius, enclosed_volume, stiffness_and_areas
+from tactune.core.preset import Preset
+
+WITHIN = 0.02  # 2 %
+
+
+def disc(radius: float, rings: int, height) -> MembraneMesh:
+    """A disc of rings of 6, 12, 18... nodes, lifted by a function of the radius."""
+    from scipy.spatial import Delaunay
+
+    rims = [np.zeros((1, 2))]
+    for ring in range(1, rings + 1):
+        angle = np.arange(6 * ring) / (6 * ring) * 2 * np.pi
+        rims.append(radius * ring / rings * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    flat = np.concatenate(rims)
+    triangles = Delaunay(flat).simplices
+    a, b, c = np.moveaxis(flat[triangles], 1, 0)
+    turned = (b - a)[:, 0] * (c - a)[:, 1] < (b - a)[:, 1] * (c - a)[:, 0]
+    triangles[turned] = triangles[turned][:, ::-1]
+    r = np.linalg.norm(flat, axis=1)
+    positions = np.column_stack([flat, 0.3 + height(r)])
+    step = 1e-6
+    slope = (height(r + step) - height(r - step)) / (2 * step)
+    normals = np.column_stack([-slope[:, None] * flat / np.maximum(r, 1e-12)[:, None], np.ones(len(r))])
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    return MembraneMesh(flat, positions, normals, triangles, r > radius * 0.999, np.ones((1, 1), bool), 1.0)
+
+
+def test_a_flat_membrane_bulges_by_p_a2_minus_r2_over_4t():
+    radius, tension, pressure = 0.1, 80.0, 900.0
+    mesh = disc(radius, 11, lambda r: 0.0 * r)
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    inner = ~mesh.rim
+    w = spsolve((tension * stiffness[inner][:, inner]).tocsc(), pressure * areas[inner])
+    r = np.linalg.norm(mesh.positions[inner, :2], axis=1)
+    exact = pressure * (radius**2 - r**2) / (4 * tension)
+    assert 350 < len(mesh.pixels) < 480
+    assert areas.sum() == pytest.approx(np.pi * radius**2, rel=WITHIN)
+    np.testing.assert_allclose(w, exact, atol=WITHIN * exact.max())
+    assert w.max() == pytest.approx(exact.max(), rel=WITHIN)
+
+
+def test_radius_and_volume_of_a_spherical_cap():
+    sphere, radius = 0.3, 0.08
+    mesh = disc(radius, 20, lambda r: np.sqrt(sphere**2 - r**2) - np.sqrt(sphere**2 - radius**2))
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    cap = sphere - np.sqrt(sphere**2 - radius**2)
+    assert curvature_radius(mesh, stiffness, areas) == pytest.approx(sphere, rel=WITHIN)
+    assert enclosed_volume(mesh) == pytest.approx(np.pi * cap**2 * (3 * sphere - cap) / 3, rel=WITHIN)
+
+
+@pytest.mark.parametrize("nodes", [440, 1500])
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_contact_radius_under_a_flat_plate(shallow, nodes, share):
+    method = mechanics(shallow, nodes=nodes, regularisation=1e-3)
+    contact_radius = share * shallow.radius_m
+    frame = shallow.frame(contact_radius)
+    solution = method.solve(method.way_m(frame.tactile_depth))
+    problem = method.problem
+
+    pressure = problem.contact_pressure(solution.x)
+    force = float(pressure @ problem.areas_m2) / problem.air_pressure(solution.x)
+    assert problem.air_pressure(solution.x) == pytest.approx(shallow.pressure(contact_radius), rel=WITHIN)
+    assert np.sqrt(force / np.pi) == pytest.approx(contact_radius, rel=WITHIN)
+
+    patch = method.find(frame)
+    points = patch.points.astype(float)
+    camera = shallow.rig.tactile.intrinsics
+    area = np.sum(points[:, 2] ** 2) / (camera.fx * camera.fy)
+    assert patch.failure == ""
+    assert np.sqrt(area / np.pi) == pytest.approx(contact_radius, rel=WITHIN)
+    middle = (points.min(axis=0) + points.max(axis=0)) / 2
+    np.testing.assert_allclose(middle[:2], (0.02, 0.0), atol=0.002)
+    assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.93
+
+
+@pytest.mark.parametrize("nodes", [440, 1000])
+@pytest.mark.parametrize("regularisation", [1e-2, 1.0])
+@pytest.mark.parametrize("crop_px", [0, 10])
+def test_optimality_conditions_hold(bulged, nodes, regularisation, crop_px):
+    method = mechanics(bulged, nodes=nodes, regularisation=regularisation, crop_px=crop_px)
+    unseen = np.random.default_rng(1).random(len(method.problem.mesh.pixels)) < 0.1
+    for seed, share in enumerate((0.0, 0.4, 0.6)):
+        way = method.way_m(bulged.frame(share * bulged.radius_m, noise_m=0.0005, seed=seed).tactile_depth)
+        way[unseen] = np.nan
+        program = method.problem.program(way)
+        solution = method.solve(way)
+        x, multiplier = solution.x, np.zeros(len(solution.x))
+        multiplier[program.positive] = solution.bound
+        assert solution.failure == ""
+        assert np.abs(program.P @ x + program.q + program.A.T @ solution.balance - multiplier).max() < 1e-6
+        assert np.abs(program.A @ x).max() < 1e-6
+        assert x[program.positive].min() > -1e-6
+        assert solution.bound.min() > -1e-6
+        assert np.abs(solution.bound * x[program.positive]).max() < 1e-6
+
+
+def test_the_program_is_the_membranes_balance_in_si_units(bulged):
+    """The rows of A are the mechanics: written out with tension, areas and gas law they agree."""
+    method = mechanics(bulged, crop_px=5)
+    problem, mesh = method.problem, method.problem.mesh
+    solution = method.solve(method.way_m(bulged.frame(0.5 * bulged.radius_m).tactile_depth))
+    p0 = bulged.gauge_pressure_pa
+    stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
+    tension = p0 * problem.radius_m / 2
+    u = problem.displacement_m(solution.x)
+    rise = (problem.air_pressure(solution.x) - 1.0) * p0
+    contact = problem.contact_pressure(solution.x) * p0
+    unbalanced = tension * (stiffness @ u) - areas * (rise - contact)
+    assert np.abs(unbalanced[~mesh.rim]).max() < 1e-6 * p0 * areas.mean()
+    volume = bulged.housing_m3 + enclosed_volume(mesh)
+    assert rise == pytest.approx(-(101_325.0 + p0) / volume * float(areas @ u), rel=1e-6)
+
+
+def test_ways_along_rays_are_displacements_along_normals(bulged):
+    """A membrane moved away by 1 mm has moved by that times the z of its normals, however rays meet it."""
+    aside = replace(bulged, radius_m=0.04, apex_m=0.01, aside_m=0.11)
+    method = mechanics(aside, nodes=120, crop_px=3)
+    mesh = method.problem.mesh
+    counts = replace(aside, rim_m=aside.rim_m + 0.001).frame(0.0).tactile_depth
+    program = method.problem.program(method.way_m(counts))
+    fitted_mm = -program.q / np.where(program.P.diagonal() > 0, program.P.diagonal(), np.inf)
+    inner = ~mesh.rim
+    assert mesh.facing[inner].min() < 0.85
+    np.testing.assert_allclose(fitted_mm[: len(inner)][inner], mesh.normals[inner, 2], rtol=0.03)
+
+
+def test_nothing_presses_on_the_untouched_membrane(bulged):
+    patch = mechanics(bulged).find(bulged.frame(0.0, noise_m=0.0003, seed=5))
+    assert len(patch.points) == 0
+    assert not patch.mask.any()
+    assert patch.failure == ""
+
+
+def test_the_cup_is_found_by_its_pressure(cup_frames):
+    rig, reference, pressed = cup_frames
+    patch = MembraneMechanics(Preset(), rig, reference).find(pressed)
+    scores = pixel_scores(patch.mask, pressed.truth.contact)
+    assert scores.recall > 0.8
+    assert scores.precision > 0.3
+
+
+def test_false_matches_of_the_stereo_camera_leave_the_patch_alone(shallow):
+    method, frame = mechanics(shallow), shallow.frame(0.6 * shallow.radius_m)
+    counts = frame.tactile_depth.copy()
+    counts[118:123, 60:65] += 8000
+    counts[60:64, 158:162] = 65535
+    clean = method.way_m(frame.tactile_depth)
+    np.testing.assert_allclose(method.way_m(counts), clean, atol=2e-4)
+
+
+def test_failures_are_told(bulged, monkeypatch):
+    method, frame = mechanics(bulged), bulged.frame(0.5 * bulged.radius_m)
+
+    assert "no depth" in method.find(with_tactile(frame, np.zeros_like(frame.tactile_depth))).failure
+
+    half = frame.tactile_depth.copy()
+    half[:, :160] = 0
+    failure = method.find(with_tactile(frame, half)).failure
+    assert "nodes, too few" in failure
+
+    monkeypatch.setattr(membrane_solver, "_MOST_STEPS", 2)
+    patch = mechanics(bulged).find(frame)
+    assert "gave up after 2 steps" in patch.failure
+    assert len(patch.points) == 0
+    assert not patch.mask.any()
+    assert patch.mask.shape == bulged.rig.proximity.intrinsics.shape
+
+
+def test_a_failure_does_not_spoil_the_next_frame(bulged):
+    method, frame = mechanics(bulged), bulged.frame(0.5 * bulged.radius_m)
+    before = method.find(frame).points
+    method.find(with_tactile(frame, np.zeros_like(frame.tactile_depth)))
+    method.find(bulged.frame(0.7 * bulged.radius_m))
+    np.testing.assert_array_equal(method.find(frame).points, before)
+
+
+@pytest.mark.parametrize(
+    ("parameter", "value"),
+    [
+        ("nodes", 10),
+        ("threshold", 0.0),
+        ("gauge_pressure_pa", -1.0),
+        ("housing_m3", -1e-3),
+        ("crop_px", -1),
+        ("regularisation", 0.0),
+        ("threshold", float("nan")),
+    ],
+)
+def test_parameters_out_of_range_are_refused(bulged, parameter, value):
+    with pytest.raises(TactuneError, match=rf"mechanics: {parameter} is .* must be"):
+        mechanics(bulged, **{parameter: value})
+
+
+def test_references_that_show_no_membrane_are_refused(bulged, cup_frames):
+    frame = bulged.frame(0.0)
+    with pytest.raises(TactuneError, match="take a new reference"):
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, np.zeros_like(frame.tactile_depth)))
+    with pytest.raises(TactuneError, match="leave out less"):
+        mechanics(bulged, crop_px=200)
+    strip = frame.tactile_depth.copy()
+    strip[:118] = strip[130:] = 0
+    with pytest.raises(TactuneError, match="nodes within the membrane's outline only"):
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, strip), nodes=50)
+    with pytest.raises(TactuneError, match="not bulge"):
+        flat = np.where(frame.tactile_depth > 0, 25_000, 0).astype(np.uint16)
+        MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, flat))
+    with pytest.raises(FrameError):
+        MembraneMechanics(Preset(), bulged.rig, cup_frames[1])
+
+
+def mechanics(membrane, **parameters) -> MembraneMechanics:
+    air = {"gauge_pressure_pa": membrane.gauge_pressure_pa, "housing_m3": membrane.housing_m3}
+    return MembraneMechanics(Preset(), membrane.rig, membrane.frame(0.0), **(air | parameters))
+
+
+def with_tactile(frame, counts):
+    return replace(frame, tactile_depth=counts)

@@ -1,0 +1,174 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import RigMismatchError, TactuneError
+from tactune.core.methods.registry import make_method, method_names, needs_reference, settings_of
+from tactune.core.preset import Preset
+from tactune.core.preset.file import load_preset
+
+NAMES = (
+    "fusion-rigid",
+    "fusion-homography",
+    "fusion-calibrated",
+    "fusion-averaged",
+    "proximity-only",
+    "tactile-only",
+    "tactile-threshold",
+    "mechanics",
+)
+
+
+def test_names():
+    assert method_names() == NAMES
+    assert [name for name in NAMES if not needs_reference(name)] == list(NAMES[:4])
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_method_finds_the_cup(cup_frames, name):
+    rig, reference, pressed = cup_frames
+    method = make_method(name, load_preset("simulator"), rig, reference)
+    patch = method.find(pressed)
+    assert method.name == name
+    assert patch.failure == ""
+    assert patch.points.dtype == np.float32
+    assert patch.points.shape == (len(patch.points), 3)
+    assert len(patch.points) > 2000
+    assert patch.mask.dtype == bool
+    assert patch.mask.shape == rig.proximity.intrinsics.shape
+    assert (patch.mask & pressed.truth.contact).sum() > 0.5 * pressed.truth.contact.sum()
+    # points lie where the mask says
+    pixels = np.rint(rig.proximity.intrinsics.project(patch.points)).astype(int)
+    column, row = np.clip(pixels, 0, (639, 479)).T
+    assert patch.mask[row, column].mean() > 0.8
+
+
+@pytest.mark.parametrize("model", ["rigid", "homography"])
+def test_fusion_is_the_pipeline_with_that_model(cup_frames, model):
+    rig, _, pressed = cup_frames
+    preset = load_preset("simulator")
+    other = preset.with_values({"alignment.model": "homography" if model == "rigid" else "rigid"})
+    found = make_method(f"fusion-{model}", other, rig).find(pressed)
+    expected = ContactPipeline(preset.with_values({"alignment.model": model}), rig).process(pressed)
+    np.testing.assert_array_equal(found.points, expected.points)
+    np.testing.assert_array_equal(found.mask, expected.mask)
+
+
+@pytest.mark.parametrize("name", [name for name in NAMES if needs_reference(name)])
+def test_a_missing_reference_is_told(small_rig, name):
+    with pytest.raises(TactuneError, match=f"{name} compares with the untouched membrane.*capture one"):
+        make_method(name, load_preset("simulator"), small_rig)
+
+
+def test_an_unknown_method_is_told(small_rig):
+    with pytest.raises(TactuneError, match=r"no method 'magic'; known are fusion-rigid, .*, mechanics"):
+        make_method("magic", load_preset("simulator"), small_rig)
+
+
+def test_a_preset_of_another_rig_is_refused(small_rig):
+    with pytest.raises(RigMismatchError):
+        make_method("fusion-rigid", load_preset("simulator"), small_rig)
+
+
+#: Another value for every field of a preset that may decide what is contact.
+OTHERS = {
+    "alignment.model": "homography",
+    "alignment.rigid.T_proximity_tactile": [[1, 0, 0, 0.03], [0, 1, 0, 0.002], [0, 0, 1, 0], [0, 0, 0, 1]],
+    "alignment.homography.H_p_t": [[1, 0, 5], [0, 1, 3], [0, 0, 1]],
+    "alignment.homography.plane_distance_m": 0.2,
+    "alignment.depth_scale": 1.01,
+    "alignment.depth_offset_m": 0.002,
+    "contact_test": "calibrated",
+    "mask.enabled": True,
+    "mask.hue": (20, 60),
+    "mask.saturation": (10, 40),
+    "mask.value": (10, 40),
+    "tolerance.t": 0.004,
+    "outliers.enabled": False,
+    "outliers.k": 5,
+    "outliers.ratio": 0.5,
+    "outliers.min_cluster_area_mm2": 1000.0,
+    "calibrated.gap_m": 0.0005,
+    "calibrated.retreat": 0.0,
+    "calibrated.window_px": 0.0,
+    "calibrated.bias_m": 0.0,
+    "calibrated.least_area_mm2": 5000.0,
+    "calibrated.difference_m": 0.001,
+    "calibrated.slope": False,
+    "calibrated.core": 0.0,
+    "calibrated.curvature": 0.3,
+    "calibrated.balance": False,
+    "calibrated.curvature_px": 4.0,
+    "calibrated.frames": 7,
+    "calibrated.most_px": 0.0,
+    "calibrated.smooth_px": 0.0,
+    "calibrated.tactile_weight": 1.0,
+    "range.enabled": True,
+    "range.limits_m": (0.1, 0.2),
+    "region.enabled": True,
+    "region.rectangle": (100, 80, 60, 60),
+}
+#: Fields that decide nothing, or only what the rig and the reference are, which are given apart.
+OTHERWISE = ("name", "notes", "created", "modified", "rig", "cameras", "reference", "alignment.calibration")
+
+
+def leaves(data: dict, before: str = "") -> set[str]:
+    """Return the dotted paths of all fields that are no sections."""
+    paths = set()
+    for name, value in data.items():
+        path = f"{before}{name}"
+        paths |= leaves(value, f"{path}.") if isinstance(value, dict) and path not in OTHERWISE else {path}
+    return paths
+
+
+def test_every_field_of_a_preset_is_looked_at():
+    assert leaves(Preset().model_dump()) - set(OTHERWISE) == set(OTHERS)
+
+
+@pytest.mark.parametrize("name", [*NAMES[:4], "proximity-only", "tactile-threshold"])
+def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, name):
+    rig, reference, pressed = bulged.rig, bulged.frame(0.0), bulged.frame(0.05, 0.0003)
+    preset = Preset()
+    expected = make_method(name, preset, rig, reference).find(pressed)
+    assert len(expected.points) > 500
+    unconcerned = 0
+    for path, value in OTHERS.items():
+        other = preset.with_value(path, value)
+        if settings_of(name, other) == settings_of(name, preset):
+            unconcerned += 1
+            found = make_method(name, other, rig, reference).find(pressed)
+            np.testing.assert_array_equal(found.points, expected.points, err_msg=path)
+    assert unconcerned
+
+
+@pytest.mark.parametrize(
+    ("path", "concerned"),
+    [
+        ("tolerance.t", {"fusion-rigid", "fusion-homography"}),
+        ("calibrated.gap_m", {"fusion-calibrated", "fusion-averaged"}),
+        ("calibrated.frames", set()),
+        ("mask.hue", set(NAMES[:4])),
+        ("alignment.homography.plane_distance_m", {"fusion-homography"}),
+        ("alignment.depth_offset_m", set(NAMES)),
+        ("contact_test", set()),
+    ],
+)
+def test_a_field_concerns_only_the_methods_that_use_it(path, concerned):
+    preset = Preset()
+    other = preset.with_value(path, OTHERS[path])
+    assert {name for name in NAMES if settings_of(name, other) != settings_of(name, preset)} == concerned
+
+
+@pytest.mark.parametrize("name", NAMES[:4])
+def test_a_fusion_that_takes_another_preset_is_the_one_made_with_it(bulged, name):
+    rig, pressed = bulged.rig, bulged.frame(0.05, 0.0003)
+    method = make_method(name, Preset(), rig)
+    before = method.find(pressed)
+    values = {"alignment.depth_offset_m": 0.0005, "region.enabled": True, "region.rectangle": (100, 80, 60, 60)}
+    other = Preset().with_values({**values, "contact_test": "calibrated"})
+    method.update(other)
+    found, expected = method.find(pressed), make_method(name, other, rig).find(pressed)
+    np.testing.assert_array_equal(found.points, expected.points)
+    assert len(found.points) != len(before.points)

@@ -1,0 +1,89 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactune.core.model.intrinsics import Distortion, Intrinsics
+
+COEFFICIENTS = (0.12, -0.22, 0.001, -0.0007, 0.08)
+
+
+def camera(distortion: str, coefficients: tuple[float, ...] = COEFFICIENTS) -> Intrinsics:
+    return Intrinsics(
+        width=640, height=480, fx=460.0, fy=461.0, cx=318.2, cy=242.7, distortion=distortion, coefficients=coefficients
+    )
+
+
+@pytest.fixture(scope="module")
+def rs():
+    return pytest.importorskip("pyrealsense2", reason="needs the extra realsense", exc_type=ImportError)
+
+
+def librealsense_intrinsics(rs, lens: Intrinsics):
+    twin = rs.intrinsics()
+    twin.width, twin.height = lens.width, lens.height
+    twin.fx, twin.fy, twin.ppx, twin.ppy = lens.fx, lens.fy, lens.cx, lens.cy
+    twin.model = getattr(rs.distortion, lens.distortion.value)
+    twin.coeffs = list(lens.coefficients)
+    return twin
+
+
+@pytest.mark.parametrize("distortion", list(Distortion))
+def test_deprojection_is_librealsenses_for_every_lens_model(rs, distortion):
+    lens = camera(distortion)
+    twin = librealsense_intrinsics(rs, lens)
+    rng = np.random.default_rng(0)
+    pixels = rng.integers([0, 0], [640, 480], (500, 2))
+    depths = rng.uniform(0.1, 1.0, 500)
+    theirs = np.array(
+        [rs.rs2_deproject_pixel_to_point(twin, list(map(float, p)), d) for p, d in zip(pixels, depths, strict=True)]
+    )
+    ours = np.concatenate([lens.normalise(pixels), np.ones((500, 1))], axis=1) * depths[:, None]
+    error = np.linalg.norm(ours - theirs, axis=1) / np.linalg.norm(theirs, axis=1)
+    assert error.max() < 1e-6
+
+    table = lens.rays()[pixels[:, 1], pixels[:, 0]] * depths[:, None].astype(np.float32)
+    assert np.abs(table - theirs[:, :2]).max() < 1e-6
+
+
+@pytest.mark.parametrize("distortion", list(Distortion))
+def test_projection_is_librealsenses_for_every_lens_model(rs, distortion):
+    lens = camera(distortion)
+    twin = librealsense_intrinsics(rs, lens)
+    rng = np.random.default_rng(1)
+    points = np.concatenate([rng.uniform(-0.1, 0.1, (200, 2)), rng.uniform(0.2, 0.5, (200, 1))], axis=1)
+    theirs = np.array([rs.rs2_project_point_to_pixel(twin, list(p)) for p in points])
+    assert np.abs(lens.project(points) - theirs).max() < 1e-4
+
+
+@given(
+    u=st.floats(0, 639), v=st.floats(0, 479), depth=st.floats(0.05, 2.0),
+    distortion=st.sampled_from([Distortion.NONE, Distortion.BROWN_CONRADY, Distortion.INVERSE_BROWN_CONRADY]),
+    bend=st.floats(-0.05, 0.05),
+)  # fmt: skip
+def test_a_pixel_survives_deprojection_and_projection(u, v, depth, distortion, bend):
+    lens = camera(distortion, (bend, -bend, bend / 50, bend / 40, bend / 2))
+    ray = lens.normalise([[u, v]])
+    point = np.array([[ray[0, 0], ray[0, 1], 1.0]]) * depth
+    # librealsense's ten fixed-point steps converge more slowly for the inverse model
+    tolerance = 1e-3 if distortion is Distortion.INVERSE_BROWN_CONRADY else 1e-4
+    assert np.abs(lens.project(point) - [u, v]).max() < tolerance
+
+
+def test_a_ray_table_holds_every_pixel_in_image_order():
+    lens = camera("none")
+    table = lens.rays()
+    assert table.shape == (480, 640, 2)
+    assert table.dtype == np.float32
+    assert table[100, 200] == pytest.approx([(200 - 318.2) / 460, (100 - 242.7) / 461], rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    "change", [{"fx": 0.0}, {"width": 0}, {"cy": float("nan")}, {"coefficients": (1.0, 2.0)}, {"lens": 1}]
+)
+def test_impossible_intrinsics_are_refused(change):
+    good = camera("none").model_dump()
+    with pytest.raises(ValueError, match=next(iter(change))):
+        Intrinsics.model_validate(good | change)

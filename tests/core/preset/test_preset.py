@@ -1,0 +1,306 @@
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import jsonschema
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactune.core.errors import ExportError, PresetError
+from tactune.core.preset import CalibratedSection, CamerasSection, Preset
+from tactune.core.preset import file as preset_file
+from tactune.core.preset import migrations as preset_migrations
+from tactune.core.preset.file import (
+    json_schema,
+    load_preset,
+    preset_from_text,
+    preset_json,
+    preset_paths,
+    save_preset,
+    shipped_presets,
+)
+
+byte_range = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: tuple(sorted(pair)))
+presets = st.fixed_dictionaries(
+    {
+        "name": st.text(min_size=1, max_size=40).filter(lambda text: text.isprintable()),
+        "tolerance.t": st.floats(0, 1),
+        "mask.enabled": st.booleans(),
+        "mask.hue": st.tuples(st.integers(0, 179), st.integers(0, 179)),
+        "mask.saturation": byte_range,
+        "mask.value": byte_range,
+        "outliers.k": st.integers(1, 1000),
+        "outliers.ratio": st.floats(0.01, 100),
+        "outliers.min_cluster_area_mm2": st.floats(0, 1e6),
+        "alignment.model": st.sampled_from(["rigid", "homography"]),
+        "alignment.depth_scale": st.floats(0.8, 1.25),
+        "alignment.depth_offset_m": st.floats(-0.1, 0.1),
+        "region.rectangle": st.tuples(*[st.integers(1, 400)] * 4),
+        "contact_test": st.sampled_from(["tolerance", "calibrated"]),
+        "calibrated.gap_m": st.floats(0, 0.02),
+        "calibrated.window_px": st.floats(0, 20),
+        "calibrated.core": st.floats(0, 1),
+    }
+).map(lambda values: Preset().with_values(values))
+
+
+@given(presets)
+def test_a_preset_survives_its_file_bit_for_bit(preset):
+    assert preset_from_text(preset_json(preset), "memory") == preset
+
+
+@given(presets)
+def test_every_preset_file_satisfies_the_shipped_schema(preset):
+    errors = list(jsonschema.Draft202012Validator(json_schema()).iter_errors(json.loads(preset_json(preset))))
+    assert errors == []
+
+
+def test_the_checked_in_schema_is_the_models():
+    shipped = json.loads((preset_file.importlib.resources.files("tactune.presets") / "preset.schema.json").read_text())
+    assert shipped == json_schema(), "run `tactune preset schema > presets/preset.schema.json`"
+
+
+def test_a_rig_survives_the_file(make_rig, tmp_path):
+    preset = Preset(name="mine", rig=make_rig(distortion="brown_conrady", bend=0.01))
+    save_preset(preset, tmp_path / "mine.json")
+    assert load_preset(tmp_path / "mine.json") == preset
+
+
+def test_the_default_preset_holds_the_papers_values():
+    default = load_preset("default")
+    assert (default.tolerance.t, default.outliers.k, default.outliers.ratio) == (0.03, 20, 2.0)
+    assert shipped_presets()[:2] == ["default", "simulator"]
+    for name in shipped_presets():
+        assert load_preset(name).name == name
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ("tolerance.t", 2, ["tolerance.t is 2", "0 to 1"]),
+        ("tolerance.t", float("nan"), ["tolerance.t is nan"]),
+        ("tolerance.t", "0.1", ["tolerance.t is '0.1'", "number"]),
+        ("mask.hue", [1, 200], ["mask.hue[1] is 200", "0 to 179"]),
+        ("mask.hue", [1], ["mask.hue"]),
+        ("mask.value", [9, 2], ["value", "9", "2", "swap"]),
+        ("outliers.k", 0, ["outliers.k is 0", "1 to 1000"]),
+        ("outliers.k", True, ["outliers.k is True"]),
+        ("outliers.ratio", 0, ["outliers.ratio is 0", "above 0 to 100"]),
+        ("range.limits_m", [0.4, 0.1], ["0.4", "0.1", "swap"]),
+        ("region.rectangle", [0, 0, 0, 5], ["region.rectangle", "empty"]),
+        ("contact_test", "magic", ["contact_test is 'magic'", "calibrated"]),
+        ("calibrated.gap_m", 1.8, ["calibrated.gap_m is 1.8", "0 to 0.02"]),
+        ("calibrated.difference_m", 0, ["calibrated.difference_m is 0", "above 0"]),
+        ("alignment.model", "affine", ["alignment.model is 'affine'", "rigid"]),
+        ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
+        ("alignment.homography.H_p_t", [[0, 0, 0]] * 3, ["singular"]),
+        ("alignment.homography.H_p_t", np.eye(3) * 1e-200, ["1e-200", "divide all nine by the last"]),
+        ("alignment.homography.H_p_t", np.eye(3) * 1e200, ["1e+200", "divide all nine by the last"]),
+        ("alignment.rigid.T_proximity_tactile", np.diag([2.0, 1, 1, 1]), ["no rotation"]),
+        ("alignment.rigid.T_proximity_tactile", np.eye(3), ["4 x 4"]),
+        ("alignment.rigid.T_proximity_tactile", {}, ["4 x 4"]),
+        ("alignment.rigid.T_proximity_tactile", [["1", 0, 0, 0]] * 4, ["numbers"]),
+        ("alignment.rigid.T_proximity_tactile", [[10**400, 0, 0, 0]] * 4, ["numbers"]),
+        ("name", "\ud800", ["Unicode"]),
+        ("mask.hu", [0, 1], ["no field 'mask.hu'", "mask.hue"]),
+        ("mask", {}, ["no field 'mask'"]),
+    ],
+)
+def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
+    with pytest.raises(PresetError) as caught:
+        Preset().with_value(path, value)
+    for word in words:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("{", "line 1"),
+        ("[]", "schema"),
+        ('{"schema": "other"}', "'other'"),
+        ('{"schema": "tactune.preset"}', "schema_version is None"),
+        ('{"schema": "tactune.preset", "schema_version": true}', "schema_version is True"),
+        ('{"schema": "tactune.preset", "schema_version": 99, "tool_version": "7.1"}', "update Tactune .*7.1"),
+        ('{"schema": "tactune.preset", "schema_version": 3, "toleranc": {}}', "toleranc is not a field.*tolerance"),
+        ('{"schema": "tactune.preset", "schema_version": 3, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
+        ("[" * 100_000, "JSON"),
+        ('{"schema": "tactune.preset", "schema_version": ' + "1" * 5000 + "}", "too many digits"),
+        ('{"schema": "tactune.preset", "schema_version": ' + "1" * 4000 + "}", "update Tactune"),
+        (json.dumps({"schema": "tactune.preset", "schema_version": 3} | {f"x{i}": 0 for i in range(99)}), "90 more"),
+    ],
+)
+def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
+    (tmp_path / "bad.json").write_text(text)
+    with pytest.raises(PresetError, match=words) as caught:
+        load_preset(tmp_path / "bad.json")
+    assert "bad.json" in str(caught.value)
+    assert len(str(caught.value)) < 500
+
+
+def test_missing_and_binary_files_are_refused_in_words(tmp_path):
+    with pytest.raises(PresetError, match=r"nowhere\.json.*No such file.*default"):
+        load_preset(tmp_path / "nowhere.json")
+    (tmp_path / "photo.json").write_bytes(b"\xff\xd8\xff")
+    with pytest.raises(PresetError, match="not a text file"):
+        load_preset(tmp_path / "photo.json")
+
+
+def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatch):
+    def rename_t(document):
+        tolerance = dict(document["tolerance"])
+        return {**document, "tolerance": {"share": tolerance.pop("t"), **tolerance}}
+
+    def rename_back_and_halve(document):
+        return {**document, "tolerance": {"t": document["tolerance"]["share"] / 2}}
+
+    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.04))) | {"schema_version": 1}
+    path = tmp_path / "cup.json"
+    path.write_text(json.dumps(old))
+    monkeypatch.setattr(preset_migrations, "MIGRATIONS", (rename_t, rename_back_and_halve))
+    for module in (preset_file, preset_migrations):
+        monkeypatch.setattr(module, "SCHEMA_VERSION", 3)
+    migrated = preset_migrations.migrate(old, "cup.json")
+    assert migrated["schema_version"] == 3
+    assert migrated["tolerance"] == {"t": 0.02}
+
+    save_preset(Preset(name="new"), path)
+    assert json.loads((tmp_path / "cup.schema-1.json").read_text()) == old
+    assert json.loads(path.read_text())["name"] == "new"
+
+
+def test_a_file_of_version_1_gets_an_alignment_without_calibration():
+    old = json.loads(preset_json(Preset(name="old")))
+    del old["alignment"]["calibration"]
+    read = preset_from_text(json.dumps(old | {"schema_version": 1}), "old.json")
+    assert read.alignment.calibration is None
+    assert read.name == "old"
+    with pytest.raises(PresetError, match="alignment is 3"):
+        preset_from_text(json.dumps(old | {"schema_version": 1, "alignment": 3}), "old.json")
+
+
+def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
+    old = json.loads(preset_json(Preset(name="old")))
+    del old["cameras"]
+    read = preset_from_text(json.dumps(old | {"schema_version": 2}), "old.json")
+    assert read.cameras == CamerasSection()
+    assert read.cameras.proximity.serial == ""
+    kept = read.with_values({"cameras.tactile.serial": "1234", "cameras.proximity.options": {"laser_power": 40.0}})
+    assert preset_from_text(preset_json(kept), "new.json").cameras == kept.cameras
+    with pytest.raises(PresetError, match=r"cameras.proximity.options.laser_power is 'much'"):
+        read.with_value("cameras.proximity.options", {"laser_power": "much"})
+    with pytest.raises(PresetError, match=r"cameras.tactile_delay_s is 3.0.*allowed: -2 to 2"):
+        read.with_value("cameras.tactile_delay_s", 3.0)
+
+
+def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_migrations._CALIBRATED_4)
+    tuned = untouched | {"gap_m": 0.0015}
+    sections = []
+    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 4, "contact_test": test, "calibrated": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
+    assert sections[0] == Preset().calibrated
+    before = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0, "balance": False}
+    assert sections[1].model_dump() == tuned | before
+    assert sections[2].model_dump() == untouched | before
+
+
+def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_migrations._CALIBRATED_5)
+    tuned = untouched | {"gap_m": 0.0015}
+    sections = []
+    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 5, "contact_test": test, "calibrated": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
+    assert sections[0] == Preset().calibrated
+    assert sections[1].model_dump() == tuned | {"balance": False}
+    assert sections[2].model_dump() == untouched | {"balance": False}
+
+
+def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
+    old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "calibrated"}
+    old |= {"schema_version": 5}
+    before = CalibratedSection.model_validate(preset_migrations._CALIBRATED_5 | {"balance": False})
+    for left_out in ({"contact_test": "calibrated"}, {"contact_test": "calibrated", "calibrated": {}}):
+        assert preset_from_text(json.dumps(old | left_out), "old.json").calibrated == before
+    tuned = preset_from_text(json.dumps(old | {"calibrated": {"gap_m": 0.001}}), "old.json").calibrated
+    assert tuned == before.model_copy(update={"gap_m": 0.001})
+    asked = preset_from_text(
+        json.dumps(old | {"contact_test": "calibrated", "calibrated": {"balance": True}}), "old.json"
+    )
+    assert asked.calibrated == before.model_copy(update={"balance": True})
+    with pytest.raises(PresetError, match=r"calibrated\.balance is 'maybe': it should be true or false"):
+        preset_from_text(json.dumps(old | {"calibrated": {"balance": "maybe"}}), "old.json")
+    for unused in ({}, {"calibrated": {}}):
+        assert preset_from_text(json.dumps(old | unused), "old.json").calibrated == CalibratedSection()
+
+
+@pytest.mark.parametrize("found", [1, 2, 3])
+def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
+    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
+    for part in ("contact_test", "calibrated", "reference"):
+        del old[part]
+    migrated = preset_migrations.migrate(old | {"schema_version": found}, "old.json")
+    assert set(migrated["calibrated"]) == set(CalibratedSection.model_fields)
+    read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
+    assert (read.contact_test, read.tolerance.t, read.reference) == ("tolerance", 0.0123, None)
+    assert read.calibrated == CalibratedSection()
+    kept = read.with_values({"contact_test": "calibrated", "calibrated.gap_m": 0.0011, "calibrated.slope": False})
+    assert preset_from_text(preset_json(kept), "new.json") == kept
+
+
+def test_a_preset_of_a_newer_version_is_not_overwritten(tmp_path):
+    path = tmp_path / "cup.json"
+    newer = '{"schema": "tactune.preset", "schema_version": 99}'
+    path.write_text(newer)
+    with pytest.raises(ExportError, match=r"99.*another name"):
+        save_preset(Preset(), path)
+    assert path.read_text() == newer
+
+
+def test_a_failed_save_leaves_the_old_file_whole(tmp_path, monkeypatch):
+    path = tmp_path / "cup.json"
+    save_preset(Preset(name="first"), path)
+
+    def disk_full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("tactune.core.model.files.os.fsync", disk_full)
+    with pytest.raises(ExportError, match="No space left"):
+        save_preset(Preset(name="second"), path)
+    assert load_preset(path).name == "first"
+    assert list(tmp_path.iterdir()) == [path]
+
+
+def test_only_ordinary_files_are_replaced_and_a_link_stays_one(tmp_path):
+    os.mkfifo(tmp_path / "pipe")
+    for place in (tmp_path / "pipe", tmp_path, Path("/")):
+        with pytest.raises(ExportError, match="no ordinary file"):
+            save_preset(Preset(), place)
+    with pytest.raises(PresetError, match="device"):
+        load_preset("/dev/zero")
+    (tmp_path / "link.json").symlink_to("real.json")
+    save_preset(Preset(name="linked"), tmp_path / "link.json")
+    assert (tmp_path / "link.json").is_symlink()
+    assert load_preset(tmp_path / "real.json").name == "linked"
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["link.json", "pipe", "real.json"]
+
+
+def test_every_field_is_listed_and_described():
+    schema = json_schema()
+    assert "alignment.rigid.T_proximity_tactile" in preset_paths()
+    for path in preset_paths():
+        if "." not in path:
+            continue
+        node = schema
+        for part in path.split("."):
+            while "$ref" in node:
+                node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]]
+            node = node["properties"][part]
+        assert node["title"]
+        assert node["description"].endswith("."), path

@@ -1,0 +1,28 @@
+"""What is said of presets that can be used but are probably not meant."""
+
+from __future__ import annotations
+
+from tactune.core.preset import Preset
+from tactune.core.preset.file import load_preset, shipped_presets
+from tactune.core.preset.notes import homography_notes, mask_notes, preset_notes
+from tactune.core.preset.rig_check import check_rig
+
+
+def test_shipped_presets_and_the_tolerance_test_give_no_notes():
+    for name in shipped_presets():
+        assert preset_notes(load_preset(name)) == []
+    assert preset_notes(Preset().with_value("alignment.model", "homography")) == []
+
+
+def test_the_calibrated_test_is_noted_without_the_mask_and_on_a_homography():
+    calibrated = Preset(name="cup", contact_test="calibrated")
+    assert preset_notes(calibrated) == mask_notes(calibrated)
+    assert "'cup'" in mask_notes(calibrated)[0]
+    assert preset_notes(calibrated.with_value("mask.enabled", True)) == []
+    both = calibrated.with_value("alignment.model", "homography")
+    assert preset_notes(both) == mask_notes(both) + homography_notes(both)
+
+
+def test_a_run_warns_of_the_homography_in_the_same_words(make_rig):
+    preset = Preset(contact_test="calibrated").with_value("alignment.model", "homography")
+    assert check_rig(preset, make_rig()) == homography_notes(preset)

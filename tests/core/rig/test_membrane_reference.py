@@ -1,0 +1,309 @@
+"""The reference of a preset: captured, kept beside it, found again, and refused in words."""
+
+from __future__ import annotations
+
+import io
+import itertools
+import zipfile
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.calibration.snapshots import content_hash
+from tactune.core.errors import CalibrationError, PresetError
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.untouched_archive import reference_bytes
+from tactune.core.preset import Preset, ReferenceRecord
+from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.recording import SessionWriter
+from tactune.core.rig.untouched import average_untouched, find_reference, load_reference, save_reference
+from tactune.core.sources.base import FrameSource
+from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.registry import open_source
+
+HEIGHT, WIDTH = 96, 128
+MEMBRANE = 2800
+
+
+def lens() -> Intrinsics:
+    return Intrinsics(width=WIDTH, height=HEIGHT, fx=90.0, fy=90.0, cx=63.5, cy=47.5)
+
+
+RIG = Rig(
+    proximity=DepthCamera(intrinsics=lens(), depth_unit_m=0.00025),
+    tactile=DepthCamera(intrinsics=lens(), depth_unit_m=0.0001),
+    T_proximity_tactile=np.eye(4).tolist(),
+)
+
+
+def untouched(number: int, noise: float = 4.0) -> SensorFrame:
+    rng = np.random.default_rng(number)
+    return SensorFrame(
+        sequence=number,
+        proximity_depth=rng.normal(2000, noise, (HEIGHT, WIDTH)).round().astype(np.uint16),
+        tactile_depth=rng.normal(MEMBRANE, noise, (HEIGHT, WIDTH)).round().astype(np.uint16),
+        proximity_color=np.full((HEIGHT, WIDTH, 3), 90, np.uint8),
+    )
+
+
+def dented(frame: SensorFrame, counts: int, size: int) -> SensorFrame:
+    depth = frame.tactile_depth.copy()
+    depth[:size, :size] -= counts
+    return replace(frame, tactile_depth=depth)
+
+
+class Still(FrameSource):
+    """A source whose own reference can be chosen."""
+
+    name = "still"
+    rig = RIG
+
+    def __init__(self, reference: SensorFrame | None = None) -> None:
+        self._reference = reference
+
+    def next_frame(self) -> SensorFrame | None:
+        return untouched(0)
+
+    def reference(self) -> SensorFrame | None:
+        return self._reference
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> tuple[Path, Preset, SensorFrame]:
+    """A preset with a reference beside it."""
+    captured = average_untouched(map(untouched, range(5)))
+    record = save_reference(captured.frame, captured.frames, tmp_path / "kept.json")
+    preset = Preset(name="kept", reference=record)
+    save_preset(preset, tmp_path / "kept.json")
+    return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), captured.frame
+
+
+def record_of(preset: Preset) -> ReferenceRecord:
+    assert preset.reference is not None
+    return preset.reference
+
+
+# Capturing
+
+
+def test_averaging_takes_the_noise_away_and_says_how_much() -> None:
+    captured = average_untouched(map(untouched, range(15)))
+    assert captured.frames == 15
+    before, after = captured.noise_counts
+    assert before == pytest.approx(4.0, rel=0.1)
+    assert after == pytest.approx(np.std(captured.frame.tactile_depth - float(MEMBRANE)), rel=0.35)
+    assert after < before / 2.5
+
+
+def test_many_frames_take_no_more_memory_than_sixty() -> None:
+    alive, most = 0, 0
+
+    def frames(count: int) -> Iterator[SensorFrame]:
+        import weakref
+
+        nonlocal alive, most
+
+        def gone() -> None:
+            nonlocal alive
+            alive -= 1
+
+        for number in range(count):
+            frame = untouched(number % 37)
+            alive += 1
+            most = max(most, alive)
+            weakref.finalize(frame, gone)
+            yield frame
+            del frame
+
+    captured = average_untouched(frames(200))
+    assert captured.frames == 200
+    assert most <= 62
+    assert np.abs(captured.frame.tactile_depth - float(MEMBRANE)).mean() < 0.8
+
+
+def test_too_many_frames_are_refused_before_they_take_minutes() -> None:
+    with pytest.raises(CalibrationError, match="at most 1000 frames"):
+        average_untouched(itertools.repeat(untouched(0)))
+
+
+@pytest.mark.parametrize(("counts", "size", "refused"), [(60, 32, True), (6, 96, False), (60, 4, False)])
+def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, refused: bool) -> None:
+    frames = [*map(untouched, range(4)), dented(untouched(4), counts, size)]
+    if not refused:
+        assert average_untouched(frames).frames == 5
+        return
+    with pytest.raises(CalibrationError, match=r"moved while .* frame 4 differs from frame 0 by up to 2\.\d %"):
+        average_untouched(frames)
+
+
+def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
+    small = replace(
+        untouched(1),
+        tactile_depth=np.ones((4, 4), np.uint16),
+        proximity_depth=np.ones((4, 4), np.uint16),
+        proximity_color=np.ones((4, 4, 3), np.uint8),
+    )
+    with pytest.raises(CalibrationError, match="cannot be averaged"):
+        average_untouched([untouched(0), small])
+    with pytest.raises(CalibrationError, match="gave none"):
+        average_untouched([])
+
+
+# The file
+
+
+def test_a_reference_comes_back_bit_for_bit(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, frame = kept
+    record = record_of(preset)
+    assert record.frames == 5
+    assert content_hash(load_reference(record, path)) == content_hash(frame) == record.sha256
+
+
+def test_until_the_preset_is_saved_the_old_pair_stays_whole(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, frame = kept
+    newer = save_reference(untouched(9), 1, path)
+    assert newer != preset.reference
+    assert content_hash(load_reference(record_of(load_preset(path)), path)) == content_hash(frame)
+    save_preset(preset.model_copy(update={"reference": newer}), path)
+    assert content_hash(load_reference(newer, path)) == content_hash(untouched(9))
+
+
+def npz(**arrays: object) -> bytes:
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays)  # type: ignore[arg-type]
+    return buffer.getvalue()
+
+
+def bomb() -> bytes:
+    buffer = io.BytesIO()
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("tactile_depth.npy", bytes(210_000_000))
+    return buffer.getvalue()
+
+
+def claims_terabytes() -> bytes:
+    buffer = io.BytesIO()
+    np.lib.format.write_array_header_1_0(buffer, {"descr": "<u2", "fortran_order": False, "shape": (1 << 20, 1 << 20)})
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        archive.writestr("proximity_depth.npy", buffer.getvalue())
+    return packed.getvalue()
+
+
+def packed_badly() -> bytes:
+    """A member whose packing is broken, of a kind that NumPy never writes."""
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("sequence.npy", bytes(range(250)) * 8)
+    data = bytearray(packed.getvalue())
+    data[60:90] = bytes(0xFF ^ byte for byte in data[60:90])
+    return bytes(data)
+
+
+@pytest.mark.parametrize(
+    ("content", "said"),
+    [
+        (b"", "damaged"),
+        (b"PK\x03\x04 no zip", "damaged"),
+        (npz(a=np.zeros(3)), "damaged"),
+        (npz(sequence=np.array([object()], dtype=object)), "damaged"),
+        (bomb(), "unpacks to 210 MB"),
+        (claims_terabytes(), "damaged"),
+        (packed_badly(), "damaged"),
+        (reference_bytes(untouched(9)), "not the one that the preset was saved with"),
+        (reference_bytes(untouched(0))[:-40], "damaged"),
+    ],
+)
+def test_a_file_that_is_none_is_refused_in_words(
+    kept: tuple[Path, Preset, SensorFrame], content: bytes, said: str
+) -> None:
+    path, preset, _ = kept
+    record = record_of(preset)
+    (path.parent / record.file).write_bytes(content)
+    with pytest.raises(PresetError, match=said) as refused:
+        load_reference(record, path)
+    assert "\n" not in str(refused.value)
+    assert str(path.parent / record.file) in str(refused.value)
+
+
+def test_any_byte_may_be_wrong(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, _ = kept
+    record, rng = record_of(preset), np.random.default_rng(1)
+    file = path.parent / record.file
+    whole = file.read_bytes()
+    for place in [*rng.integers(0, len(whole), 60), *range(40, 170, 3), *range(len(whole) - 150, len(whole), 5)]:
+        damaged = bytearray(whole)
+        damaged[place] ^= int(rng.integers(1, 256))
+        file.write_bytes(damaged)
+        try:
+            assert content_hash(load_reference(record, path)) == record.sha256
+        except PresetError:
+            continue
+
+
+@pytest.mark.parametrize("name", ["gone.npz", "..", "."])
+def test_a_missing_file_is_named(kept: tuple[Path, Preset, SensorFrame], name: str) -> None:
+    path, preset, _ = kept
+    with pytest.raises(PresetError, match="missing"):
+        load_reference(record_of(preset).model_copy(update={"file": name}), path)
+
+
+# Which one is used
+
+
+def test_the_presets_own_reference_comes_before_the_sources(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, frame = kept
+    found = find_reference(preset, path, Still(untouched(7)))
+    assert found.frame is not None
+    assert content_hash(found.frame) == content_hash(frame)
+    assert not found.warnings
+
+
+def test_a_missing_reference_is_a_warning_and_the_sources_is_taken(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, _ = kept
+    (path.parent / record_of(preset).file).unlink()
+    others = untouched(7)
+    found = find_reference(preset, path, Still(others))
+    assert found.frame is others
+    (sentence,) = found.warnings
+    assert "missing" in sentence
+    assert find_reference(preset, path, Still()).frame is None
+
+
+def test_a_reference_of_another_rig_is_not_used(kept: tuple[Path, Preset, SensorFrame]) -> None:
+    path, preset, _ = kept
+    source = Still()
+    wide = RIG.proximity.model_copy(update={"intrinsics": lens().model_copy(update={"width": 200})})
+    source.rig = RIG.model_copy(update={"proximity": wide})  # type: ignore[misc]
+    found = find_reference(preset, path, source)
+    assert found.frame is None
+    assert "200 x 96" in found.warnings[0]
+
+
+def test_without_one_the_source_is_asked() -> None:
+    assert find_reference(Preset(), None, Still()).frame is None
+    with open_source("sim:cup?press=medium") as source:
+        found = find_reference(Preset(), "simulator", source).frame
+        assert found is not None
+        free = found.tactile_depth[200:280, 280:360].mean() - source.read(0).tactile_depth[200:280, 280:360].mean()
+    assert free > 100, "the object is away"
+
+
+def test_a_recording_holds_the_reference_of_its_preset(kept: tuple[Path, Preset, SensorFrame], tmp_path: Path) -> None:
+    _, preset, frame = kept
+    path, bare = tmp_path / "both.mcap", tmp_path / "bare.mcap"
+    for file, reference in ((path, frame), (bare, None)):
+        with SessionWriter(file, RIG, preset=preset, reference=reference) as writer:
+            writer.put(untouched(3), wait=True)
+    assert content_hash(load_reference(record_of(load_preset(path)), path)) == content_hash(frame)
+    with McapSource(path) as source:
+        for origin in (path, None):
+            found = find_reference(preset, origin, source)
+            assert found.frame is not None
+            assert not found.warnings
+    with pytest.raises(PresetError, match="not the one"):
+        load_reference(record_of(preset), bare)

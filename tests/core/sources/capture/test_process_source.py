@@ -1,0 +1,210 @@
+"""A source in its own process gives the same frames, errors and answers as in this one."""
+
+from __future__ import annotations
+
+import gc
+import os
+import sys
+import threading
+import time
+from functools import partial
+from pathlib import Path
+
+import pytest
+from capture_sources import (
+    make_frame,
+    make_rig,
+    open_for_ever,
+    open_nothing,
+    open_recorded,
+    open_troubled,
+    same_frame,
+)
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from tactune.core.errors import MissingExtraError, SourceError
+from tactune.core.model.frames import Rig
+from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.process.messages import FrameReady, arrays_of, frame_of
+from tactune.core.sources.process.ring import Ring, create_memory, reserve_memory, slot_bytes
+
+sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
+rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
+
+
+@given(rig=rigs, number=st.integers(0, 1000), color=st.booleans(), truth=st.booleans(), depth=st.booleans())
+def test_a_slot_gives_back_the_frame_that_was_put_in(
+    rig: Rig, number: int, color: bool, truth: bool, depth: bool
+) -> None:
+    frame = make_frame(rig, number, tactile_color=color, truth=truth, truth_depth=depth)
+    ours, theirs = _two_views(rig)
+    places = theirs.write(1, arrays_of(frame))
+    theirs.write(0, arrays_of(make_frame(rig, number + 1)))
+    ready = FrameReady(1, places, number, frame.proximity_time_s, frame.tactile_time_s, 0)
+    out = frame_of(ready, ours.read(1, places))
+    theirs.write(1, arrays_of(make_frame(rig, number + 2)))  # what is written later does not reach it
+    assert same_frame(out, frame)
+    assert not out.proximity_depth.flags.writeable
+    if out.truth is not None:
+        assert not out.truth.contact.flags.writeable
+
+
+def test_memory_without_memfd_has_no_name_either(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delattr("os.memfd_create")
+    rig = make_rig()
+    ours, theirs = _two_views(rig)
+    frame = make_frame(rig, 3)
+    places = theirs.write(2, arrays_of(frame))
+    assert same_frame(frame_of(FrameReady(2, places, 3, 0.2, 0.2021, 0), ours.read(2, places)), frame)
+
+
+def _two_views(rig: Rig) -> tuple[Ring, Ring]:
+    size = slot_bytes(rig)
+    descriptor = create_memory()
+    try:
+        reserve_memory(descriptor, 3 * size)
+        return Ring(descriptor, 3, size), Ring(descriptor, 3, size)
+    finally:
+        os.close(descriptor)
+
+
+@settings(max_examples=5, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(rig=rigs, kinds=st.lists(st.tuples(st.booleans(), st.booleans(), st.booleans()), min_size=1, max_size=40))
+def test_every_frame_out_equals_the_frame_in(
+    nothing_left: None, rig: Rig, kinds: list[tuple[bool, bool, bool]]
+) -> None:
+    frames = [
+        make_frame(rig, number, tactile_color=color, truth=truth, truth_depth=depth)
+        for number, (color, truth, depth) in enumerate(kinds)
+    ]
+    with ProcessSource(partial(open_recorded, rig, frames), lossless=True) as source:
+        assert source.rig == rig
+        out = list(source)
+        assert source.health().dropped == 0
+    assert len(out) == len(frames)
+    assert all(same_frame(one, other) for one, other in zip(out, frames, strict=True))
+
+
+def test_a_slow_caller_of_a_lossless_source_gets_every_frame(nothing_left: None) -> None:
+    rig = make_rig()
+    frames = [make_frame(rig, number) for number in range(40)]
+    with ProcessSource(partial(open_recorded, rig, frames), lossless=True) as source:
+        time.sleep(0.5)
+        out = [source.next_frame() for _ in range(3)]
+        time.sleep(0.3)
+        out += list(source)
+    assert [frame.sequence for frame in out if frame is not None] == list(range(40))
+
+
+def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_ones(
+    nothing_left: None, tmp_path: Path
+) -> None:
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        first = source.next_frame()
+        time.sleep(1.0)
+        after = [source.next_frame() for _ in range(10)]
+        numbers = [frame.sequence for frame in after if frame is not None]
+        assert first is not None
+        assert numbers == sorted(set(numbers))
+        missing = numbers[-1] - first.sequence - len(numbers)
+        assert missing > 20
+        assert source.health().dropped >= missing
+        assert numbers[1] - numbers[0] == 1
+
+
+def test_names_rate_reference_and_progress(nothing_left: None) -> None:
+    rig = make_rig()
+    told: list[tuple[float, str]] = []
+    threads = set()
+
+    def progress(share: float, words: str) -> None:
+        told.append((share, words))
+        threads.add(threading.current_thread())
+
+    opener = partial(open_recorded, rig, [make_frame(rig, 0)] * 200)
+    with ProcessSource(opener, progress, lossless=True) as source:
+        assert source.name == "recorded"
+        assert source.length is None
+        assert source.frame_rate_hz == 30.0
+        reference = source.reference()
+        assert reference is not None
+        assert same_frame(reference, make_frame(rig, 999, truth=True, truth_depth=True))
+        with pytest.raises(SourceError, match="a live source cannot seek"):
+            source.seek(0)
+    assert (0.5, "half way") in told
+    assert threads == {threading.main_thread()}
+
+
+def test_options_go_through(nothing_left: None, tmp_path: Path) -> None:
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        source.set_option("tactile", "gain", 32.0)
+        (gain,) = source.options()
+        assert (gain.name, gain.value, gain.maximum) == ("gain", 32.0, 248)
+        with pytest.raises(SourceError, match="gain of the tactile camera cannot be 999"):
+            source.set_option("tactile", "gain", 999)
+        assert source.options()[0].value == 32.0
+
+
+@pytest.mark.parametrize(
+    ("opener", "kind", "sentence"),
+    [
+        (partial(open_nothing, "extra"), MissingExtraError, r"^the camera driver is not installed; install tactune"),
+        (partial(open_nothing, "slip"), SourceError, r"failed unexpectedly \(ZeroDivisionError: a slip\)"),
+        (partial(open_nothing, "die"), SourceError, r"was ended by signal 11 \(SIGSEGV\) while opening"),
+        (lambda progress: None, SourceError, r"cannot be sent to the capture process .*use a function of a module"),
+    ],
+)
+def test_what_cannot_be_opened_says_so_as_without_the_process(
+    nothing_left: None, opener: object, kind: type[Exception], sentence: str
+) -> None:
+    with pytest.raises(kind, match=sentence) as caught:
+        ProcessSource(opener)  # type: ignore[arg-type]
+    assert type(caught.value) is kind
+    assert "\n" not in str(caught.value)
+
+
+def test_an_opener_that_the_process_cannot_import_is_told(nothing_left: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(open_for_ever, "__module__", "__main__")
+    monkeypatch.setattr(sys.modules["__main__"], "open_for_ever", open_for_ever, raising=False)
+    with pytest.raises(SourceError, match="cannot be imported in the capture process; define it in a module"):
+        ProcessSource(open_for_ever)
+
+
+def test_opening_is_left_by_an_exception_of_the_progress(nothing_left: None) -> None:
+    def progress(share: float, words: str) -> None:
+        if words == "solving":
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        ProcessSource(open_for_ever, progress)
+
+
+def test_closing_twice_and_using_a_closed_source(nothing_left: None, tmp_path: Path) -> None:
+    source = ProcessSource(partial(open_troubled, tmp_path))
+    assert source.next_frame() is not None
+    source.close()
+    source.close()
+    assert source.wait(0.0)
+    with pytest.raises(SourceError, match="troubled: the source is closed; open it again"):
+        source.next_frame()
+    with pytest.raises(SourceError, match="not running at present"):
+        source.options()
+
+
+def test_a_forgotten_source_ends_its_process(nothing_left: None, tmp_path: Path) -> None:
+    source = ProcessSource(partial(open_troubled, tmp_path))
+    assert source.next_frame() is not None
+    del source
+    gc.collect()
+
+
+def test_waiting(nothing_left: None, tmp_path: Path) -> None:
+    (tmp_path / "orders.txt").write_text("end")
+    with ProcessSource(partial(open_troubled, tmp_path)) as source:
+        assert source.wait(10.0)
+        numbers = [frame.sequence for frame in source]
+        assert numbers == list(range(1, 20))
+        assert source.wait(0.0)
+        assert source.next_frame() is None
+        assert not source.health().stale

@@ -1,0 +1,57 @@
+"""Software cameras, as a test commands them."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Callable, Iterator
+
+import pytest
+
+from tactune.core.model.frames import SensorFrame
+from tactune.core.sources.base import Health
+
+
+class Session:
+    """Two software cameras, opened by the class that opens hardware, and the frames that came from them."""
+
+    def __init__(self, commands: queue.Queue, source) -> None:
+        self.source = source
+        self.frames: list[SensorFrame] = []
+        self._commands = commands
+
+    def order(self, command) -> None:
+        self._commands.put(command)
+
+    def until(self, holds: Callable[[Health], bool], timeout_s: float = 20.0) -> Health:
+        """Read frames until the health is so."""
+        deadline_s = time.monotonic() + timeout_s
+        while not holds(health := self.source.health()):
+            assert time.monotonic() < deadline_s, f"still {health}"
+            self._read_one()
+        return health
+
+    def read(self, count: int) -> list[SensorFrame]:
+        """Read so many more frames."""
+        wanted = len(self.frames) + count
+        deadline_s = time.monotonic() + 20.0
+        while len(self.frames) < wanted:
+            assert time.monotonic() < deadline_s, f"no frames: {self.source.health()}"
+            self._read_one()
+        return self.frames[-count:]
+
+    def _read_one(self) -> None:
+        if self.source.wait(0.02):
+            self.frames.append(self.source.next_frame())
+
+
+@pytest.fixture
+def session() -> Iterator[Session]:
+    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
+    from software_rig import open_software_rig
+
+    commands: queue.Queue = queue.Queue()
+    with open_software_rig(commands) as source:
+        opened = Session(commands, source)
+        opened.read(1)
+        yield opened

@@ -1,0 +1,82 @@
+"""What librealsense may write into a bag: lenses, colour and depth layouts, units."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from bag_maker import D405, Device, color_images, depth_images, make_bag
+
+from tactune.core.model.intrinsics import Distortion
+from tactune.core.sources.bag import BagSource
+
+Opener = Callable[..., BagSource]
+
+
+@pytest.mark.parametrize(
+    ("model", "expected"),
+    [
+        ("None", Distortion.NONE),
+        ("Brown Conrady", Distortion.BROWN_CONRADY),
+        ("Modified Brown Conrady", Distortion.MODIFIED_BROWN_CONRADY),
+        ("Inverse Brown Conrady", Distortion.INVERSE_BROWN_CONRADY),
+    ],
+)
+def test_lens_models_keep_their_names_and_coefficients(
+    open_bag: Opener, tmp_path: Path, model: str, expected: Distortion
+) -> None:
+    depth = depth_images(4, [1.0], lens=model, D=(0.1, -0.2, 0.3, -0.4, 0.5))
+    lens = open_bag(make_bag(tmp_path / "one.bag", Device("D435", depth))).rig.proximity.intrinsics
+    assert lens.distortion is expected
+    assert lens.coefficients == (0.1, -0.2, 0.3, -0.4, 0.5)
+
+
+@pytest.mark.parametrize(("encoding", "order"), [("rgb8", [0, 1, 2]), ("bgr8", [2, 1, 0])])
+@pytest.mark.parametrize("alpha", [False, True])
+def test_colour_orders(open_bag: Opener, tmp_path: Path, encoding: str, order: list[int], alpha: bool) -> None:
+    rgb = color_images(7, [1.0]).images[0]
+    stored = rgb[:, :, order]
+    if alpha:
+        stored = np.dstack([stored, np.full(rgb.shape[:2], 255, np.uint8)])
+        encoding = encoding.replace("8", "a8")
+    color = color_images(7, [1.0], images=[stored], encoding=encoding, padding=5)
+    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
+    np.testing.assert_array_equal(frame.proximity_color, rgb)
+
+
+@pytest.mark.parametrize(("encoding", "luma", "chroma"), [("YUYV", 0, 1), ("yuv422", 1, 0)])
+def test_colour_as_luma_and_chroma(open_bag: Opener, tmp_path: Path, encoding: str, luma: int, chroma: int) -> None:
+    stored = np.zeros((10, 12, 2), np.uint8)
+    stored[..., luma] = 81
+    stored[:, 0::2, chroma], stored[:, 1::2, chroma] = 90, 240  # U, V of a strong red
+    color = color_images(7, [1.0], images=[stored], encoding=encoding)
+    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
+    red, green, blue = frame.proximity_color[5, 5].astype(int)
+    assert red > 240
+    assert green < 15
+    assert blue < 15
+
+
+def test_grey_colour(open_bag: Opener, tmp_path: Path) -> None:
+    grey = color_images(7, [1.0]).images[0][:, :, 0]
+    color = color_images(7, [1.0], images=[grey], encoding="8UC1")
+    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth_images(4, [1.0]), color))).read(0)
+    np.testing.assert_array_equal(frame.proximity_color, np.dstack([grey] * 3))
+
+
+@pytest.mark.parametrize("changes", [{"padding": 6}, {"big_endian": True}, {"encoding": "16UC1"}])
+def test_depth_layouts(open_bag: Opener, tmp_path: Path, changes: dict[str, Any]) -> None:
+    depth = depth_images(4, [1.0], **changes)
+    frame = open_bag(make_bag(tmp_path / "one.bag", Device("L515", depth))).read(0)
+    np.testing.assert_array_equal(frame.proximity_depth, depth.images[0])
+    assert frame.proximity_depth.dtype == np.dtype("=u2")
+
+
+@pytest.mark.parametrize("spelling", ["Depth Units", "Depth_Units"])
+def test_both_spellings_of_the_depth_unit(open_bag: Opener, tmp_path: Path, spelling: str) -> None:
+    device = replace(D405, unit_topic=spelling, unit_m=0.002)
+    assert open_bag(make_bag(tmp_path / "one.bag", device)).rig.proximity.depth_unit_m == float(np.float32(0.002))

@@ -1,0 +1,113 @@
+"""Exports to folders of images: whole or not at all, and never over something else."""
+
+from __future__ import annotations
+
+import os
+import resource
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import ExportError, FrameError, SourceError
+from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
+from tactune.core.sources.folder import FolderSource, export_folder
+
+from .folder_scenes import RIG, ListSource, LiveSource, lens, make_frame
+
+
+def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: Path) -> None:
+    source = ListSource([make_frame(seed) for seed in range(5)])
+    source.seek(1)
+    told: list[float] = []
+    assert export_folder(source, tmp_path / "out", frames=3, progress=lambda share, _: told.append(share)) == 3
+    assert [frame.sequence for frame in FolderSource(tmp_path / "out")] == [101, 102, 103]
+    assert told == pytest.approx([1 / 3, 2 / 3, 1.0])
+    assert export_folder(source, tmp_path / "rest", frames=9, progress=lambda share, _: told.append(share)) == 1
+    assert told[-1] == 1.0
+
+
+def test_a_live_source_is_exported_for_so_many_frames(tmp_path: Path) -> None:
+    assert export_folder(LiveSource(), tmp_path / "out", frames=2) == 2
+    with pytest.raises(ExportError, match=r"live is live.*how many frames"):
+        export_folder(LiveSource(), tmp_path / "other")
+
+
+def test_the_folder_has_its_name_only_when_it_is_complete(tmp_path: Path) -> None:
+    target = tmp_path / "deep" / "out"
+    seen: list[bool] = []
+    export_folder(ListSource([make_frame(0)]), target, progress=lambda *_: seen.append(target.exists()))
+    assert seen == [False]
+    assert (target / "rig.json").exists()
+    assert os.listdir(target.parent) == ["out"]  # noqa: PTH208
+
+
+@pytest.mark.parametrize("error", [SourceError("the camera is gone"), KeyboardInterrupt(), OSError(28, "disk full")])
+def test_a_broken_export_leaves_nothing(tmp_path: Path, error: BaseException) -> None:
+    class Breaking(ListSource):
+        def read(self, index: int) -> SensorFrame:
+            if index == 1:
+                raise error
+            return super().read(index)
+
+    expected = ExportError if isinstance(error, OSError) else type(error)
+    with pytest.raises(expected):
+        export_folder(Breaking([make_frame(0), make_frame(1)]), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_full_disk_is_told_whatever_file_it_stops(tmp_path: Path) -> None:
+    """The disk takes all files but the truth in float32, the largest one."""
+    rig = Rig(proximity=RIG.proximity.model_copy(update={"intrinsics": lens(200, 150)}), tactile=RIG.tactile)
+    shape = rig.proximity.intrinsics.shape
+    depth_m = np.random.default_rng(0).uniform(0.1, 0.4, shape).astype(np.float32)
+    plain = {"proximity_depth": np.full(shape, 1000, np.uint16), "proximity_color": np.full((*shape, 3), 90, np.uint8)}
+    frame = make_frame(0, rig, truth=GroundTruth(np.ones(shape, bool), depth_m), **plain)
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (depth_m.nbytes // 2, hard))
+    try:
+        with pytest.raises(ExportError, match=r"cannot write .*out: File too large; choose another place"):
+            export_folder(ListSource([frame], rig), tmp_path / "out")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_export_overwrites_nothing(tmp_path: Path) -> None:
+    target = tmp_path / "out"
+    target.mkdir()
+    (target / "notes.txt").write_text("mine")
+    with pytest.raises(ExportError, match=r"out is already there and not an empty folder; choose another name"):
+        export_folder(ListSource([make_frame(0)]), target)
+    assert [path.name for path in target.iterdir()] == ["notes.txt"]
+    (target / "notes.txt").unlink()
+    export_folder(ListSource([make_frame(0)]), target)
+    assert FolderSource(target).length == 1
+    with pytest.raises(ExportError, match="already there"):
+        export_folder(ListSource([make_frame(0)]), "/")
+    file = tmp_path / "file"
+    file.write_text("mine")
+    with pytest.raises(ExportError, match="already there"):
+        export_folder(ListSource([make_frame(0)]), file)
+    assert file.read_text() == "mine"
+
+
+def test_the_working_folder_is_not_pulled_away(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(ExportError, match="the working folder; name a new folder"):
+        export_folder(ListSource([make_frame(0)]), ".")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_cannot_be_exported_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="0 frames"):
+        export_folder(ListSource([make_frame(0)]), tmp_path / "out", frames=0)
+    with pytest.raises(ExportError, match="no frames left"):
+        export_folder(ListSource([]), tmp_path / "out")
+    small = Rig(proximity=RIG.tactile, tactile=RIG.tactile)
+    with pytest.raises(FrameError, match="7 x 5 pixels, the rig says 6 x 4"):
+        export_folder(ListSource([make_frame(0)], rig=small), tmp_path / "out")
+    for change in ({"tactile_color": np.zeros((5, 6, 3), np.uint8)}, {"truth": GroundTruth(np.zeros((4, 7), bool))}):
+        with pytest.raises(FrameError, match="leave it out"):
+            export_folder(ListSource([make_frame(0, **change)]), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []

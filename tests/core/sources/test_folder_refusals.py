@@ -1,0 +1,214 @@
+"""Folders of images that cannot be read are refused in one sentence that names the file and the value."""
+
+from __future__ import annotations
+
+import json
+import os
+import struct
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.model.rig_file import load_rig
+from tactune.core.sources.folder import FolderSource
+
+
+def write(path: Path, *shape: int, dtype: type = np.uint16, value: int = 0) -> None:
+    cv2.imwrite(str(path), np.full(shape, value, dtype))
+
+
+def edit(path: Path, **changes: object) -> None:
+    data = json.loads(path.read_text())
+    for key, value in changes.items():
+        if value is None:
+            del data[key]
+        else:
+            data[key] = value
+    path.write_text(json.dumps(data))
+
+
+def absurd_png() -> bytes:
+    """A PNG that claims 100,000 x 100,000 pixels."""
+    header = b"IHDR" + struct.pack(">IIBBBBB", 100_000, 100_000, 16, 0, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + header + struct.pack(">I", zlib.crc32(header))
+
+
+def claim_shape(path: Path, shape: tuple[int, ...]) -> None:
+    with path.open("wb") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "<f4", "fortran_order": False, "shape": shape})
+
+
+F = "000000"
+BAD = {
+    "no rig": (lambda p: (p / "rig.json").unlink(), r"there is no file .*rig\.json"),
+    "rig is no JSON": (lambda p: (p / "rig.json").write_text("{\n oops"), r"rig\.json is no JSON: line 2"),
+    "rig is binary": (lambda p: (p / "rig.json").write_bytes(b"\xff\xfe"), r"rig\.json is no JSON text"),
+    "rig is a list": (lambda p: (p / "rig.json").write_text("[]"), r"rig\.json holds a list"),
+    "rig lacks a camera": (lambda p: edit(p / "rig.json", tactile=None), r"rig\.json: tactile is missing"),
+    "rig has a stray field": (lambda p: edit(p / "rig.json", tactil={}), r"rig\.json: tactil is no field"),
+    "pose is no rotation": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile=np.diag([2, 1, 1, 1]).tolist()),
+        r"rig\.json: T_proximity_tactile: .*no rotation",
+    ),
+    "no frames": (
+        lambda p: [(p / F).rename(p / "a"), (p / "000001").rename(p / "b")],
+        r"recording has no frames.*000000",
+    ),
+    "both forms": (
+        lambda p: write(p / "proximity_depth.png", 5, 7),
+        r"has images and numbered subfolders \(\d+\); keep one",
+    ),
+    "one number twice": (lambda p: (p / "000001").rename(p / "0"), r"are the same number; rename"),
+    "missing image": (lambda p: (p / "000001/tactile_depth.png").unlink(), r"no file .*000001/tactile_depth\.png"),
+    "wrong bit depth": (
+        lambda p: write(p / F / "tactile_depth.png", 4, 6, dtype=np.uint8),
+        r"tactile_depth\.png has 1 channels of 8 bits, but 1 of 16 bits",
+    ),
+    "colour in depth": (
+        lambda p: write(p / F / "proximity_depth.png", 5, 7, 3),
+        r"proximity_depth\.png has 3 channels of 16 bits",
+    ),
+    "grey colour": (
+        lambda p: write(p / F / "proximity_color.png", 8, 9, dtype=np.uint8),
+        r"proximity_color\.png has 1 channels of 8 bits, but 3 of 8",
+    ),
+    "wrong size": (
+        lambda p: write(p / F / "proximity_depth.png", 5, 8),
+        r"proximity_depth\.png is 8 x 5 pixels, but rig\.json says 7 x 5",
+    ),
+    "colour has depth's size": (
+        lambda p: write(p / F / "proximity_color.png", 5, 7, 3, dtype=np.uint8),
+        r"proximity_color\.png is 7 x 5 pixels, but rig\.json says 9 x 8",
+    ),
+    "wrong tactile colour": (
+        lambda p: write(p / F / "tactile_color.png", 5, 7, 3, dtype=np.uint8),
+        r"tactile_color\.png is 7 x 5 .* 6 x 4",
+    ),
+    "no PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b"oops"), r"tactile_depth\.png is no readable PNG"),
+    "truncated PNG": (
+        lambda p: (p / F / "proximity_depth.png").write_bytes((p / F / "proximity_depth.png").read_bytes()[:-20]),
+        r"proximity_depth\.png is no readable PNG",
+    ),
+    "truth with greys": (
+        lambda p: write(p / F / "truth_contact.png", 5, 7, dtype=np.uint8, value=7),
+        r"truth_contact\.png contains the value 7; only 0 and 255",
+    ),
+    "truth of other size": (
+        lambda p: write(p / F / "truth_contact.png", 4, 6, dtype=np.uint8),
+        r"truth_contact\.png is 6 x 4",
+    ),
+    "truth depth alone": (lambda p: (p / F / "truth_contact.png").unlink(), r"truth_depth\.png has no truth_contact"),
+    "truth in float64": (
+        lambda p: np.save(p / F / "truth_depth.npy", np.zeros((5, 7))),
+        r"truth_depth\.npy holds float64",
+    ),
+    "truth is no array": (lambda p: (p / F / "truth_depth.npy").write_bytes(b""), r"truth_depth\.npy is no readable"),
+    "frame.json lacks a field": (
+        lambda p: edit(p / F / "frame.json", sequence=None),
+        r"000000/frame\.json: sequence is missing",
+    ),
+    "frame.json has a stray field": (
+        lambda p: edit(p / F / "frame.json", time=1),
+        r"frame\.json: time is no field of a frame",
+    ),
+    "frame.json has a text": (
+        lambda p: edit(p / F / "frame.json", tactile_time_s="1"),
+        r"frame\.json: tactile_time_s is '1', but it should be a number of seconds",
+    ),
+    "sequence is a bool": (lambda p: edit(p / F / "frame.json", sequence=True), r"sequence is True"),
+    "sequence is negative": (lambda p: edit(p / F / "frame.json", sequence=-1), r"sequence is -1.*whole number"),
+    "time is huge": (lambda p: edit(p / F / "frame.json", tactile_time_s=10**400), "tactile_time_s is 1000"),
+    "number of 5000 digits": (
+        lambda p: (p / F / "frame.json").write_text(f'{{"sequence": {"1" * 5000}}}'),
+        r"frame\.json contains a number of too many digits",
+    ),
+    "one sequence twice": (
+        lambda p: edit(p / "000001/frame.json", sequence=json.loads((p / F / "frame.json").read_text())["sequence"]),
+        r"000001/frame\.json has the sequence \d+, and so has 000000; correct it",
+    ),
+    "empty PNG": (lambda p: (p / F / "tactile_depth.png").write_bytes(b""), r"tactile_depth\.png is no readable PNG"),
+    "PNG of absurd size": (
+        lambda p: (p / F / "tactile_depth.png").write_bytes(absurd_png()),
+        r"tactile_depth\.png is no readable PNG",
+    ),
+    "truth of absurd size": (
+        lambda p: claim_shape(p / F / "truth_depth.npy", (10**9, 10**9)),
+        r"truth_depth\.npy is no readable",
+    ),
+    "pose is an object": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile={}),
+        r"rig\.json: T_proximity_tactile: a pose is a 4 x 4 matrix",
+    ),
+    "pose in millimetres": (
+        lambda p: edit(p / "rig.json", T_proximity_tactile=[[1, 0, 0, 40], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]),
+        r"rig\.json: T_proximity_tactile: .*metres up to 10",
+    ),
+    "time is nan": (lambda p: edit(p / F / "frame.json", proximity_time_s=float("nan")), r"proximity_time_s is nan"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_bad_recording_is_refused_in_one_sentence_when_it_is_opened(recording: Path, case: str) -> None:
+    FolderSource(recording)
+    spoil, sentence = BAD[case]
+    spoil(recording)
+    with pytest.raises(SourceError, match=sentence) as caught:
+        FolderSource(recording)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_whose_name_is_no_unicode_is_read(recording: Path) -> None:
+    odd = recording.rename(recording.with_name(os.fsdecode(b"scene\xff")))
+    assert FolderSource(odd).length == len(list(odd.glob("00*")))
+
+
+def test_a_later_bad_frame_is_told_when_it_is_read(recording: Path) -> None:
+    (recording / "000001/proximity_color.png").write_bytes(b"oops")
+    source = FolderSource(recording)
+    assert source.next_frame() is not None
+    with pytest.raises(SourceError, match=r"000001/proximity_color\.png"):
+        source.next_frame()
+
+
+def test_a_reference_needs_its_images(recording: Path) -> None:
+    (recording / "reference/tactile_depth.png").unlink()
+    with pytest.raises(SourceError, match=r"reference/tactile_depth\.png"):
+        FolderSource(recording).reference()
+
+
+@pytest.mark.parametrize("name", ["missing", "file"])
+def test_a_path_that_is_no_folder_is_refused(tmp_path: Path, name: str) -> None:
+    (tmp_path / "file").write_text("")
+    with pytest.raises(SourceError, match=f"there is no folder .*{name}"):
+        FolderSource(tmp_path / name)
+
+
+BAD_CAMERA = {
+    "fx": ("wide", "proximity.fx is 'wide', but it should be a valid number"),
+    "model": (515, "proximity.model is 515, but it should be a valid string"),
+    "height": ("480", "proximity.height is '480', but it should be a valid integer"),
+    "width": (6.5, "proximity.width is 6.5, but it should be a valid integer"),
+    "fy": (-1.0, "proximity.fy is -1.0, but it should be greater than or equal to 0.1"),
+    "depth_unit_m": (0, "proximity.depth_unit_m is 0, but it should be greater than or equal to 0.0000001"),
+    "distortion": ("ftheta", "proximity.distortion is 'ftheta', but it should be 'none', 'brown_conrady'"),
+    "coefficients": ([0.1], r"proximity.coefficients.1 is missing \(and 3 more\)"),
+    "cx": (None, "proximity.cx is missing; add it"),
+    "lens": ("fish eye", "proximity.lens is no field of a rig"),
+}
+
+
+@pytest.mark.parametrize("field", BAD_CAMERA)
+def test_a_bad_camera_field_is_named_with_its_value(recording: Path, field: str) -> None:
+    value, sentence = BAD_CAMERA[field]
+    path = recording / "rig.json"
+    camera = json.loads(path.read_text())["proximity"]
+    camera[field] = value
+    if value is None:
+        del camera[field]
+    edit(path, proximity=camera)
+    with pytest.raises(SourceError, match=rf"rig\.json: {sentence}"):
+        load_rig(path)

@@ -1,0 +1,163 @@
+"""Folders of images: what is read, and that an export gives back every bit."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.model.frames import GroundTruth, Rig
+from tactune.core.model.rig_file import load_rig, save_rig
+from tactune.core.sources.folder import FolderSource, export_folder
+
+from .folder_scenes import RIG, UNIT_M, ListSource, assert_same, make_frame
+
+DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[3].parent / "shared/data"))
+
+
+# --- round trip ------------------------------------------------------------------------------------
+
+
+def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
+    frames = [
+        make_frame(0),
+        make_frame(1, tactile_color=None, truth=None),
+        make_frame(2, truth=GroundTruth(np.zeros((5, 7), bool))),
+    ]
+    reference = make_frame(3, sequence=4, truth=None)
+    assert export_folder(ListSource(frames, reference=reference), tmp_path / "out") == 3
+    with FolderSource(tmp_path / "out") as source:
+        assert source.rig == RIG
+        assert source.length == 3
+        read = list(source)
+        for before, after in zip(frames, read, strict=True):
+            assert_same(before, after)
+        untouched = source.reference()
+    assert untouched is not None
+    assert_same(reference, untouched)
+
+
+def test_truth_on_whole_counts_needs_the_png_only(tmp_path: Path) -> None:
+    counts = np.arange(35, dtype=np.uint16).reshape(5, 7) * 1800
+    depth_m = np.where(counts > 0, counts.astype(np.float32) * np.float32(UNIT_M), np.float32(np.nan))
+    frame = make_frame(0, truth=GroundTruth(counts > 9, depth_m))
+    export_folder(ListSource([frame]), tmp_path / "out")
+    np.testing.assert_array_equal(cv2.imread(str(tmp_path / "out/000000/truth_depth.png"), -1), counts)
+    assert not (tmp_path / "out/000000/truth_depth.npy").exists()
+    assert_same(frame, FolderSource(tmp_path / "out").read(0))
+
+
+def test_fine_truth_is_rounded_in_the_png_for_other_programs(recording: Path) -> None:
+    truth = make_frame(0).truth
+    assert truth is not None
+    assert truth.depth_m is not None
+    counts = cv2.imread(str(recording / "000000/truth_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert counts.dtype == np.uint16
+    assert counts[0, 0] == 0
+    np.testing.assert_allclose(counts.ravel()[1:] * UNIT_M, truth.depth_m.ravel()[1:], atol=UNIT_M / 2 + 1e-6)
+
+
+def test_truth_beyond_16_bits_is_unknown_in_the_png_but_kept(tmp_path: Path) -> None:
+    depth_m = np.full((5, 7), 0.25, np.float32)
+    depth_m[1, 2] = 65535 * UNIT_M
+    depth_m[3, 4] = 20.0
+    frame = make_frame(0, truth=GroundTruth(np.ones((5, 7), bool), depth_m))
+    export_folder(ListSource([frame]), tmp_path / "out")
+    counts = cv2.imread(str(tmp_path / "out/000000/truth_depth.png"), cv2.IMREAD_UNCHANGED)
+    assert np.argwhere(counts != 1000).tolist() == [[1, 2], [3, 4]]
+    assert counts[1, 2] == counts[3, 4] == 0
+    assert_same(frame, FolderSource(tmp_path / "out").read(0))
+
+
+def test_truth_in_a_png_is_in_counts_with_0_and_65535_unknown(recording: Path) -> None:
+    folder = recording / "000000"
+    (folder / "truth_depth.npy").unlink()
+    counts = np.full((5, 7), 1000, np.uint16)
+    counts[0, :2] = 0, 65535
+    cv2.imwrite(str(folder / "truth_depth.png"), counts)
+    truth = FolderSource(recording).read(0).truth
+    assert truth is not None
+    assert truth.depth_m is not None
+    assert np.isnan(truth.depth_m[0, :2]).all()
+    assert (truth.depth_m[1:] == np.float32(0.25)).all()
+
+
+def test_a_rig_file_keeps_every_bit(tmp_path: Path) -> None:
+    plain = Rig(proximity=RIG.proximity, tactile=RIG.proximity)
+    for rig in (RIG, plain):
+        save_rig(rig, tmp_path / "rig.json")
+        assert load_rig(tmp_path / "rig.json") == rig
+
+
+# --- reading ---------------------------------------------------------------------------------------
+
+
+def test_one_frame_may_lie_beside_rig_json(recording: Path) -> None:
+    single = recording / "000001"
+    (recording / "rig.json").rename(single / "rig.json")
+    (single / "frame.json").unlink()
+    source = FolderSource(single)
+    assert source.length == 1
+    assert source.frame_rate_hz == 30.0
+    assert source.reference() is None
+    assert_same(source.read(0), make_frame(1, sequence=0, proximity_time_s=0.0, tactile_time_s=0.0))
+
+
+def test_numbered_frames_come_in_numeric_order_with_gaps(recording: Path) -> None:
+    (recording / "000000").rename(recording / "10")
+    (recording / "000001").rename(recording / "9")
+    (recording / "notes").mkdir()
+    (recording / "10" / "frame.json").unlink()
+    source = FolderSource(recording)
+    assert [frame.sequence for frame in source] == [101, 1]
+    assert source.read(1).proximity_time_s == source.read(1).tactile_time_s == pytest.approx(1 / 30)
+    source.seek(1)
+    last = source.next_frame()
+    assert last is not None
+    assert last.sequence == 1
+    assert source.next_frame() is None
+
+
+def test_the_frame_rate_is_that_of_the_time_stamps(tmp_path: Path) -> None:
+    times = [5.0, 5.1, 5.2, 6.2]
+    export_folder(
+        ListSource([make_frame(0, sequence=i, proximity_time_s=time) for i, time in enumerate(times)]), tmp_path / "out"
+    )
+    assert FolderSource(tmp_path / "out").frame_rate_hz == pytest.approx(10.0)
+
+
+def test_colours_are_rgb(recording: Path) -> None:
+    blue_green_red = np.zeros((8, 9, 3), np.uint8)
+    blue_green_red[..., 0], blue_green_red[..., 2] = 10, 200
+    cv2.imwrite(str(recording / "000000/proximity_color.png"), blue_green_red)
+    cv2.imwrite(str(recording / "000000/tactile_color.png"), blue_green_red[:4, :6])
+    frame = FolderSource(recording).read(0)
+    assert frame.proximity_color[0, 0].tolist() == [200, 0, 10]
+    assert frame.tactile_color is not None
+    assert frame.tactile_color[0, 0].tolist() == [200, 0, 10]
+
+
+# --- real data -------------------------------------------------------------------------------------
+
+
+@pytest.mark.skipif(not (DATA / "real_pair").is_dir(), reason=f"no recording real_pair in {DATA}")
+def test_the_real_pair_is_read_as_it_is(tmp_path: Path) -> None:
+    folder = DATA / "real_pair"
+    source = FolderSource(folder)
+    frame = source.read(0)
+    rig = json.loads((folder / "rig.json").read_text())
+    assert source.rig.proximity.intrinsics.fx == rig["proximity"]["fx"]
+    assert source.rig.tactile.depth_unit_m == rig["tactile"]["depth_unit_m"]
+    np.testing.assert_array_equal(source.rig.T_proximity_tactile, rig["T_proximity_tactile"])
+    for name in ("proximity_depth", "tactile_depth"):
+        np.testing.assert_array_equal(getattr(frame, name), cv2.imread(str(folder / f"{name}.png"), -1))
+    for name in ("proximity_color", "tactile_color"):
+        np.testing.assert_array_equal(getattr(frame, name), cv2.imread(str(folder / f"{name}.png"))[:, :, ::-1])
+    export_folder(source, tmp_path / "copy")
+    copy = FolderSource(tmp_path / "copy")
+    assert copy.rig == source.rig
+    assert_same(frame, copy.read(0))

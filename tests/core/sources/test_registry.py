@@ -1,0 +1,191 @@
+"""Names of sources: what each opens, and one clear sentence for each that opens nothing."""
+
+from __future__ import annotations
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.sources import SeekableSource, registry
+from tactune.core.sources.folder import FolderSource, export_folder
+from tactune.core.sources.registry import open_source, source_kinds
+from tactune.core.sources.simulator.scenes import SCENES
+
+CAMERA = DepthCamera(intrinsics=Intrinsics(width=4, height=3, fx=1, fy=1, cx=0, cy=0), depth_unit_m=0.001)
+RIG = Rig(proximity=CAMERA, tactile=CAMERA)
+
+
+class OneFrame(SeekableSource):
+    def read(self, index: int) -> SensorFrame:
+        depth = np.full((3, 4), 9, np.uint16)
+        return SensorFrame(index, depth, depth, np.zeros((3, 4, 3), np.uint8))
+
+
+@pytest.fixture
+def recording(tmp_path: Path) -> Path:
+    export_folder(OneFrame("one", RIG, 1), tmp_path / "scene")
+    return tmp_path / "scene"
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
+    """Record what the simulator and the bag reader are asked for, without doing it."""
+    asked: list[dict[str, Any]] = []
+
+    def pretend(module: str, name: str, keys: tuple[str, ...]) -> None:
+        fake = ModuleType(module)
+
+        def make(*values: object, **named: object) -> SeekableSource:
+            asked.append(dict(zip(keys, values, strict=False)) | named)
+            return OneFrame("fake", RIG, 1)
+
+        setattr(fake, name, make)
+        monkeypatch.setitem(sys.modules, module, fake)
+
+    pretend("tactune.core.sources.simulator.source", "SimulatorSource", ())
+    pretend("tactune.core.sources.bag", "BagSource", ("path", "progress"))
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("sim", {"scene": "cup", "seed": 0, "noise": 1.0}),
+        ("sim:", {"scene": "cup", "seed": 0, "noise": 1.0}),
+        ("sim:cube", {"scene": "cube", "seed": 0, "noise": 1.0}),
+        ("sim:octopus?seed=3&noise=0.5", {"scene": "octopus", "seed": 3, "noise": 0.5}),
+        ("sim:?noise=0", {"scene": "cup", "seed": 0, "noise": 0.0}),
+        ("sim:cup?", {"scene": "cup", "seed": 0, "noise": 1.0}),
+    ],
+)
+def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict[str, Any]) -> None:
+    progress: Callable[[float, str], None] = lambda *_: None  # noqa: E731
+    open_source(name, progress)
+    assert opened == [expected | {"progress": progress}]
+
+
+def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:
+    assert (*registry.SCENES, *registry.MORE_SCENES) == SCENES
+    simulator = source_kinds()[0]
+    assert simulator.examples == ("sim:cube", "sim:cup", "sim:octopus")
+
+
+def test_a_bag_is_opened_by_scheme_or_suffix(opened: list[dict[str, Any]], tmp_path: Path) -> None:
+    path = tmp_path / "a?b:c.bag"
+    path.write_bytes(b"")
+    for name in (f"bag:{path}", str(path)):
+        open_source(name)
+    assert opened == [{"path": str(path), "progress": None}] * 2
+
+
+def test_two_recordings_with_a_comma_between_are_one_source(opened: list[dict[str, Any]], tmp_path: Path) -> None:
+    first, second = tmp_path / "a,b.bag", tmp_path / "c.db3"
+    first.write_bytes(b"")
+    second.write_bytes(b"")
+    for name in (f"bag:{first},{second}", f"{first},{second}", str(second)):
+        open_source(name)
+    assert [call["path"] for call in opened] == [f"{first},{second}"] * 2 + [str(second)]
+
+
+def test_a_folder_is_opened_by_scheme_or_by_its_rig(recording: Path) -> None:
+    for name in (f"folder:{recording}", str(recording), str(recording / "rig.json")):
+        with open_source(name) as source:
+            assert isinstance(source, FolderSource)
+            assert source.name == f"folder:{recording}"
+            assert source.length == 1
+
+
+def test_a_relative_path_and_a_home_path_are_found(recording: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(recording.parent)
+    assert open_source("scene").length == 1
+    monkeypatch.setenv("HOME", str(recording.parent))
+    assert open_source("~/scene").length == 1
+    assert open_source("folder:~/scene").length == 1
+
+
+def test_a_scheme_wins_over_a_folder_of_that_name(
+    opened: list[dict[str, Any]], recording: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording.rename(recording.parent / "sim")
+    monkeypatch.chdir(recording.parent)
+    open_source("sim")
+    assert len(opened) == 1
+    assert isinstance(open_source("./sim"), FolderSource)
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("", r"'' is no source: nothing is at that path; .* sim:SCENE"),
+        ("nowhere/at/all", r"'nowhere/at/all' is no source: nothing is at that path; .*folder:PATH, bag:PATH"),
+        ("nowhere.bag", r"'nowhere\.bag' is no source"),
+        ("avi:x", r"there is no kind of source called 'avi'; known are sim:SCENE.*, folder:PATH, bag:PATH"),
+        ("folder:", r"folder: needs a path, as in folder:PATH"),
+        ("bag:", r"bag: needs a path, as in bag:PATH"),
+        ("live:", r"live: needs another source, as in live:sim"),
+        ("live:folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
+        ("realsense:1", r"realsense:1: give both serial numbers, as in realsense:f0090001,130322270002, or none"),
+        ("folder:nowhere", r"folder:nowhere: there is no folder nowhere"),
+        ("bag:nowhere", r"bag:nowhere: there is no file nowhere"),
+        ("sim:table", r"sim:table: there is no scene 'table'; known are cube, cup, octopus"),
+        ("sim:cup?sed=3", r"no option 'sed'; known are press, side, .*, seed, noise"),
+        ("sim:cup?seed", r"'seed' are no options; write them as seed=3&noise=0\.5"),
+        ("sim:cup?seed=", r"seed is '', but it must be a whole number from 0"),
+        ("sim:cup?seed=-1", r"seed is '-1'"),
+        ("sim:cup?seed=1.5", r"seed is '1\.5'"),
+        ("sim:cup?seed=99999999999", r"seed is '99999999999'"),
+        ("sim:cup?seed=1&seed=2", r"seed is given twice"),
+        ("sim:cup?noise=loud", r"noise is 'loud', but it must be a number from 0"),
+        ("sim:cup?noise=-1", r"noise is '-1'"),
+        ("sim:cup?noise=nan", r"noise is 'nan'"),
+        ("sim:cup?noise=inf", r"noise is 'inf'"),
+        ("sim:cup?noise=1e300", r"noise is '1e300'"),
+        ("x" * 5000, r"cannot open x+: File name too long"),
+        ("folder:" + "x" * 5000, r"cannot open folder:x+: File name too long"),
+        ("bag:" + "x" * 5000, r"cannot open bag:x+: File name too long"),
+        ("~nosuchuser/scene", r"'~nosuchuser/scene' is no source"),
+        ("folder:~nosuchuser/scene", r"there is no folder ~nosuchuser/scene"),
+        ("C:/data/scene", r"'C:/data/scene' is no source"),
+    ],
+)
+def test_a_name_that_opens_nothing_is_answered_in_one_sentence(
+    name: str, sentence: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SourceError, match=sentence) as caught:
+        open_source(name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("entry", ["folder", "image.png"])
+def test_a_path_of_no_known_kind_is_refused(tmp_path: Path, entry: str) -> None:
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "image.png").write_bytes(b"")
+    with pytest.raises(SourceError, match=re.escape(f"'{tmp_path / entry}' is neither a folder with rig.json nor a")):
+        open_source(str(tmp_path / entry))
+
+
+def test_every_kind_tells_how_to_name_it() -> None:
+    kinds = source_kinds()
+    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "mcap", "realsense", "live"]
+    for kind in kinds:
+        assert kind.form.startswith(f"{kind.scheme}:")
+        assert kind.title
+        assert kind.description.endswith(".")
+    assert [(kind.needs, kind.pattern) for kind in kinds] == [
+        ("nothing", ""),
+        ("folder", "rig.json"),
+        ("file", "*.bag *.db3"),
+        ("file", "*.mcap"),
+        ("nothing", ""),
+        ("nothing", ""),
+    ]

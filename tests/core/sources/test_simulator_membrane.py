@@ -1,0 +1,172 @@
+"""The membrane's contact problem, checked against statements that do not share its code."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tactune.core.sources.simulator.membrane import ATMOSPHERE_PA, TOUCH_GAP_M, Membrane, object_pose
+from tactune.core.sources.simulator.mesh import MembraneDesign
+from tactune.core.sources.simulator.objects import CUBE, NO_OBJECT, OBJECTS, distance, normal
+
+COARSE = MembraneDesign(cells=(36, 20))
+
+
+@pytest.fixture(scope="module")
+def membrane():
+    return Membrane(COARSE)
+
+
+def press(membrane, name, depth_m, offset_m=None, rotation=None, step_m=0.004):
+    """Press an object from above the apex to a depth, in steps; return pose and equilibrium."""
+    pressed = OBJECTS[name]
+    rotation = pressed.rotation() if rotation is None else rotation
+    offset = pressed.offset_m if offset_m is None else offset_m
+    touch = membrane.design.apex_m + 0.2
+    for _ in range(100):
+        pose = object_pose(rotation, (*offset, touch))
+        touch -= min(distance(pressed.kind, pose, *node) for node in membrane.rest.nodes)
+    nodes = None
+    for depth in np.linspace(0, depth_m, int(np.ceil(depth_m / step_m)) + 1)[1:]:
+        pose = object_pose(rotation, (*offset, touch - depth))
+        state = membrane.press(pressed.kind, pose, nodes)
+        nodes = state.nodes
+    return pose, state
+
+
+@pytest.fixture(scope="module", params=["cube", "cup", "octopus"])
+def pressed(request, membrane):
+    return request.param, *press(membrane, request.param, 0.024)
+
+
+def volume_over_rim(mesh, nodes):
+    """Volume under the sheet as a sum of prisms: mean height times projected area."""
+    corners = nodes[mesh.triangles]
+    a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    return float(np.sum(corners[:, :, 2].mean(1) * (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / 2))
+
+
+def energy(membrane, nodes):
+    """Yeoh's rubber, isothermal air and the atmosphere, in joules, written from the formulas."""
+    design, mesh = membrane.design, membrane.mesh
+    unstretched = mesh.flat[:, :2] / design.prestretch
+    before, now = unstretched[mesh.triangles], nodes[mesh.triangles]
+    b0, b1 = before[:, 1] - before[:, 0], before[:, 2] - before[:, 0]
+    area = np.abs(b0[:, 0] * b1[:, 1] - b0[:, 1] * b1[:, 0]) / 2
+    edges = np.stack([now[:, 1] - now[:, 0], now[:, 2] - now[:, 0]], 2)
+    deformation = edges @ np.linalg.inv(np.stack([b0, b1], 2))
+    right = np.einsum("tki,tkj->tij", deformation, deformation)
+    strain = np.trace(right, axis1=1, axis2=2) + 1 / np.linalg.det(right) - 3
+    density = 0.5 * design.stiffness_n_m * (strain + design.stiffening * strain**2)
+    volume = volume_over_rim(mesh, nodes) + design.dead_volume_m3
+    amount = membrane.rest.pressure_pa * membrane.rest.volume_m3
+    return float(np.sum(area * density) - amount * np.log(volume) + ATMOSPHERE_PA * volume)
+
+
+def test_inflated_apex_has_its_height(membrane):
+    assert membrane.rest.nodes[:, 2].max() == pytest.approx(COARSE.apex_m, abs=1e-6)
+    assert np.array_equal(membrane.rest.nodes[~membrane.mesh.free], membrane.mesh.flat[~membrane.mesh.free])
+    assert membrane.rest.pressure_pa > ATMOSPHERE_PA
+
+
+def test_object_is_not_penetrated_and_pushes_only_where_it_touches(pressed):
+    name, pose, state = pressed
+    gaps = np.array([distance(OBJECTS[name].kind, pose, *node) for node in state.nodes])
+    assert gaps.min() > -1e-9
+    assert (state.reaction_n >= 0).all()
+    assert np.count_nonzero(state.reaction_n) >= 5
+    assert gaps[state.reaction_n > 0].max() <= TOUCH_GAP_M
+
+
+def test_air_is_conserved_and_bulges_elsewhere(membrane, pressed):
+    _, _, state = pressed
+    rest = membrane.rest
+    volume = volume_over_rim(membrane.mesh, state.nodes) + COARSE.dead_volume_m3
+    assert volume < 0.997 * rest.volume_m3
+    assert state.pressure_pa * volume == pytest.approx(rest.pressure_pa * rest.volume_m3, rel=1e-9)
+    far = np.abs(membrane.mesh.flat[:, 0]) > 0.12
+    assert (state.nodes - rest.nodes)[far & membrane.mesh.free, 2].min() > 0
+
+
+def test_forces_balance(membrane, pressed):
+    """The energy's slope along any motion equals the work of the contact reactions."""
+    name, pose, state = pressed
+    kind = OBJECTS[name].kind
+    push = np.zeros_like(state.nodes)
+    for n in np.flatnonzero(state.reaction_n):
+        push[n] = state.reaction_n[n] * np.array(normal(kind, pose, *state.nodes[n]))
+    gauge = state.pressure_pa - ATMOSPHERE_PA
+    nodal_force = gauge * COARSE.width_m * COARSE.height_m / len(state.nodes)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        motion = rng.standard_normal(state.nodes.shape) * membrane.mesh.free[:, None]
+        step = 1e-7
+        slope = (energy(membrane, state.nodes + step * motion) - energy(membrane, state.nodes - step * motion)) / (
+            2 * step
+        )
+        assert slope == pytest.approx(np.sum(push * motion), abs=3e-3 * nodal_force * np.sqrt(motion.size))
+    assert np.sum(push[:, 2]) < -5.0
+
+
+def test_mirrored_press_gives_the_mirrored_shape(membrane):
+    upright = np.eye(3)
+    _, left = press(membrane, "cube", 0.012, (-0.03, 0.01), upright)
+    _, right = press(membrane, "cube", 0.012, (0.03, 0.01), upright)
+    columns, rows = COARSE.cells[0] + 1, COARSE.cells[1] + 1
+    mirrored = right.nodes.reshape(rows, columns, 3)[:, ::-1] * (-1, 1, 1)
+    assert np.abs(left.nodes.reshape(rows, columns, 3) - mirrored).max() < 1e-5
+    assert np.abs(left.nodes[:, 2] - right.nodes[:, 2]).max() > 1e-3
+
+
+def test_deep_press_still_converges(membrane):
+    pose, state = press(membrane, "cube", 0.085)
+    assert state.residual < membrane.tolerance
+    assert state.gap_m.min() > -1e-9
+    assert min(node[2] for node in state.nodes[state.reaction_n > 0]) < -0.015
+    assert distance(CUBE, pose, 0.0, 0.0, -0.5) > 0.0
+
+
+def test_pressure_hardly_depends_on_the_mesh(membrane):
+    finer = Membrane(MembraneDesign(cells=(60, 34)))
+    _, coarse_state = press(membrane, "cup", 0.016)
+    _, fine_state = press(finer, "cup", 0.016)
+    assert coarse_state.pressure_pa - ATMOSPHERE_PA == pytest.approx(fine_state.pressure_pa - ATMOSPHERE_PA, rel=0.02)
+    assert coarse_state.reaction_n.sum() == pytest.approx(fine_state.reaction_n.sum(), rel=0.05)
+
+
+def test_stretches_of_a_known_deformation(membrane):
+    stretched = membrane.mesh.flat * (1.5, 1.1, 1.0)
+    stretches = membrane.stretches(stretched)
+    assert stretches[:, 0] == pytest.approx(1.5 * COARSE.prestretch)
+    assert stretches[:, 1] == pytest.approx(1.1 * COARSE.prestretch)
+
+
+def test_same_press_gives_the_same_bits(membrane):
+    _, first = press(membrane, "octopus", 0.008)
+    _, again = press(Membrane(COARSE), "octopus", 0.008)
+    assert np.abs(first.nodes - again.nodes).max() < 1e-6
+    _, third = press(Membrane(COARSE), "octopus", 0.008)
+    assert np.array_equal(again.nodes, third.nodes)
+
+
+@pytest.mark.parametrize("name", sorted(OBJECTS))
+def test_distance_is_a_bound_and_agrees_with_its_normal(name):
+    kind = OBJECTS[name].kind
+    pose = object_pose(np.eye(3), np.zeros(3))
+    points = np.random.default_rng(5).uniform(-0.09, 0.09, (4000, 3))
+    values = np.array([distance(kind, pose, *point) for point in points])
+    steps = np.random.default_rng(6).uniform(-0.003, 0.003, points.shape)
+    moved = np.array([distance(kind, pose, *point) for point in points + steps])
+    near = np.linalg.norm(points, axis=1) < 0.095
+    assert (np.abs(moved - values) <= np.linalg.norm(steps, axis=1) * 1.001)[near].all()
+    for point, value in zip(points[:200], values[:200], strict=True):
+        if 0.0005 < value < 0.01:
+            surface = point - value * np.array(normal(kind, pose, *point))
+            assert abs(distance(kind, pose, *surface)) < 0.6 * value
+
+
+def test_known_distances():
+    pose = object_pose(np.eye(3), np.array([0.1, 0.0, 0.0]))
+    assert distance(CUBE, pose, 0.1, 0.0, -0.05) == pytest.approx(0.0175)
+    assert distance(CUBE, pose, 0.1, 0.0, 0.0) == pytest.approx(-0.0325)
+    assert distance(NO_OBJECT, pose, 0.1, 0.0, 0.0) > 0.5

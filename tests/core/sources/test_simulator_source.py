@@ -1,0 +1,330 @@
+"""The simulator as a source: geometry, noise, determinism, cache, and what the shipped preset makes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import ExportError, SourceError
+from tactune.core.preset.file import load_preset
+from tactune.core.sources.simulator import cache, source
+from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG, REFLECTIVE_FLAG
+from tactune.core.sources.simulator.scene import APEX_M, CleanState, PressFacts, simulator_rig
+from tactune.core.sources.simulator.source import SimulatorSource
+
+COARSE = (88, 52)
+REST, DEEP = 0, 45
+
+
+@pytest.fixture(scope="module", params=["cube", "cup", "octopus"])
+def any_scene(request):
+    return SimulatorSource(request.param, cells=COARSE)
+
+
+@pytest.fixture(scope="module")
+def cup():
+    return SimulatorSource("cup", cells=COARSE)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    return SimulatorSource("cup", noise=0.0, cells=COARSE)
+
+
+def images(frame):
+    return frame.proximity_depth, frame.tactile_depth, frame.proximity_color, frame.tactile_color
+
+
+def membrane_points(frame, rig, stride=7):
+    """True membrane points of some proximity pixels, in the proximity frame, metres."""
+    depth = frame.truth.depth_m
+    points = rig.proximity.intrinsics.rays() * depth[..., None]
+    points = np.dstack([points, depth])[::stride, ::stride].reshape(-1, 3)
+    return points[np.isfinite(points[:, 2])].astype(np.float64)
+
+
+def in_frame(points, matrix):
+    return points @ np.array(matrix)[:3, :3].T + np.array(matrix)[:3, 3]
+
+
+def look_up(image, intrinsics, points):
+    """Nearest pixel of each point and whether the image has it."""
+    u, v = np.round(intrinsics.project(points)).astype(int).T
+    seen = (u >= 0) & (u < intrinsics.width) & (v >= 0) & (v < intrinsics.height)
+    return image[v.clip(0, intrinsics.height - 1), u.clip(0, intrinsics.width - 1)], seen
+
+
+def components(mask, smallest):
+    sizes = cv2.connectedComponentsWithStats(mask.astype(np.uint8))[2][1:, cv2.CC_STAT_AREA]
+    return int((sizes >= smallest).sum())
+
+
+def test_frames_fit_the_rig_and_the_apex_is_where_it_belongs(exact):
+    frame = exact.read(REST)
+    frame.check_against(exact.rig)
+    assert frame.tactile_color.shape == (480, 640, 3)
+    assert not frame.truth.contact.any()
+    assert np.nanmax(frame.truth.depth_m) == pytest.approx(APEX_M, abs=1e-4)
+    assert exact.length == 90
+    assert frame.skew_s != 0.0
+
+
+def test_tactile_camera_sees_the_same_membrane_from_its_own_place(exact):
+    frame, rig = exact.read(DEEP), exact.rig
+    points = in_frame(membrane_points(frame, rig), np.linalg.inv(np.array(rig.T_proximity_tactile)))
+    counts, seen = look_up(frame.tactile_depth, rig.tactile.intrinsics, points)
+    error = np.abs(counts * rig.tactile.depth_unit_m - points[:, 2])[seen & (counts > 0)]
+    assert len(error) > 3000
+    assert np.median(error) < 3e-4
+    assert np.quantile(error, 0.98) < 2e-3
+
+
+def test_object_depth_meets_the_membrane_in_contact_only(exact):
+    frame, unit = exact.read(DEEP), exact.rig.proximity.depth_unit_m
+    difference = frame.proximity_depth * unit - frame.truth.depth_m
+    assert np.quantile(np.abs(difference[frame.truth.contact]), 0.97) < 1.5e-3
+    assert np.median(difference[~frame.truth.contact & np.isfinite(difference)]) > 0.1
+    assert np.nanmin(difference[frame.proximity_depth > 0]) > -2.5e-3
+
+
+def test_both_colour_images_show_the_same_droplets(exact):
+    frame, rig = exact.read(DEEP), exact.rig
+    points = membrane_points(frame, rig, stride=3)
+    near, seen_near = look_up(
+        frame.proximity_color,
+        rig.proximity_color.intrinsics,
+        in_frame(points, rig.proximity_color.T_color_depth),
+    )
+    tactile, seen_tactile = look_up(
+        frame.tactile_color, rig.tactile.intrinsics, in_frame(points, np.linalg.inv(np.array(rig.T_proximity_tactile)))
+    )
+    both = seen_near & seen_tactile
+    dark_near, dark_tactile = near[both].max(1) < 110, tactile[both].max(1) < 110
+    assert 0.05 < dark_near.mean() < 0.25
+    assert (dark_near & dark_tactile).sum() / (dark_near | dark_tactile).sum() > 0.6
+
+
+def test_droplets_move_with_the_membrane(exact):
+    before, after = exact.read(REST).tactile_color, exact.read(DEEP).tactile_color
+    region = (slice(150, 330), slice(90, 190))
+    dark_before, dark_after = before[region].max(2) < 110, after[region].max(2) < 110
+    assert dark_before.mean() == pytest.approx(dark_after.mean(), rel=0.15)
+    assert (dark_before & dark_after).sum() / (dark_before | dark_after).sum() < 0.8
+
+
+@pytest.mark.parametrize("noise", [0.0, 1.0])
+def test_frames_depend_on_seed_and_index_only(noise):
+    one, two = (SimulatorSource("cup", seed=4, noise=noise, cells=COARSE) for _ in range(2))
+    forward = [images(one.read(n)) for n in (0, 30, 31, 89)]
+    backward = [images(two.read(n)) for n in (89, 31, 30, 0)][::-1]
+    for a, b in zip(forward, backward, strict=True):
+        assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    other = SimulatorSource("cup", seed=5, noise=noise, cells=COARSE)
+    same = [np.array_equal(x, y) for x, y in zip(images(other.read(0)), forward[0], strict=True)]
+    assert same == [noise == 0.0] * 4
+
+
+def test_stream_and_seek(cup):
+    cup.seek(88)
+    assert [frame.sequence for frame in cup] == [88, 89]
+    assert cup.next_frame() is None
+    with pytest.raises(SourceError, match="no frame 90"):
+        cup.seek(90)
+
+
+def test_noise_has_the_size_that_the_data_sheets_give():
+    clean = SimulatorSource("cube", noise=0.0, cells=COARSE).read(DEEP)
+    for level in (1.0, 2.0):
+        frame = SimulatorSource("cube", noise=level, cells=COARSE).read(DEEP)
+        inside = cv2.erode(clean.truth.contact.astype(np.uint8), np.ones((9, 9))) > 0
+        error = (frame.proximity_depth.astype(float) - clean.proximity_depth)[inside & (frame.proximity_depth > 0)]
+        spread = 1.4826 * np.median(np.abs(error - np.median(error))) * 0.00025
+        assert 0.0008 * level < spread < 0.0016 * level
+        assert abs(np.median(error)) * 0.00025 < 0.002 * level
+
+        both = (frame.tactile_depth > 0) & (frame.tactile_depth < 65535) & (clean.tactile_depth > 0)
+        error = np.where(both, frame.tactile_depth.astype(float) - clean.tactile_depth, np.nan)[150:330, 150:500]
+        assert 0.0003 * level < np.nanstd(error) * 0.0001 < 0.0010 * level
+        filled = np.nan_to_num(error)
+        assert np.corrcoef(filled[:, :-2].ravel(), filled[:, 2:].ravel())[0, 1] > 0.5
+        assert abs(np.corrcoef(filled[:, :-40].ravel(), filled[:, 40:].ravel())[0, 1]) < 0.2
+        grain = frame.tactile_color.astype(float) - clean.tactile_color
+        assert 1.5 * level < grain[150:330, 150:500].std() < 3 * level
+
+
+def test_both_ways_of_saying_no_depth_occur(cup):
+    frame = cup.read(20)
+    seen = np.isfinite(frame.truth.depth_m)
+    assert 0.001 < (frame.proximity_depth == 0)[seen].mean() < 0.05
+    tactile = frame.tactile_depth[150:330, 150:500]
+    assert 0.001 < (tactile == 0).mean() + (tactile == 65535).mean() < 0.05
+    assert (frame.tactile_depth == 65535).any()
+
+
+def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup):
+    frame = cup.read(REST)
+    flags = cup._solved.states[0].flags
+    patch = (flags & REFLECTIVE_FLAG) != 0
+    assert patch.sum() > 1000
+    error = np.abs(frame.proximity_depth * 0.00025 - frame.truth.depth_m)[patch & (frame.proximity_depth > 0)]
+    assert np.quantile(error, 0.95) < 0.004
+    preset = load_preset("simulator")
+    assert ContactPipeline(preset.with_value("mask.enabled", False), cup.rig).process(frame).mask.sum() > 1000
+    assert ContactPipeline(preset, cup.rig).process(frame).mask.sum() == 0
+
+
+def test_flying_pixels_hang_between_object_and_backdrop():
+    clean = SimulatorSource("cube", noise=0.0, cells=COARSE).read(DEEP).proximity_depth * 0.00025
+    frame = SimulatorSource("cube", cells=COARSE).read(DEEP).proximity_depth * 0.00025
+    assert ((clean > 0.45) & (clean < 0.7)).sum() < 5
+    assert ((frame > 0.45) & (frame < 0.7)).sum() > 50
+
+
+def test_frames_without_touch_leave_no_patch(any_scene):
+    pipeline = ContactPipeline(load_preset("simulator"), any_scene.rig)
+    free = [n for n in range(any_scene.length) if any_scene.facts(n).depth_m < 0]
+    assert len(free) >= 10
+    for n in free:
+        frame = any_scene.read(n)
+        assert not frame.truth.contact.any()
+        assert pipeline.process(frame).mask.mean() < 0.0005
+
+
+def test_patch_agrees_with_truth_better_the_deeper_the_press(any_scene):
+    pipeline = ContactPipeline(load_preset("simulator"), any_scene.rig)
+    shares = []
+    for n in (12, 25, DEEP):
+        frame = any_scene.read(n)
+        patch, truth = pipeline.process(frame).mask, frame.truth.contact
+        shares.append((patch & truth).sum() / (patch | truth).sum())
+        assert (patch & truth).sum() > 0.85 * truth.sum()
+    assert shares[0] > 0.2
+    assert shares == sorted(shares)
+    assert shares[2] > 0.45
+
+
+def test_cup_and_handle_touch_apart(cup):
+    pipeline = ContactPipeline(load_preset("simulator"), cup.rig)
+    for n in (15, 25, DEEP):
+        frame = cup.read(n)
+        assert components(frame.truth.contact, 60) == 2
+        assert components(pipeline.process(frame).mask, 60) == 2
+
+
+def test_facts_follow_the_press(any_scene):
+    assert any_scene.facts(REST).force_n == 0.0
+    deep, middle = any_scene.facts(DEEP), any_scene.facts(20)
+    assert deep.depth_m > 0.045
+    assert deep.force_n > middle.force_n > 0
+    assert deep.gauge_pressure_pa > middle.gauge_pressure_pa
+    assert 0.3 < deep.max_strain < 2.5
+    moved = np.array(middle.T_proximity_object) - np.array(deep.T_proximity_object)
+    assert moved[2, 3] == pytest.approx(deep.depth_m - middle.depth_m)
+    assert max(any_scene.facts(n).residual for n in range(any_scene.length)) < 1e-3
+
+
+def test_shipped_preset_is_for_this_rig():
+    assert load_preset("simulator").rig == simulator_rig()
+
+
+@pytest.mark.parametrize("options", [{"scene": "teapot"}, {"seed": -1}, {"noise": -0.5}, {"noise": float("nan")}])
+def test_bad_options_are_refused(options):
+    with pytest.raises(SourceError, match=r"sim"):
+        SimulatorSource(**options)
+
+
+def fake_scene(count):
+    rng = np.random.default_rng(0)
+
+    def state():
+        depths = {
+            name: rng.integers(0, 65535, (480, 640), dtype=np.uint16) for name in ("behind", "membrane", "tactile")
+        }
+        bytes_ = {name: rng.integers(0, 255, (480, 640), dtype=np.uint8) for name in ("cosine", "flags")}
+        colours = {
+            name: rng.integers(0, 255, (480, 640, 3), dtype=np.uint8) for name in ("proximity_color", "tactile_color")
+        }
+        return CleanState(**depths, **bytes_, **colours)
+
+    pose = tuple(tuple(row) for row in np.eye(4).tolist())
+    facts = PressFacts(0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, 1500.0, 1e-4, pose)
+    return SolvedScene([state()] * count, [facts] * count)
+
+
+def test_cache_keeps_every_bit(tmp_path):
+    path = tmp_path / "new" / "cup-1.zip"
+    scene = fake_scene(2)
+    save_scene(path, scene)
+    back = load_scene(path, 2)
+    for mine, kept in zip(scene.states, back.states, strict=True):
+        for name, image in mine.arrays().items():
+            assert np.array_equal(image, kept.arrays()[name])
+            assert image.dtype == kept.arrays()[name].dtype
+    assert [dataclasses.astuple(facts)[:9] for facts in back.facts] == [
+        (0.0, 0.1, 0.08, 0.09, 0.07, 0.08, 0.0, 1500.0, 1e-4)
+    ] * 2
+    assert np.array_equal(back.facts[0].T_proximity_object, np.eye(4))
+
+
+def test_cache_keeps_the_versions_used_last(tmp_path, monkeypatch):
+    for age, name in enumerate(("cup-4", "cup-3", "cup-2", "cube-1", "cup-1")):
+        (tmp_path / f"{name}.zip").write_bytes(b"x" * 1000)
+        os.utime(tmp_path / f"{name}.zip", (1e9 - age, 1e9 - age))
+    save_scene(tmp_path / "cup-5.zip", fake_scene(1))
+    assert {file.stem for file in tmp_path.iterdir()} == {"cup-5", "cup-4", "cup-3", "cube-1"}
+    monkeypatch.setattr(cache, "_ALL_BYTES", 1500)
+    save_scene(tmp_path / "cup-6.zip", fake_scene(1))
+    assert {file.stem for file in tmp_path.iterdir()} == {"cup-6"}
+
+
+def test_damaged_cache_counts_as_missing(tmp_path):
+    path = tmp_path / "cup-1.zip"
+    assert load_scene(path, 1) is None
+    save_scene(path, fake_scene(1))
+    whole = path.read_bytes()
+    assert load_scene(path, 2) is None
+    for damaged in (b"", b"hello", whole[: len(whole) // 2], whole[:5000] + b"\0" * 64 + whole[5064:]):
+        path.write_bytes(damaged)
+        assert load_scene(path, 1) is None
+
+
+def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
+    monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path / name))
+    computed = []
+
+    def compute(self, *_):
+        computed.append(1)
+        return fake_scene(40)
+
+    monkeypatch.setattr(SimulatorSource, "_compute", compute)
+    told = []
+    SimulatorSource("cube", progress=lambda share, words: told.append((share, words)))
+    assert told[-1] == (1.0, "The cube scene is ready")
+    assert SimulatorSource("cube").health().message == ""
+    assert len(computed) == 1
+    (kept,) = (tmp_path / "tactune" / "simulator").iterdir()
+    kept.write_bytes(kept.read_bytes()[:1000])
+
+    def refuse(*_):
+        raise ExportError("cannot write: disk full; choose another place")
+
+    monkeypatch.setattr(source, "save_scene", refuse)
+    without = SimulatorSource("cube")
+    assert len(computed) == 2
+    assert "disk full" in without.health().message
+    assert without.read(5).truth.contact.dtype == bool
+
+
+def test_truth_is_the_solver_s_and_unaffected_by_noise(cup, exact):
+    noisy, clean = cup.read(DEEP).truth, exact.read(DEEP).truth
+    assert np.array_equal(noisy.contact, clean.contact)
+    assert np.array_equal(noisy.depth_m, clean.depth_m, equal_nan=True)
+    state = exact._solved.states[-1]
+    assert np.array_equal(clean.contact, (state.flags & CONTACT_FLAG) != 0)
+    assert np.nanmax(np.abs(clean.depth_m - state.membrane * CLEAN_UNIT_M)[state.membrane > 0]) < 1e-6

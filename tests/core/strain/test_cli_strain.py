@@ -1,0 +1,108 @@
+from __future__ import annotations
+
+import csv
+import json
+
+import pytest
+
+from tactune.app.cli.main import main
+from tactune.core.sources.registry import open_source
+
+SOURCE = "sim:cup?press=low&grid=dots"
+
+
+@pytest.fixture
+def tactune(capsys, monkeypatch):
+    def run(*words):
+        monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
+        status = main()
+        captured = capsys.readouterr()
+        return status, captured.out, captured.err
+
+    return run
+
+
+def test_json_has_a_line_a_frame(tactune):
+    with open_source(SOURCE) as source:
+        facts = source.facts(0)
+    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 1, "--json")
+    assert status == 0
+    (record,) = map(json.loads, out.splitlines())
+    assert record["sequence"] == 0
+    assert record["displacement_mm"] == 0.0
+    assert record["dots"] == 665
+    assert record["strain_length_percent"] == pytest.approx(100 * facts.strain_length, abs=2.0)
+    assert record["strain_width_percent"] == pytest.approx(100 * facts.strain_width, abs=2.0)
+    assert record["true_strain_width_percent"] == pytest.approx(100 * facts.strain_width, abs=0.01)
+    assert record["true_strain_length_seen_percent"] == pytest.approx(100 * facts.strain_length_seen, abs=0.01)
+
+
+def test_frames_at_rest_are_averaged_and_the_solver_stands_beside(tactune):
+    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 3, "--average", 2, "--json")
+    assert status == 0
+    assert [json.loads(line)["averaged_frames"] for line in out.splitlines()] == [1, 2, 2]
+    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 1)
+    head, line = out.splitlines()
+    assert "solver: seen (all)" in head
+    assert line.endswith(")")
+
+
+def test_the_presets_pose_counts(tactune, tmp_path):
+    """Cameras that stand a metre apart see nothing in common, so the proximity camera no longer helps."""
+    path = tmp_path / "apart.json"
+    pose = "alignment.rigid.T_proximity_tactile=[[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"
+    assert tactune("preset", "new", "--out", path, "--from", "simulator", "--set", pose)[0] == 0
+    source = "sim:cup?press=high&grid=dots"
+    lines = [
+        tactune("strain", "--source", source, "--frames", 1, "--json", *preset) for preset in ((), ("--preset", path))
+    ]
+    helped, alone = (json.loads(out)["strain_length_percent"] for _, out, _ in lines)
+    assert helped != alone
+
+
+def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_path, monkeypatch):
+    figures = pytest.importorskip("matplotlib.figure").Figure
+    save, drawn = figures.savefig, {}
+
+    def look(figure, *words, **options):
+        drawn.update({line.get_label(): line.get_ydata() for line in figure.axes[0].lines})
+        save(figure, *words, **options)
+
+    monkeypatch.setattr(figures, "savefig", look)
+    table, figure = tmp_path / "strain.csv", tmp_path / "strain.png"
+    status, out, _ = tactune(
+        "strain", "--source", SOURCE, "--frames", 1, "--spacing-mm", 12, "--csv", table, "--plot", figure
+    )
+    assert status == 0
+    assert f"wrote {table}" in out and f"wrote {figure}" in out
+    assert "665" in out.splitlines()[1]
+    (row,) = csv.DictReader(table.read_text().splitlines())
+    for direction in ("length", "width"):
+        assert drawn[f"{direction}, measured"] == [float(row[f"strain_{direction}_percent"])]
+        known = float(row[f"true_strain_{direction}_seen_percent"])
+        assert drawn[f"{direction}, solver at the dots seen"] == [known]
+    assert float(row["strain_length_percent"]) < 2.0  # (1 + 0.16) 10 / 12 - 1 is below 0
+    assert figure.read_bytes().startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    "words, sentence",
+    [
+        (("--source", "sim:cup?press=medium", "--frames", 1), "no grid of dots is seen"),
+        (("--spacing-mm", 0), "spacing is 0 mm"),
+        (("--source", "sim:nothing"), "nothing"),
+    ],
+)
+def test_what_cannot_be_measured_ends_with_a_sentence(tactune, words, sentence, tmp_path):
+    table = tmp_path / "strain.csv"
+    status, out, err = tactune("strain", *words, "--csv", table)
+    assert (status, out) == (2, "")
+    assert sentence in err
+    assert "Traceback" not in err
+    assert not table.exists()
+
+
+def test_a_figure_must_be_a_png(tactune, tmp_path):
+    status, _, err = tactune("strain", "--plot", tmp_path / "strain.jpg")
+    assert status == 2
+    assert ".png" in err

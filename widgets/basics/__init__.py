@@ -1,0 +1,1 @@
+"""Small parts that all widgets share: theme, colour maps, buttons, labels, tables."""

@@ -1,0 +1,231 @@
+"""The colours of depth, of the relative difference and of provenance, and their legends.
+
+Depth and relative difference use perceptually uniform maps. Contact has one fixed colour everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from functools import cache, lru_cache
+from typing import Final, Literal
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtGui import QColor, QPalette
+
+from ...core.contact.provenance import Provenance
+from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+
+Theme = Literal["light", "dark"]
+Legend = list[tuple[str, QColor]]
+
+#: Contact, in every view and image of both themes.
+CONTACT_RGB: Final = (232, 70, 22)
+CONTACT_COLOR: Final = QColor(*CONTACT_RGB)
+
+#: Relative difference at both ends of the colour scale.
+DIFFERENCE_LIMIT: Final = 0.10
+
+#: The row of a difference table that stands for *undefined*.
+UNDEFINED_ROW: Final = 0
+
+#: The row of a patch table that stands for *contact*.
+CONTACT_ROW: Final = 255
+
+_DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
+_DIFFERENCE_MAP = "CET-D13"
+#: Where the map continues outside the band: its pale middle would vanish on a light background.
+_DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.35, 0.85
+_CANDIDATE_RGB = (245, 158, 120)
+_UNDEFINED_RGBA = (128, 128, 128, 70)
+
+_REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
+    Provenance.NO_TACTILE_DEPTH: (70, 150, 215),
+    Provenance.MASKED: (190, 95, 165),
+    Provenance.OUTLIER: (205, 160, 0),
+    Provenance.SMALL_CLUSTER: (0, 150, 115),
+    Provenance.RIM: (150, 80, 50),
+    Provenance.NOT_PRESSED: (110, 100, 205),
+    Provenance.CONTACT: CONTACT_RGB,
+}
+_CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
+    "light": {
+        Provenance.NO_PROXIMITY_DEPTH: (242, 242, 242),
+        Provenance.OUTSIDE_REGION: (226, 226, 230),
+        Provenance.OUTSIDE_RANGE: (196, 204, 222),
+        Provenance.OUTSIDE_TOLERANCE: (200, 200, 198),
+    },
+    "dark": {
+        Provenance.NO_PROXIMITY_DEPTH: (26, 26, 26),
+        Provenance.OUTSIDE_REGION: (50, 50, 54),
+        Provenance.OUTSIDE_RANGE: (58, 66, 88),
+        Provenance.OUTSIDE_TOLERANCE: (82, 82, 80),
+    },
+}
+#: Near and far end of the relief around a patch.
+_RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
+_SHORT_NAMES: dict[Provenance, str] = {
+    Provenance.CONTACT: "contact",
+    Provenance.RIM: "rim",
+    Provenance.NOT_PRESSED: "not pressed",
+    Provenance.OUTSIDE_TOLERANCE: "not touching",
+    Provenance.MASKED: "masked",
+    Provenance.OUTLIER: "outlier",
+    Provenance.SMALL_CLUSTER: "small cluster",
+    Provenance.NO_TACTILE_DEPTH: "no tactile depth",
+    Provenance.OUTSIDE_RANGE: "out of range",
+    Provenance.OUTSIDE_REGION: "out of region",
+    Provenance.NO_PROXIMITY_DEPTH: "no depth",
+}
+
+
+def palette_theme(palette: QPalette) -> Theme:
+    """Tell whether a palette is light or dark."""
+    return "dark" if palette.color(QPalette.ColorRole.Base).lightness() < 128 else "light"
+
+
+@cache
+def depth_lut() -> Uint8Array:
+    """Return the depth colours, near (bright) to far: uint8 (256, 4)."""
+    return _frozen(_sample(_DEPTH_MAP, np.linspace(*_DEPTH_PART, 256)))
+
+
+def depth_legend(near_m: float, far_m: float) -> Legend:
+    """Return near, middle and far of the depth colours, labelled in millimetres."""
+    return [
+        (f"{near_m + share * (far_m - near_m):.3f} m", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)
+    ]
+
+
+def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
+    """Take relative differences to rows of a difference table.
+
+    Parameters
+    ----------
+    relative_difference : float32, shape (H, W)
+        ``(dp - dt) / dp``; nan where undefined.
+    limit : float
+        Relative difference at both ends of the table.
+
+    Returns
+    -------
+    uint8, shape (H, W)
+        Rows 1 to 255 from ``-limit`` to ``limit``, clipped; `UNDEFINED_ROW` for nan.
+    """
+    rows = relative_difference * np.float32(127.0 / limit)
+    rows += np.float32(128.5)
+    np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
+    np.nan_to_num(rows, copy=False, nan=float(UNDEFINED_ROW))
+    return rows.astype(np.uint8)
+
+
+@cache
+def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
+    """Return the colours of relative differences: uint8 (256, 4).
+
+    Inside the band from ``-t`` to ``t`` lies one pale tint of the contact colour: these pixels pass
+    the tolerance test. Outside, a diverging map: green where the tactile depth is the smaller one.
+    """
+    relative = (np.arange(256) - 128.0) * (limit / 127.0)
+    beyond = np.clip((np.abs(relative) - t) / max(limit - t, 1e-9), 0.0, 1.0)
+    away = _DIFFERENCE_STARTS + (_DIFFERENCE_ENDS - _DIFFERENCE_STARTS) * beyond
+    lut = _sample(_DIFFERENCE_MAP, 0.5 + 0.5 * np.sign(relative) * away)
+    lut[np.abs(relative) <= t] = (*_CANDIDATE_RGB, 255)
+    lut[UNDEFINED_ROW] = _UNDEFINED_RGBA
+    return _frozen(lut)
+
+
+def difference_legend(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Legend:
+    """Return both ends and the band of the difference colours."""
+    lut = difference_lut(t, limit)
+    return [
+        (f"−{limit:.0%}", _color(lut, 1)),
+        (f"within ±{t:.1%}", QColor(*_CANDIDATE_RGB)),
+        (f"+{limit:.0%}", _color(lut, 255)),
+    ]
+
+
+@cache
+def provenance_lut(theme: Theme) -> Uint8Array:
+    """Return one colour for every `Provenance`: uint8 (256, 4); rows without a meaning are hidden.
+
+    What merely does not touch is faint on the theme's background; contact stands out.
+    """
+    lut = np.zeros((256, 4), np.uint8)
+    for provenance, rgb in (_CONTEXT_RGB[theme] | _REASON_RGB).items():
+        lut[provenance] = (*rgb, 255)
+    return _frozen(lut)
+
+
+def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
+    """Take a contact mask and the depth around it to rows of `patch_lut`.
+
+    Parameters
+    ----------
+    contact : bool, shape (H, W)
+    depth : uint16, shape (H, W)
+        Raw counts.
+    near, far : float
+        Raw counts at both ends of the context's shades.
+
+    Returns
+    -------
+    uint8, shape (H, W)
+        `CONTACT_ROW` for contact, rows below it for the context by depth.
+    """
+    rows: Uint8Array = _shades(near, far)[depth]
+    rows[contact] = CONTACT_ROW
+    return rows
+
+
+@lru_cache(maxsize=8)
+def _shades(near: float, far: float) -> Uint8Array:
+    """Return the row of the context for every raw count: uint8 (65536,)."""
+    rows = np.clip((np.arange(65536) - near) * ((CONTACT_ROW - 1) / (far - near)), 0, CONTACT_ROW - 1)
+    table: Uint8Array = rows.astype(np.uint8)
+    return table
+
+
+@cache
+def patch_lut(theme: Theme) -> Uint8Array:
+    """Return the colours of `patch_index`: uint8 (256, 4). Contact stands out from a faint gray relief."""
+    near, far = _RELIEF_GRAY[theme]
+    lut = np.full((256, 4), 255, np.uint8)
+    lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
+    lut[CONTACT_ROW, :3] = CONTACT_RGB
+    return _frozen(lut)
+
+
+def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:
+    """Return the name and colour of every `Provenance` that occurs, the most important first."""
+    lut = provenance_lut(theme)
+    return [(name, _color(lut, verdict)) for verdict, name in _SHORT_NAMES.items() if verdict in occurring]
+
+
+def patch_legend(theme: Theme) -> Legend:
+    """Return the legend of `patch_lut`."""
+    lut = patch_lut(theme)
+    return [("contact", CONTACT_COLOR), ("not touching", _color(lut, CONTACT_ROW / 2))]
+
+
+def over_background(lut: Uint8Array, background: tuple[int, int, int]) -> Uint8Array:
+    """Mix a table's colours with a background by their alpha: uint8 (256, 4), alpha 255, or 0 if hidden."""
+    alpha = lut[:, 3:].astype(np.float64) / 255
+    mixed = np.empty_like(lut)
+    mixed[:, :3] = np.rint(lut[:, :3] * alpha + np.array(background) * (1 - alpha))
+    mixed[:, 3] = np.where(lut[:, 3] > 0, 255, 0)
+    return mixed
+
+
+def _sample(name: str, positions: Float64Array) -> Uint8Array:
+    colors = pg.colormap.get(name).map(positions, mode="byte")
+    return np.ascontiguousarray(colors, dtype=np.uint8)
+
+
+def _frozen(lut: Uint8Array) -> Uint8Array:
+    lut.flags.writeable = False
+    return lut
+
+
+def _color(lut: Uint8Array, row: float) -> QColor:
+    return QColor(*(int(channel) for channel in lut[round(row), :3]))

@@ -1,0 +1,143 @@
+"""An organised point cloud as the cloud views take it: images, deprojected while drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import cv2
+import numpy as np
+
+from ...core.errors import FrameError
+from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+
+_HIGHEST_COUNT = 65534
+
+
+@dataclass(frozen=True, eq=False)
+class DepthCloud:
+    """A depth image with all that is needed to show it as a coloured point cloud.
+
+    Arrays are shared, not copied, and must not change afterwards. Views recognise arrays by identity:
+    hand over the same ``rays``, ``depth``, ``index`` or ``lut`` object and it is not uploaded again.
+
+    Attributes
+    ----------
+    depth : uint16, shape (H, W)
+        Raw counts; 0 and 65535 are *no depth* and never drawn.
+    depth_unit_m : float
+        Length of one count in metres.
+    rays : float32, shape (H, W, 2)
+        ``(x / z, y / z)`` of every pixel, as `Intrinsics.rays` returns it.
+    lut : uint8, shape (256, 4)
+        RGBA. Alpha 0 hides a point; in between, the colour is mixed with the view's background.
+    pose : float64, shape (4, 4)
+        Takes points of the camera to the frame of the view, metres. Views show the proximity depth frame.
+    depth_scale, depth_offset_m : float
+        Corrected depth = ``depth_scale * depth_unit_m * counts + depth_offset_m``. Points whose
+        corrected depth is not positive are not drawn.
+    index : uint8, shape (H, W), or None
+        Row of ``lut`` for every pixel. None: from the corrected depth, ``depth_range_m`` over rows 0 to 255.
+    depth_range_m : tuple of float
+        Nearest and farthest depth of the colour scale, metres.
+    count : int or None
+        The number of points that a view states, where it is not the number of points drawn
+        (a patch over its context). None: the number of points drawn.
+    framed : bool
+        Whether views frame this cloud by themselves; where no linked view has a cloud to frame, they
+        frame all. A far background is better left out.
+
+    Raises
+    ------
+    FrameError
+        An array has the wrong type or size, or the depth range is empty.
+    """
+
+    depth: Uint16Array
+    depth_unit_m: float
+    rays: Float32Array
+    lut: Uint8Array
+    pose: Float64Array
+    depth_scale: float = 1.0
+    depth_offset_m: float = 0.0
+    index: Uint8Array | None = None
+    depth_range_m: tuple[float, float] = (0.0, 1.0)
+    count: int | None = None
+    framed: bool = True
+
+    def __post_init__(self) -> None:
+        _check("depth", self.depth, np.uint16, (None, None))
+        height, width = self.depth.shape
+        _check("rays", self.rays, np.float32, (height, width, 2))
+        _check("lut", self.lut, np.uint8, (256, 4))
+        _check("pose", self.pose, np.float64, (4, 4))
+        if self.index is not None:
+            _check("index", self.index, np.uint8, (height, width))
+        if not self.depth_range_m[0] < self.depth_range_m[1]:
+            raise FrameError(f"cloud: depth_range_m must go from near to far, got {self.depth_range_m}")
+        for name in ("depth", "rays", "lut", "pose", "index"):
+            array = getattr(self, name)
+            if array is not None and not array.flags.c_contiguous:
+                object.__setattr__(self, name, np.ascontiguousarray(array))
+
+    @property
+    def metres_per_count(self) -> float:
+        """Corrected metres that one raw count stands for."""
+        return self.depth_unit_m * self.depth_scale
+
+    @property
+    def index_from_depth(self) -> tuple[float, float]:
+        """``(a, b)``: the row of ``lut`` is ``floor(clip(a z + b, 0, 1) * 255 + 0.5)`` for depth z in metres."""
+        near, far = self.depth_range_m
+        return 1.0 / (far - near), -near / (far - near)
+
+    def drawn(self) -> BoolArray:
+        """Return the pixels that appear as points: bool (H, W)."""
+        lowest = max(1, int(np.floor(-self.depth_offset_m / self.metres_per_count)) + 1)
+        if lowest > _HIGHEST_COUNT:
+            return np.zeros(self.depth.shape, np.bool_)
+        drawn = (self.depth >= lowest) & (self.depth <= _HIGHEST_COUNT)
+        if not self.lut[:, 3].all():
+            opaque = (self.lut[:, 3] > 0).astype(np.uint8)
+            drawn &= np.asarray(cv2.LUT(self.rows(), opaque)).view(np.bool_)
+        return drawn
+
+    def rows(self) -> Uint8Array:
+        """Return the row of ``lut`` for every pixel: uint8 (H, W)."""
+        if self.index is not None:
+            return self.index
+        a, b = self.index_from_depth
+        depth = self.depth * np.float32(self.metres_per_count) + np.float32(self.depth_offset_m)
+        share = np.clip(depth * np.float32(a) + np.float32(b), np.float32(0), np.float32(1))
+        rows: Uint8Array = (share * np.float32(255) + np.float32(0.5)).astype(np.uint8)
+        return rows
+
+    def points(self, step: int = 1) -> Float64Array:
+        """Deproject the drawn pixels of every ``step``-th row and column.
+
+        Returns
+        -------
+        float64, shape (N, 3)
+            Metres, in the frame of the view, in row-major pixel order.
+        """
+        chosen = self.drawn()[::step, ::step]
+        depth = self.depth[::step, ::step][chosen] * self.metres_per_count + self.depth_offset_m
+        rays = self.rays[::step, ::step][chosen].astype(np.float64)
+        in_camera = np.column_stack([rays * depth[:, None], depth])
+        return in_camera @ self.pose[:3, :3].T + self.pose[:3, 3]
+
+    @cached_property
+    def point_count(self) -> int:
+        """The number of points that a view states."""
+        return int(np.count_nonzero(self.drawn())) if self.count is None else self.count
+
+
+def _check(name: str, array: Any, dtype: type[np.generic], shape: tuple[int | None, ...]) -> None:
+    if isinstance(array, np.ndarray) and array.dtype == dtype and len(array.shape) == len(shape):
+        wrong = [have for have, want in zip(array.shape, shape, strict=True) if want is not None and have != want]
+        if not wrong:
+            return
+    found = f"{array.dtype} {array.shape}" if isinstance(array, np.ndarray) else type(array).__name__
+    wanted = " x ".join("any" if size is None else str(size) for size in shape)
+    raise FrameError(f"cloud: {name} must be a {np.dtype(dtype).name} array of {wanted}, got {found}")

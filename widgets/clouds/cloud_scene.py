@@ -1,0 +1,113 @@
+"""What a cloud view shows, and the overlays that both back ends paint over it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from PyQt6.QtCore import QPointF, QRectF, Qt
+from PyQt6.QtGui import QColor, QFont, QFontInfo, QFontMetricsF, QPainter, QPalette, QPen
+from PyQt6.QtWidgets import QWidget
+
+from ..basics.colormaps import palette_theme
+from ..basics.stale_badge import paint_badge
+from .cloud_data import DepthCloud
+from .view_camera import ViewCamera
+
+AXIS_COLORS = {
+    "light": (QColor(200, 40, 40), QColor(25, 135, 60), QColor(40, 90, 210)),
+    "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),
+}
+_AXIS_LENGTH, _AXIS_MARGIN = 22.0, 34.0
+#: An axis that points this much at the eye is a dot, and its letter would cover the others.
+_FACING = 0.97
+
+
+@dataclass
+class CloudScene:
+    """The state that a view shares with the canvas that draws it.
+
+    ``point_size`` is in device-independent pixels; ``message`` is painted when not empty, ``note``
+    is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it;
+    ``ornament`` paints what a view adds, such as marks, on the canvas.
+    """
+
+    cloud: DepthCloud | None = None
+    camera: ViewCamera = field(default_factory=ViewCamera)
+    point_size: float = 2.0
+    message: str = ""
+    note: str = ""
+    badge: str = ""
+    ornament: Callable[[QPainter, QWidget], None] | None = None
+
+    @staticmethod
+    def background(widget: QWidget) -> tuple[int, int, int]:
+        """Return the background of the theme as RGB."""
+        color = widget.palette().color(QPalette.ColorRole.Base)
+        return color.red(), color.green(), color.blue()
+
+
+def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None:
+    """Paint the axes, the message, the note and the badge over a drawn cloud."""
+    if scene.badge:
+        paint_badge(painter, QRectF(widget.rect()), widget.palette(), widget.font(), scene.badge)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
+    _paint_axes(painter, widget, scene.camera)
+    if scene.ornament is not None:
+        scene.ornament(painter, widget)
+    if scene.note:
+        _paint_note(painter, widget, scene.note)
+    if scene.message:
+        _paint_message(painter, widget, scene.message)
+
+
+def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
+    """Paint x, y, z of the proximity frame as seen by the camera, the farthest axis first."""
+    origin = QPointF(_AXIS_MARGIN, widget.height() - _AXIS_MARGIN)
+    right, up, back = camera.axes()
+    colors = AXIS_COLORS[palette_theme(widget.palette())]
+    painter.setFont(_small_font(widget, bold=True))
+    for axis in sorted(range(3), key=lambda axis: float(back[axis])):
+        direction = QPointF(float(right[axis]), -float(up[axis]))
+        tip = origin + direction * _AXIS_LENGTH
+        painter.setPen(QPen(colors[axis], 2.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+        painter.drawLine(origin, tip)
+        if abs(float(back[axis])) > _FACING:
+            continue
+        label = QRectF(-8.0, -8.0, 16.0, 16.0).translated(origin + direction * (_AXIS_LENGTH + 7.0))
+        painter.drawText(label, Qt.AlignmentFlag.AlignCenter, "xyz"[axis])
+
+
+def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
+    font = QFont(widget.font())
+    font.setPointSizeF(QFontInfo(font).pointSizeF() * 1.1)
+    painter.setFont(font)
+    flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
+    room = QRectF(widget.rect()).adjusted(24.0, 12.0, -24.0, -12.0)
+    text = painter.boundingRect(room, int(flags), message)
+    plate = widget.palette().color(QPalette.ColorRole.Base)
+    plate.setAlpha(215)
+    painter.setPen(Qt.PenStyle.NoPen)
+    painter.setBrush(plate)
+    painter.drawRoundedRect(text.adjusted(-12.0, -8.0, 12.0, 8.0), 6.0, 6.0)
+    painter.setPen(widget.palette().color(QPalette.ColorRole.Text))
+    painter.drawText(room, int(flags), message)
+
+
+def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
+    font = _small_font(widget)
+    painter.setFont(font)
+    painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
+    room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
+    metrics = QFontMetricsF(font)
+    # Where the reason does not fit, the tooltip still has it.
+    fitting = note if metrics.horizontalAdvance(note) <= room.width() else note.partition(":")[0]
+    text = metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, room.width())
+    painter.drawText(room, int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom), text)
+
+
+def _small_font(widget: QWidget, bold: bool = False) -> QFont:
+    font = QFont(widget.font())
+    font.setPointSizeF(QFontInfo(font).pointSizeF() * 0.85)
+    font.setBold(bold)
+    return font

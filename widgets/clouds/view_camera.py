@@ -1,0 +1,164 @@
+"""The orbiting perspective camera of a 3D view, free of any drawing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from math import cos, pi, radians, sin, tan
+from typing import Literal, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from ...core.model.arrays import Float64Array
+
+Viewpoint = Literal["reset", "top", "side"]
+
+#: Azimuth and elevation of the named viewpoints, radians.
+VIEWPOINTS: dict[str, tuple[float, float]] = {
+    "reset": (radians(-28.0), radians(24.0)),
+    "top": (0.0, pi / 2),
+    "side": (radians(90.0), 0.0),
+}
+
+#: Near and far plane as multiples of the distance to the target.
+NEAR, FAR = 0.02, 50.0
+
+#: Share of the view that a framed cloud may fill.
+_FILL = 0.92
+
+#: Flying pixels must not decide how a cloud is framed: percentiles that count as its edges.
+_EDGES = (0.5, 99.5)
+
+_SHORTEST_M, _LONGEST_M = 0.005, 100.0
+
+
+@dataclass(frozen=True)
+class ViewCamera:
+    """A camera that orbits a target, in the proximity depth frame (x right, y down, z forward).
+
+    Image up stays up. At azimuth 0 and elevation 0 the eye stands behind the depth cameras and looks
+    along +z as they do.
+
+    Attributes
+    ----------
+    target : tuple of 3 floats
+        The point that it orbits, metres.
+    distance : float
+        Metres from the eye to the target.
+    azimuth : float
+        Radians to the right, around the vertical axis through the target.
+    elevation : float
+        Radians above the horizontal plane, from -pi/2 to pi/2.
+    field_of_view : float
+        Opening angle over the shorter side of the view, radians.
+    """
+
+    target: tuple[float, float, float] = (0.0, 0.0, 0.25)
+    distance: float = 0.6
+    azimuth: float = VIEWPOINTS["reset"][0]
+    elevation: float = VIEWPOINTS["reset"][1]
+    field_of_view: float = radians(32.0)
+
+    def axes(self) -> Float64Array:
+        """Return the unit vectors right, up and back (towards the eye) as rows: float64 (3, 3)."""
+        ca, sa, ce, se = cos(self.azimuth), sin(self.azimuth), cos(self.elevation), sin(self.elevation)
+        return np.array([[ca, 0.0, sa], [-se * sa, -ce, se * ca], [sa * ce, -se, -ca * ce]])
+
+    def eye(self) -> Float64Array:
+        """Return where the camera stands, metres: float64 (3,)."""
+        eye: Float64Array = np.array(self.target) + self.distance * self.axes()[2]
+        return eye
+
+    def pixel_matrix(self, width: int, height: int) -> Float64Array:
+        """Return the projection to the pixels of a view: float64 (3, 4).
+
+        It takes a homogeneous point to ``(u w, v w, w)``; ``w`` is the distance along the viewing
+        direction in metres, ``u`` runs right and ``v`` down from the view's upper left corner, and
+        pixel centres lie at halves, as on every screen.
+        """
+        right, up, back = self.axes()
+        focal = self._focal(width, height)
+        matrix = np.empty((3, 4))
+        matrix[:, :3] = focal * right - width / 2 * back, -focal * up - height / 2 * back, -back
+        matrix[:, 3] = -matrix[:, :3] @ self.eye()
+        return matrix
+
+    def clip_matrix(self, width: int, height: int) -> Float64Array:
+        """Return the same projection to OpenGL's clip coordinates: float64 (4, 4)."""
+        u, v, w = self.pixel_matrix(width, height)
+        near, far = NEAR * self.distance, FAR * self.distance
+        depth = (far + near) / (far - near) * w - np.array([0, 0, 0, 2 * far * near / (far - near)])
+        return np.stack([2 / width * u - w, w - 2 / height * v, depth, w])
+
+    def project(self, points: npt.ArrayLike, width: int, height: int) -> Float64Array:
+        """Project points to ``(u, v, w)``: float64 (N, 3); see `pixel_matrix`."""
+        points = np.asarray(points, dtype=np.float64)
+        matrix = self.pixel_matrix(width, height)
+        projected = points @ matrix[:, :3].T + matrix[:, 3]
+        projected[:, :2] /= projected[:, 2:]
+        return projected
+
+    def orbited(self, right: float, up: float) -> Self:
+        """Move the eye around the target by radians; it stops above and below the target."""
+        azimuth = (self.azimuth + right + pi) % (2 * pi) - pi
+        return replace(self, azimuth=azimuth, elevation=min(max(self.elevation + up, -pi / 2), pi / 2))
+
+    def panned(self, dx: float, dy: float, width: int, height: int) -> Self:
+        """Shift the target so that the scene moves by ``(dx, dy)`` pixels on the screen, y down."""
+        right, up, _ = self.axes()
+        metres = self.distance / self._focal(width, height)
+        target = np.array(self.target) + metres * (dy * up - dx * right)
+        return replace(self, target=_triple(target))
+
+    def zoomed(self, factor: float, at: tuple[float, float], width: int, height: int) -> Self:
+        """Divide the distance by ``factor``, holding what lies under pixel ``at`` at the target's distance."""
+        distance = min(max(self.distance / factor, _SHORTEST_M), _LONGEST_M)
+        kept = 1.0 - distance / self.distance
+        dx, dy = kept * (width / 2 - at[0]), kept * (height / 2 - at[1])
+        return replace(self.panned(dx, dy, width, height), distance=distance)
+
+    def looking_from(self, viewpoint: Viewpoint) -> Self:
+        """Turn to a named viewpoint around the same target."""
+        azimuth, elevation = VIEWPOINTS[viewpoint]
+        return replace(self, azimuth=azimuth, elevation=elevation)
+
+    def framing(self, points: npt.ArrayLike, width: int, height: int) -> Self:
+        """Move so that the points fill the view, keeping the direction of view.
+
+        Parameters
+        ----------
+        points : array_like, shape (N, 3)
+            Metres. With none the camera stays where it is.
+        width, height : int
+            Size of the view; only their ratio matters.
+        """
+        points = np.asarray(points, dtype=np.float64)
+        if len(points) == 0:
+            return self
+        axes = self.axes()
+        along = points @ axes.T
+        half_width, half_height = 0.5 * _FILL * np.array([width, height]) / self._focal(width, height)
+        x, x_distance = _frame_one_axis(along[:, 0], along[:, 2], float(half_width))
+        y, y_distance = _frame_one_axis(along[:, 1], along[:, 2], float(half_height))
+        eye_back = max(x_distance, y_distance)
+        middle_back = float(np.median(along[:, 2]))
+        distance = min(max(eye_back - middle_back, _SHORTEST_M), _LONGEST_M)
+        return replace(self, target=_triple(np.array([x, y, eye_back - distance]) @ axes), distance=distance)
+
+    def _focal(self, width: int, height: int) -> float:
+        return 0.5 * min(width, height) / tan(self.field_of_view / 2)
+
+
+def _frame_one_axis(across: Float64Array, back: Float64Array, half_slope: float) -> tuple[float, float]:
+    """Return the eye's place across and its smallest place back that keep all points between two planes.
+
+    A point is inside when ``|across - eye| <= half_slope (eye_back - back)``; both planes are linear
+    in the eye's place, so the extremes of two linear functions of the points decide.
+    """
+    low = float(np.percentile(across - half_slope * back, _EDGES[0]))
+    high = float(np.percentile(across + half_slope * back, _EDGES[1]))
+    return (low + high) / 2, (high - low) / (2 * half_slope)
+
+
+def _triple(vector: Float64Array) -> tuple[float, float, float]:
+    return float(vector[0]), float(vector[1]), float(vector[2])

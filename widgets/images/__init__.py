@@ -1,0 +1,1 @@
+"""Images that can be zoomed, pointed at and clicked."""

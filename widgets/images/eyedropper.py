@@ -1,0 +1,247 @@
+"""From a few clicked pixels to HSV ranges: set, expand, shrink. No Qt here.
+
+Ranges are inclusive, in OpenCV's 8-bit convention: hue 0-179 on a circle (low above high wraps around),
+saturation and value 0-255.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from ...core.errors import TactuneError
+from ...core.model.arrays import BoolArray, Int64Array, Uint8Array
+
+Mode = Literal["set", "expand", "shrink"]
+Span = tuple[int, int]
+
+#: Pixels beside the clicked one in each direction.
+RADIUS: Final = 3
+#: Room around what was sampled, so that the rest of the same membrane falls in too.
+HUE_MARGIN: Final = 6
+SATURATION_MARGIN: Final = 30
+VALUE_MARGIN: Final = 40
+
+_HUES = 180
+_BYTES = 256
+_CORE_SHARE = 0.9
+_CHROMATIC_SATURATION = 25
+_CHROMATIC_VALUE = 25
+
+
+class EyedropperError(TactuneError):
+    """A sample from which no ranges can be made."""
+
+
+@dataclass(frozen=True)
+class HsvRanges:
+    """The colours of a mask."""
+
+    hue: Span
+    saturation: Span
+    value: Span
+
+    def contains(self, hsv: Uint8Array) -> BoolArray:
+        """Tell which of the colours, uint8 (..., 3) as H, S, V, are inside: bool (...)."""
+        h, s, v = (hsv[..., channel].astype(np.int64) for channel in range(3))
+        inside: BoolArray = (h - self.hue[0]) % _HUES < _arc_length(self.hue)
+        inside &= (s >= self.saturation[0]) & (s <= self.saturation[1])
+        inside &= (v >= self.value[0]) & (v <= self.value[1])
+        return inside
+
+
+@dataclass(frozen=True)
+class Sample:
+    """What is typical of some pixels: the span of their core and the median, per channel.
+
+    ``hue`` and ``median_hue`` are None where the pixels are too grey or too dark to have one.
+    """
+
+    hue: Span | None
+    saturation: Span
+    value: Span
+    median_hue: int | None
+    median_saturation: int
+    median_value: int
+
+
+def pick(image: Uint8Array, u: int, v: int, present: HsvRanges, mode: Mode) -> HsvRanges:
+    """Return the ranges after a click on pixel (u, v) of an RGB image; see `new_ranges`."""
+    return new_ranges(neighbourhood(image, u, v), present, mode)
+
+
+def neighbourhood(image: Uint8Array, u: int, v: int, radius: int = RADIUS) -> Uint8Array:
+    """Cut the pixels around (u, v) out of an image, fewer at its border.
+
+    Raises
+    ------
+    EyedropperError
+        The image has no such pixel.
+    """
+    height, width = image.shape[:2]
+    if not (0 <= u < width and 0 <= v < height):
+        raise EyedropperError(f"pixel ({u}, {v}) is outside the image of {width} x {height} pixels; click inside it")
+    return image[max(0, v - radius) : v + radius + 1, max(0, u - radius) : u + radius + 1]
+
+
+def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
+    """Return ranges that a sample sets, expands or shrinks.
+
+    Parameters
+    ----------
+    rgb : uint8 (h, w, 3)
+        The sampled pixels.
+    present : HsvRanges
+    mode : "set", "expand" or "shrink"
+        set: the core of the sample and a margin. expand: the smallest ranges that cover both the present ones
+        and what set gives. shrink: one channel is cut so that the sample's median colour is outside; the channel
+        that loses the smallest share of its range.
+
+    Raises
+    ------
+    EyedropperError
+        Nothing is left to cut.
+    """
+    sample = take_sample(rgb)
+    if mode == "shrink":
+        return _shrunk(present, sample)
+    fresh = _with_margin(sample)
+    if mode == "set":
+        return fresh
+    return HsvRanges(
+        hue=_covering_arc(present.hue, fresh.hue),
+        saturation=_covering_span(present.saturation, fresh.saturation),
+        value=_covering_span(present.value, fresh.value),
+    )
+
+
+def take_sample(rgb: Uint8Array) -> Sample:
+    """Measure pixels, uint8 (h, w, 3); one in ten may be anything without a say in the core."""
+    hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV).reshape(-1, 3).astype(np.int64)
+    chromatic = (hsv[:, 1] >= _CHROMATIC_SATURATION) & (hsv[:, 2] >= _CHROMATIC_VALUE)
+    hue: Span | None = None
+    median_hue: int | None = None
+    if 2 * np.count_nonzero(chromatic) >= len(hsv):
+        hues = np.sort(hsv[chromatic, 0])
+        hue = _shortest_arc(hues)
+        offsets = np.sort((hues - hue[0]) % _HUES)
+        inside = offsets[offsets < _arc_length(hue)]
+        median_hue = int((hue[0] + inside[(len(inside) - 1) // 2]) % _HUES)
+    saturation, median_saturation = _core(hsv[:, 1])
+    value, median_value = _core(hsv[:, 2])
+    return Sample(hue, saturation, value, median_hue, median_saturation, median_value)
+
+
+def _core(numbers: Int64Array) -> tuple[Span, int]:
+    """Return the middle share of some numbers, and their median, which is one of them."""
+    tail = 50.0 * (1.0 - _CORE_SHARE)
+    low = np.percentile(numbers, tail, method="lower")
+    high = np.percentile(numbers, 100.0 - tail, method="higher")
+    return (int(low), int(high)), int(np.percentile(numbers, 50.0, method="lower"))
+
+
+def _shortest_arc(hues: Int64Array) -> Span:
+    """Return the shortest arc of the circle that holds the core share of some sorted hues."""
+    count = len(hues)
+    needed = int(np.ceil(_CORE_SHARE * count))
+    ends = np.concatenate([hues, hues + _HUES])[needed - 1 : needed - 1 + count]
+    first = int(np.argmin(ends - hues))
+    return int(hues[first]), int(ends[first] % _HUES)
+
+
+def _with_margin(sample: Sample) -> HsvRanges:
+    hue = (0, _HUES - 1)
+    if sample.hue is not None and _arc_length(sample.hue) + 2 * HUE_MARGIN < _HUES:
+        hue = ((sample.hue[0] - HUE_MARGIN) % _HUES, (sample.hue[1] + HUE_MARGIN) % _HUES)
+    return HsvRanges(
+        hue=hue,
+        saturation=_widened(sample.saturation, SATURATION_MARGIN),
+        value=_widened(sample.value, VALUE_MARGIN),
+    )
+
+
+def _widened(span: Span, margin: int) -> Span:
+    return max(0, span[0] - margin), min(_BYTES - 1, span[1] + margin)
+
+
+def _arc_length(arc: Span) -> int:
+    """Return how many hues an arc holds."""
+    return (arc[1] - arc[0]) % _HUES + 1
+
+
+def _covering_span(first: Span, second: Span) -> Span:
+    return min(first[0], second[0]), max(first[1], second[1])
+
+
+def _covering_arc(first: Span, second: Span) -> Span:
+    """Return the shortest arc that holds two arcs."""
+
+    def holds(arc: Span, part: Span) -> bool:
+        return (part[0] - arc[0]) % _HUES + _arc_length(part) <= _arc_length(arc)
+
+    ends = [(start[0], stop[1]) for start in (first, second) for stop in (first, second)]
+    fitting = [arc for arc in ends if holds(arc, first) and holds(arc, second)]
+    return min(fitting, key=_arc_length, default=(0, _HUES - 1))
+
+
+def _shrunk(present: HsvRanges, sample: Sample) -> HsvRanges:
+    """Cut one channel beyond the sample's core; where that leaves nothing, beyond its median."""
+    median_hue = present.hue[0] if sample.median_hue is None else sample.median_hue
+    median = np.array([median_hue, sample.median_saturation, sample.median_value], np.uint8)
+    if not present.contains(median):
+        return present
+    cores: list[tuple[Span | None, Span, Span]] = [(sample.hue, sample.saturation, sample.value)]
+    hue_point = None if sample.median_hue is None else (sample.median_hue, sample.median_hue)
+    cores.append((hue_point, (sample.median_saturation,) * 2, (sample.median_value,) * 2))
+    for hue, saturation, value in cores:
+        options = [
+            (lost, HsvRanges(arc, present.saturation, present.value)) for lost, arc in _cut_arc(present.hue, hue)
+        ]
+        options += [
+            (lost, HsvRanges(present.hue, span, present.value))
+            for lost, span in _cut_span(present.saturation, saturation)
+        ]
+        options += [
+            (lost, HsvRanges(present.hue, present.saturation, span)) for lost, span in _cut_span(present.value, value)
+        ]
+        if options:
+            return min(options, key=lambda option: option[0])[1]
+    raise EyedropperError(
+        "the mask holds no other colour than this one, so nothing would be left of it; turn the mask off instead"
+    )
+
+
+def _cut_span(span: Span, core: Span) -> list[tuple[float, Span]]:
+    """Return what is left of a range on either side of a core, each with the share that is lost."""
+    length = span[1] - span[0] + 1
+    sides = [(span[0], core[0] - 1), (core[1] + 1, span[1])]
+    return [(1.0 - (high - low + 1) / length, (low, high)) for low, high in sides if span[0] <= low <= high <= span[1]]
+
+
+def _cut_arc(arc: Span, core: Span | None) -> list[tuple[float, Span]]:
+    """Return what is left of a hue range on either side of a core, each with the share that is lost."""
+    if core is None:
+        return []
+    length = _arc_length(arc)
+    if length == _HUES:  # a whole circle has no sides: the core is taken out of it
+        lost = _arc_length(core)
+        return [] if lost == _HUES else [(lost / _HUES, ((core[1] + 1) % _HUES, (core[0] - 1) % _HUES))]
+    low, high = (core[0] - arc[0]) % _HUES, (core[1] - arc[0]) % _HUES
+    # a core that reaches over an end of the arc leaves nothing on that side
+    low_inside, high_inside = low < length, high < length
+    straddles = low > high
+    sides: list[Span] = []
+    if low_inside and (not straddles or not high_inside):
+        sides.append((0, low - 1))
+    if high_inside and (not straddles or not low_inside):
+        sides.append((high + 1, length - 1))
+    if low_inside and high_inside and straddles:
+        sides.append((high + 1, low - 1))
+    return [
+        (1.0 - (last - first + 1) / length, ((arc[0] + first) % _HUES, (arc[0] + last) % _HUES))
+        for first, last in sides
+        if first <= last
+    ]

@@ -1,0 +1,261 @@
+"""Four linked images of one frame: colour, both depths, relative difference."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QRectF, Qt, pyqtSignal
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
+from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+
+from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from ..basics.elided_label import ElidedLabel
+from ..parameters.fields import format_number
+from .image_pane import ImagePane, Rectangle
+from .pane_header import ColorBar, Swatch
+from .region_item import RegionItem
+from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip
+
+__all__ = ["PANES", "ImageStrip", "RenderedStrip", "StripImages", "render_strip"]
+
+#: Name and title of each pane, left to right.
+PANES = {
+    "color": "Colour + mask",
+    "proximity": "Proximity depth",
+    "tactile": "Tactile depth (aligned)",
+    "difference": "Relative difference",
+}
+
+_EMPTY = {
+    "color": "No colour image",
+    "proximity": "No frame yet",
+    "tactile": "No frame yet",
+    "difference": "No frame yet",
+}
+_STEPS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
+
+
+class ImageStrip(QWidget):
+    """Shows a `RenderedStrip`; zoom, pan and the crosshair are shared by all panes.
+
+    Wheel zooms, a drag pans, a double click shows all again. With the keyboard: arrows move the crosshair
+    (Shift by ten pixels), Enter clicks the colour image there, + and - zoom, 0 shows all.
+
+    Signals
+    -------
+    hovered(u: int, v: int)
+        The proximity pixel pointed at; -1, -1 for none.
+    clicked(pane: str, u: int, v: int, modifiers: Qt.KeyboardModifier)
+        ``pane`` is a key of `PANES`.
+    regionEdited(rectangle: tuple[int, int, int, int], gesture: int)
+        The region of interest was dragged: left, top, width, height.
+    widthHintChanged(int)
+        Another resolution is needed; a paused frame has to be rendered again.
+    """
+
+    hovered = pyqtSignal(int, int)
+    clicked = pyqtSignal(str, int, int, object)
+    regionEdited = pyqtSignal(object, int)
+    widthHintChanged = pyqtSignal(int)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.panes = {name: ImagePane(title) for name, title in PANES.items()}
+        self._regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
+        self._readout = ElidedLabel()
+        self._size = (640, 480)
+        self._pixel = (-1, -1)
+        self._legend_key: tuple[object, ...] = ()
+        self._fitted = True
+        self._linking = False
+        self._hint = 0
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setAccessibleName("Images of the present frame")
+
+        row = QHBoxLayout()
+        row.setSpacing(6)
+        for name, pane in self.panes.items():
+            row.addWidget(pane, 1)
+            pane.set_message(_EMPTY[name])
+            self._connect_pane(name, pane)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(4, 2, 4, 2)
+        layout.setSpacing(2)
+        layout.addLayout(row, 1)
+        layout.addWidget(self._readout)
+        self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
+        self.reset_view()
+
+    def set_images(self, rendered: RenderedStrip | None) -> None:
+        """Show a rendered frame, or with None that there is none."""
+        for index, (name, pane) in enumerate(self.panes.items()):
+            pixels = None if rendered is None else rendered.panes[index]
+            pane.set_pixels(
+                pixels, self._size if rendered is None else rendered.size, rendered.stride if rendered else 1
+            )
+            pane.set_message(_EMPTY[name] if pixels is None else "")
+        if rendered is None:
+            return
+        if rendered.size != self._size:
+            self._size = rendered.size
+            self.reset_view()
+        self._show_legends(rendered)
+
+    def set_badge(self, text: str) -> None:
+        """Mark the images as old and say so; nothing: they are what the cameras see."""
+        for pane in self.panes.values():
+            pane.set_badge(text)
+
+    def set_readout(self, text: str) -> None:
+        """Say what is known of the pixel pointed at."""
+        self._readout.setText(text)
+
+    def set_region(self, rectangle: Rectangle | None) -> None:
+        """Show the region of interest (left, top, width, height), or none; never emits."""
+        for region in self._regions.values():
+            region.set_rectangle(rectangle)
+
+    def set_picking(self, picking: bool) -> None:
+        """Show by the cursor that a click on the colour image picks a colour."""
+        shape = Qt.CursorShape.CrossCursor if picking else Qt.CursorShape.ArrowCursor
+        self.panes["color"].view.viewport().setCursor(shape)
+
+    def width_hint(self) -> int:
+        """Return how many screen pixels the whole width of an image takes now, for `render_strip`."""
+        return max(1, round(self.panes["color"].scale() * self._size[0]))
+
+    def reset_view(self) -> None:
+        """Show the whole images."""
+        self._fitted = True
+        self._linking = True
+        for pane in self.panes.values():
+            pane.show_rect(QRectF(-0.5, -0.5, *self._size))
+        self._linking = False
+        self._check_hint()
+
+    # --- keyboard ----------------------------------------------------------------------------------------------
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Point, click and zoom without a mouse."""
+        if event is None:
+            return
+        key = Qt.Key(event.key())
+        if key in _STEPS:
+            length = 10 if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
+            start = self._pixel if self._pixel != (-1, -1) else (self._size[0] // 2, self._size[1] // 2)
+            moved = zip(start, _STEPS[key], self._size, strict=True)
+            u, v = (min(max(at + length * step, 0), extent - 1) for at, step, extent in moved)
+            self._point_at(u, v)
+        elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._pixel != (-1, -1):
+            self.clicked.emit("color", *self._pixel, event.modifiers())
+        elif key in (Qt.Key.Key_Plus, Qt.Key.Key_Equal, Qt.Key.Key_Minus):
+            self._zoom(1.25 if key == Qt.Key.Key_Minus else 0.8)
+        elif key == Qt.Key.Key_0:
+            self.reset_view()
+        else:
+            super().keyPressEvent(event)
+
+    def focusInEvent(self, event: QFocusEvent | None) -> None:
+        """Show the focus frame."""
+        super().focusInEvent(event)
+        self.update()
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:
+        """Hide the focus frame."""
+        super().focusOutEvent(event)
+        self.update()
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:
+        """Paint a frame while the keyboard acts here."""
+        super().paintEvent(event)
+        if self.hasFocus():
+            painter = QPainter(self)
+            painter.setPen(QPen(self.palette().highlight().color(), 2))
+            painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
+
+    # --- inside ------------------------------------------------------------------------------------------------
+
+    def _connect_pane(self, name: str, pane: ImagePane) -> None:
+        pane.hovered.connect(self._point_at)
+        pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
+        pane.doubleClicked.connect(self.reset_view)
+        pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
+        pane.viewMoved.connect(self._view_moved)
+        pane.resized.connect(self._pane_resized)
+        self._regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
+
+    def _point_at(self, u: int, v: int) -> None:
+        if (u, v) == self._pixel:
+            return
+        self._pixel = (u, v)
+        for pane in self.panes.values():
+            pane.set_cross(u, v)
+        self.hovered.emit(u, v)
+
+    def _follow(self, leader: ImagePane, rect: QRectF) -> None:
+        if self._linking:
+            return
+        self._linking = True
+        for pane in self.panes.values():
+            if pane is not leader:
+                pane.show_rect(rect)
+        self._linking = False
+        self._check_hint()
+
+    def _view_moved(self) -> None:
+        self._fitted = False
+
+    def _fit_headers(self) -> None:
+        """Give all headers a second line where one does not do; panes of one height zoom alike."""
+        crowded = any(pane.header.full_width() > pane.width() for pane in self.panes.values())
+        for pane in self.panes.values():
+            pane.header.set_lines(2 if crowded else 1)
+
+    def _pane_resized(self) -> None:
+        if self._fitted:
+            self.reset_view()
+
+    def resizeEvent(self, event: QResizeEvent | None) -> None:
+        """Make room for the legends."""
+        super().resizeEvent(event)
+        self._fit_headers()
+
+    def _zoom(self, factor: float) -> None:
+        """Scale what is seen about the crosshair, or about the middle."""
+        self._fitted = False
+        box = self.panes["color"].box
+        box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)
+
+    def _region_edited(self, source: str, rectangle: Rectangle, gesture: int) -> None:
+        for name, region in self._regions.items():
+            if name != source:
+                region.set_rectangle(rectangle)
+        self.regionEdited.emit(rectangle, gesture)
+
+    def _check_hint(self) -> None:
+        hint = self.width_hint()
+        if hint != self._hint:
+            self._hint = hint
+            self.widthHintChanged.emit(hint)
+
+    def _show_legends(self, rendered: RenderedStrip) -> None:
+        key = (rendered.depth_range_m, rendered.tolerance, rendered.difference_limit)
+        if key == self._legend_key:
+            return
+        self._legend_key = key
+        near, far = (format_number(round(end * 1000)) for end in rendered.depth_range_m)
+        depth = ColorBar(near, f"{far} mm", depth_lut())
+        contact, none = Swatch("contact", CONTACT_RGB), Swatch("no depth", NO_VALUE_RGB)
+        self.panes["color"].header.set_legend(None, (contact, Swatch("masked", masked_rgb())))
+        self.panes["proximity"].header.set_legend(depth, (none,))
+        self.panes["tactile"].header.set_legend(depth, (none,))
+        limit, t = rendered.difference_limit, rendered.tolerance
+        percent = format_number(limit * 100, 3)
+        marks = tuple(0.5 + sign * 0.5 * t / limit for sign in (-1, 1))
+        bar = ColorBar(f"−{percent}", f"+{percent} %", difference_lut(round(t, 6), limit), marks)
+        band = Swatch(f"±{format_number(t * 100, 3)} %", _middle_rgb(bar))
+        self.panes["difference"].header.set_legend(bar, (band,))
+        self._fit_headers()
+
+
+def _middle_rgb(bar: ColorBar) -> tuple[int, int, int]:
+    red, green, blue = (int(channel) for channel in bar.lut[128, :3])
+    return red, green, blue

@@ -1,0 +1,246 @@
+"""An image to click points in: placed, dragged and nudged to fractions of a pixel, by mouse or by keys."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, Qt, pyqtSignal
+from PyQt6.QtGui import QFocusEvent, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtWidgets import QWidget
+
+from ...core.model.arrays import Uint8Array
+from .image_pane import ImagePane
+from .loupe import Loupe
+from .marks import Mark, MarkLayer
+
+_NUDGES = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
+#: Moving less than this, in screen pixels, is still a click.
+_CLICK_SLOP = 3.0
+_ZOOM_STEP = 1.25
+
+
+class PointImage(ImagePane):
+    """Shows marks over an image and tells what a person does with them.
+
+    A click on free ground places a point, a drag there pans, the wheel zooms. A press on a mark selects it, and
+    a drag moves it. With the keyboard: arrows nudge by a pixel (Shift: a tenth), Delete
+    removes, Enter and space accept the ghost, + and - zoom, 0 shows all.
+
+    Signals
+    -------
+    placed(u: float, v: float, modifiers: Qt.KeyboardModifier)
+    pressed(key: int, modifiers: Qt.KeyboardModifier)
+        A mark was pressed.
+    dragged(key: int, u: float, v: float, done: bool)
+        A mark was moved; ``done`` when the button was released.
+    pointed(u: float, v: float)
+        The mouse is over this place; nan, nan when it left.
+    nudged(du: float, dv: float)
+    deleteRequested()
+    acceptRequested()
+    cancelRequested()
+    """
+
+    placed = pyqtSignal(float, float, object)
+    pressed = pyqtSignal(int, object)
+    dragged = pyqtSignal(int, float, float, bool)
+    pointed = pyqtSignal(float, float)
+    nudged = pyqtSignal(float, float)
+    deleteRequested = pyqtSignal()
+    acceptRequested = pyqtSignal()
+    cancelRequested = pyqtSignal()
+
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(title, parent)
+        viewport = self.view.viewport()
+        self.layer = MarkLayer(self)
+        self.loupe = Loupe(viewport)
+        self._loupe_wanted = True
+        self._held: Mark | None = None
+        self._held_moves = False
+        self._grip = QPointF()
+        self._pressed_at: QPointF | None = None
+        self._touched = False
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setAccessibleName(title)
+        self.view.setMinimumSize(160, 120)
+        viewport.setMouseTracking(True)
+        viewport.setCursor(Qt.CursorShape.CrossCursor)
+        viewport.installEventFilter(self)
+        self.viewMoved.connect(lambda: setattr(self, "_touched", True))
+        self.resized.connect(self._fit_untouched)
+
+    # What is shown
+
+    def set_image(self, pixels: Uint8Array | None, message: str = "") -> None:
+        """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``, or say why there is none."""
+        size = self._size if pixels is None else (pixels.shape[1], pixels.shape[0])
+        changed = size != self._size
+        self.set_pixels(pixels, size, 1)
+        self.set_message(message if pixels is None else "")
+        self.loupe.set_pixels(pixels)
+        if changed or not self._touched:
+            self.show_all()
+
+    def set_marks(self, marks: Sequence[Mark]) -> None:
+        """Draw these marks and no others."""
+        self.layer.set_marks(marks)
+
+    def set_loupe_wanted(self, wanted: bool) -> None:
+        """Show a magnifier at the cursor, or not."""
+        self._loupe_wanted = wanted
+        if not wanted:
+            self.loupe.hide()
+
+    def show_all(self) -> None:
+        """Show the whole image."""
+        self._touched = False
+        self.show_rect(self.image_rect())
+
+    def zoom(self, factor: float) -> None:
+        """Zoom about the middle."""
+        rect = self.box.viewRect()
+        width, height = rect.width() / factor, rect.height() / factor
+        self.show_rect(QRectF(rect.center().x() - width / 2, rect.center().y() - height / 2, width, height))
+        self._touched = True
+        self.viewMoved.emit()
+
+    def screen_place(self, u: float, v: float) -> QPointF:
+        """Return where an image place is, in coordinates of ``view.viewport()``."""
+        return self.layer.to_screen().map(QPointF(u, v))
+
+    def image_place(self, position: QPointF) -> tuple[float, float]:
+        """Return the image place at a position of ``view.viewport()``."""
+        inverse, _ = self.layer.to_screen().inverted()
+        place = inverse.map(position)
+        return place.x(), place.y()
+
+    # Mouse
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Take what concerns marks and clicks; leave panning and zooming to the view."""
+        if event is None or watched is not self.view.viewport():
+            return super().eventFilter(watched, event)
+        kind = event.type()
+        if kind == QEvent.Type.Resize:
+            self.layer.setGeometry(self.view.viewport().rect())
+        elif kind == QEvent.Type.Leave:
+            self.loupe.hide()
+            self.pointed.emit(float("nan"), float("nan"))
+        elif isinstance(event, QMouseEvent):
+            if kind == QEvent.Type.MouseButtonPress:
+                return self._press(event)
+            if kind == QEvent.Type.MouseMove:
+                return self._move(event)
+            if kind == QEvent.Type.MouseButtonRelease:
+                return self._release(event)
+        return super().eventFilter(watched, event)
+
+    def _press(self, event: QMouseEvent) -> bool:
+        self.setFocus(Qt.FocusReason.MouseFocusReason)
+        if event.button() != Qt.MouseButton.LeftButton:
+            return False
+        self._pressed_at = event.position()
+        mark = self.layer.mark_at(event.position())
+        if mark is None:
+            return False
+        self._held, self._held_moves = mark, False
+        self._grip = self.screen_place(mark.u, mark.v) - event.position()
+        self.pressed.emit(mark.key, event.modifiers())
+        return True
+
+    def _move(self, event: QMouseEvent) -> bool:
+        place = self.image_place(event.position())
+        self._point_at(event.position(), place)
+        if self._held is None:
+            return False
+        if self._held_moves or self._went_far(event.position()):
+            self._held_moves = True
+            self.dragged.emit(self._held.key, *self.image_place(event.position() + self._grip), False)
+        return True
+
+    def _release(self, event: QMouseEvent) -> bool:
+        if event.button() != Qt.MouseButton.LeftButton:
+            return False
+        held, moves = self._held, self._held_moves
+        clicked = self._pressed_at is not None and not self._went_far(event.position())
+        self._held, self._pressed_at = None, None
+        if held is not None:
+            if moves:
+                self.dragged.emit(held.key, *self.image_place(event.position() + self._grip), True)
+            return True
+        place = self.image_place(event.position())
+        if clicked and self._inside(place):
+            self.placed.emit(*place, event.modifiers())
+        return False
+
+    def _went_far(self, position: QPointF) -> bool:
+        offset = position - (self._pressed_at or position)
+        return offset.manhattanLength() > _CLICK_SLOP
+
+    def _point_at(self, position: QPointF, place: tuple[float, float]) -> None:
+        inside = self._inside(place)
+        if self._loupe_wanted and inside:
+            self.loupe.show_at(position, place)
+        else:
+            self.loupe.hide()
+        self.pointed.emit(*(place if inside else (float("nan"), float("nan"))))
+
+    def _inside(self, place: tuple[float, float]) -> bool:
+        return self.image_rect().contains(QPointF(*place))
+
+    # Keyboard
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Nudge, delete, accept, zoom."""
+        if event is None:
+            return
+        key, modifiers = Qt.Key(event.key()), event.modifiers()
+        if key in _NUDGES:
+            step = 0.1 if modifiers & Qt.KeyboardModifier.ShiftModifier else 1.0
+            du, dv = _NUDGES[key]
+            self.nudged.emit(step * du, step * dv)
+        elif key in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
+            self.deleteRequested.emit()
+        elif key in {Qt.Key.Key_Return, Qt.Key.Key_Enter, Qt.Key.Key_Space}:
+            self.acceptRequested.emit()
+        elif key == Qt.Key.Key_Escape:
+            self.cancelRequested.emit()
+        elif key in {Qt.Key.Key_Plus, Qt.Key.Key_Equal}:
+            self.zoom(_ZOOM_STEP)
+        elif key == Qt.Key.Key_Minus:
+            self.zoom(1 / _ZOOM_STEP)
+        elif key == Qt.Key.Key_0:
+            self.show_all()
+            self.viewMoved.emit()
+        else:
+            super().keyPressEvent(event)
+
+    def focusInEvent(self, event: QFocusEvent | None) -> None:
+        """Show the focus."""
+        super().focusInEvent(event)
+        self.update()
+
+    def focusOutEvent(self, event: QFocusEvent | None) -> None:
+        """Show that the focus has gone."""
+        super().focusOutEvent(event)
+        self.update()
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:
+        """Underline the title while the keyboard acts here."""
+        super().paintEvent(event)
+        if self.hasFocus():
+            painter = QPainter(self)
+            painter.setPen(QPen(self.palette().accent().color(), 2))
+            bottom = self.header.geometry().bottom() + 1
+            painter.drawLine(0, bottom, self.width(), bottom)
+
+    def resizeEvent(self, event: Any) -> None:
+        """Keep the marks' layer over the whole image."""
+        super().resizeEvent(event)
+        self.layer.setGeometry(self.view.viewport().rect())
+
+    def _fit_untouched(self) -> None:
+        if not self._touched:
+            self.show_rect(self.image_rect())

@@ -1,0 +1,198 @@
+"""Turns a frame's images into pixels that the image strip only has to show; runs on any thread."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+from PyQt6.QtGui import QColor
+
+from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
+from ..basics.colormaps import CONTACT_RGB, DIFFERENCE_LIMIT, depth_lut, difference_index, difference_lut
+from ..basics.theme import ACCENT
+
+_Packed = npt.NDArray[np.uint32]
+
+#: Pixels without a value: a grey that none of the maps contains.
+NO_VALUE_RGB: Final = (104, 104, 110)
+
+#: What the mask covers is mixed with the accent colour by this share.
+MASK_TINT: Final = 0.6
+
+_SAMPLE_STEP = 8
+_RANGE_STEP_M = 0.01
+_KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
+
+
+@dataclass(frozen=True, eq=False)
+class StripImages:
+    """One frame's images, all in proximity depth pixels, (H, W).
+
+    Attributes
+    ----------
+    color : uint8 (H, W, 3) or None
+        RGB, already aligned to depth.
+    mask_overlay : bool (H, W) or None
+        Where the colour is the bare membrane's.
+    proximity_m, tactile_m : float32 (H, W)
+        Depth in metres; nan where there is none.
+    relative : float32 (H, W)
+        (dp - dt) / dp; nan where undefined.
+    tolerance : float
+        Relative differences within plus or minus this are shown as a band.
+    contact : bool (H, W) or None
+        Outlined in the contact colour.
+    depth_range_m : (float, float) or None
+        Ends of the depth colours of both depth panes; None takes them from this frame.
+    """
+
+    color: Uint8Array | None
+    mask_overlay: BoolArray | None
+    proximity_m: Float32Array
+    tactile_m: Float32Array
+    relative: Float32Array
+    tolerance: float
+    contact: BoolArray | None = None
+    depth_range_m: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedStrip:
+    """What the strip shows.
+
+    Attributes
+    ----------
+    panes : four arrays uint8 (h, w, 4) or None
+        Colour, proximity depth, tactile depth, relative difference, as ``QImage.Format_RGB32`` has them in
+        memory. Pixel (i, j) shows image pixel (i, j) times ``stride``. None where there is no image.
+    size : (int, int)
+        Width and height of the image itself.
+    """
+
+    panes: tuple[Uint8Array | None, Uint8Array | None, Uint8Array | None, Uint8Array | None]
+    size: tuple[int, int]
+    stride: int
+    depth_range_m: tuple[float, float]
+    tolerance: float
+    difference_limit: float
+
+
+def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
+    """Colour all four images.
+
+    Parameters
+    ----------
+    images : StripImages
+    width_hint : int
+        `ImageStrip.width_hint`: how many screen pixels the whole width of an image takes. Only every n-th pixel
+        is coloured where more would not be seen; 0 colours all.
+    """
+    height, width = images.proximity_m.shape
+    stride = stride_for(width, width_hint)
+    depth_range_m = images.depth_range_m or depth_range_of(images.proximity_m, images.tactile_m)
+    limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
+
+    outline = None if images.contact is None else _outline(images.contact[::stride, ::stride])
+    packed = [
+        None if images.color is None else _colored(images.color, images.mask_overlay, stride),
+        _lookup(_depth_index(images.proximity_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
+        _lookup(_depth_index(images.tactile_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
+        _lookup(
+            difference_index(images.relative[::stride, ::stride], limit),
+            _packed_difference_lut(round(images.tolerance, 6), limit),
+        ),
+    ]
+    if outline is not None:
+        for pane in packed:
+            if pane is not None:
+                pane[outline] = _pack_rgb(CONTACT_RGB)
+    color, proximity, tactile, relative = (None if pane is None else _as_bytes(pane) for pane in packed)
+    return RenderedStrip(
+        panes=(color, proximity, tactile, relative),
+        size=(width, height),
+        stride=stride,
+        depth_range_m=depth_range_m,
+        tolerance=images.tolerance,
+        difference_limit=limit,
+    )
+
+
+def stride_for(width: int, width_hint: int) -> int:
+    """Return which n makes every n-th pixel of an image ``width`` wide enough for the screen; 0 asks for all."""
+    return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
+
+
+def depth_range_of(*depths_m: Float32Array) -> tuple[float, float]:
+    """Return a range for the depth colours in metres: the middle 98 %, widened to whole centimetres."""
+    samples = np.concatenate([depth[::_SAMPLE_STEP, ::_SAMPLE_STEP].ravel() for depth in depths_m])
+    samples = samples[np.isfinite(samples)]
+    if samples.size == 0:
+        return 0.0, 1.0
+    low, high = np.percentile(samples, (1.0, 99.0)) / _RANGE_STEP_M
+    first = float(np.floor(low)) * _RANGE_STEP_M
+    return first, max(float(np.ceil(high)) * _RANGE_STEP_M, first + _RANGE_STEP_M)
+
+
+def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Array:
+    """Take depths to rows 1 to 255 of a table, nan to row 0."""
+    near, far = range_m
+    rows = depth_m * np.float32(254.0 / (far - near))
+    rows += np.float32(1.5 - near * 254.0 / (far - near))
+    np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
+    np.nan_to_num(rows, copy=False, nan=0.0)
+    return rows.astype(np.uint8)
+
+
+def _colored(color: Uint8Array, mask: BoolArray | None, stride: int) -> _Packed:
+    bgra = cv2.cvtColor(np.ascontiguousarray(color[::stride, ::stride]), cv2.COLOR_RGB2BGRA)
+    if mask is not None:
+        tint = [MASK_TINT * channel for channel in (*masked_rgb()[::-1], 255)]
+        tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
+        cv2.copyTo(tinted, np.ascontiguousarray(mask[::stride, ::stride]).view(np.uint8), bgra)
+    return np.asarray(bgra, dtype=np.uint8).view(np.uint32)[:, :, 0]
+
+
+def _outline(region: BoolArray) -> BoolArray:
+    """Return the rim of a region; pores would be nothing but rim and hide the image, so they are filled first."""
+    closed = cv2.morphologyEx(np.ascontiguousarray(region).view(np.uint8), cv2.MORPH_CLOSE, _KERNEL)
+    return np.asarray(closed != cv2.erode(closed, _KERNEL))
+
+
+def _lookup(rows: Uint8Array, lut: _Packed) -> _Packed:
+    return np.take(lut, rows)
+
+
+def _as_bytes(packed: _Packed) -> Uint8Array:
+    return np.ascontiguousarray(packed).view(np.uint8).reshape(*packed.shape, 4)
+
+
+def _pack_rgb(rgb: tuple[int, int, int]) -> np.uint32:
+    return np.uint32(0xFF000000 | rgb[0] << 16 | rgb[1] << 8 | rgb[2])
+
+
+def masked_rgb() -> tuple[int, int, int]:
+    """Return the tint of what the mask covers, for a legend."""
+    color = QColor(ACCENT)
+    return color.red(), color.green(), color.blue()
+
+
+@lru_cache(maxsize=1)
+def _packed_depth_lut() -> _Packed:
+    return _pack_lut(depth_lut())
+
+
+@lru_cache(maxsize=32)
+def _packed_difference_lut(tolerance: float, limit: float) -> _Packed:
+    return _pack_lut(difference_lut(tolerance, limit))
+
+
+def _pack_lut(lut: Uint8Array) -> _Packed:
+    """Return a table of packed colours whose row 0 stands for *no value*."""
+    wide = lut.astype(np.uint32)
+    packed: _Packed = (0xFF000000 | wide[:, 0] << 16 | wide[:, 1] << 8 | wide[:, 2]).astype(np.uint32)
+    packed[0] = _pack_rgb(NO_VALUE_RGB)
+    return packed

@@ -1,0 +1,362 @@
+"""The panel in which a preset is tuned, generated from the preset's model."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import numpy.typing as npt
+from pydantic import BaseModel
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QKeySequence, QPalette, QShortcut
+from PyQt6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.model.arrays import AnyArray
+from ...core.preset import Preset
+from ...core.preset.calibration_record import CalibrationRecord
+from ..basics.collapsible import CollapsibleSection
+from ..plots.histogram import DifferenceHistogram
+from .fields import FieldSpec, field_spec, section_fields
+from .gestures import new_gesture
+from .hsv_colors import groove_colors
+from .parameter_row import ParameterRow
+from .range_row import RangeEditor
+
+#: The sections of the panel, top to bottom: part of the preset, title.
+SECTIONS = (
+    ("alignment", "Alignment"),
+    ("mask", "Mask"),
+    ("contact_test", "Contact"),
+    ("tolerance", "Tolerance"),
+    ("outliers", "Outliers"),
+    ("calibrated", "Calibrated test"),
+    ("range", "Range"),
+    ("region", "Region"),
+)
+
+#: The sections that have a say in each contact test only, and what else there is to say of it.
+_OF_TEST = {
+    "tolerance": (("tolerance", "outliers"), "Each pixel by itself, as published."),
+    "calibrated": (("calibrated",), "By mean gaps, where the membrane is pressed; tolerance and outliers have no say."),
+}
+
+_EYEDROPPERS = {
+    "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc leaves."),
+    "expand": ("+", "Expand: click membrane that the mask misses, and the ranges grow to cover it. Esc leaves."),
+    "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is cut so that it is left. Esc leaves."),
+}
+
+
+class ParameterPanel(QScrollArea):
+    """Shows and edits every tunable value of a preset.
+
+    The panel holds no preset of its own: it shows the one given to `set_preset` and tells what a person does.
+    Whoever listens answers with `set_preset`, or with `show_error` where the value is refused.
+
+    Signals
+    -------
+    valueEdited(path: str, value: object, gesture: int)
+        All edits of one drag, one burst of keys or one typed number carry the same gesture number.
+    valuesEdited(values: dict[str, object], gesture: int)
+        A section was reset: several fields at once.
+    eyedropperRequested(mode: str)
+        "set", "expand", "shrink", or "off".
+    """
+
+    valueEdited = pyqtSignal(str, object, int)
+    valuesEdited = pyqtSignal(object, int)
+    eyedropperRequested = pyqtSignal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._preset = Preset()
+        self._median_m = float("nan")
+        self.rows: dict[str, ParameterRow] = {}
+        self.sections: dict[str, CollapsibleSection] = {}
+        self._section_resets: dict[str, QToolButton] = {}
+        self._eyedroppers: dict[str, QToolButton] = {}
+        self._info = _note()
+        self._test_note = _note()
+        self._tolerance_mm = _note()
+        self.histogram = DifferenceHistogram()
+        self.histogram.toleranceEdited.connect(self._histogram_dragged)
+
+        content = QWidget()
+        column = QVBoxLayout(content)
+        column.setContentsMargins(4, 4, 4, 4)
+        column.setSpacing(6)
+        for name, title in SECTIONS:
+            section = self._make_section(name, title)
+            self.sections[name] = section
+            column.addWidget(section)
+        column.addStretch(1)
+        self._order_tabs()
+        self.setWidget(content)
+        self.setWidgetResizable(True)
+        self.setFrameShape(QFrame.Shape.NoFrame)
+        self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setMinimumWidth(340)
+        self.setAccessibleName("Parameters")
+
+        self._escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
+        self._escape.activated.connect(lambda: self._choose_eyedropper("off"))
+        self._escape.setEnabled(False)
+        self.set_baseline(None)
+        self._refresh()
+
+    # --- what is shown -----------------------------------------------------------------------------------------
+
+    def set_preset(self, preset: Preset) -> None:
+        """Show a preset; never emits."""
+        self._preset = preset
+        for path, row in self.rows.items():
+            row.show_value(preset.value(path))
+        self._show_calibration(preset.alignment.calibration)
+        self._refresh()
+
+    def set_baseline(self, preset: Preset | None) -> None:
+        """Say what the reset buttons go back to: the loaded or saved preset, or with None the defaults."""
+        for path, row in self.rows.items():
+            if preset is None:
+                row.set_reset_target(Preset().value(path), "default")
+            else:
+                row.set_reset_target(preset.value(path), f"as in {preset.name}")
+        self._refresh()
+
+    def show_error(self, path: str, sentence: str) -> None:
+        """Show why a value was refused, below its row, and put the row back to the preset's value."""
+        row = self.rows[path]
+        row.show_value(self._preset.value(path))
+        row.message.show_sentence(sentence)
+        self.sections[_section_of(path)].set_collapsed(False)
+        self._refresh()
+
+    def set_median_distance_m(self, distance_m: float) -> None:
+        """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
+        if distance_m != self._median_m:
+            self._median_m = distance_m
+            self._show_tolerance_mm()
+
+    def set_histogram(self, counts: AnyArray, edges: npt.NDArray[np.floating], t: float) -> None:
+        """Show the relative differences of the latest frame.
+
+        Parameters
+        ----------
+        counts : array, shape (N,)
+        edges : array, shape (N + 1,)
+            Relative differences (dp - dt) / dp.
+        t : float
+            The tolerance in force; a line that is being dragged stays with the mouse.
+        """
+        self.histogram.set_data(counts, edges, t)
+
+    def collapsed_sections(self) -> list[str]:
+        """Return which sections are folded, to be remembered."""
+        return [name for name, section in self.sections.items() if section.collapsed]
+
+    def set_collapsed_sections(self, names: list[str]) -> None:
+        """Fold these sections and unfold the others."""
+        for name, section in self.sections.items():
+            section.set_collapsed(name in names)
+
+    def set_eyedropper(self, mode: str) -> None:
+        """Show which eyedropper is in use ("off" for none); never emits."""
+        for name, button in self._eyedroppers.items():
+            button.setChecked(name == mode)
+        self._escape.setEnabled(mode != "off")
+
+    def _show_calibration(self, record: CalibrationRecord | None) -> None:
+        """Say below the choice of the alignment's model what it comes from and how good it was."""
+        if record is not None:
+            points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
+            self._info.setText(
+                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
+                f"expected error {record.quality.alignment_px:.1f} px, good for t from "
+                f"{record.quality.supported_tolerance:.3f}"
+            )
+        self._info.setVisible(record is not None)
+
+    # --- building ----------------------------------------------------------------------------------------------
+
+    def _make_section(self, name: str, title: str) -> CollapsibleSection:
+        section = CollapsibleSection(title)
+        grid = QGridLayout(section.body)
+        grid.setContentsMargins(6, 4, 4, 4)
+        grid.setHorizontalSpacing(6)
+        grid.setVerticalSpacing(3)
+        grid.setColumnStretch(1, 1)
+        for spec in fields_of(name):
+            row = ParameterRow(spec, section)
+            row.edited.connect(self._row_edited)
+            self.rows[spec.path] = row
+            if row.in_header:
+                section.add_header_widget(row.widget)
+                grid.addWidget(row.message, grid.rowCount(), 0, 1, 3)
+            else:
+                row.add_to(grid)
+            if spec.path == "alignment.model":
+                grid.addWidget(self._info, grid.rowCount(), 0, 1, 3)
+        if name == "contact_test":
+            grid.addWidget(self._test_note, grid.rowCount(), 0, 1, 3)
+        if name == "mask":
+            grid.addWidget(self._make_eyedropper_bar(), grid.rowCount(), 0, 1, 3)
+        if name == "tolerance":
+            grid.addWidget(self._tolerance_mm, grid.rowCount(), 0, 1, 3)
+            grid.addWidget(self.histogram, grid.rowCount(), 0, 1, 3)
+        reset = QToolButton()
+        reset.setText("↺")
+        reset.setAutoRaise(True)
+        reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        reset.setAccessibleName(f"Reset section {title.lower()}")
+        reset.setToolTip(f"Reset everything in {title.lower()}")
+        reset.clicked.connect(lambda: self._reset_section(name))
+        section.add_header_widget(reset)
+        self._section_resets[name] = reset
+        return section
+
+    def _make_eyedropper_bar(self) -> QWidget:
+        bar = QWidget()
+        layout = QHBoxLayout(bar)
+        layout.setContentsMargins(0, 2, 0, 0)
+        layout.setSpacing(4)
+        layout.addWidget(QLabel("Eyedropper"))
+        for mode, (text, tooltip) in _EYEDROPPERS.items():
+            button = QToolButton()
+            button.setText(text)
+            button.setToolTip(tooltip)
+            button.setCheckable(True)
+            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+            button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+            button.setAccessibleName(f"Eyedropper: {mode}")
+            button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
+            self._eyedroppers[mode] = button
+            layout.addWidget(button, 1)
+        return bar
+
+    def _order_tabs(self) -> None:
+        """Let Tab go through the panel as one reads it."""
+        chain: list[QWidget] = []
+        for name, section in self.sections.items():
+            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+            header = [row.widget for row in rows if row.in_header]
+            chain += [section.button, *header, self._section_resets[name]]
+            for row in rows:
+                if not row.in_header:
+                    chain += [*row.tab_stops, row.reset]
+            if name == "mask":
+                chain += self._eyedroppers.values()
+        for first, second in pairwise(chain):
+            QWidget.setTabOrder(first, second)
+
+    # --- reacting ----------------------------------------------------------------------------------------------
+
+    def _row_edited(self, path: str, value: object, gesture: int) -> None:
+        self._refresh()
+        self.valueEdited.emit(path, value, gesture)
+
+    def _histogram_dragged(self, t: float, gesture: int) -> None:
+        row = self.rows["tolerance.t"]
+        row.show_value(t)
+        row.message.show_sentence("")
+        self._row_edited("tolerance.t", t, gesture)
+
+    def _reset_section(self, name: str) -> None:
+        changed = {
+            path: row.reset_target
+            for path, row in self.rows.items()
+            if _section_of(path) == name and row.editor.value() != row.reset_target
+        }
+        for path, value in changed.items():
+            self.rows[path].show_value(value)
+            self.rows[path].message.show_sentence("")
+        self._refresh()
+        if changed:
+            self.valuesEdited.emit(changed, new_gesture())
+
+    def _choose_eyedropper(self, mode: str) -> None:
+        self.set_eyedropper(mode)
+        self.eyedropperRequested.emit(mode)
+
+    def _refresh(self) -> None:
+        """Bring everything that depends on other values up to date."""
+        for name, reset in self._section_resets.items():
+            rows = [row for path, row in self.rows.items() if _section_of(path) == name]
+            enabled = self.rows.get(f"{name}.enabled")
+            on = enabled is None or bool(enabled.editor.value())
+            for row in rows:
+                if row is not enabled:
+                    row.set_editable(on)
+            reset.setEnabled(any(row.editor.value() != row.reset_target for row in rows))
+            if name == "mask":
+                self._enable_eyedroppers(on)
+        model = self.rows["alignment.model"].editor.value()
+        for path, row in self.rows.items():
+            if path.startswith(("alignment.rigid.", "alignment.homography.")):
+                row.set_shown(path.split(".")[1] == model)
+        self.rows["alignment.homography.plane_distance_m"].set_editable(
+            self.rows["alignment.homography.H_p_t"].editor.value() is None
+        )
+        self._show_contact_test(str(self.rows["contact_test"].editor.value()))
+        self.histogram.set_tolerance(float(self.rows["tolerance.t"].editor.value()))
+        self._show_tolerance_mm()
+        self._paint_mask_colors()
+
+    def _show_contact_test(self, chosen: str) -> None:
+        for test, (sections, note) in _OF_TEST.items():
+            for name in sections:
+                self.sections[name].setVisible(test == chosen)
+            if test == chosen:
+                self._test_note.setText(note)
+        self._test_note.show()
+
+    def _enable_eyedroppers(self, enabled: bool) -> None:
+        for button in self._eyedroppers.values():
+            button.setEnabled(enabled)
+        if not enabled and any(button.isChecked() for button in self._eyedroppers.values()):
+            self._choose_eyedropper("off")
+
+    def _show_tolerance_mm(self) -> None:
+        known = np.isfinite(self._median_m) and self._median_m > 0
+        t = float(self.rows["tolerance.t"].editor.value())
+        self._tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
+        self._tolerance_mm.setVisible(bool(known))
+
+    def _paint_mask_colors(self) -> None:
+        """Show on the mask's sliders the colours that their positions mean."""
+        ranges = {name: self.rows[f"mask.{name}"].editor.value() for name in ("hue", "saturation", "value")}
+        for name, stops in groove_colors(**ranges).items():
+            widget = self.rows[f"mask.{name}"].widget
+            if isinstance(widget, RangeEditor):
+                widget.set_colors(stops)
+
+
+def fields_of(section: str) -> list[FieldSpec]:
+    """Return the fields that a section of the panel edits."""
+    model = Preset.model_fields[section].annotation
+    if isinstance(model, type) and issubclass(model, BaseModel):
+        return list(section_fields(model, section))
+    return [field_spec(Preset, section)]
+
+
+def _note() -> QLabel:
+    """Make an empty line of secondary text."""
+    label = QLabel()
+    label.setWordWrap(True)
+    label.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+    label.hide()
+    return label
+
+
+def _section_of(path: str) -> str:
+    return path.partition(".")[0]

@@ -1,0 +1,295 @@
+"""One row of the parameter panel: label, editor, reset button and a line for a refused value."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol, cast
+
+from PyQt6.QtCore import QEvent, QObject, Qt, pyqtBoundSignal, pyqtSignal
+from PyQt6.QtGui import QColor, QFontDatabase, QPalette, QWheelEvent
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButton, QWidget
+
+from ..basics.theme import theme_colors
+from .fields import FieldSpec, format_number
+from .gestures import new_gesture
+from .number_slider import NumberSlider
+from .range_row import RangeEditor, RectangleEditor
+
+
+class Editor(Protocol):
+    """What a row asks of the widget that edits a field."""
+
+    edited: pyqtBoundSignal
+
+    def value(self) -> Any:
+        """Return the field's value."""
+
+    def setValue(self, value: Any) -> None:
+        """Show a value without telling that a person edited it."""
+
+
+class ChoiceEditor(QComboBox):
+    """Chooses one of a field's words."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.addItems(list(spec.choices))
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setValue(spec.default)
+        self._shown = self.value()
+        self.activated.connect(self._activated)
+
+    def value(self) -> str:
+        """Return the chosen word."""
+        return self.currentText()
+
+    def setValue(self, value: str) -> None:
+        """Show a choice without telling that a person made it."""
+        self.setCurrentText(value)
+        self._shown = value
+
+    def wheelEvent(self, event: QWheelEvent | None) -> None:
+        """Let the panel scroll."""
+        if event is not None:
+            event.ignore()
+
+    def _activated(self, _: int) -> None:
+        if self.value() != self._shown:
+            self._shown = self.value()
+            self.edited.emit(self._shown, new_gesture())
+
+
+class FlagEditor(QCheckBox):
+    """Turns something on or off."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
+        super().__init__(spec.title, parent)
+        self.setChecked(bool(spec.default))
+        self.clicked.connect(lambda checked: self.edited.emit(bool(checked), new_gesture()))
+
+    def value(self) -> bool:
+        """Return whether it is on."""
+        return self.isChecked()
+
+    def setValue(self, value: bool) -> None:
+        """Show a state without telling that a person chose it."""
+        self.setChecked(value)
+
+
+class MatrixView(QLabel):
+    """Shows a matrix as text that can be selected; None is "from the rig"."""
+
+    edited = pyqtSignal(object, int)
+
+    def __init__(self, spec: FieldSpec, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._factor = spec.factor
+        self._suffix = spec.suffix
+        self._value: Any = spec.default
+        self.setTextInteractionFlags(
+            Qt.TextInteractionFlag.TextSelectableByMouse | Qt.TextInteractionFlag.TextSelectableByKeyboard
+        )
+        self._show()
+
+    def value(self) -> Any:
+        """Return the matrix as nested tuples, or None."""
+        return self._value
+
+    def setValue(self, value: Any) -> None:
+        """Show a matrix or None."""
+        if value != self._value:
+            self._value = value
+            self._show()
+
+    def _show(self) -> None:
+        if self._value is None:
+            self.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.GeneralFont))
+            self.setText("from the rig")
+            return
+        font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
+        font.setPointSizeF(font.pointSizeF() * 0.85)
+        self.setFont(font)
+        self.setText("\n".join(self._line(row) for row in self._value[:3]))
+
+    def _line(self, row: tuple[float, ...]) -> str:
+        if len(row) == 3:
+            return " ".join(f"{cell:>10.5g}" for cell in row)
+        return " ".join(f"{cell:8.5f}" for cell in row[:3]) + f" | {row[3] * self._factor:8.2f}{self._suffix}"
+
+
+_EDITORS: dict[str, Any] = {
+    "number": NumberSlider,
+    "range": RangeEditor,
+    "rectangle": RectangleEditor,
+    "choice": ChoiceEditor,
+    "flag": FlagEditor,
+    "matrix": MatrixView,
+}
+
+
+def make_editor(spec: FieldSpec) -> QWidget:
+    """Make the widget that edits a field; it is an `Editor`."""
+    widget: QWidget = _EDITORS[spec.kind](spec)
+    if spec.kind != "matrix":
+        widget.setAccessibleName(spec.title)
+    widget.setToolTip(spec.tooltip)
+    return widget
+
+
+class MessageLabel(QLabel):
+    """A wrapped line in the colour of errors; hidden while empty."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWordWrap(True)
+        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.hide()
+        self._recolor()
+
+    def show_sentence(self, sentence: str) -> None:
+        """Show a sentence, or hide with an empty one."""
+        self.setText(sentence)
+        self.setVisible(bool(sentence))
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._recolor()
+
+    def _recolor(self) -> None:
+        palette = QPalette()
+        palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
+        self.setPalette(palette)
+
+
+class ParameterRow(QObject):
+    """The widgets of one field, placed into a section's grid by `add_to`.
+
+    Signals
+    -------
+    edited(path: str, value: object, gesture: int)
+    """
+
+    edited = pyqtSignal(str, object, int)
+
+    def __init__(self, spec: FieldSpec, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self.spec = spec
+        self.widget = make_editor(spec)
+        self.editor = cast(Editor, self.widget)
+        unit = spec.suffix if spec.kind in ("range", "rectangle") else ""
+        self.label = QLabel(f"{spec.title} ({unit.strip()})" if unit else spec.title)
+        self.label.setBuddy(getattr(self.widget, "entry", self.tab_stops[0]))
+        self.label.setToolTip(spec.tooltip)
+        if spec.kind == "flag" and not self.in_header:
+            cast(FlagEditor, self.widget).setText("")  # the label stands beside it
+        self.reset = QToolButton()
+        self.reset.setText("↺")
+        self.reset.setAutoRaise(True)
+        self.reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.reset.setAccessibleName(f"Reset {spec.title.lower()}")
+        self.reset.clicked.connect(self._reset)
+        self.message = MessageLabel()
+        self._target: Any = spec.default
+        self._grid: QGridLayout | None = None
+        self._line = 0
+        self._is_wide: bool | None = None
+        self.editor.edited.connect(self._edited)
+        refused = getattr(self.widget, "refused", None)
+        if refused is not None:
+            refused.connect(self.message.show_sentence)
+        self.set_reset_target(spec.default, "default")
+
+    @property
+    def in_header(self) -> bool:
+        """Whether the editor turns its whole section on or off and so belongs into the header."""
+        return self.spec.kind == "flag" and self.spec.name == "enabled"
+
+    @property
+    def tab_stops(self) -> list[QWidget]:
+        """What takes the focus, in order."""
+        return list(getattr(self.widget, "tab_stops", [self.widget]))
+
+    def add_to(self, grid: QGridLayout) -> None:
+        """Append the row to a grid of three columns."""
+        line = grid.rowCount()
+        grid.addWidget(self.label, line, 0)
+        grid.addWidget(self.reset, line, 2)
+        grid.addWidget(self.message, line + 2, 0, 1, 3)
+        self._grid, self._line = grid, line
+        self._place_editor()
+
+    def set_shown(self, shown: bool) -> None:
+        """Show or hide the whole row."""
+        for widget in (self.label, self.widget, self.reset):
+            widget.setVisible(shown)
+        self.message.setVisible(shown and bool(self.message.text()))
+
+    def set_editable(self, editable: bool) -> None:
+        """Grey the row, or not."""
+        for widget in (self.label, self.widget):
+            widget.setEnabled(editable)
+        self._update_reset(editable)
+
+    def set_reset_target(self, value: Any, origin: str) -> None:
+        """Say what the reset button goes back to, and where that value comes from."""
+        self._target = value
+        self.reset.setToolTip(f"Reset to {self.describe(value)} ({origin})")
+        self._update_reset(self.widget.isEnabled())
+
+    @property
+    def reset_target(self) -> Any:
+        """The value that the reset button goes back to."""
+        return self._target
+
+    def show_value(self, value: Any) -> None:
+        """Show a value without emitting; a changed one clears the message."""
+        if value != self.editor.value():
+            self.message.show_sentence("")
+        self.editor.setValue(value)
+        self._place_editor()
+        self._update_reset(self.widget.isEnabled())
+
+    def describe(self, value: Any) -> str:
+        """Write a value of this field as people read it."""
+        spec = self.spec
+        if value is None:
+            return "the rig's own"
+        if spec.kind == "number":
+            return spec.shown(value)
+        if spec.kind == "range":
+            return " to ".join(format_number(end * spec.factor) for end in value) + spec.suffix
+        if spec.kind == "rectangle":
+            return " x ".join(format_number(end) for end in value) + spec.suffix
+        if spec.kind == "flag":
+            return "on" if value else "off"
+        return "the saved matrix" if spec.kind == "matrix" else str(value)
+
+    def _place_editor(self) -> None:
+        """Put the editor beside the label, or below it where it is too wide for that."""
+        if self._grid is None:
+            return
+        wide = self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None)
+        if wide != self._is_wide:
+            self._is_wide = wide
+            if wide:
+                self._grid.addWidget(self.widget, self._line + 1, 0, 1, 3)
+            else:
+                self._grid.addWidget(self.widget, self._line, 1)
+
+    def _update_reset(self, editable: bool) -> None:
+        self.reset.setEnabled(editable and self.editor.value() != self._target)
+
+    def _edited(self, value: Any, gesture: int) -> None:
+        self.message.show_sentence("")
+        self._update_reset(True)
+        self.edited.emit(self.spec.path, value, gesture)
+
+    def _reset(self) -> None:
+        if self.editor.value() != self._target:
+            self.show_value(self._target)
+            self._edited(self._target, new_gesture())

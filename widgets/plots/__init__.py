@@ -1,0 +1,1 @@
+"""Plots of residuals, differences and coverage."""
