@@ -1,4 +1,4 @@
-"""Measure every method on the simulator's cells, and what each part of fusion-calibrated buys.
+"""Measure every method on the simulator's cells, and what each part of fusion-membrane buys.
 
     .venv/bin/python scripts/measure_methods.py [table] [ablation] [turned] [heldout] [hover] [--seeds=0,1,2]
 
@@ -38,29 +38,29 @@ SPECIAL = (("stiff", ""), ("wrinkled", ""))
 NEW_SHAPES = tuple((name, press) for press in PRESSES for name in ("mug", "hand"))
 TURNED_PRESSES = tuple((name, press) for press in ("low", "medium") for name in TURNED)
 HELD_OUT_SEEDS = (100, 101, 102)
-OURS, AVERAGED = "fusion-calibrated", "fusion-averaged"
-CALIBRATED = {"contact_test": "calibrated", "alignment.model": "rigid"}
+OURS, AVERAGED = "fusion-membrane", "fusion-averaged"
+MEMBRANE = {"contact_test": "membrane", "alignment.model": "rigid"}
 #: How often each method's time is taken on each cell.
 ROUNDS = 9
 
-#: What is changed in the preset to leave out one part of the calibrated test, or to replace it.
+#: What is changed in the preset to leave out one part of the membrane test, or to replace it.
 PARTS: dict[str, dict[str, float | bool]] = {
     "all parts": {},
-    "15 frames averaged": {"calibrated.frames": 15},
-    "15 frames, no curvature": {"calibrated.frames": 15, "calibrated.curvature": 0.0},
-    "15 frames, no balance": {"calibrated.frames": 15, "calibrated.balance": False},
-    "no local mean": {"calibrated.window_px": 0.0},
-    "no bias correction": {"calibrated.bias_m": 0.0},
-    "no slope": {"calibrated.slope": False},
-    "no retreat": {"calibrated.retreat": 0.0},
-    "no retreat, gap 1 mm": {"calibrated.retreat": 0.0, "calibrated.gap_m": 0.001},
-    "no curvature": {"calibrated.curvature": 0.0},
-    "no balance": {"calibrated.balance": False},
-    "no protected core": {"calibrated.core": 1.0},
-    "no cluster rule": {"calibrated.least_area_mm2": 0.0},
-    "no smooth points": {"calibrated.smooth_px": 0.0},
-    "points of proximity": {"calibrated.tactile_weight": 0.0},
-    "points of tactile": {"calibrated.tactile_weight": 1.0},
+    "15 frames averaged": {"membrane.frames": 15},
+    "15 frames, no curvature": {"membrane.frames": 15, "membrane.curvature": 0.0},
+    "15 frames, no balance": {"membrane.frames": 15, "membrane.balance": False},
+    "no local mean": {"membrane.window_px": 0.0},
+    "no bias correction": {"membrane.bias_m": 0.0},
+    "no slope": {"membrane.slope": False},
+    "no retreat": {"membrane.retreat": 0.0},
+    "no retreat, gap 1 mm": {"membrane.retreat": 0.0, "membrane.gap_m": 0.001},
+    "no curvature": {"membrane.curvature": 0.0},
+    "no balance": {"membrane.balance": False},
+    "no protected core": {"membrane.core": 1.0},
+    "no cluster rule": {"membrane.least_area_mm2": 0.0},
+    "no smooth points": {"membrane.smooth_px": 0.0},
+    "points of proximity": {"membrane.tactile_weight": 0.0},
+    "points of tactile": {"membrane.tactile_weight": 1.0},
 }
 
 Cell = tuple[str, str]
@@ -161,16 +161,16 @@ def methods() -> dict[str, Build]:
 
 
 def parts() -> dict[str, Build]:
-    """Return fusion-calibrated with one part after another left out."""
+    """Return fusion-membrane with one part after another left out."""
     return {
-        label: (lambda rig, reference, values=values: Fusion(STRAIGHT.with_values(values), rig, OURS, CALIBRATED))
+        label: (lambda rig, reference, values=values: Fusion(STRAIGHT.with_values(values), rig, OURS, MEMBRANE))
         for label, values in PARTS.items()
     }
 
 
 def hover() -> None:
     """Print how many false points objects beside the membrane give."""
-    print("\nFalse points of fusion-calibrated, the most of 3 frames, with the object so far away")
+    print("\nFalse points of fusion-membrane, the most of 3 frames, with the object so far away")
     for shape in ("cube", "cup", "octopus"):
         found = []
         for gap_mm in (1.0, 2.0, 3.0, 4.0, 5.0, 10.0):

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from ..window.main_window import MainWindow
 
 _CHOSEN = "compare/methods"
-_AT_FIRST = ("fusion-rigid", "fusion-calibrated", "proximity-only", "tactile-only", "mechanics")
+_AT_FIRST = ("fusion-rigid", "fusion-membrane", "proximity-only", "tactile-only", "mechanics")
 _WAITING = "Waiting for a frame: open a source in the main window."
 #: Setting up is worth saying when it takes longer than this.
 _PATIENCE_MS = 300

@@ -75,7 +75,7 @@ class CheckPage(QWidget):
         self.note.setWordWrap(True)
         self.set_tolerance = QCheckBox()
         self.set_tolerance.setToolTip(
-            "The smallest tolerance t (no unit) that this calibration supports; the calibrated contact test has none"
+            "The smallest tolerance t (no unit) that this calibration supports; the membrane contact test has none"
         )
         self._make_controls()
         self._lay_out()
@@ -187,7 +187,7 @@ class CheckPage(QWidget):
 
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
-        use = "" if preset.contact_test == "tolerance" else ", and the preset's calibrated test does not use it"
+        use = "" if preset.contact_test == "tolerance" else ", and the preset's membrane test does not use it"
         self.set_tolerance.setEnabled(report is not None)
         supported = "" if report is None else f" to {report.chosen.effect.supported_tolerance:.4f}"
         self.set_tolerance.setText(

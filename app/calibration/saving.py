@@ -26,8 +26,8 @@ def preset_values(
     report: CalibrationReport, preset: Preset, state: SessionState, set_tolerance: bool
 ) -> dict[str, Any]:
     """Return the preset's fields that a calibration sets, by their paths."""
-    calibrated = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=set_tolerance)
-    values = {path: calibrated.value(path) for path in (*_PATHS, "tolerance.t")}
+    membrane = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=set_tolerance)
+    values = {path: membrane.value(path) for path in (*_PATHS, "tolerance.t")}
     return {
         path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
     }

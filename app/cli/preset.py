@@ -43,7 +43,7 @@ def new(
             "--set",
             metavar="FIELD=VALUE",
             help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
-            "Setting a field of mask, outliers, range or region turns that section on, one of calibrated chooses "
+            "Setting a field of mask, outliers, range or region turns that section on, one of membrane chooses "
             "that contact test.",
         ),
     ] = None,

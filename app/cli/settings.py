@@ -37,6 +37,6 @@ def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
 
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
-    if "calibrated" in sections:
-        switches["contact_test"] = "calibrated"
+    if "membrane" in sections:
+        switches["contact_test"] = "membrane"
     return switches | values

@@ -16,7 +16,7 @@ _DROPPED = {
         Provenance.OUTLIER: ("the outlier removal", "raise its ratio, or switch it off"),
         Provenance.SMALL_CLUSTER: ("the limit on small clusters", "lower the smallest cluster"),
     },
-    "calibrated": {
+    "membrane": {
         Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
         Provenance.RIM: ("the retreat from the edge", "right while nothing touches; else lower it"),
         Provenance.NOT_PRESSED: ("the membrane's curvature", "right while nothing presses; else raise the largest one"),
@@ -25,7 +25,7 @@ _DROPPED = {
 }
 
 
-def why_no_contact(provenance: Uint8Array, contact_test: Literal["tolerance", "calibrated"] = "tolerance") -> str:
+def why_no_contact(provenance: Uint8Array, contact_test: Literal["tolerance", "membrane"] = "tolerance") -> str:
     """Say which stage dropped the points that were near the object, and what to change about it."""
     stages = _DROPPED[contact_test]
     dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in stages}

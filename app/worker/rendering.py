@@ -120,12 +120,12 @@ class Renderer:
 def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
     """Return the relative difference up to which the contact test takes both depths for equal.
 
-    The calibrated test has a gap in metres instead, here as a share of the scene's middle depth.
+    The membrane test has a gap in metres instead, here as a share of the scene's middle depth.
     """
     if preset.contact_test == "tolerance":
         return preset.tolerance.t
     middle_m = sum(depth_range_m) / 2
-    return float(f"{preset.calibrated.gap_m / middle_m:.2g}") if middle_m > 0 else 0.0
+    return float(f"{preset.membrane.gap_m / middle_m:.2g}") if middle_m > 0 else 0.0
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
@@ -213,9 +213,9 @@ def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, co
 
 
 def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
-    """Return the proximity counts, those of a patch at its own points, which the calibrated test takes from both."""
+    """Return the proximity counts, those of a patch at its own points, which the membrane test takes from both."""
     counts = scene.frame.proximity_depth
-    if scene.preset.contact_test == "calibrated":
+    if scene.preset.contact_test == "membrane":
         counts = counts.copy()
         counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
     return counts

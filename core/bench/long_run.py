@@ -79,11 +79,11 @@ def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
         "region.rectangle": lambda: (int(random.integers(40)), int(random.integers(30)), 50, 40),
         "alignment.model": lambda: str(random.choice(("rigid", "homography"))),
         "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
-        "contact_test": lambda: str(random.choice(("tolerance", "calibrated"))),
-        "calibrated.gap_m": lambda: float(random.uniform(0.0, 0.005)),
-        "calibrated.retreat": lambda: float(random.choice((0.0, 0.9, 2.0))),
-        "calibrated.balance": lambda: not preset.calibrated.balance,
-        "calibrated.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
+        "contact_test": lambda: str(random.choice(("tolerance", "membrane"))),
+        "membrane.gap_m": lambda: float(random.uniform(0.0, 0.005)),
+        "membrane.retreat": lambda: float(random.choice((0.0, 0.9, 2.0))),
+        "membrane.balance": lambda: not preset.membrane.balance,
+        "membrane.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
     }
     name = str(random.choice(list(choices)))
     return {name: choices[name]()}

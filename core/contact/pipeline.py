@@ -23,7 +23,7 @@ from .candidates import (
     full_provenance,
 )
 from .kernels import chain as kernels
-from .membrane import stages as calibrated_stages
+from .membrane import stages as membrane_stages
 from .membrane.average import SteadyDepth
 from .membrane.balance import balanced_contact
 from .membrane.differences import DifferenceFinder
@@ -31,12 +31,12 @@ from .membrane.press import pressed_contact
 from .outliers.statistical import NeighbourMemory, statistical_inliers
 from .patch import ContactPatch, Once
 
-__all__ = ["CALIBRATED_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "Still"]
+__all__ = ["MEMBRANE_STAGES", "STAGES", "ContactPatch", "ContactPipeline", "Still"]
 
 #: Of the tolerance test. The fusion aligns, tests tolerance and colour and deprojects, all in one pass.
 STAGES = ("fusion", "outliers", "clusters")
-#: Of the calibrated test. Here the fusion aligns and tests difference and colour.
-CALIBRATED_STAGES = ("fusion", "gaps", "edge", "press", "balance", "clusters", "points")
+#: Of the membrane test. Here the fusion aligns and tests difference and colour.
+MEMBRANE_STAGES = ("fusion", "gaps", "edge", "press", "balance", "clusters", "points")
 #: Comes before them where depth is averaged over frames.
 AVERAGE = "average"
 
@@ -148,7 +148,7 @@ class ContactPipeline:
             frame = stage(AVERAGE, None, self._steady.add, frame)
         self._memory.preset = self._preset
         if isinstance(self._finder, DifferenceFinder):
-            found = self._calibrated_test(frame, self._finder, stage)
+            found = self._membrane_test(frame, self._finder, stage)
         else:
             found = self._tolerance_test(frame, self._finder, stage)
         averaged = self._steady.count if self._steady is not None else 1
@@ -176,25 +176,25 @@ class ContactPipeline:
         contact = stage("clusters", outliers.min_cluster_area_mm2, drop_small_clusters, inliers, self.rig, outliers)
         return Found(contact, lambda: full_provenance(finder.classify(frame), unmasked, inliers, contact))
 
-    def _calibrated_test(self, frame: SensorFrame, finder: DifferenceFinder, stage: _StageRunner) -> Found:
-        section = self._preset.calibrated
+    def _membrane_test(self, frame: SensorFrame, finder: DifferenceFinder, stage: _StageRunner) -> Found:
+        section = self._preset.membrane
         differences = stage("fusion", _fusion_key(self._preset), finder.find, frame)
         if differences is None:
             return Found(self._buffers.collect({}), lambda: finder.classify(frame), (NO_CANDIDATES,))
         gaps = stage(
             "gaps", (section.window_px, section.bias_m, section.slope),
-            calibrated_stages.mean_gaps, differences, section, self.rig,
+            membrane_stages.mean_gaps, differences, section, self.rig,
         )  # fmt: skip
         if gaps is None:
             early = differences
             return Found(
                 self._buffers.collect({}),
-                lambda: calibrated_stages.early_provenance(finder.classify(frame), early),
+                lambda: membrane_stages.early_provenance(finder.classify(frame), early),
                 (NO_CANDIDATES,),
             )
         within = stage(
             "edge", (section.gap_m, section.retreat, section.core, section.most_px),
-            calibrated_stages.within_edge, gaps, section,
+            membrane_stages.within_edge, gaps, section,
         )  # fmt: skip
         pressed = stage(
             "press", (section.curvature, section.curvature_px, section.curvature > 0 or section.balance),
@@ -203,14 +203,14 @@ class ContactPipeline:
         balanced = stage("balance", section.balance, balanced_contact, pressed, gaps, section, self.rig)
         large = stage(
             "clusters", section.least_area_mm2,
-            calibrated_stages.large_contacts, balanced, gaps, section, self.rig,
+            membrane_stages.large_contacts, balanced, gaps, section, self.rig,
         )  # fmt: skip
         contact = stage(
             "points", (section.smooth_px, section.tactile_weight),
-            calibrated_stages.surface_points, large, gaps, section, self.rig, self._buffers,
+            membrane_stages.surface_points, large, gaps, section, self.rig, self._buffers,
         )  # fmt: skip
         steps = differences, gaps, section, within, pressed.contact, balanced, large, contact
-        return Found(contact, lambda: calibrated_stages.full_provenance(finder.classify(frame), *steps))
+        return Found(contact, lambda: membrane_stages.full_provenance(finder.classify(frame), *steps))
 
     def _shows_the_same(self, frame: SensorFrame) -> bool:
         """Tell whether the patch in memory, made with the present preset, may stand for a new frame."""
@@ -234,24 +234,24 @@ def stages_of(preset: Preset) -> tuple[str, ...]:
     """Return the names of the stages of a preset's contact test, in their order."""
     if preset.contact_test == "tolerance":
         return STAGES
-    return (AVERAGE, *CALIBRATED_STAGES) if averaged_frames(preset) > 1 else CALIBRATED_STAGES
+    return (AVERAGE, *MEMBRANE_STAGES) if averaged_frames(preset) > 1 else MEMBRANE_STAGES
 
 
 def _make_finder(preset: Preset, rig: Rig, alignment: AlignmentModel) -> CandidateFinder | DifferenceFinder:
-    make = DifferenceFinder if preset.contact_test == "calibrated" else CandidateFinder
+    make = DifferenceFinder if preset.contact_test == "membrane" else CandidateFinder
     return make(preset, rig, alignment)
 
 
 def averaged_frames(preset: Preset) -> int:
     """Return over how many frames depth is averaged at most; with 1 no result depends on earlier frames."""
-    return preset.calibrated.frames if preset.contact_test == "calibrated" else 1
+    return preset.membrane.frames if preset.contact_test == "membrane" else 1
 
 
 def _fusion_key(preset: Preset) -> tuple[Any, ...]:
     """Return all that decides what the first stage gives."""
     common = preset.contact_test, preset.alignment.geometry, preset.region, preset.range, preset.mask
-    if preset.contact_test == "calibrated":
-        section = preset.calibrated
+    if preset.contact_test == "membrane":
+        section = preset.membrane
         return *common, section.difference_m, max(section.window_px, section.smooth_px)
     return *common, preset.tolerance
 

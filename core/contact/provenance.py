@@ -8,7 +8,7 @@ from enum import IntEnum
 class Provenance(IntEnum):
     """The verdict on one proximity pixel, in the order in which the tests are made.
 
-    RIM and NOT_PRESSED, of the calibrated test only, stand at the end, so that the others keep their numbers.
+    RIM and NOT_PRESSED, of the membrane test only, stand at the end, so that the others keep their numbers.
     """
 
     NO_PROXIMITY_DEPTH = 0

@@ -67,7 +67,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     few = np.arange(min(4, len(points)))
     means = np.empty(len(points))
     lens = rig.proximity.intrinsics
-    calibrated = preset.with_values({"contact_test": "calibrated", "calibrated.difference_m": 0.1})
+    membrane = preset.with_values({"contact_test": "membrane", "membrane.difference_m": 0.1})
     steps: list[Callable[[], object]] = [
         lambda: patch.provenance,
         lambda: patch.aligned,
@@ -76,9 +76,9 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
         lambda: compare_with_all(few, points, 2, means),
         lambda: colors_at(points, pixels, frame.proximity_color, rig),
         lambda: in_hsv_range(frame.proximity_color, preset.mask),
-        lambda: ContactPipeline(calibrated, rig).process(frame).provenance,
-        lambda: ContactPipeline(calibrated.with_value("calibrated.frames", 2), rig).process(frame).mask,
-        lambda: ContactPipeline(calibrated, rig).process(_bulging_frame()).mask,
+        lambda: ContactPipeline(membrane, rig).process(frame).provenance,
+        lambda: ContactPipeline(membrane.with_value("membrane.frames", 2), rig).process(frame).mask,
+        lambda: ContactPipeline(membrane, rig).process(_bulging_frame()).mask,
     ]
     for done, step in enumerate(steps):
         progress((done + 1) / (len(steps) + 1), COMPILING)

@@ -82,9 +82,9 @@ def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
     values = FUSION_FIELDS[name]
     by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
     own: tuple[Any, ...] = (preset.tolerance, preset.outliers)
-    if values["contact_test"] == "calibrated":
-        fixed = {path.partition(".")[2]: value for path, value in values.items() if path.startswith("calibrated.")}
-        own = (preset.calibrated.model_copy(update=fixed),)
+    if values["contact_test"] == "membrane":
+        fixed = {path.partition(".")[2]: value for path, value in values.items() if path.startswith("membrane.")}
+        own = (preset.membrane.model_copy(update=fixed),)
     return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 
@@ -121,8 +121,8 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
 FUSION_FIELDS: dict[str, dict[str, Any]] = {
     "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
     "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
-    "fusion-calibrated": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 1},
-    "fusion-averaged": {"contact_test": "calibrated", "alignment.model": "rigid", "calibrated.frames": 15},
+    "fusion-membrane": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
+    "fusion-averaged": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
 }
 _AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,

@@ -2,11 +2,11 @@
 
 from .preset import (
     AlignmentSection,
-    CalibratedSection,
     CameraSection,
     CamerasSection,
     HomographyAlignment,
     MaskSection,
+    MembraneSection,
     OutlierSection,
     Preset,
     RangeSection,
@@ -19,7 +19,7 @@ from .preset import (
 
 __all__ = [
     "AlignmentSection",
-    "CalibratedSection",
+    "MembraneSection",
     "CameraSection",
     "CamerasSection",
     "HomographyAlignment",

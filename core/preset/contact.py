@@ -103,7 +103,7 @@ class OutlierSection(Section):
     ] = 0.0
 
 
-class CalibratedSection(Section):
+class MembraneSection(Section):
     """The contact test on local means of dp - dt. Chosen on the simulator's cube, cup, octopus, knobs and star."""
 
     gap_m: Annotated[

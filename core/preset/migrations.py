@@ -28,8 +28,8 @@ def _add_cameras(document: Document) -> Document:
     return {"cameras": {"proximity": camera, "tactile": camera, "tactile_delay_s": 0.0}, **document}
 
 
-#: The calibrated test's parameters that came with version 4.
-_CALIBRATED_4: Document = {
+#: The membrane test's parameters that came with version 4.
+_MEMBRANE_4: Document = {
     "gap_m": 0.0018,
     "retreat": 0.9,
     "window_px": 2.5,
@@ -46,43 +46,43 @@ _CALIBRATED_4: Document = {
 _CHOSEN_ANEW_5: Document = {
     "gap_m": 0.0014, "least_area_mm2": 2.0, "difference_m": 0.008, "core": 0.5, "curvature": 0.7,
 }  # fmt: skip
-_CALIBRATED_5: Document = {**_CALIBRATED_4, **_CHOSEN_ANEW_5, "frames": 1, "curvature_px": 11.0}
+_MEMBRANE_5: Document = {**_MEMBRANE_4, **_CHOSEN_ANEW_5, "frames": 1, "curvature_px": 11.0}
 
 
 def _add_contact_test(document: Document) -> Document:
     """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
-    return {"contact_test": "tolerance", "calibrated": {**_CALIBRATED_4}, "reference": None, **document}
+    return {"contact_test": "tolerance", "membrane": {**_MEMBRANE_4}, "reference": None, **document}
 
 
 def _add_curvature(document: Document) -> Document:
-    """Version 5: the calibrated test asks for the curvature and may average frames.
+    """Version 5: the membrane test asks for the curvature and may average frames.
 
     A test that is neither chosen nor tuned takes the values chosen with it; any other goes on as before.
     """
-    calibrated = document.get("calibrated")
-    if not isinstance(calibrated, dict):
+    membrane = document.get("membrane")
+    if not isinstance(membrane, dict):
         return document
     news = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0}
-    unused = document.get("contact_test") == "tolerance" and calibrated == _CALIBRATED_4
+    unused = document.get("contact_test") == "tolerance" and membrane == _MEMBRANE_4
     chosen = _CHOSEN_ANEW_5 if unused else {}
-    return {**document, "calibrated": {**news, **calibrated, **chosen}}
+    return {**document, "membrane": {**news, **membrane, **chosen}}
 
 
 def _add_balance(document: Document) -> Document:
-    """Version 6: the calibrated test ends contact by the membrane's balance; one chosen or tuned goes on without."""
-    calibrated = document.get("calibrated", {})
-    if not isinstance(calibrated, dict):
+    """Version 6: the membrane test ends contact by the membrane's balance; one chosen or tuned goes on without."""
+    membrane = document.get("membrane", {})
+    if not isinstance(membrane, dict):
         return document
-    complete = {**_CALIBRATED_5, **calibrated}
-    unused = document.get("contact_test", "tolerance") == "tolerance" and complete == _CALIBRATED_5
+    complete = {**_MEMBRANE_5, **membrane}
+    unused = document.get("contact_test", "tolerance") == "tolerance" and complete == _MEMBRANE_5
     chosen = {"least_area_mm2": 5.0} if unused else {}
-    return {**document, "calibrated": {"balance": unused, **complete, **chosen}}
+    return {**document, "membrane": {"balance": unused, **complete, **chosen}}
 
 
-#: What a migration leaves different from a new preset: the calibrated test's new field, its value then, and the words.
+#: What a migration leaves different from a new preset: the membrane test's new field, its value then, and the words.
 _LEFT_BEHIND: dict[Migration, tuple[str, Any, str]] = {
-    _add_curvature: ("curvature", 0.0, "the calibrated test goes on without the curvature (calibrated.curvature is 0)"),
-    _add_balance: ("balance", False, "the balanced edge stays off (calibrated.balance is false)"),
+    _add_curvature: ("curvature", 0.0, "the membrane test goes on without the curvature (membrane.curvature is 0)"),
+    _add_balance: ("balance", False, "the balanced edge stays off (membrane.balance is false)"),
 }
 
 #: Entry i takes a document of schema version i + 1 to version i + 2. Append only.
@@ -128,6 +128,6 @@ def migration_note(document: Document) -> str:
         document = step(document)
         if step in _LEFT_BEHIND:
             field, value, words = _LEFT_BEHIND[step]
-            if document.get("calibrated", {}).get(field) == value:
+            if document.get("membrane", {}).get(field) == value:
                 left.append(words)
     return f"written as schema {found}, read as {SCHEMA_VERSION}" + (f": {'; '.join(left)}" if left else "")

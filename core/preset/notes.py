@@ -11,18 +11,18 @@ def preset_notes(preset: Preset) -> list[str]:
 
 
 def mask_notes(preset: Preset) -> list[str]:
-    """Return a sentence where the calibrated test goes without the mask, which also tells it the cameras' bias."""
-    if preset.contact_test != "calibrated" or preset.mask.enabled:
+    """Return a sentence where the membrane test goes without the mask, which also tells it the cameras' bias."""
+    if preset.contact_test != "membrane" or preset.mask.enabled:
         return []
     return [
-        f"Preset {preset.name!r} makes the calibrated test without the mask, so parts of the membrane that reflect "
+        f"Preset {preset.name!r} makes the membrane test without the mask, so parts of the membrane that reflect "
         "infrared, such as prints, pass as contact; set mask.hue, mask.saturation and mask.value to their colour."
     ]
 
 
 def homography_notes(preset: Preset) -> list[str]:
-    """Return a sentence where the calibrated test goes with a homography, which is exact on one plane only."""
-    if preset.contact_test != "calibrated" or preset.alignment.model != "homography":
+    """Return a sentence where the membrane test goes with a homography, which is exact on one plane only."""
+    if preset.contact_test != "membrane" or preset.alignment.model != "homography":
         return []
     return [
         f"Preset {preset.name!r} tests contact by gaps of a millimetre, which a homography tells on one plane "

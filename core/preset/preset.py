@@ -14,12 +14,12 @@ from pydantic import Field
 from ..model.frames import Rig
 from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
 from .cameras import CameraSection, CamerasSection
-from .contact import CalibratedSection, MaskSection, OutlierSection, RangeSection, RegionSection, ToleranceSection
+from .contact import MaskSection, MembraneSection, OutlierSection, RangeSection, RegionSection, ToleranceSection
 from .fields import Section, described
 
 __all__ = [
     "AlignmentSection",
-    "CalibratedSection",
+    "MembraneSection",
     "CameraSection",
     "CamerasSection",
     "HomographyAlignment",
@@ -71,17 +71,17 @@ class Preset(Section):
     rig: Rig | None = None
     alignment: AlignmentSection = AlignmentSection()
     contact_test: Annotated[
-        Literal["tolerance", "calibrated"],
+        Literal["tolerance", "membrane"],
         described(
             "Contact test",
-            "tolerance: a pixel is in contact where both distances agree within t, as published. calibrated: local "
+            "tolerance: a pixel is in contact where both distances agree within t, as published. membrane: local "
             "means of the difference tell much smaller gaps apart, and the rim that is only near is taken away.",
         ),
     ] = "tolerance"
     mask: MaskSection = MaskSection(enabled=False)
     tolerance: ToleranceSection = ToleranceSection()
     outliers: OutlierSection = OutlierSection()
-    calibrated: CalibratedSection = CalibratedSection()
+    membrane: MembraneSection = MembraneSection()
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
     cameras: CamerasSection = CamerasSection()

@@ -2,7 +2,7 @@
 
 The limits of fill rate, plane fit and temporal noise follow the depth quality that Intel's data sheet of the D400
 family promises (fill rate 99 %, spatial and temporal noise in the order of 1 to 2 % of the distance); the bias is
-judged by the preset's own contact test: by the tolerance, or by what the calibrated test takes off and its largest gap.
+judged by the preset's own contact test: by the tolerance, or by what the membrane test takes off and its largest gap.
 """
 
 from __future__ import annotations
@@ -98,10 +98,10 @@ def _bias_limits(preset: Preset, distance_m: float) -> _BiasLimits:
         t = preset.tolerance.t
         words = f"below {100 * _HARMLESS_SHARE * t:.2g} %, a third of the tolerance t"
         return _BiasLimits(_HARMLESS_SHARE * t * distance_m, t * distance_m, words)
-    section = preset.calibrated
+    section = preset.membrane
     third_m = _HARMLESS_SHARE * section.gap_m
     good_m = max(section.bias_m, third_m)
-    why = "what the calibrated contact test takes off" if good_m > third_m else "a third of its largest gap"
+    why = "what the membrane contact test takes off" if good_m > third_m else "a third of its largest gap"
     return _BiasLimits(good_m, section.bias_m + section.gap_m, f"below {1e3 * good_m:.2g} mm, {why}")
 
 

@@ -45,12 +45,12 @@ _BATCHES_A_WORKER: Final = 4
 
 #: In which stage of the pipeline, after the first, a field is used; later ones vary faster.
 STAGE_OF: Final = {
-    **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "calibrated.bias_m", "calibrated.slope"), 1),
-    **dict.fromkeys(("calibrated.gap_m", "calibrated.retreat", "calibrated.core", "calibrated.most_px"), 2),
-    **dict.fromkeys(("calibrated.curvature", "calibrated.curvature_px"), 3),
-    "calibrated.balance": 4,
-    **dict.fromkeys(("outliers.min_cluster_area_mm2", "calibrated.least_area_mm2"), 5),
-    **dict.fromkeys(("calibrated.smooth_px", "calibrated.tactile_weight"), 6),
+    **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "membrane.bias_m", "membrane.slope"), 1),
+    **dict.fromkeys(("membrane.gap_m", "membrane.retreat", "membrane.core", "membrane.most_px"), 2),
+    **dict.fromkeys(("membrane.curvature", "membrane.curvature_px"), 3),
+    "membrane.balance": 4,
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "membrane.least_area_mm2"), 5),
+    **dict.fromkeys(("membrane.smooth_px", "membrane.tactile_weight"), 6),
 }
 
 
@@ -243,20 +243,20 @@ def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
 def little_averaged(plan: Plan) -> list[str]:
     """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
     averaged = {
-        setting.parameters["calibrated.frames"] for setting in plan.settings
-        if setting.parameters["contact_test"] == "calibrated" and not needs_reference(setting.method)
+        setting.parameters["membrane.frames"] for setting in plan.settings
+        if setting.parameters["contact_test"] == "membrane" and not needs_reference(setting.method)
     }  # fmt: skip
     most, said = max(averaged, default=1), []
     for take in plan.takes:
         count, step = len(take.frames), take.frames.step
         if step > 1 < min(most, count):
             said.append(
-                f"{take.source} gives one frame in {step}, so calibrated.frames {most} averages frames that do not "
+                f"{take.source} gives one frame in {step}, so membrane.frames {most} averages frames that do not "
                 "follow each other; leave the step out of --frames"
             )
         elif count < most:
             said.append(
-                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so calibrated.frames {most} averages "
+                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so membrane.frames {most} averages "
                 "no more than that; take more frames"
             )
     return list(dict.fromkeys(said))

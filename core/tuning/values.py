@@ -23,7 +23,7 @@ _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calib
 _FIXED: Final = ("reference",)
 
 #: Which contact test uses a section.
-_TEST_OF: Final = {"tolerance": "tolerance", "outliers": "tolerance", "calibrated": "calibrated"}
+_TEST_OF: Final = {"tolerance": "tolerance", "outliers": "tolerance", "membrane": "membrane"}
 
 #: More runs than this are a mistake, or a case for a sample.
 MOST_RUNS: Final = 100_000

@@ -19,7 +19,7 @@ from tactune.core.preset import Preset
 
 from .conftest import tiny_frame, tiny_rig
 
-METHODS = ("fusion-rigid", "fusion-homography", "fusion-calibrated", "proximity-only", "tactile-only")
+METHODS = ("fusion-rigid", "fusion-homography", "fusion-membrane", "proximity-only", "tactile-only")
 RIG = tiny_rig()
 INFO = SourceInfo("tiny", RIG, 8, 30.0)
 FRAMES = [tiny_frame(index, RIG) for index in range(4)]
@@ -72,12 +72,12 @@ def test_a_step_of_a_slider_runs_the_methods_that_it_concerns_once_and_no_others
     assert runs == Counter({"fusion-rigid": 1, "fusion-homography": 1})
     assert made == Counter(METHODS)
     assert points(after)["fusion-rigid"] == 64 * 48 > points(before)["fusion-rigid"]
-    assert points(after)["fusion-calibrated"] == points(before)["fusion-calibrated"]
+    assert points(after)["fusion-membrane"] == points(before)["fusion-membrane"]
     runs.clear()
-    compare(task(wider.with_value("calibrated.gap_m", 0.003)))
-    assert runs == Counter({"fusion-calibrated": 1})
-    compare(task(wider.with_value("calibrated.gap_m", 0.003).with_value("notes", "the same membrane")))
-    assert runs == Counter({"fusion-calibrated": 1})
+    compare(task(wider.with_value("membrane.gap_m", 0.003)))
+    assert runs == Counter({"fusion-membrane": 1})
+    compare(task(wider.with_value("membrane.gap_m", 0.003).with_value("notes", "the same membrane")))
+    assert runs == Counter({"fusion-membrane": 1})
 
 
 def test_the_time_after_a_step_is_that_of_a_whole_frame(preset, monkeypatch):
@@ -100,7 +100,7 @@ def test_a_method_that_averages_counts_each_frame_once(preset, monkeypatch):
     compare = Comparer().compare
     for index in (1, 2, 3):
         for gap_m in (0.002, 0.003):
-            asked = replace(task(preset.with_value("calibrated.gap_m", gap_m), index), methods=("fusion-averaged",))
+            asked = replace(task(preset.with_value("membrane.gap_m", gap_m), index), methods=("fusion-averaged",))
             (outcome,) = compare(asked).outcomes
             timed.append(outcome.ms is not None)
     assert added == [1, 2, 3]
@@ -112,7 +112,7 @@ def test_over_how_many_frames_a_method_has_averaged_comes_with_its_patch(preset)
     compare = Comparer().compare
     averaged = []
     for index in (1, 2, 2, 3):
-        both = replace(task(preset, index), methods=("fusion-calibrated", "fusion-averaged"))
+        both = replace(task(preset, index), methods=("fusion-membrane", "fusion-averaged"))
         averaged.append([outcome.averaged_frames for outcome in compare(both).outcomes])
     assert averaged == [[1, 1], [1, 2], [1, 2], [1, 3]]
 

@@ -9,7 +9,7 @@ from PyQt6.QtTest import QTest
 from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
-from tactune.core.contact.pipeline import CALIBRATED_STAGES, ContactPipeline
+from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline
 from tactune.core.contact.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import provenance_legend
@@ -29,7 +29,7 @@ def choose_by_keyboard(window, qtbot, key):
 
 
 def type_gap_mm(window, qtbot, text):
-    entry = window.panel.rows["calibrated.gap_m"].widget.entry
+    entry = window.panel.rows["membrane.gap_m"].widget.entry
     window.panel.ensureWidgetVisible(entry)
     entry.setFocus()
     entry.selectAll()
@@ -43,15 +43,15 @@ def test_choose_tune_and_undo(window, qtbot):
     before, patch_before = window.document.preset, window.result.patch
     assert len(patch_before.points) > 0
     box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Down)
-    assert window.document.preset.contact_test == "calibrated"
-    assert window.document.undo_stack.undoText() == "Contact test calibrated"
-    assert tuple(window.result.patch.stage_ms) == CALIBRATED_STAGES
+    assert window.document.preset.contact_test == "membrane"
+    assert window.document.undo_stack.undoText() == "Contact test membrane"
+    assert tuple(window.result.patch.stage_ms) == MEMBRANE_STAGES
     assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
     assert window.result.rendered.histogram is None
     assert not window.panel.histogram.isVisible()
 
     type_gap_mm(window, qtbot, "3")
-    assert window.document.preset.calibrated.gap_m == 0.003
+    assert window.document.preset.membrane.gap_m == 0.003
     expected = ContactPipeline(window.document.preset, tiny_rig()).process(tiny_frame(3, tiny_rig()))
     assert len(expected.points) > 0
     np.testing.assert_array_equal(window.result.patch.points, expected.points)
@@ -84,21 +84,21 @@ def test_the_rim_has_a_colour_of_its_own_and_a_name():
         assert provenance_legend(theme, {Provenance.NOT_PRESSED})[0][0] == "not pressed"
 
 
-def test_an_empty_patch_says_what_the_calibrated_test_has_dropped():
+def test_an_empty_patch_says_what_the_membrane_test_has_dropped():
     provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert "largest gap" in why_no_contact(provenance, "calibrated")
+    assert "largest gap" in why_no_contact(provenance, "membrane")
     provenance[0] = Provenance.RIM
-    assert "the retreat from the edge dropped all" in why_no_contact(provenance, "calibrated")
+    assert "the retreat from the edge dropped all" in why_no_contact(provenance, "membrane")
     provenance[:2] = Provenance.NOT_PRESSED
-    assert "the membrane's curvature dropped all" in why_no_contact(provenance, "calibrated")
+    assert "the membrane's curvature dropped all" in why_no_contact(provenance, "membrane")
     provenance[0] = Provenance.RIM
     provenance[1:3] = Provenance.SMALL_CLUSTER
-    assert "dropped 10 of 15: lower the smallest contact" in why_no_contact(provenance, "calibrated")
+    assert "dropped 10 of 15: lower the smallest contact" in why_no_contact(provenance, "membrane")
 
 
 def test_the_colours_middle_band_is_what_the_chosen_test_accepts():
-    preset = Preset().with_values({"tolerance.t": 0.02, "calibrated.gap_m": 0.0018})
+    preset = Preset().with_values({"tolerance.t": 0.02, "membrane.gap_m": 0.0018})
     assert accepted_difference(preset, (0.2, 0.4)) == 0.02
-    calibrated = preset.with_value("contact_test", "calibrated")
-    assert accepted_difference(calibrated, (0.2, 0.4)) == 0.006
-    assert accepted_difference(calibrated, (0.0, 0.0)) == 0.0
+    membrane = preset.with_value("contact_test", "membrane")
+    assert accepted_difference(membrane, (0.2, 0.4)) == 0.006
+    assert accepted_difference(membrane, (0.0, 0.0)) == 0.0

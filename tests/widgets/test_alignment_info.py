@@ -9,7 +9,7 @@ from tactune.core.preset.calibration_record import CalibrationRecord, ClickedPai
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 
-def calibrated() -> Preset:
+def membrane() -> Preset:
     places = {"proximity_u": 1.0, "proximity_v": 2.0, "tactile_u": 3.0, "tactile_v": 4.0}
     quality = ModelSummary(
         alignment_px=0.42, alignment_bound_95_px=0.8, boundary_error_mm=0.5, supported_tolerance=0.0081, excluded=("3",)
@@ -27,10 +27,8 @@ def calibrated() -> Preset:
 def test_the_calibration_of_the_preset_is_shown(qtbot) -> None:
     panel = ParameterPanel()
     qtbot.addWidget(panel)
-    panel.set_preset(calibrated())
+    panel.set_preset(membrane())
     assert panel._info.isVisibleTo(panel)
-    assert panel._info.text() == (
-        "Calibrated 2026-03-04: rigid, 12 points, expected error 0.4 px, good for t from 0.008"
-    )
+    assert panel._info.text() == ("Membrane 2026-03-04: rigid, 12 points, expected error 0.4 px, good for t from 0.008")
     panel.set_preset(Preset())
     assert not panel._info.isVisibleTo(panel)

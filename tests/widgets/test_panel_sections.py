@@ -57,7 +57,7 @@ def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorde
 
 def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel, seen: Recorder) -> None:
     def shown() -> set[str]:
-        return {name for name in ("tolerance", "outliers", "calibrated") if panel.sections[name].isVisible()}
+        return {name for name in ("tolerance", "outliers", "membrane") if panel.sections[name].isVisible()}
 
     assert shown() == {"tolerance", "outliers"}
     assert panel.histogram.isVisible()
@@ -66,11 +66,11 @@ def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel
     assert "as published" in box.toolTip()
     box.setFocus()
     QTest.keyClick(box, Qt.Key.Key_Down)
-    assert seen.edits[-1][:2] == ("contact_test", "calibrated")
-    assert shown() == {"calibrated"}
+    assert seen.edits[-1][:2] == ("contact_test", "membrane")
+    assert shown() == {"membrane"}
     assert not panel.histogram.isVisible()
     assert "no say" in panel._test_note.text()
-    type_into(panel.rows["calibrated.gap_m"].widget.entry, "1.1")
-    assert seen.edits[-1][:2] == ("calibrated.gap_m", 0.0011)
+    type_into(panel.rows["membrane.gap_m"].widget.entry, "1.1")
+    assert seen.edits[-1][:2] == ("membrane.gap_m", 0.0011)
     panel.set_preset(Preset())
     assert shown() == {"tolerance", "outliers"}

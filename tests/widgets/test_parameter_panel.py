@@ -13,9 +13,9 @@ from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 
 from tactune.core.preset import (
     AlignmentSection,
-    CalibratedSection,
     HomographyAlignment,
     MaskSection,
+    MembraneSection,
     OutlierSection,
     Preset,
     RangeSection,
@@ -44,10 +44,10 @@ presets = st.builds(
         depth_offset_m=st.floats(-0.1, 0.1),
     ),
     mask=st.builds(MaskSection, enabled=st.booleans(), hue=hues, saturation=spans, value=spans),
-    contact_test=st.sampled_from(["tolerance", "calibrated"]),
+    contact_test=st.sampled_from(["tolerance", "membrane"]),
     tolerance=st.builds(ToleranceSection, t=st.floats(0.0, 1.0)),
-    calibrated=st.builds(
-        CalibratedSection, gap_m=st.floats(0.0, 0.02), window_px=st.floats(0.0, 20.0), retreat=st.floats(0.0, 2.0)
+    membrane=st.builds(
+        MembraneSection, gap_m=st.floats(0.0, 0.02), window_px=st.floats(0.0, 20.0), retreat=st.floats(0.0, 2.0)
     ),
     outliers=st.builds(
         OutlierSection,
@@ -77,16 +77,16 @@ def test_every_preset_is_shown_exactly_and_silently(panel: ParameterPanel, seen:
 def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
     expected = [spec.path for name, _ in SECTIONS for spec in fields_of(name)]
     assert list(panel.rows) == expected
-    assert {"contact_test", "calibrated.gap_m"} < set(expected)
-    assert "calibrated.core" not in expected, "seldom changed; in the preset's file only"
+    assert {"contact_test", "membrane.gap_m"} < set(expected)
+    assert "membrane.core" not in expected, "seldom changed; in the preset's file only"
     assert "alignment.rigid.T_proximity_tactile" in expected
     tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "reference"}
     assert {name for name, _ in SECTIONS} == tuned
 
 
-@pytest.mark.parametrize("contact_test", ["tolerance", "calibrated"])
+@pytest.mark.parametrize("contact_test", ["tolerance", "membrane"])
 def test_visiting_every_widget_by_tab_changes_nothing(
-    panel: ParameterPanel, seen: Recorder, contact_test: Literal["tolerance", "calibrated"]
+    panel: ParameterPanel, seen: Recorder, contact_test: Literal["tolerance", "membrane"]
 ) -> None:
     preset = Preset(
         contact_test=contact_test,
@@ -191,14 +191,14 @@ def test_millimetres_are_shown_and_metres_are_told(panel: ParameterPanel, seen: 
 
 
 def test_a_flag_is_turned_off_by_its_box_and_by_its_reset(panel: ParameterPanel, seen: Recorder) -> None:
-    panel.set_preset(Preset(contact_test="calibrated"))
-    row = panel.rows["calibrated.balance"]
+    panel.set_preset(Preset(contact_test="membrane"))
+    row = panel.rows["membrane.balance"]
     assert (row.label.text(), row.widget.text()) == ("Balanced edge", "")
     panel.ensureWidgetVisible(row.widget)
     QTest.keyClick(row.widget, Qt.Key.Key_Space)
-    assert seen.edits[-1][:2] == ("calibrated.balance", False)
+    assert seen.edits[-1][:2] == ("membrane.balance", False)
     QTest.mouseClick(row.reset, LEFT)
-    assert seen.edits[-1][:2] == ("calibrated.balance", True)
+    assert seen.edits[-1][:2] == ("membrane.balance", True)
     assert row.widget.isChecked()
 
 
@@ -281,7 +281,7 @@ def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
 
 
 def test_nothing_is_cut_off_at_its_narrowest(panel: ParameterPanel) -> None:
-    for contact_test in ("tolerance", "calibrated"):
+    for contact_test in ("tolerance", "membrane"):
         panel.set_preset(
             Preset(
                 alignment=AlignmentSection(model="homography"),

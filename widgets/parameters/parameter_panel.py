@@ -39,7 +39,7 @@ SECTIONS = (
     ("contact_test", "Contact"),
     ("tolerance", "Tolerance"),
     ("outliers", "Outliers"),
-    ("calibrated", "Calibrated test"),
+    ("membrane", "Membrane test"),
     ("range", "Range"),
     ("region", "Region"),
 )
@@ -47,7 +47,7 @@ SECTIONS = (
 #: The sections that have a say in each contact test only, and what else there is to say of it.
 _OF_TEST = {
     "tolerance": (("tolerance", "outliers"), "Each pixel by itself, as published."),
-    "calibrated": (("calibrated",), "By mean gaps, where the membrane is pressed; tolerance and outliers have no say."),
+    "membrane": (("membrane",), "By mean gaps, where the membrane is pressed; tolerance and outliers have no say."),
 }
 
 _EYEDROPPERS = {
@@ -181,7 +181,7 @@ class ParameterPanel(QScrollArea):
         if record is not None:
             points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
             self._info.setText(
-                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
+                f"Membrane {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
                 f"expected error {record.quality.alignment_px:.1f} px, good for t from "
                 f"{record.quality.supported_tolerance:.3f}"
             )

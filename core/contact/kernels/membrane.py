@@ -1,4 +1,4 @@
-"""Passes over pixels that the calibrated contact test makes, compiled; see `tactune.core.contact.kernels.chain`."""
+"""Passes over pixels that the membrane contact test makes, compiled; see `tactune.core.contact.kernels.chain`."""
 
 from __future__ import annotations
 

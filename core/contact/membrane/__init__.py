@@ -1,1 +1,1 @@
-"""The calibrated contact test: contact from local means of the difference of both depths."""
+"""The membrane contact test: contact from local means of the difference of both depths."""

@@ -19,7 +19,7 @@ import numpy as np
 from ...model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Int32Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig
-from ...preset import CalibratedSection
+from ...preset import MembraneSection
 from ..kernels import balance as balance_kernels
 from ..kernels import membrane as kernels
 from .press import Pressed, with_nearest
@@ -82,7 +82,7 @@ class Cells:
     facing: Float32Array
 
 
-def balanced_contact(pressed: Pressed, gaps: Gaps, section: CalibratedSection, rig: Rig) -> BoolArray:
+def balanced_contact(pressed: Pressed, gaps: Gaps, section: MembraneSection, rig: Rig) -> BoolArray:
     """Return contact without the pixels at which a membrane in balance has left the object.
 
     Specks of which nothing would be left go; larger groups stay, and the only ones do.
@@ -109,7 +109,7 @@ def balanced_contact(pressed: Pressed, gaps: Gaps, section: CalibratedSection, r
     return np.asarray(stays | whole[groups])
 
 
-def cells_of(gaps: Gaps, free_per_m: float, section: CalibratedSection, rig: Rig) -> Cells:
+def cells_of(gaps: Gaps, free_per_m: float, section: MembraneSection, rig: Rig) -> Cells:
     """Average over squares of two by two pixels and measure the object's shape.
 
     Parameters
@@ -159,7 +159,7 @@ def _framed(cells: Cells) -> Cells:
     return wide
 
 
-def left_cells(cells: Cells, firm: BoolArray, section: CalibratedSection) -> BoolArray:
+def left_cells(cells: Cells, firm: BoolArray, section: MembraneSection) -> BoolArray:
     """Return the cells that the membrane has left, in groups of cells with a small gap that are firm contact in part.
 
     Parameters

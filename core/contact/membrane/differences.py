@@ -1,4 +1,4 @@
-"""Where both depths of a frame are near each other: the first stage of the calibrated contact test."""
+"""Where both depths of a frame are near each other: the first stage of the membrane contact test."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class DifferenceFinder(PixelTests):
         self._exact = self.limits.copy()
         self._exact[2] = 0.0
         self.limits[2] = np.inf  # here CONTACT in `classify` means that there are both depths
-        section = preset.calibrated
+        section = preset.membrane
         self._most_m = np.float32(section.difference_m)
         self._margin = window_reach(max(section.window_px, section.smooth_px)) + 1
         self._depth_unit_m = np.float32(rig.proximity.depth_unit_m)

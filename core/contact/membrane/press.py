@@ -68,7 +68,7 @@ def pressed_contact(
     contact : bool, shape (H, W)
         Like the images of ``gaps``. Where the gap is small the membrane is not taken for free.
     """
-    section = preset.calibrated
+    section = preset.membrane
     too_small = min(rig.tactile.intrinsics.shape) < _SIDE_PX
     asked = section.curvature > 0 or section.balance
     if not asked or too_small or not contact.any():
@@ -144,7 +144,7 @@ def bulge_per_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
     counts, shares = np.empty(shape, np.float32), np.empty(shape, np.float32)
     kernels.block_means(frame.tactile_depth, _SIDE_PX, counts, shares)
     depth = counts * np.float32(rig.tactile.depth_unit_m * alignment.depth_scale) + np.float32(alignment.depth_offset_m)
-    sigma = max(preset.calibrated.curvature_px / _SIDE_PX, 0.5)
+    sigma = max(preset.membrane.curvature_px / _SIDE_PX, 0.5)
     # Points are averaged, not depths: at the image's border their mean lies aside, but on the surface.
     parts = (shares, depth * shares, *(depth * shares * ray for ray in _rays_of_squares(camera)))
     known, z, x, y = (cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for part in parts)

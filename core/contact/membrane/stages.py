@@ -1,4 +1,4 @@
-"""The stages of the calibrated contact test after the first: gaps, edge of contact, clusters, points."""
+"""The stages of the membrane contact test after the first: gaps, edge of contact, clusters, points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig
-from ...preset import CalibratedSection
+from ...preset import MembraneSection
 from ..candidates import CandidateBuffers, Candidates
 from ..kernels import membrane as kernels
 from ..kernels.simd import LANES
@@ -49,7 +49,7 @@ class Gaps:
     differences: Differences
 
 
-def mean_gaps(everywhere: Differences, section: CalibratedSection, rig: Rig) -> Gaps | None:
+def mean_gaps(everywhere: Differences, section: MembraneSection, rig: Rig) -> Gaps | None:
     """Average the differences and free them of bias and slope; None where nowhere enough pixels are usable."""
     camera, margin_px = rig.proximity.intrinsics, window_reach(section.window_px) + EDGE_MARGIN_PX
     means = LocalMean(everywhere.usable, section.window_px)
@@ -72,7 +72,7 @@ def mean_gaps(everywhere: Differences, section: CalibratedSection, rig: Rig) -> 
     return Gaps(gap, known, bias_m, differences)
 
 
-def within_edge(gaps: Gaps, section: CalibratedSection) -> BoolArray:
+def within_edge(gaps: Gaps, section: MembraneSection) -> BoolArray:
     """Return the pixels that are near the object, without the rim where the membrane only leaves it."""
     near = near_pixels(gaps, section)
     far = min(_FAR, _FARTHEST_SHARE * section.difference_m / section.gap_m) if section.gap_m > 0 else _FAR
@@ -82,12 +82,12 @@ def within_edge(gaps: Gaps, section: CalibratedSection) -> BoolArray:
     return retreat(near, wide, far, section.retreat, section.core, section.most_px)
 
 
-def near_pixels(gaps: Gaps, section: CalibratedSection) -> BoolArray:
+def near_pixels(gaps: Gaps, section: MembraneSection) -> BoolArray:
     """Return the pixels whose mean gap is smaller than the largest."""
     return gaps.known & (gaps.gap_m < np.float32(section.gap_m))
 
 
-def large_contacts(contact: BoolArray, gaps: Gaps, section: CalibratedSection, rig: Rig) -> BoolArray:
+def large_contacts(contact: BoolArray, gaps: Gaps, section: MembraneSection, rig: Rig) -> BoolArray:
     """Return contact without connected groups that are smaller than the preset's smallest contact."""
     camera, (top, left), depth_m = rig.proximity.intrinsics, gaps.differences.corner, gaps.differences.depth_m
     rows, columns = np.nonzero(contact)
@@ -101,7 +101,7 @@ def large_contacts(contact: BoolArray, gaps: Gaps, section: CalibratedSection, r
 
 
 def surface_points(
-    contact: BoolArray, gaps: Gaps, section: CalibratedSection, rig: Rig, buffers: CandidateBuffers
+    contact: BoolArray, gaps: Gaps, section: MembraneSection, rig: Rig, buffers: CandidateBuffers
 ) -> Candidates:
     """Return contact that has a depth, with points from both sensors' depths, smoothed."""
     differences = gaps.differences
@@ -124,7 +124,7 @@ def full_provenance(
     verdicts: Uint8Array,
     everywhere: Differences,
     gaps: Gaps,
-    section: CalibratedSection,
+    section: MembraneSection,
     within: BoolArray,
     pressed: BoolArray,
     balanced: BoolArray,

@@ -1,4 +1,4 @@
-"""The steps of the calibrated contact test, each on plain images: local means, bias, slope, edge of contact.
+"""The steps of the membrane contact test, each on plain images: local means, bias, slope, edge of contact.
 
 Images here are cut to where anything may touch; ``usable`` marks the pixels that have both depths, a
 small difference between them, and no print that hides the object.

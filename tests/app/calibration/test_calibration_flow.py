@@ -132,7 +132,7 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     assert document.undo_stack.count() == 1
 
     # Headless from here on
-    path = tmp_path / "calibrated.json"
+    path = tmp_path / "membrane.json"
     document.save(path)
     preset = load_preset(path)
     assert scene.alignment_error_px(tactile_pose(preset.alignment, scene.rig)) < 0.25

@@ -270,8 +270,8 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert page.image.grab().toImage() != blended
     assert "by the preset's contact test" in page.note.text()
     assert "does not use it" not in page.set_tolerance.text()
-    document.edit("contact_test", "calibrated")
-    assert "calibrated test does not use it" in page.set_tolerance.text()
+    document.edit("contact_test", "membrane")
+    assert "membrane test does not use it" in page.set_tolerance.text()
     page.set_tolerance.setChecked(True)
     wizard.save_into_preset()
     assert document.preset.tolerance.t == pytest.approx(

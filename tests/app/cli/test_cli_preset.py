@@ -13,7 +13,7 @@ import pytest
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import json_schema, load_preset, preset_json, save_preset
-from tactune.core.preset.migrations import _CALIBRATED_4, _CALIBRATED_5
+from tactune.core.preset.migrations import _MEMBRANE_4, _MEMBRANE_5
 from tactune.core.preset.notes import preset_notes
 from tactune.core.rig.untouched import load_reference, save_reference
 from tactune.core.sources.registry import open_source
@@ -58,21 +58,21 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
         return load_preset(tmp_path / name)
 
     assert made("a.json").contact_test == "tolerance"
-    assert made("b.json", "contact_test=calibrated").contact_test == "calibrated"
-    gap = made("c.json", "calibrated.gap_m=0.001")
-    assert (gap.contact_test, gap.calibrated.gap_m) == ("calibrated", 0.001)
-    assert made("d.json", "calibrated.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
+    assert made("b.json", "contact_test=membrane").contact_test == "membrane"
+    gap = made("c.json", "membrane.gap_m=0.001")
+    assert (gap.contact_test, gap.membrane.gap_m) == ("membrane", 0.001)
+    assert made("d.json", "membrane.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
 
 
 def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     file = tmp_path / "fine.json"
     words = [
         "--set",
-        "contact_test=calibrated",
+        "contact_test=membrane",
         "--set",
-        "calibrated.retreat=0",
+        "membrane.retreat=0",
         "--set",
-        "calibrated.least_area_mm2=0",
+        "membrane.least_area_mm2=0",
     ]
     assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *words).status == 0
     finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")
@@ -154,10 +154,10 @@ def test_the_reference_goes_along_with_the_preset_that_new_starts_from(
     [
         ([], []),
         (["alignment.model=homography"], []),
-        (["calibrated.gap_m=0.001", "mask.hue=[150,170]"], []),
-        (["contact_test=calibrated"], ["mask.hue"]),
-        (["contact_test=calibrated", "mask.hue=[150,170]", "alignment.model=homography"], ["one plane"]),
-        (["contact_test=calibrated", "alignment.model=homography"], ["mask.hue", "one plane"]),
+        (["membrane.gap_m=0.001", "mask.hue=[150,170]"], []),
+        (["contact_test=membrane"], ["mask.hue"]),
+        (["contact_test=membrane", "mask.hue=[150,170]", "alignment.model=homography"], ["one plane"]),
+        (["contact_test=membrane", "alignment.model=homography"], ["mask.hue", "one plane"]),
     ],
 )
 def test_what_is_probably_not_meant_is_noted_and_nothing_else(
@@ -251,30 +251,30 @@ def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -
     assert "missing.json" in finished.err
 
 
-_NO_CURVATURE = "the calibrated test goes on without the curvature (calibrated.curvature is 0)"
-_NO_BALANCE = "the balanced edge stays off (calibrated.balance is false)"
+_NO_CURVATURE = "the membrane test goes on without the curvature (membrane.curvature is 0)"
+_NO_BALANCE = "the balanced edge stays off (membrane.balance is false)"
 
 
 @pytest.mark.parametrize(
-    ("found", "test", "calibrated", "said"),
+    ("found", "test", "membrane", "said"),
     [
-        (6, "calibrated", {}, ""),
-        (5, "tolerance", _CALIBRATED_5, ", written as schema 5, read as 6"),
-        (5, "calibrated", _CALIBRATED_5, f", written as schema 5, read as 6: {_NO_BALANCE}"),
+        (6, "membrane", {}, ""),
+        (5, "tolerance", _MEMBRANE_5, ", written as schema 5, read as 6"),
+        (5, "membrane", _MEMBRANE_5, f", written as schema 5, read as 6: {_NO_BALANCE}"),
         (5, "tolerance", {"gap_m": 0.001}, f", written as schema 5, read as 6: {_NO_BALANCE}"),
-        (5, "calibrated", {"balance": True}, ", written as schema 5, read as 6"),
-        (4, "tolerance", _CALIBRATED_4, ", written as schema 4, read as 6"),
-        (4, "calibrated", _CALIBRATED_4, f", written as schema 4, read as 6: {_NO_CURVATURE}; {_NO_BALANCE}"),
+        (5, "membrane", {"balance": True}, ", written as schema 5, read as 6"),
+        (4, "tolerance", _MEMBRANE_4, ", written as schema 4, read as 6"),
+        (4, "membrane", _MEMBRANE_4, f", written as schema 4, read as 6: {_NO_CURVATURE}; {_NO_BALANCE}"),
         (3, None, None, ", written as schema 3, read as 6"),
         (1, None, None, ", written as schema 1, read as 6"),
     ],
 )
 def test_validate_says_what_reading_an_older_file_leaves_different(
-    tactune: Tactune, tmp_path: Path, found: int, test: str | None, calibrated: dict[str, Any] | None, said: str
+    tactune: Tactune, tmp_path: Path, found: int, test: str | None, membrane: dict[str, Any] | None, said: str
 ) -> None:
     file = tmp_path / "old.json"
     document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": found}
-    document |= {"contact_test": test, "calibrated": calibrated}
+    document |= {"contact_test": test, "membrane": membrane}
     file.write_text(json.dumps({key: value for key, value in document.items() if value is not None}))
     finished = tactune("preset", "validate", file)
     assert finished.status == 0
@@ -287,8 +287,8 @@ def test_validate_says_the_same_of_a_preset_within_a_recording(
     old, new = tmp_path / "old.mcap", tmp_path / "new.mcap"
     record = ("record", "--source", recording, "--preset", "default", "--out")
     assert tactune(*record, new).status == 0
-    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": 5, "contact_test": "calibrated"}
-    text = json.dumps(document | {"calibrated": _CALIBRATED_5})
+    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": 5, "contact_test": "membrane"}
+    text = json.dumps(document | {"membrane": _MEMBRANE_5})
     monkeypatch.setattr("tactune.core.recording.bag.preset_json", lambda preset: text)
     assert tactune(*record, old).status == 0
     finished = tactune("preset", "validate", old, new)

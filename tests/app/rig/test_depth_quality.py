@@ -204,15 +204,15 @@ def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
 @pytest.mark.parametrize(
     ("bias_m", "bias_taken_off_m", "verdict", "limit"),
     [
-        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the calibrated contact test takes off"),
-        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the calibrated contact test takes off"),
-        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the calibrated contact test takes off"),
+        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the membrane contact test takes off"),
+        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the membrane contact test takes off"),
+        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the membrane contact test takes off"),
         (0.001, 0.0, Verdict.FAIR, "below 0.6 mm, a third of its largest gap"),
     ],
 )
-def test_a_bias_is_judged_by_the_calibrated_test(rig, make_frame, bias_m, bias_taken_off_m, verdict, limit):
-    parameters = {"calibrated.bias_m": bias_taken_off_m, "calibrated.gap_m": 0.0018}
-    preset = Preset().with_values({"contact_test": "calibrated", **parameters})
+def test_a_bias_is_judged_by_the_membrane_test(rig, make_frame, bias_m, bias_taken_off_m, verdict, limit):
+    parameters = {"membrane.bias_m": bias_taken_off_m, "membrane.gap_m": 0.0018}
+    preset = Preset().with_values({"contact_test": "membrane", **parameters})
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
     reading = judge_bias(quality, preset)
     assert (reading.verdict, reading.limit) == (verdict, limit)

@@ -15,14 +15,14 @@ from tactune.core.contact.membrane import balance
 from tactune.core.contact.membrane.balance import Cells, balanced_contact, left_cells, lowest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.contact.provenance import Provenance
-from tactune.core.preset.contact import CalibratedSection
+from tactune.core.preset.contact import MembraneSection
 from tactune.core.preset.file import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 
 SIDE_M, CELLS = 0.001, 61
-SECTION = CalibratedSection()
-CALIBRATED = load_preset("simulator").with_values({"contact_test": "calibrated", "alignment.model": "rigid"})
+SECTION = MembraneSection()
+MEMBRANE = load_preset("simulator").with_values({"contact_test": "membrane", "alignment.model": "rigid"})
 
 
 def disc(radius_m: float, push_per_m: float, bias_m: float = 0.0, noise_m: float = 0.0, seed: int = 0) -> Cells:
@@ -46,7 +46,7 @@ def disc(radius_m: float, push_per_m: float, bias_m: float = 0.0, noise_m: float
     )
 
 
-def contact_of(cells: Cells, section: CalibratedSection = SECTION) -> np.ndarray:
+def contact_of(cells: Cells, section: MembraneSection = SECTION) -> np.ndarray:
     """Cells of the firm ones, which reach 3 cells farther than contact, that the membrane has not left."""
     firm = cells.known & (cells.smooth_m < section.gap_m)
     return firm & ~left_cells(cells, firm, section)
@@ -70,10 +70,10 @@ def test_a_disc_s_contact_ends_near_its_radius_whatever_the_bias(radius_m, push_
 
 @pytest.mark.parametrize("radius_m", [0.003, 0.010])
 def test_a_bias_changes_nothing_that_is_believed(radius_m):
-    without = contact_of(disc(radius_m, 120.0), CalibratedSection(gap_m=0.003))
+    without = contact_of(disc(radius_m, 120.0), MembraneSection(gap_m=0.003))
     for bias_m in (-0.0009, -0.0003, 0.0006, 0.0009):
         cells = disc(radius_m, 120.0, bias_m)
-        section = CalibratedSection(gap_m=0.003, bias_m=0.0012 if bias_m != -0.0003 else 0.02)
+        section = MembraneSection(gap_m=0.003, bias_m=0.0012 if bias_m != -0.0003 else 0.02)
         firm = cells.smooth_m < 0.003 + bias_m
         kept = firm & ~left_cells(cells, firm, section)
         assert np.count_nonzero(kept ^ without) <= 8
@@ -112,7 +112,7 @@ def test_noise_of_the_sensors_moves_the_edge_by_less_than_two_cells():
 
 def test_no_larger_bias_is_sought_than_is_believed():
     cells = disc(0.006, 120.0, 0.0008)
-    radii = [radius_of(contact_of(cells, CalibratedSection(bias_m=most_m))) for most_m in (0.0, 0.0004, 0.0012)]
+    radii = [radius_of(contact_of(cells, MembraneSection(bias_m=most_m))) for most_m in (0.0, 0.0004, 0.0012)]
     assert radii[0] < radii[1] < radii[2]
     assert radii[2] == pytest.approx(0.006, abs=0.001)
 
@@ -232,8 +232,8 @@ def light_press() -> SimulatorSource:
 def test_a_light_press_is_narrowed_to_where_it_touches(light_press):
     frame = light_press.read(0)
     truth, seen = frame.truth.contact, replace(frame, truth=None)
-    with_it = ContactPipeline(CALIBRATED, light_press.rig).process(seen)
-    without = ContactPipeline(CALIBRATED.with_value("calibrated.balance", False), light_press.rig).process(seen)
+    with_it = ContactPipeline(MEMBRANE, light_press.rig).process(seen)
+    without = ContactPipeline(MEMBRANE.with_value("membrane.balance", False), light_press.rig).process(seen)
     assert not (with_it.mask & ~without.mask).any()
     falsely, missed = np.count_nonzero(with_it.mask & ~truth), np.count_nonzero(truth & ~with_it.mask)
     assert falsely < 0.8 * np.count_nonzero(without.mask & ~truth)
@@ -243,10 +243,10 @@ def test_a_light_press_is_narrowed_to_where_it_touches(light_press):
 
 
 def test_the_balance_does_without_the_test_of_the_curvature(light_press):
-    unasked = CALIBRATED.with_value("calibrated.curvature", 0.0)
+    unasked = MEMBRANE.with_value("membrane.curvature", 0.0)
     frame = replace(light_press.read(0), truth=None)
     with_it = ContactPipeline(unasked, light_press.rig).process(frame).mask
-    without = ContactPipeline(unasked.with_value("calibrated.balance", False), light_press.rig).process(frame).mask
+    without = ContactPipeline(unasked.with_value("membrane.balance", False), light_press.rig).process(frame).mask
     assert 0 < with_it.sum() < 0.9 * without.sum()
 
 
@@ -258,7 +258,7 @@ def test_specks_of_which_nothing_is_left_go_and_larger_groups_stay(monkeypatch, 
         return balanced_contact(*arguments)
 
     monkeypatch.setattr("tactune.core.contact.pipeline.balanced_contact", remember)
-    ContactPipeline(CALIBRATED, light_press.rig).process(light_press.read(0))
+    ContactPipeline(MEMBRANE, light_press.rig).process(light_press.read(0))
     pressed, *rest = seen["arguments"]
     shape = pressed.contact.shape
     kept, speck, large = (np.zeros(shape, bool) for _ in range(3))

@@ -1,4 +1,4 @@
-"""The calibrated contact test as an option of the pipeline."""
+"""The membrane contact test as an option of the pipeline."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
 from tactune.core.contact.membrane.differences import DifferenceFinder
-from tactune.core.contact.pipeline import CALIBRATED_STAGES, STAGES, ContactPipeline, Still
+from tactune.core.contact.pipeline import MEMBRANE_STAGES, STAGES, ContactPipeline, Still
 from tactune.core.contact.provenance import Provenance
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
@@ -23,7 +23,7 @@ from tactune.core.preset import Preset
 
 WIDTH, HEIGHT = 200, 120
 MEMBRANE_M = 0.3
-CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
+MEMBRANE = Preset().with_values({"contact_test": "membrane", "membrane.bias_m": 0.0})
 PRINT_RGB = (200, 30, 120)
 
 
@@ -72,7 +72,7 @@ def same_patch(one, other) -> bool:
 
 def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
     # a window whose means the four small pixels pass, and a lone one does not
-    preset = masked(CALIBRATED).with_values({"calibrated.window_px": 1.0, "calibrated.least_area_mm2": 50.0})
+    preset = masked(MEMBRANE).with_values({"membrane.window_px": 1.0, "membrane.least_area_mm2": 50.0})
     limits = {"region.enabled": True, "region.rectangle": (0, 0, 196, HEIGHT), "range.enabled": True,
               "range.limits_m": (0.1, 0.35)}  # fmt: skip
     patch = ContactPipeline(preset.with_values(limits), rig).process(scene)
@@ -95,13 +95,13 @@ def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
 
 def test_a_patch_without_a_tactile_depth_says_so(rig, scene):
     blind = replace(scene, tactile_depth=np.full_like(scene.tactile_depth, 65535))
-    patch = ContactPipeline(CALIBRATED, rig).process(blind)
+    patch = ContactPipeline(MEMBRANE, rig).process(blind)
     assert set(np.unique(patch.provenance)) == {Provenance.NO_PROXIMITY_DEPTH, Provenance.NO_TACTILE_DEPTH}
     assert patch.skipped == ("no candidates",)
 
 
 def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surfaces(rig, scene):
-    patch = ContactPipeline(CALIBRATED, rig).process(scene)
+    patch = ContactPipeline(MEMBRANE, rig).process(scene)
     rays = ray_table(rig.proximity.intrinsics)[patch.mask]
     np.testing.assert_allclose(patch.points[:, :2] / patch.points[:, 2:], rays, atol=1e-6)
     z = patch.points[:, 2].astype(float)
@@ -112,39 +112,39 @@ def test_points_belong_to_the_masks_pixels_in_order_and_lie_between_both_surface
 
 def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
     """The means reach beyond, contact does not."""
-    cut = CALIBRATED.with_values({"region.enabled": True, "region.rectangle": (0, 0, 60, HEIGHT)})
+    cut = MEMBRANE.with_values({"region.enabled": True, "region.rectangle": (0, 0, 60, HEIGHT)})
     patch = ContactPipeline(cut, rig).process(scene)
     assert patch.mask[60, 59]
     assert not patch.mask[:, 60:].any()
-    near = CALIBRATED.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
+    near = MEMBRANE.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
     assert not ContactPipeline(near, rig).process(scene).mask.any()
 
 
 @pytest.mark.parametrize(
     ("path", "value", "repeated"),
     [
-        ("calibrated.tactile_weight", 0.2, {"points"}),
-        ("calibrated.least_area_mm2", 9.0, {"clusters", "points"}),
-        ("calibrated.balance", False, {"balance", "clusters", "points"}),
-        ("calibrated.gap_m", 0.001, {"edge", "press", "balance", "clusters", "points"}),
-        ("calibrated.retreat", 0.0, {"edge", "press", "balance", "clusters", "points"}),
-        ("calibrated.curvature", 0.5, {"press", "balance", "clusters", "points"}),
-        ("calibrated.curvature_px", 5.0, {"press", "balance", "clusters", "points"}),
-        ("calibrated.bias_m", 0.001, {"gaps", "edge", "press", "balance", "clusters", "points"}),
-        ("calibrated.difference_m", 0.004, set(CALIBRATED_STAGES)),
-        ("calibrated.window_px", 4.0, set(CALIBRATED_STAGES)),
-        ("mask.value", (120, 255), set(CALIBRATED_STAGES)),
-        ("alignment.depth_offset_m", 0.0001, set(CALIBRATED_STAGES)),
+        ("membrane.tactile_weight", 0.2, {"points"}),
+        ("membrane.least_area_mm2", 9.0, {"clusters", "points"}),
+        ("membrane.balance", False, {"balance", "clusters", "points"}),
+        ("membrane.gap_m", 0.001, {"edge", "press", "balance", "clusters", "points"}),
+        ("membrane.retreat", 0.0, {"edge", "press", "balance", "clusters", "points"}),
+        ("membrane.curvature", 0.5, {"press", "balance", "clusters", "points"}),
+        ("membrane.curvature_px", 5.0, {"press", "balance", "clusters", "points"}),
+        ("membrane.bias_m", 0.001, {"gaps", "edge", "press", "balance", "clusters", "points"}),
+        ("membrane.difference_m", 0.004, set(MEMBRANE_STAGES)),
+        ("membrane.window_px", 4.0, set(MEMBRANE_STAGES)),
+        ("mask.value", (120, 255), set(MEMBRANE_STAGES)),
+        ("alignment.depth_offset_m", 0.0001, set(MEMBRANE_STAGES)),
         ("tolerance.t", 0.5, set()),
         ("outliers.k", 9, set()),
         ("outliers.min_cluster_area_mm2", 1e5, set()),
     ],
 )
 def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repeated):
-    preset = masked(CALIBRATED)
+    preset = masked(MEMBRANE)
     contact = ContactPipeline(preset, rig)
     first = contact.process(scene)
-    assert tuple(first.stage_ms) == CALIBRATED_STAGES
+    assert tuple(first.stage_ms) == MEMBRANE_STAGES
     assert all(first.stage_ms.values())
     changed = preset.with_value(path, value)
     contact.update(changed)
@@ -154,31 +154,31 @@ def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repe
     assert same_patch(again, ContactPipeline(changed, rig).process(scene))
 
 
-def test_the_tolerance_test_does_not_care_for_the_calibrated_section(rig, scene):
+def test_the_tolerance_test_does_not_care_for_the_membrane_section(rig, scene):
     contact = ContactPipeline(Preset(), rig)
     first = contact.process(scene)
-    contact.update(Preset().with_values({"calibrated.gap_m": 0.0001, "calibrated.window_px": 1.0}))
+    contact.update(Preset().with_values({"membrane.gap_m": 0.0001, "membrane.window_px": 1.0}))
     assert contact.process(scene).points is first.points
     assert tuple(first.stage_ms) == STAGES
 
 
 choices = st.fixed_dictionaries(
     {
-        "contact_test": st.sampled_from(["tolerance", "calibrated", "calibrated"]),
+        "contact_test": st.sampled_from(["tolerance", "membrane", "membrane"]),
         "alignment.model": st.sampled_from(["rigid", "homography"]),
         "alignment.depth_offset_m": st.sampled_from([0.0, 0.002, 0.05]),
         "mask.enabled": st.booleans(),
         "mask.saturation": st.sampled_from([(0, 120), (60, 255)]),
-        "calibrated.gap_m": st.sampled_from([0.0, 0.0018, 0.005]),
-        "calibrated.window_px": st.sampled_from([0.0, 0.5, 2.5]),
-        "calibrated.retreat": st.sampled_from([0.0, 0.9]),
-        "calibrated.curvature": st.sampled_from([0.0, 0.5, 0.9]),
-        "calibrated.balance": st.booleans(),
-        "calibrated.curvature_px": st.sampled_from([2.0, 10.0]),
-        "calibrated.bias_m": st.sampled_from([0.0, 0.0012]),
-        "calibrated.smooth_px": st.sampled_from([0.0, 2.0]),
-        "calibrated.slope": st.booleans(),
-        "calibrated.least_area_mm2": st.sampled_from([0.0, 25.0, 1e5]),
+        "membrane.gap_m": st.sampled_from([0.0, 0.0018, 0.005]),
+        "membrane.window_px": st.sampled_from([0.0, 0.5, 2.5]),
+        "membrane.retreat": st.sampled_from([0.0, 0.9]),
+        "membrane.curvature": st.sampled_from([0.0, 0.5, 0.9]),
+        "membrane.balance": st.booleans(),
+        "membrane.curvature_px": st.sampled_from([2.0, 10.0]),
+        "membrane.bias_m": st.sampled_from([0.0, 0.0012]),
+        "membrane.smooth_px": st.sampled_from([0.0, 2.0]),
+        "membrane.slope": st.booleans(),
+        "membrane.least_area_mm2": st.sampled_from([0.0, 25.0, 1e5]),
         "region.enabled": st.booleans(),
         "region.rectangle": st.tuples(st.integers(0, 60), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
     }
@@ -213,7 +213,7 @@ def test_differences_are_those_of_whole_images(
 ):
     rig = make_rig(width=width, color=color, distortion=distortion, bend=0.02)
     frame = make_frame(rig, seed)
-    preset = CALIBRATED.with_values(
+    preset = MEMBRANE.with_values(
         {"mask.enabled": mask, "mask.saturation": (60, 255), "alignment.model": model, "region.enabled": True,
          "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5)}
     )  # fmt: skip
@@ -222,7 +222,7 @@ def test_differences_are_those_of_whole_images(
     difference = aligned.expected_m - aligned.measured_m
     depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
     usable = (
-        (np.abs(difference) < np.float32(preset.calibrated.difference_m))
+        (np.abs(difference) < np.float32(preset.membrane.difference_m))
         & (depth >= np.float32(0.27))
         & (depth <= np.float32(0.5))
     )
@@ -244,7 +244,7 @@ def test_differences_are_those_of_whole_images(
 def test_nothing_is_done_for_a_frame_with_nothing_near(rig, monkeypatch):
     far = frame_of(np.full((HEIGHT, WIDTH), 0.02))
     monkeypatch.setattr(DifferenceFinder, "_look", None)
-    patch = ContactPipeline(CALIBRATED, rig).process(far)
+    patch = ContactPipeline(MEMBRANE, rig).process(far)
     monkeypatch.undo()
     assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
     assert patch.skipped == ("no candidates",)
@@ -256,7 +256,7 @@ def test_nothing_is_done_for_a_frame_with_nothing_near(rig, monkeypatch):
 def test_lone_pixels_stop_after_their_shares(rig):
     gap = np.full((HEIGHT, WIDTH), 0.1)
     gap[::20, ::20] = 0.0
-    patch = ContactPipeline(CALIBRATED, rig).process(frame_of(gap))
+    patch = ContactPipeline(MEMBRANE, rig).process(frame_of(gap))
     assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion", "gaps"]
     assert (patch.provenance[::20, ::20] == Provenance.OUTLIER).all()
 
@@ -266,7 +266,7 @@ def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
     crowded = scene.proximity_depth.copy()
     crowded[[2, 2, -3, -3], [3, -4, 3, -4]] = round(MEMBRANE_M / 1e-5)
     alone, among = (
-        ContactPipeline(CALIBRATED, rig).process(frame)
+        ContactPipeline(MEMBRANE, rig).process(frame)
         for frame in (scene, replace(scene, proximity_depth=crowded))
     )  # fmt: skip
     assert len(alone.points) > 1000
@@ -277,7 +277,7 @@ def test_what_is_elsewhere_in_the_image_changes_nothing(rig, scene):
 def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
     rig = make_rig(width=640, height=480)
     frame = make_frame(rig, 3, 0.0008, 0.02)
-    preset = CALIBRATED.with_values({"calibrated.bias_m": 0.001, "calibrated.gap_m": 0.0003})
+    preset = MEMBRANE.with_values({"membrane.bias_m": 0.001, "membrane.gap_m": 0.0003})
 
     def patch_with(threads):
         set_threads(threads)
@@ -290,16 +290,16 @@ def test_the_result_does_not_depend_on_threads(make_rig, make_frame):
 
 
 def test_a_still_scene_is_computed_once_where_that_is_asked_for(rig, scene):
-    contact = ContactPipeline(CALIBRATED, rig, still=Still(0.002))
+    contact = ContactPipeline(MEMBRANE, rig, still=Still(0.002))
     first = contact.process(scene)
     moved = np.where(scene.proximity_depth > 0, scene.proximity_depth + 1, 0).astype(np.uint16)
     again = contact.process(replace(scene, proximity_depth=moved))
     assert again.points is first.points
     assert again.skipped == ("no depth changed beyond noise",)
-    assert tuple(again.stage_ms) == CALIBRATED_STAGES
+    assert tuple(again.stage_ms) == MEMBRANE_STAGES
 
 
-def test_a_homography_with_the_calibrated_test_is_warned_of(rig):
-    assert ContactPipeline(CALIBRATED, rig).warnings == []
-    (warning,) = ContactPipeline(CALIBRATED.with_value("alignment.model", "homography"), rig).warnings
+def test_a_homography_with_the_membrane_test_is_warned_of(rig):
+    assert ContactPipeline(MEMBRANE, rig).warnings == []
+    (warning,) = ContactPipeline(MEMBRANE.with_value("alignment.model", "homography"), rig).warnings
     assert "rigid" in warning

@@ -15,7 +15,7 @@ from tactune.core.preset import Preset
 
 WIDTH, HEIGHT, UNIT_M = 320, 240, 1e-5
 BEHIND_M = 0.6  # in these units uint16 ends at 0.655 m
-CALIBRATED = Preset().with_values({"contact_test": "calibrated", "calibrated.bias_m": 0.0})
+MEMBRANE = Preset().with_values({"contact_test": "membrane", "membrane.bias_m": 0.0})
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def counts(depth_m: np.ndarray) -> np.ndarray:
 def test_a_sphere_bulges_by_two_over_its_radius(rig, radius_m, middle_m, scale, offset_m):
     depth = (sphere_from_inside(rig, radius_m, middle_m) - offset_m) / scale
     frame = SensorFrame(0, counts(depth), counts(depth), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-    preset = CALIBRATED.with_values({"alignment.depth_scale": scale, "alignment.depth_offset_m": offset_m})
+    preset = MEMBRANE.with_values({"alignment.depth_scale": scale, "alignment.depth_offset_m": offset_m})
     bulge = bulge_per_m(frame, preset, rig)
     assert bulge.shape == (HEIGHT // 4, WIDTH // 4)
     np.testing.assert_allclose(bulge, 2 / radius_m, rtol=0.25)  # at the very border windows end
@@ -54,7 +54,7 @@ def test_where_too_little_depth_is_known_nothing_is_told(rig):
     depth = counts(sphere_from_inside(rig, 0.3, (0, 0, 0)))
     depth[:, 160:] = 0
     frame = SensorFrame(0, depth, depth, np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-    bulge = bulge_per_m(frame, CALIBRATED, rig)
+    bulge = bulge_per_m(frame, MEMBRANE, rig)
     assert np.isnan(bulge[:, 48:]).all()
     np.testing.assert_allclose(bulge[8:-8, 8:32], 2 / 0.3, rtol=0.12)
 
@@ -78,7 +78,7 @@ def plates(rig: Rig, right_gap_m: float) -> tuple[SensorFrame, SensorFrame]:
 
 def test_what_presses_is_contact_and_what_is_close_is_not(rig):
     both, hovering = scenes = plates(rig, 0.0005)
-    asked, unasked = CALIBRATED, CALIBRATED.with_value("calibrated.curvature", 0.0)
+    asked, unasked = MEMBRANE, MEMBRANE.with_value("membrane.curvature", 0.0)
     patch = ContactPipeline(asked, rig).process(both)
     assert patch.mask[:, :140].sum() > 2000
     assert patch.mask[20:-20, 180:300].sum() == 0
@@ -90,7 +90,7 @@ def test_what_presses_is_contact_and_what_is_close_is_not(rig):
 
 def test_what_presses_too_lightly_to_be_told_is_contact_beside_firm_contact_with_its_gap(rig):
     both, alone = plates(rig, -0.0001)
-    pipeline = ContactPipeline(CALIBRATED, rig)
+    pipeline = ContactPipeline(MEMBRANE, rig)
     patch = pipeline.process(both)
     assert patch.mask[115:125, 215:230].all()
     assert patch.mask[:, :140].sum() > 2000
@@ -99,7 +99,7 @@ def test_what_presses_too_lightly_to_be_told_is_contact_beside_firm_contact_with
 
 def test_what_seems_to_be_before_the_membrane_is_no_light_contact(rig):
     both, _ = plates(rig, -0.003)
-    assert ContactPipeline(CALIBRATED, rig).process(both).mask[20:-20, 180:300].sum() == 0
+    assert ContactPipeline(MEMBRANE, rig).process(both).mask[20:-20, 180:300].sum() == 0
 
 
 FIRM, LIGHT, MOST_M = np.s_[2:12, 2:12], np.s_[20:30, 20:30], 0.0014
@@ -158,8 +158,8 @@ def test_a_membrane_that_does_not_bulge_tells_nothing(rig):
     flat = np.full((HEIGHT, WIDTH), 0.3)
     touched = flat + np.where(np.hypot(*(np.mgrid[:HEIGHT, :WIDTH] - 100)) < 30, 0.0, 0.5)
     frame = SensorFrame(0, counts(touched), counts(flat), np.zeros((HEIGHT, WIDTH, 3), np.uint8))
-    unasked = CALIBRATED.with_value("calibrated.curvature", 0.0)
-    one, other = (ContactPipeline(preset, rig).process(frame) for preset in (unasked, CALIBRATED))
+    unasked = MEMBRANE.with_value("membrane.curvature", 0.0)
+    one, other = (ContactPipeline(preset, rig).process(frame) for preset in (unasked, MEMBRANE))
     assert one.mask.sum() > 2000
     np.testing.assert_array_equal(one.mask, other.mask)
 
@@ -205,7 +205,7 @@ def test_images_of_any_size_and_content_are_judged(width, height, kind):
     if kind == "random":
         image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)
     frame = SensorFrame(0, image, image, np.zeros((height, width, 3), np.uint8))
-    loose = CALIBRATED.with_values({"calibrated.least_area_mm2": 0.0, "calibrated.frames": 3})
+    loose = MEMBRANE.with_values({"membrane.least_area_mm2": 0.0, "membrane.frames": 3})
     patch = ContactPipeline(loose, rig).process(frame)
     assert patch.mask.shape == (height, width)
     assert np.isfinite(patch.points).all()

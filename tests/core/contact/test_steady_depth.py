@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.membrane.average import SteadyDepth
-from tactune.core.contact.pipeline import CALIBRATED_STAGES, ContactPipeline, Still
+from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline, Still
 from tactune.core.preset import Preset
 
-AVERAGED = Preset().with_values({"contact_test": "calibrated", "calibrated.frames": 10})
+AVERAGED = Preset().with_values({"contact_test": "membrane", "membrane.frames": 10})
 
 
 @pytest.fixture(scope="module")
@@ -96,14 +96,14 @@ def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame
 
 def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
     frames = frames_of(make_frame, rig, 6)
-    alone = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig)
+    alone = ContactPipeline(AVERAGED.with_value("membrane.frames", 1), rig)
     averaging, steady = ContactPipeline(AVERAGED, rig), SteadyDepth(rig, 10)
     for frame in frames:
         shown = steady.add(frame)
         for _ in range(3):
             patch = averaging.process(frame)
         single = alone.process(frame)
-    expected = ContactPipeline(AVERAGED.with_value("calibrated.frames", 1), rig).process(shown)
+    expected = ContactPipeline(AVERAGED.with_value("membrane.frames", 1), rig).process(shown)
     np.testing.assert_array_equal(patch.points, expected.points)
     fresh = ContactPipeline(AVERAGED, rig).process(frames[-1])
     np.testing.assert_array_equal(single.points, fresh.points)
@@ -115,17 +115,17 @@ def test_turning_it_off_gives_the_frame_itself(make_frame, rig):
     contact = ContactPipeline(AVERAGED, rig)
     for frame in frames:
         contact.process(frame)
-    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    contact.update(AVERAGED.with_value("membrane.frames", 1))
     off = contact.process(frames[-1])
     np.testing.assert_array_equal(off.points, ContactPipeline(contact.preset, rig).process(frames[-1]).points)
-    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.002))
+    contact.update(AVERAGED.with_value("membrane.gap_m", 0.002))
     begun = ContactPipeline(contact.preset, rig).process(frames[-1])
     np.testing.assert_array_equal(contact.process(frames[-1]).points, begun.points)
 
 
 def test_a_still_scene_is_averaged_before_its_patch_is_given_again(make_frame, rig):
     frames = frames_of(make_frame, rig, 9, share_missing=0.0)
-    preset = AVERAGED.with_value("calibrated.frames", 4)
+    preset = AVERAGED.with_value("membrane.frames", 4)
     contact, every = ContactPipeline(preset, rig, still=Still(0.01)), ContactPipeline(preset, rig)
     patches = [contact.process(frame) for frame in frames]
     expected = [every.process(frame) for frame in frames]
@@ -142,19 +142,19 @@ def test_the_average_is_a_stage_of_its_own(make_frame, rig):
     contact = ContactPipeline(AVERAGED, rig)
     contact.process(first)
     patch = contact.process(second)
-    assert tuple(patch.stage_ms) == ("average", *CALIBRATED_STAGES)
+    assert tuple(patch.stage_ms) == ("average", *MEMBRANE_STAGES)
     assert patch.stage_ms["average"] > 0
-    contact.update(AVERAGED.with_value("calibrated.gap_m", 0.001))
+    contact.update(AVERAGED.with_value("membrane.gap_m", 0.001))
     assert contact.process(second).stage_ms["average"] == 0
-    contact.update(AVERAGED.with_value("calibrated.frames", 1))
-    assert tuple(contact.process(second).stage_ms) == CALIBRATED_STAGES
+    contact.update(AVERAGED.with_value("membrane.frames", 1))
+    assert tuple(contact.process(second).stage_ms) == MEMBRANE_STAGES
 
 
 def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
     frames = frames_of(make_frame, rig, 7)
     changed, constant = (
         ContactPipeline(AVERAGED, rig),
-        ContactPipeline(AVERAGED.with_value("calibrated.frames", 12), rig),
+        ContactPipeline(AVERAGED.with_value("membrane.frames", 12), rig),
     )
     for frame in frames[:5]:
         changed.process(frame)
@@ -192,8 +192,8 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
 
 def test_a_patch_says_over_how_many_frames_it_is(make_frame, rig):
     frames = frames_of(make_frame, rig, 4, share_missing=0.0)
-    contact = ContactPipeline(AVERAGED.with_value("calibrated.frames", 3), rig)
+    contact = ContactPipeline(AVERAGED.with_value("membrane.frames", 3), rig)
     assert [contact.process(frame).averaged_frames for frame in frames] == [1, 2, 3, 3]
     assert contact.process(frames[-1]).averaged_frames == 3
-    contact.update(AVERAGED.with_value("calibrated.frames", 1))
+    contact.update(AVERAGED.with_value("membrane.frames", 1))
     assert contact.process(frames[-1]).averaged_frames == 1

@@ -72,10 +72,8 @@ def test_the_command_says_what_it_did():
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize(
-    "values", [{}, {"calibrated.frames": 2}, {"calibrated.slope": False, "calibrated.bias_m": 0.0}]
-)
-def test_no_frame_of_the_calibrated_test_waits_for_a_compiler(values):
+@pytest.mark.parametrize("values", [{}, {"membrane.frames": 2}, {"membrane.slope": False, "membrane.bias_m": 0.0}])
+def test_no_frame_of_the_membrane_test_waits_for_a_compiler(values):
     program = f"""
 from tactune.core.compiling import compiled_so_far
 from tactune.core.preset_file import load_preset
@@ -85,7 +83,7 @@ source = SimulatorSource("cup", seed=3, variant=Variant(press="low"))
 frames = [source.read(index) for index in range(2)]
 warm_up()
 before = compiled_so_far()
-preset = load_preset("simulator").with_values({{"contact_test": "calibrated", "alignment.model": "rigid"}} | {values!r})
+preset = load_preset("simulator").with_values({{"contact_test": "membrane", "alignment.model": "rigid"}} | {values!r})
 pipeline = ContactPipeline(preset, source.rig)
 for frame in frames:
     patch = pipeline.process(frame)

@@ -12,7 +12,7 @@ from tactune.core.preset.file import load_preset
 NAMES = (
     "fusion-rigid",
     "fusion-homography",
-    "fusion-calibrated",
+    "fusion-membrane",
     "fusion-averaged",
     "proximity-only",
     "tactile-only",
@@ -80,7 +80,7 @@ OTHERS = {
     "alignment.homography.plane_distance_m": 0.2,
     "alignment.depth_scale": 1.01,
     "alignment.depth_offset_m": 0.002,
-    "contact_test": "calibrated",
+    "contact_test": "membrane",
     "mask.enabled": True,
     "mask.hue": (20, 60),
     "mask.saturation": (10, 40),
@@ -90,21 +90,21 @@ OTHERS = {
     "outliers.k": 5,
     "outliers.ratio": 0.5,
     "outliers.min_cluster_area_mm2": 1000.0,
-    "calibrated.gap_m": 0.0005,
-    "calibrated.retreat": 0.0,
-    "calibrated.window_px": 0.0,
-    "calibrated.bias_m": 0.0,
-    "calibrated.least_area_mm2": 5000.0,
-    "calibrated.difference_m": 0.001,
-    "calibrated.slope": False,
-    "calibrated.core": 0.0,
-    "calibrated.curvature": 0.3,
-    "calibrated.balance": False,
-    "calibrated.curvature_px": 4.0,
-    "calibrated.frames": 7,
-    "calibrated.most_px": 0.0,
-    "calibrated.smooth_px": 0.0,
-    "calibrated.tactile_weight": 1.0,
+    "membrane.gap_m": 0.0005,
+    "membrane.retreat": 0.0,
+    "membrane.window_px": 0.0,
+    "membrane.bias_m": 0.0,
+    "membrane.least_area_mm2": 5000.0,
+    "membrane.difference_m": 0.001,
+    "membrane.slope": False,
+    "membrane.core": 0.0,
+    "membrane.curvature": 0.3,
+    "membrane.balance": False,
+    "membrane.curvature_px": 4.0,
+    "membrane.frames": 7,
+    "membrane.most_px": 0.0,
+    "membrane.smooth_px": 0.0,
+    "membrane.tactile_weight": 1.0,
     "range.enabled": True,
     "range.limits_m": (0.1, 0.2),
     "region.enabled": True,
@@ -147,8 +147,8 @@ def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, nam
     ("path", "concerned"),
     [
         ("tolerance.t", {"fusion-rigid", "fusion-homography"}),
-        ("calibrated.gap_m", {"fusion-calibrated", "fusion-averaged"}),
-        ("calibrated.frames", set()),
+        ("membrane.gap_m", {"fusion-membrane", "fusion-averaged"}),
+        ("membrane.frames", set()),
         ("mask.hue", set(NAMES[:4])),
         ("alignment.homography.plane_distance_m", {"fusion-homography"}),
         ("alignment.depth_offset_m", set(NAMES)),
@@ -167,7 +167,7 @@ def test_a_fusion_that_takes_another_preset_is_the_one_made_with_it(bulged, name
     method = make_method(name, Preset(), rig)
     before = method.find(pressed)
     values = {"alignment.depth_offset_m": 0.0005, "region.enabled": True, "region.rectangle": (100, 80, 60, 60)}
-    other = Preset().with_values({**values, "contact_test": "calibrated"})
+    other = Preset().with_values({**values, "contact_test": "membrane"})
     method.update(other)
     found, expected = method.find(pressed), make_method(name, other, rig).find(pressed)
     np.testing.assert_array_equal(found.points, expected.points)

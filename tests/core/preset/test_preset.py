@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset import CalibratedSection, CamerasSection, Preset
+from tactune.core.preset import CamerasSection, MembraneSection, Preset
 from tactune.core.preset import file as preset_file
 from tactune.core.preset import migrations as preset_migrations
 from tactune.core.preset.file import (
@@ -40,10 +40,10 @@ presets = st.fixed_dictionaries(
         "alignment.depth_scale": st.floats(0.8, 1.25),
         "alignment.depth_offset_m": st.floats(-0.1, 0.1),
         "region.rectangle": st.tuples(*[st.integers(1, 400)] * 4),
-        "contact_test": st.sampled_from(["tolerance", "calibrated"]),
-        "calibrated.gap_m": st.floats(0, 0.02),
-        "calibrated.window_px": st.floats(0, 20),
-        "calibrated.core": st.floats(0, 1),
+        "contact_test": st.sampled_from(["tolerance", "membrane"]),
+        "membrane.gap_m": st.floats(0, 0.02),
+        "membrane.window_px": st.floats(0, 20),
+        "membrane.core": st.floats(0, 1),
     }
 ).map(lambda values: Preset().with_values(values))
 
@@ -92,9 +92,9 @@ def test_the_default_preset_holds_the_papers_values():
         ("outliers.ratio", 0, ["outliers.ratio is 0", "above 0 to 100"]),
         ("range.limits_m", [0.4, 0.1], ["0.4", "0.1", "swap"]),
         ("region.rectangle", [0, 0, 0, 5], ["region.rectangle", "empty"]),
-        ("contact_test", "magic", ["contact_test is 'magic'", "calibrated"]),
-        ("calibrated.gap_m", 1.8, ["calibrated.gap_m is 1.8", "0 to 0.02"]),
-        ("calibrated.difference_m", 0, ["calibrated.difference_m is 0", "above 0"]),
+        ("contact_test", "magic", ["contact_test is 'magic'", "membrane"]),
+        ("membrane.gap_m", 1.8, ["membrane.gap_m is 1.8", "0 to 0.02"]),
+        ("membrane.difference_m", 0, ["membrane.difference_m is 0", "above 0"]),
         ("alignment.model", "affine", ["alignment.model is 'affine'", "rigid"]),
         ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
         ("alignment.homography.H_p_t", [[0, 0, 0]] * 3, ["singular"]),
@@ -197,60 +197,58 @@ def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
         read.with_value("cameras.tactile_delay_s", 3.0)
 
 
-def test_a_calibrated_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_migrations._CALIBRATED_4)
+def test_a_membrane_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_migrations._MEMBRANE_4)
     tuned = untouched | {"gap_m": 0.0015}
     sections = []
-    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
-        old = json.loads(preset_json(Preset())) | {"schema_version": 4, "contact_test": test, "calibrated": section}
-        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
-    assert sections[0] == Preset().calibrated
+    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("membrane", untouched)):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 4, "contact_test": test, "membrane": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").membrane)
+    assert sections[0] == Preset().membrane
     before = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0, "balance": False}
     assert sections[1].model_dump() == tuned | before
     assert sections[2].model_dump() == untouched | before
 
 
-def test_a_calibrated_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_migrations._CALIBRATED_5)
+def test_a_membrane_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
+    untouched = dict(preset_migrations._MEMBRANE_5)
     tuned = untouched | {"gap_m": 0.0015}
     sections = []
-    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("calibrated", untouched)):
-        old = json.loads(preset_json(Preset())) | {"schema_version": 5, "contact_test": test, "calibrated": section}
-        sections.append(preset_from_text(json.dumps(old), "old.json").calibrated)
-    assert sections[0] == Preset().calibrated
+    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("membrane", untouched)):
+        old = json.loads(preset_json(Preset())) | {"schema_version": 5, "contact_test": test, "membrane": section}
+        sections.append(preset_from_text(json.dumps(old), "old.json").membrane)
+    assert sections[0] == Preset().membrane
     assert sections[1].model_dump() == tuned | {"balance": False}
     assert sections[2].model_dump() == untouched | {"balance": False}
 
 
 def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
-    old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "calibrated"}
+    old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "membrane"}
     old |= {"schema_version": 5}
-    before = CalibratedSection.model_validate(preset_migrations._CALIBRATED_5 | {"balance": False})
-    for left_out in ({"contact_test": "calibrated"}, {"contact_test": "calibrated", "calibrated": {}}):
-        assert preset_from_text(json.dumps(old | left_out), "old.json").calibrated == before
-    tuned = preset_from_text(json.dumps(old | {"calibrated": {"gap_m": 0.001}}), "old.json").calibrated
+    before = MembraneSection.model_validate(preset_migrations._MEMBRANE_5 | {"balance": False})
+    for left_out in ({"contact_test": "membrane"}, {"contact_test": "membrane", "membrane": {}}):
+        assert preset_from_text(json.dumps(old | left_out), "old.json").membrane == before
+    tuned = preset_from_text(json.dumps(old | {"membrane": {"gap_m": 0.001}}), "old.json").membrane
     assert tuned == before.model_copy(update={"gap_m": 0.001})
-    asked = preset_from_text(
-        json.dumps(old | {"contact_test": "calibrated", "calibrated": {"balance": True}}), "old.json"
-    )
-    assert asked.calibrated == before.model_copy(update={"balance": True})
-    with pytest.raises(PresetError, match=r"calibrated\.balance is 'maybe': it should be true or false"):
-        preset_from_text(json.dumps(old | {"calibrated": {"balance": "maybe"}}), "old.json")
-    for unused in ({}, {"calibrated": {}}):
-        assert preset_from_text(json.dumps(old | unused), "old.json").calibrated == CalibratedSection()
+    asked = preset_from_text(json.dumps(old | {"contact_test": "membrane", "membrane": {"balance": True}}), "old.json")
+    assert asked.membrane == before.model_copy(update={"balance": True})
+    with pytest.raises(PresetError, match=r"membrane\.balance is 'maybe': it should be true or false"):
+        preset_from_text(json.dumps(old | {"membrane": {"balance": "maybe"}}), "old.json")
+    for unused in ({}, {"membrane": {}}):
+        assert preset_from_text(json.dumps(old | unused), "old.json").membrane == MembraneSection()
 
 
 @pytest.mark.parametrize("found", [1, 2, 3])
 def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
-    for part in ("contact_test", "calibrated", "reference"):
+    for part in ("contact_test", "membrane", "reference"):
         del old[part]
     migrated = preset_migrations.migrate(old | {"schema_version": found}, "old.json")
-    assert set(migrated["calibrated"]) == set(CalibratedSection.model_fields)
+    assert set(migrated["membrane"]) == set(MembraneSection.model_fields)
     read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
     assert (read.contact_test, read.tolerance.t, read.reference) == ("tolerance", 0.0123, None)
-    assert read.calibrated == CalibratedSection()
-    kept = read.with_values({"contact_test": "calibrated", "calibrated.gap_m": 0.0011, "calibrated.slope": False})
+    assert read.membrane == MembraneSection()
+    kept = read.with_values({"contact_test": "membrane", "membrane.gap_m": 0.0011, "membrane.slope": False})
     assert preset_from_text(preset_json(kept), "new.json") == kept
 
 

@@ -14,15 +14,15 @@ def test_shipped_presets_and_the_tolerance_test_give_no_notes():
     assert preset_notes(Preset().with_value("alignment.model", "homography")) == []
 
 
-def test_the_calibrated_test_is_noted_without_the_mask_and_on_a_homography():
-    calibrated = Preset(name="cup", contact_test="calibrated")
-    assert preset_notes(calibrated) == mask_notes(calibrated)
-    assert "'cup'" in mask_notes(calibrated)[0]
-    assert preset_notes(calibrated.with_value("mask.enabled", True)) == []
-    both = calibrated.with_value("alignment.model", "homography")
+def test_the_membrane_test_is_noted_without_the_mask_and_on_a_homography():
+    membrane = Preset(name="cup", contact_test="membrane")
+    assert preset_notes(membrane) == mask_notes(membrane)
+    assert "'cup'" in mask_notes(membrane)[0]
+    assert preset_notes(membrane.with_value("mask.enabled", True)) == []
+    both = membrane.with_value("alignment.model", "homography")
     assert preset_notes(both) == mask_notes(both) + homography_notes(both)
 
 
 def test_a_run_warns_of_the_homography_in_the_same_words(make_rig):
-    preset = Preset(contact_test="calibrated").with_value("alignment.model", "homography")
+    preset = Preset(contact_test="membrane").with_value("alignment.model", "homography")
     assert check_rig(preset, make_rig()) == homography_notes(preset)

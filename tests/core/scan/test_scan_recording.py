@@ -180,7 +180,7 @@ def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path
 def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scans, frames, shown):
     status, out, _ = tactune(
         "evaluate", "recording", "--source", SOURCE, "--scan", scans["clean"][0], "--transform", scans["clean"][-1],
-        frames, "--method", "fusion-averaged", "--method", "fusion-calibrated", "--json",
+        frames, "--method", "fusion-averaged", "--method", "fusion-membrane", "--json",
     )  # fmt: skip
     assert status == 0
     found = [record["points"] for record in json.loads(out)["results"] if record["method"] == "fusion-averaged"]

@@ -170,9 +170,9 @@ def test_a_calibrated_pose_counts_instead_of_the_rigs():
         frame, rig = source.next_frame(), source.rig
     blind = rig.model_copy(update={"T_proximity_tactile": None})
     by_rig, alone = measure_strain(frame, rig), measure_strain(frame, blind)
-    calibrated = measure_strain(frame, blind, T_proximity_tactile=rig.T_proximity_tactile)
-    assert np.array_equal(calibrated.points_m, by_rig.points_m)
-    assert not np.array_equal(calibrated.points_m, alone.points_m)
+    membrane = measure_strain(frame, blind, T_proximity_tactile=rig.T_proximity_tactile)
+    assert np.array_equal(membrane.points_m, by_rig.points_m)
+    assert not np.array_equal(membrane.points_m, alone.points_m)
 
 
 def test_no_pair_skips_a_dot_that_is_seen_between():

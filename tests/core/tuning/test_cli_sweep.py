@@ -110,27 +110,27 @@ def test_frames_that_a_source_does_not_have_are_said(sweep, recording):
 
 
 def test_frames_that_are_few_or_far_apart_to_average_are_said(sweep, recording):
-    few = f"{recording} gives 3 frames, so calibrated.frames 15 averages no more than that"
+    few = f"{recording} gives 3 frames, so membrane.frames 15 averages no more than that"
     done = sweep("-s", recording, "--method", "fusion-averaged", "-p", "default")
     assert done.status == 0 and done.err.count(few) == 1
-    far = f"{recording} gives one frame in 2, so calibrated.frames 2 averages frames that do not follow each other"
-    sets = ("--set", "contact_test=calibrated", "--set", "calibrated.frames=1,2", "-p", "default")
+    far = f"{recording} gives one frame in 2, so membrane.frames 2 averages frames that do not follow each other"
+    sets = ("--set", "contact_test=membrane", "--set", "membrane.frames=1,2", "-p", "default")
     assert sweep("-s", recording, *sets, "--frames", "::2", "-o", "far.parquet").err.count(far) == 1
-    for words in (sets, ("--method", "fusion-calibrated", "-p", "default", "--frames", "::2")):
-        assert "calibrated.frames" not in sweep("-s", recording, *words, "--replace").err
+    for words in (sets, ("--method", "fusion-membrane", "-p", "default", "--frames", "::2")):
+        assert "membrane.frames" not in sweep("-s", recording, *words, "--replace").err
 
 
 def test_the_table_tells_the_values_that_a_method_sets_itself(sweep, recording, tmp_path):
     methods = ("--method", "fusion-homography", "--method", "fusion-averaged", "--method", "fusion")
     assert sweep("-s", recording, *methods, "-p", "default", "--set", "range.enabled=false").status == 0
     base = load_preset("default")
-    usual = base.contact_test, base.alignment.model, base.calibrated.frames
+    usual = base.contact_test, base.alignment.model, base.membrane.frames
     assert {
-        row["method"]: (row["contact_test"], row["alignment.model"], row["calibrated.frames"])
+        row["method"]: (row["contact_test"], row["alignment.model"], row["membrane.frames"])
         for row in rows_of(tmp_path / "work" / "sweep.parquet")
     } == {
-        "fusion-homography": ("tolerance", "homography", base.calibrated.frames),
-        "fusion-averaged": ("calibrated", "rigid", 15),
+        "fusion-homography": ("tolerance", "homography", base.membrane.frames),
+        "fusion-averaged": ("membrane", "rigid", 15),
         "fusion": usual,
     }
 
@@ -177,10 +177,10 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
         (("-s", "REC", "--method", "magic"), "there is no method 'magic'"),
         (
-            ("-s", "REC", "--method", "fusion", "--method", "fusion-averaged", "--set", "calibrated.frames=1,5"),
-            "fusion-averaged always has calibrated.frames 15, so other values would change nothing; use",
+            ("-s", "REC", "--method", "fusion", "--method", "fusion-averaged", "--set", "membrane.frames=1,5"),
+            "fusion-averaged always has membrane.frames 15, so other values would change nothing; use",
         ),
-        (("-s", "REC", "--method", "fusion-rigid", "--set", "contact_test=calibrated"), "contact_test tolerance"),
+        (("-s", "REC", "--method", "fusion-rigid", "--set", "contact_test=membrane"), "contact_test tolerance"),
         (
             ("-s", "REC", "--method", "fusion-homography", "--set", "alignment.model=rigid,homography"),
             "leave --set alignment.model out",

@@ -107,7 +107,7 @@ def test_effects_are_means_over_all_other_parameters():
 def test_the_best_method_is_written_into_the_preset():
     for method, path, value in (
         ("fusion-homography", "alignment.model", "homography"),
-        ("fusion-calibrated", "contact_test", "calibrated"),
+        ("fusion-membrane", "contact_test", "membrane"),
     ):
         plan = plan_of(setting(7, method))
         (best,) = rank(plan, [row(plan.settings[0], rmse_mm=1.0)], "rmse_mm")

@@ -159,7 +159,7 @@ def test_stages_are_named_of_fields_that_there_are():
 
 
 def test_both_contact_tests_in_one_sweep(recording, tmp_path):
-    plan = plan_of(recording, sets=("contact_test=tolerance,calibrated", "calibrated.gap_m=0.001,0.002"))
+    plan = plan_of(recording, sets=("contact_test=tolerance,membrane", "membrane.gap_m=0.001,0.002"))
     source = FolderSource(tmp_path / "rec")
     for key, found in measure(plan, tmp_path / "j").items():
         values = next(run.setting.values for run in plan.runs if run.key == key)

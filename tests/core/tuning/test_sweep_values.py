@@ -36,7 +36,7 @@ def values(text: str) -> list[object]:
         ("tolerance.t=0.01:0.03:5", [0.01, 0.015, 0.02, 0.025, 0.03]),
         ("tolerance.t=0.001:0.1:3log", [0.001, 0.01, 0.1]),
         ("tolerance.t=0.02,0.02", [0.02]),
-        ("contact_test=tolerance,calibrated", ["tolerance", "calibrated"]),
+        ("contact_test=tolerance,membrane", ["tolerance", "membrane"]),
         ("mask.enabled=true,false", [True, False]),
         ("mask.hue=[145,175],[10,20]", [[145, 175], [10, 20]]),
         (" outliers.ratio = 1, 2.5 ", [1.0, 2.5]),
@@ -86,11 +86,11 @@ def test_a_field_of_a_section_that_is_off_is_refused_since_it_changes_nothing():
 
 
 def test_a_field_of_the_other_contact_test_is_refused():
-    gap, both = parse_axis("calibrated.gap_m=0.001"), parse_axis("contact_test=tolerance,calibrated")
-    with pytest.raises(TactuneError, match="add --set contact_test=calibrated"):
+    gap, both = parse_axis("membrane.gap_m=0.001"), parse_axis("contact_test=tolerance,membrane")
+    with pytest.raises(TactuneError, match="add --set contact_test=membrane"):
         check_contact_test([gap], BASE)
-    with pytest.raises(TactuneError, match=r"outliers\.k changes nothing while contact_test is calibrated"):
-        check_contact_test([parse_axis("outliers.k=5")], BASE.with_value("contact_test", "calibrated"))
+    with pytest.raises(TactuneError, match=r"outliers\.k changes nothing while contact_test is membrane"):
+        check_contact_test([parse_axis("outliers.k=5")], BASE.with_value("contact_test", "membrane"))
     check_contact_test([gap, both], BASE)
 
 

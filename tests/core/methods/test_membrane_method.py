@@ -29,8 +29,8 @@ def pressed(request):
     return source.rig, source.read(4)
 
 
-def calibrated(preset, rig):
-    return make_method("fusion-calibrated", preset, rig)
+def membrane(preset, rig):
+    return make_method("fusion-membrane", preset, rig)
 
 
 def rmse_mm(points, frame, rig) -> float:
@@ -39,7 +39,7 @@ def rmse_mm(points, frame, rig) -> float:
 
 def test_at_most_half_of_the_straight_methods_error(pressed, straight):
     rig, frame = pressed
-    ours = make_method("fusion-calibrated", straight, rig).find(frame)
+    ours = make_method("fusion-membrane", straight, rig).find(frame)
     theirs = make_method("fusion-homography", straight, rig).find(frame)
     assert rmse_mm(ours.points, frame, rig) < rmse_mm(theirs.points, frame, rig) / 2
     assert pixel_scores(ours.mask, frame.truth.contact).iou > pixel_scores(theirs.mask, frame.truth.contact).iou
@@ -49,13 +49,13 @@ def test_at_most_half_of_the_straight_methods_error(pressed, straight):
 def test_the_cups_two_contacts_are_told_apart(straight):
     source = SimulatorSource("cup", cells=CELLS, variant=Variant(press="medium"))
     frame = source.read(4)
-    ours = make_method("fusion-calibrated", straight, source.rig).find(frame)
+    ours = make_method("fusion-membrane", straight, source.rig).find(frame)
     assert separate_contacts(ours.mask) == separate_contacts(frame.truth.contact) == 2
 
 
 def test_the_truth_is_not_read_and_nothing_is_remembered(pressed, straight):
     rig, frame = pressed
-    method = calibrated(straight, rig)
+    method = membrane(straight, rig)
     first = method.find(replace(frame, truth=None))
     method.find(replace(frame, tactile_depth=frame.tactile_depth[::-1].copy()))
     again = method.find(frame)
@@ -66,7 +66,7 @@ def test_the_truth_is_not_read_and_nothing_is_remembered(pressed, straight):
 def test_without_noise_contact_is_found_more_exactly(straight):
     source = SimulatorSource("cup", noise=0.0, cells=CELLS, variant=Variant(press="medium"))
     frame = source.read(0)
-    ours = calibrated(straight, source.rig).find(frame)
+    ours = membrane(straight, source.rig).find(frame)
     theirs = make_method("fusion-homography", straight, source.rig).find(frame)
     assert rmse_mm(ours.points, frame, source.rig) < rmse_mm(theirs.points, frame, source.rig) / 2
 
@@ -74,7 +74,7 @@ def test_without_noise_contact_is_found_more_exactly(straight):
 @pytest.mark.parametrize("gap_mm", [4.0, 20.0])
 def test_nothing_beside_the_membrane_is_contact(straight, gap_mm):
     source = SimulatorSource("hover", cells=CELLS, variant=Variant(object="cube", gap_mm=gap_mm))
-    method = calibrated(straight, source.rig)
+    method = membrane(straight, source.rig)
     for index in (0, 7):
         patch = method.find(source.read(index))
         assert patch.failure == ""
@@ -87,7 +87,7 @@ class TestOnAPlate:
 
     def test_contact_is_the_plate(self, bulged):
         frame = bulged.frame(0.5 * bulged.radius_m)
-        patch = calibrated(Preset(), bulged.rig).find(frame)
+        patch = membrane(Preset(), bulged.rig).find(frame)
         assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.97
         z = patch.points[:, 2].astype(float)
         assert np.abs(z - np.median(z)).max() < 1e-4
@@ -95,25 +95,25 @@ class TestOnAPlate:
     def test_a_bias_up_to_the_limit_does_no_harm(self, bulged):
         frame = bulged.frame(0.5 * bulged.radius_m)
         far = frame.proximity_depth + np.uint16(round(0.001 / bulged.rig.proximity.depth_unit_m))
-        patch = calibrated(Preset(), bulged.rig).find(replace(frame, proximity_depth=far))
+        patch = membrane(Preset(), bulged.rig).find(replace(frame, proximity_depth=far))
         assert pixel_scores(patch.mask, frame.truth.contact).iou > 0.97
 
     def test_region_and_range_count(self, bulged):
         frame = bulged.frame(0.5 * bulged.radius_m)
         left = {"region.enabled": True, "region.rectangle": (0, 0, 150, 240)}
-        patch = calibrated(Preset().with_values(left), bulged.rig).find(frame)
+        patch = membrane(Preset().with_values(left), bulged.rig).find(frame)
         assert patch.mask[:, :150].any()
         assert not patch.mask[:, 155:].any()
         near = {"range.enabled": True, "range.limits_m": (0.1, 0.2)}
-        assert not calibrated(Preset().with_values(near), bulged.rig).find(frame).mask.any()
+        assert not membrane(Preset().with_values(near), bulged.rig).find(frame).mask.any()
 
     def test_images_without_depth_are_no_contact(self, bulged):
         frame = bulged.frame(0.5 * bulged.radius_m)
-        method = calibrated(Preset(), bulged.rig)
+        method = membrane(Preset(), bulged.rig)
         for nothing in (0, 65535):
             for image in ("proximity_depth", "tactile_depth"):
                 assert not method.find(replace(frame, **{image: np.full_like(frame.tactile_depth, nothing)})).mask.any()
 
     def test_images_of_another_size_are_refused(self, bulged, pressed):
         with pytest.raises(FrameError, match="640 x 480"):
-            calibrated(Preset(), bulged.rig).find(pressed[1])
+            membrane(Preset(), bulged.rig).find(pressed[1])
