@@ -18,10 +18,10 @@ from ..core.model.files import atomic_path
 from ..core.preset import Preset
 from ..core.preset.file import load_preset
 from ..widgets.basics.theme import ThemeChoice
-from .defaults import default_preset
+from .document.defaults import default_preset
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
-from .worker.abandoned_threads import wait_for_left
+from .worker.threads import wait_for_left
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000

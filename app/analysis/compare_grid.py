@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QGridLayout, QLabel, QVBoxLayout, QWidget
 
 from ...widgets.basics.colormaps import Theme
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
-from .compare_text import caption
+from .compare_table import caption
 from .comparer import Outcome
 from .method_looks import TIPS, agreement_legend, method_color
 

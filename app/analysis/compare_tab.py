@@ -12,10 +12,8 @@ from ...core.methods.registry import method_names
 from ...widgets.basics.theme import theme_name
 from ..worker.results import CloudName, Result
 from .compare_grid import TileGrid
-from .compare_table import CompareTable
-from .compare_text import comparison_csv
-from .compare_thread import CompareThread
-from .comparer import Comparison, Task
+from .compare_table import CompareTable, comparison_csv
+from .comparer import CompareThread, Comparison, Task
 from .measuring_tab import MeasuringTab
 from .method_looks import TRUTH
 

@@ -1,4 +1,4 @@
-"""Every chosen method on one frame: patches, times, and how far they are from the truth."""
+"""Runs the chosen methods on the newest frame, on a thread of its own: patches, times, scores against the truth."""
 
 from __future__ import annotations
 
@@ -7,21 +7,109 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from statistics import median
+from threading import Event
 from typing import Any
 
+import cv2
 import numpy as np
+from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.evaluation.metrics import compare_with_truth, method_area_mm2, truth_cloud
 from ...core.methods.method import ContactMethod, MethodPatch, failed
 from ...core.methods.registry import Fusion, make_method, needs_reference, settings_of
+from ...core.model.arrays import BoolArray, Float32Array, Uint16Array
+from ...core.model.clouds import ray_table
 from ...core.model.frames import GroundTruth, Rig, SensorFrame
-from ...widgets.basics.colormaps import Theme
+from ...core.model.intrinsics import Intrinsics
+from ...widgets.basics.colormaps import Theme, patch_index
 from ...widgets.clouds.cloud_data import DepthCloud
-from ..worker.explain import explain
+from ..worker.errors import explain
 from ..worker.results import Result
-from .compare_drawing import Drawing
-from .method_looks import TRUTH
+from ..worker.threads import Mailbox, leave_behind, leave_room_for_the_window
+from .method_looks import CONTACT_ROW, FALSE_ROW, HIDDEN_ROW, MISSED_ROW, TRUTH, agreement_lut, method_lut
+
+_IDENTITY = np.eye(4)
+_MOST_COUNTS = 65534
+
+
+class Drawing:
+    """Makes the clouds of one frame, which share all but the patches.
+
+    Parameters
+    ----------
+    result : Result
+    theme : "light" or "dark"
+    by_truth : bool
+        Colour by the agreement with the frame's truth, which there must be, not by method.
+    step : int
+        Every how many rows and columns a point is drawn.
+    """
+
+    def __init__(self, result: Result, theme: Theme, by_truth: bool, step: int) -> None:
+        frame, self._rig = result.frame, result.source.rig
+        camera = self._rig.proximity
+        self._theme, self._step, self._camera = theme, step, camera
+        self._depth = np.ascontiguousarray(frame.proximity_depth[::step, ::step])
+        self._rays = _coarse_rays(camera.intrinsics, step)
+        self._range_m = result.rendered.depth_range_m
+        near, far = (limit / camera.depth_unit_m for limit in self._range_m)
+        context = patch_index(np.zeros(self._depth.shape, bool), self._depth, near, far)
+        self._context = np.minimum(context, np.uint8(HIDDEN_ROW))
+        self._truth = frame.truth if by_truth else None
+
+    def cloud(self, name: str, patch: MethodPatch) -> DepthCloud:
+        """Return a patch at its own depth; the scene around it ends where the depth colours end."""
+        depth, rows = self._depth.copy(), self._context.copy()
+        mask = self._coarse(patch.mask)
+        rows[mask] = CONTACT_ROW
+        if self._truth is not None:
+            true = self._coarse(self._truth.contact)
+            rows[mask & ~true] = FALSE_ROW
+            rows[true & ~mask] = MISSED_ROW
+            self._lift(depth, true & ~mask, truth_cloud(self._truth, self._rig).points)
+        self._lift(depth, mask, patch.points)
+        return DepthCloud(
+            depth=depth,
+            depth_unit_m=self._camera.depth_unit_m,
+            rays=self._rays,
+            lut=method_lut(name, self._theme) if self._truth is None else agreement_lut(self._theme),
+            pose=_IDENTITY,
+            index=rows,
+            depth_range_m=self._range_m,
+            count=len(patch.points) or int(np.count_nonzero(patch.mask)),
+        )
+
+    def _coarse(self, mask: BoolArray) -> BoolArray:
+        return mask[:: self._step, :: self._step]
+
+    def _lift(self, depth: Uint16Array, where: BoolArray, points: Float32Array) -> None:
+        """Put pixels to the depth of the point that is projected nearest to each.
+
+        Points need not be proximity pixels: those of tactile methods are another camera's.
+        """
+        points = points[points[:, 2] > 0]
+        columns, rows = np.rint(self._camera.intrinsics.project(points) / self._step).astype(np.intp).T
+        inside = (columns >= 0) & (columns < depth.shape[1]) & (rows >= 0) & (rows < depth.shape[0])
+        if not inside.any() or not where.any():
+            return
+        known: Uint16Array = np.zeros(depth.shape, np.uint16)
+        counts = np.clip(np.rint(points[:, 2] / self._camera.depth_unit_m), 1, _MOST_COUNTS)
+        known[rows[inside], columns[inside]] = counts[inside].astype(np.uint16)
+        _, labels = cv2.distanceTransformWithLabels(
+            (known == 0).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+        )
+        of_label = np.zeros(labels.max() + 1, np.uint16)
+        of_label[labels[known > 0]] = known[known > 0]
+        depth[where] = of_label[labels[where]]
+
+
+@lru_cache(maxsize=4)
+def _coarse_rays(intrinsics: Intrinsics, step: int) -> Float32Array:
+    """Return the rays of every ``step``-th row and column, the same array each time."""
+    return np.ascontiguousarray(ray_table(intrinsics)[::step, ::step])
+
 
 #: Over how many frames the median of the times goes.
 TIMED_FRAMES = 15
@@ -248,3 +336,78 @@ def _scores(patch: MethodPatch, truth: GroundTruth | None, rig: Rig) -> Scores:
     known = compare_with_truth(patch, truth, rig)
     rmse_mm = known["rmse_mm"] if math.isfinite(known["rmse_mm"]) else None
     return Scores(*size, rmse_mm, known["iou"], known["precision"], known["recall"])
+
+
+_LONGEST_REST_S = 0.5
+
+
+class CompareThread(QThread):
+    """Takes tasks through a one-slot mailbox and gives comparisons back through another.
+
+    While frames run it rests after each comparison for as long as that took, since window and worker
+    share the processor with it.
+
+    Signals
+    -------
+    compared()
+        `take` has something new.
+    settingUp(name: str)
+        A method is made ready, which may take a while.
+    failed(sentence: str)
+        A frame could not be compared.
+    """
+
+    compared = pyqtSignal()
+    settingUp = pyqtSignal(str)
+    failed = pyqtSignal(str)
+
+    def __init__(self, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._tasks: Mailbox[Task] = Mailbox(lambda old, new: old.result.frame is new.result.frame)
+        self._comparisons: Mailbox[Comparison] = Mailbox()
+        self._wake = Event()
+        self._stopping = Event()
+
+    @property
+    def skipped(self) -> int:
+        """Frames that were not compared because a newer one came first."""
+        return self._tasks.dropped
+
+    def compare(self, task: Task) -> None:
+        """Compare this frame next; one that still waits is skipped."""
+        self._tasks.put(task)
+        self._wake.set()
+
+    def take(self) -> Comparison | None:
+        """Take the newest comparison, or None."""
+        return self._comparisons.take()
+
+    def shut_down(self) -> None:
+        """Stop after the present frame, for good; nobody waits for that, and nothing is emitted any more."""
+        self._stopping.set()
+        self._wake.set()
+        leave_behind(self)
+
+    def run(self) -> None:
+        """Compare frame after frame until told to stop."""
+        leave_room_for_the_window()
+        comparer = Comparer(self.settingUp.emit)
+        while not self._stopping.is_set():
+            self._wake.wait()
+            self._wake.clear()
+            task = self._tasks.take()
+            if task is None or self._stopping.is_set():
+                continue
+            started = time.perf_counter()
+            self._compare(comparer, task)
+            if task.result.playback.running:
+                self._stopping.wait(min(time.perf_counter() - started, _LONGEST_REST_S))
+
+    def _compare(self, comparer: Comparer, task: Task) -> None:
+        try:
+            comparison = comparer.compare(task)
+        except Exception as error:
+            self.failed.emit(explain(error, f"frame {task.result.frame_number} could not be compared"))
+            return
+        if self._comparisons.put(comparison):
+            self.compared.emit()

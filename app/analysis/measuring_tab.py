@@ -1,4 +1,4 @@
-"""What the tabs that measure the newest frame beside the window have in common."""
+"""Base of the tabs that measure the newest frame: status, messages, untouched frame, and export."""
 
 from __future__ import annotations
 
@@ -8,13 +8,45 @@ from typing import TYPE_CHECKING
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QSplitter, QVBoxLayout
 
+from ...core.errors import ExportError
+from ...core.model.files import atomic_path
 from ...widgets.basics.elided_label import ElidedLabel
-from ..window.message_bar import MessageBar, Severity
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ..worker.jobs import Job
 from ..worker.results import RateMeter, Result
 from .compare_reference import Reference
-from .picture_export import write_picture
 from .tab import AnalysisTab
+
+
+def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
+    """Write ``path`` as PNG and the numbers as CSV of the same name; without a picture, the numbers as ``path``.
+
+    Parameters
+    ----------
+    picture : QImage or None
+    numbers : str
+        The text of the CSV.
+    path : Path
+    what : str
+        Begins the sentence that is returned, such as ``"Frame 4 was"``.
+
+    Raises
+    ------
+    ExportError
+        The place cannot be written, or the CSV would replace a file that belongs to no such picture.
+    """
+    beside = path if picture is None else path.with_suffix(".csv")
+    if picture is not None and beside.exists() and not path.exists():
+        raise ExportError(f"{beside} exists already and would be replaced; choose another name")
+    with atomic_path(beside) as temporary:
+        temporary.write_text(numbers, encoding="utf-8")
+    if picture is None:
+        return f"{what} written to {path}."
+    with atomic_path(path) as temporary:
+        if not picture.save(str(temporary), "PNG"):
+            raise ExportError(f"cannot write the picture {path}; choose another place")
+    return f"{what} written to {path} and {beside.name}."
+
 
 if TYPE_CHECKING:
     from ..window.main_window import MainWindow

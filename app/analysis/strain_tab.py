@@ -22,13 +22,11 @@ from PyQt6.QtWidgets import (
 
 from ...core.model.frames import SensorFrame
 from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
-from ..window.message_bar import Severity
+from ...widgets.basics.message_bar import Severity
 from ..worker.jobs import Job
 from ..worker.results import Result, SourceInfo
 from .measuring_tab import MeasuringTab
-from .strain_curve import StrainCurve
-from .strain_map import StrainMap
-from .strain_numbers import StrainNumbers
+from .strain_views import StrainCurve, StrainMap, StrainNumbers
 from .strain_work import MapOf, StrainTask, StrainView, examine
 
 if TYPE_CHECKING:

@@ -28,9 +28,9 @@ from ...core.errors import TactuneError
 from ...core.preset import Preset
 from ...core.preset.file import load_preset, shipped_presets
 from ...core.scan.scan import SUFFIXES, UNITS_M
+from ...widgets.basics.dialogs import local_files
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ..rig.parts import make_verdict
-from ..window.files import local_files
-from ..window.message_bar import MessageBar, Severity
 from ..worker.results import CloudName, Result
 from .tab import AnalysisTab
 from .truth_align_panel import AlignPanel

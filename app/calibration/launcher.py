@@ -8,9 +8,9 @@ from pathlib import Path
 from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QWidget
 
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..document.document import Document
-from ..window.message_bar import MessageBar, Severity
 from ..worker.playback import PlaybackState
 from ..worker.results import Result
 from ..worker.worker import Worker

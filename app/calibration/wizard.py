@@ -26,9 +26,9 @@ from ...core.calibration.verdict import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.accent_button import AccentButton
 from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..document.document import Document
-from ..window.message_bar import MessageBar, Severity
 from .check_page import CheckPage
 from .collector import Collector
 from .feed import FrameFeed

@@ -10,8 +10,8 @@ from PyQt6.QtWidgets import QWidget
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ..document.document import Document
-from ..window.message_bar import MessageBar, Severity
 from ..worker.results import SourceInfo, SourceState
 from ..worker.worker import Worker
 from .chooser import CameraChooser

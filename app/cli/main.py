@@ -18,7 +18,7 @@ from typing import Annotated
 import typer
 
 from ...core.errors import MissingExtraError, TactuneError
-from .. import defaults
+from ..document import defaults
 from .bench import bench_commands
 from .calibrate import calibrate
 from .devices import devices

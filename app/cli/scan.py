@@ -14,7 +14,7 @@ import typer
 from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray
 from ...core.model.files import atomic_path
-from .. import defaults
+from ..document import defaults
 
 if TYPE_CHECKING:
     from ...core.model.frames import Matrix4, SensorFrame

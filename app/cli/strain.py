@@ -16,7 +16,7 @@ import typer
 
 from ...core.errors import SourceError
 from ...core.model.files import atomic_path
-from .. import defaults
+from ..document import defaults
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame

@@ -210,7 +210,7 @@ def _preset_of_file(told: SweepFile, file: Path | None) -> str | None:
 
 
 def _usual_preset(sources: tuple[str, ...]) -> str:
-    from ..defaults import default_preset
+    from ..document.defaults import default_preset
 
     names = {default_preset(source) for source in sources}
     return names.pop() if len(names) == 1 else "default"

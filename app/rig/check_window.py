@@ -7,8 +7,8 @@ from pathlib import Path
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.sources.base import CameraOption
+from ...widgets.basics.dialogs import Dialogs
 from ..document.document import Document
-from ..window.dialogs import Dialogs
 from ..worker.results import Result
 from ..worker.worker import Worker
 from .interference_tab import InterferenceTab

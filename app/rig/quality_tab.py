@@ -27,11 +27,11 @@ from ...core.model.files import atomic_path
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle
 from ...core.rig.judgement import Reading, Verdict, judge_bias, judge_camera
+from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.theme import theme_colors
 from ...widgets.images.image_pane import ImagePane
 from ...widgets.images.region_item import RegionItem
 from ..document.document import Document
-from ..window.dialogs import Dialogs
 from ..worker.jobs import Job
 from ..worker.results import Result
 from .outline import Outline

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QObject
 
+from ...widgets.basics.message_bar import Severity
 from ..calibration.feed import WorkerFeed
 from ..document.reference_store import ReferenceStore
-from ..window.message_bar import Severity
 from ..worker.playback import PlaybackState
 from .untouched_keeper import ReferenceKeeper
 from .untouched_window import CaptureWindow

@@ -8,14 +8,14 @@ import numpy as np
 from PyQt6.QtCore import QObject
 
 from ...core.model.clouds import valid_depth
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.images.eyedropper import EyedropperError, HsvRanges, Mode, pick
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.gestures import new_gesture
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..document.document import Document
+from ..worker.rendering import aligned_color
 from ..worker.results import Result
-from ..worker.strip_drawing import aligned_color
-from .message_bar import MessageBar, Severity
 
 
 class Eyedropper(QObject):

@@ -1,4 +1,4 @@
-"""What a person does with files: presets, recordings, exports; nothing entered is lost on the way."""
+"""File actions: open, save and export presets, recordings and patches; unsaved changes are never lost silently."""
 
 from __future__ import annotations
 
@@ -9,22 +9,25 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from PyQt6.QtCore import QMimeData, QObject
+from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig
 from ...core.preset import Preset, now
 from ...core.preset.file import load_preset
+from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.registry import source_kinds
+from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ..document.document import Document
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..settings import Settings
+from ..worker.results import Result
 from .actions import Actions
-from .dialogs import PRESET_FILTER, Dialogs
-from .message_bar import MessageBar, Severity
 
 #: Kinds of recordings that may lie in two files, one a camera.
 _IN_TWO_FILES = ("bag",)
+PRESET_FILTER = "Presets (*.json)"
 EXPORT_FILTERS = ["PLY, binary (*.ply)", "PCD, binary (*.pcd)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
@@ -287,11 +290,42 @@ def recording_scheme(path: Path) -> str:
     return next((scheme for scheme, patterns in _patterns().items() if any(map(partial(fnmatch, name), patterns))), "")
 
 
-def local_files(data: QMimeData | None) -> list[Path]:
-    """Return the files and folders of this machine that are dragged."""
-    return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
-
-
 def file_name(name: str) -> str:
     """Turn a preset's name into a file name."""
     return "".join(letter if letter.isalnum() or letter in "-_ ." else "_" for letter in name).strip(" .") or "preset"
+
+
+class _Report(QObject):
+    written = pyqtSignal(str)
+    failed = pyqtSignal(str)
+
+
+class _Export(QRunnable):
+    """Writes and reports; the report's signals arrive on the GUI thread."""
+
+    def __init__(self, result: Result, path: Path, report: _Report) -> None:
+        super().__init__()
+        self._result, self._path, self._report = result, path, report
+
+    def run(self) -> None:
+        patch = self._result.patch
+        assert patch is not None
+        try:
+            write_cloud(self._path, patch_cloud(patch, self._result.frame, self._result.source.rig))
+        except TactuneError as error:
+            self._report.failed.emit(str(error))
+        else:
+            number = self._result.frame_number
+            self._report.written.emit(f"Frame {number}: {len(patch.points)} points written to {self._path}.")
+
+
+def export_patch(result: Result, path: Path, messages: MessageBar) -> None:
+    """Write the patch of a result in the background and say how it went."""
+    report = _Report(messages)
+    report.written.connect(lambda sentence: messages.show_message("export", Severity.INFO, sentence))
+    report.failed.connect(lambda sentence: messages.show_message("export", Severity.ERROR, sentence))
+    for signal in (report.written, report.failed):
+        signal.connect(report.deleteLater)
+    pool = QThreadPool.globalInstance()
+    assert pool is not None
+    pool.start(_Export(result, path, report))

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QObject
 
 from ..cameras.control import CAMERAS, CameraControl
 from ..rig.check_launcher import CameraChecks
-from .recording_control import RecordingControl
+from .recording import RecordingControl
 
 if TYPE_CHECKING:
     from .main_window import MainWindow

@@ -13,6 +13,8 @@ from ...core.model.frames import Rig
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
+from ...widgets.basics.dialogs import Dialogs, local_files
+from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.basics.theme import ThemeChoice, apply_theme, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
@@ -22,28 +24,21 @@ from ..cameras.control import CAMERAS
 from ..document.document import Document
 from ..document.recovery import Autosave
 from ..settings import Settings
-from ..worker.error_hook import ErrorHook
-from ..worker.opening import SourceRequest
+from ..worker.errors import ErrorHook
+from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import make_actions, make_menus
+from .actions import make_actions, make_menus, show_about, show_shortcuts
 from .analysis_controls import AnalysisControls
-from .dialogs import Dialogs
 from .eyedropper import Eyedropper
-from .files import FileFlows, local_files
-from .frame_export import export_patch
+from .files import FileFlows, export_patch
 from .frame_presenter import FramePresenter
-from .help import show_about, show_shortcuts
 from .layout_memory import remember_layout, restore_layout
 from .live_controls import LiveControls
-from .message_bar import MessageBar, Severity
-from .opening_bar import OpeningBar
-from .recording_bar import RecordingBar
-from .status import FrameStatus
-from .strip_splitter import StripSplitter
-from .toolbar import ToolBar
-from .transport import Transport
-from .view_area import ViewArea
+from .recording import RecordingBar
+from .status import FrameStatus, OpeningBar
+from .toolbar import ToolBar, Transport
+from .view_area import StripSplitter, ViewArea
 
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"

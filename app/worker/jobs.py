@@ -9,7 +9,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.errors import TactuneError
-from .abandoned_threads import leave_behind
+from .threads import leave_behind
 
 Progress = Callable[[float, str], None]
 Work = Callable[[Progress], Any]

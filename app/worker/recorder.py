@@ -12,7 +12,7 @@ from ...core.errors import FrameError, TactuneError
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.recording.writer import RecordingStatus, SessionWriter
-from .explain import explain
+from .errors import explain
 
 
 class Writer(Protocol):

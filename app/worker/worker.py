@@ -21,18 +21,13 @@ from PyQt6.QtCore import QObject, QThread, pyqtSignal
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
-from .abandoned_threads import leave_behind
-from .cores import leave_room_for_the_window
-from .error_hook import guarded
-from .explain import explain
-from .live_reader import PATIENCE_S, LiveReader
-from .mailbox import Mailbox
-from .opening import SourceRequest, open_requested
+from .errors import explain, guarded
 from .playback import Playback
 from .processing import FrameProcessor
-from .reader import FrameReader
+from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
+from .threads import Mailbox, leave_behind, leave_room_for_the_window
 
 #: What does not end so long after it was told to is left behind; a live source that hangs is, too, by then.
 _PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000

@@ -17,10 +17,10 @@ from PyQt6.QtWidgets import QApplication
 
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
-from tactune.app.worker.abandoned_threads import wait_for_left
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.errors import SourceError

@@ -14,13 +14,13 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel, QStyle, QStyleOptionViewItem
 
 from tactune.app.analysis import comparer
-from tactune.app.analysis.compare_text import comparison_csv
+from tactune.app.analysis.compare_table import comparison_csv
 from tactune.app.analysis.comparer import Scores
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.app.document.reference_store import ReferenceStore
-from tactune.app.worker.abandoned_threads import wait_for_left
-from tactune.app.worker.opening import SourceRequest
+from tactune.app.worker.reading import SourceRequest
 from tactune.app.worker.reference_finding import reference_finder
+from tactune.app.worker.threads import wait_for_left
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.methods.registry import make_method, method_names

@@ -6,7 +6,7 @@ import pytest
 from typer.testing import CliRunner
 
 from tactune.app.cli.main import commands
-from tactune.app.worker.opening import OpeningCancelledError, SourceRequest, open_requested
+from tactune.app.worker.reading import OpeningCancelledError, SourceRequest, open_requested
 from tactune.core.contact import warmup
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactune.app.defaults import default_preset
+from tactune.app.document.defaults import default_preset
 
 
 @pytest.mark.parametrize(

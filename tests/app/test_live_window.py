@@ -10,8 +10,8 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
-from tactune.app.window.staleness import badge, source_sentence
-from tactune.app.worker import live_reader
+from tactune.app.window.frame_presenter import badge, source_sentence
+from tactune.app.worker import reading
 from tactune.app.worker.results import CloudName, SourceState
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth, Health
@@ -161,7 +161,7 @@ def test_closing_the_window_while_no_frame_comes(window, cameras, qtbot):
     started = time.monotonic()
     window.close()
     assert not window.isVisible()
-    assert time.monotonic() - started < live_reader.PATIENCE_S / 2
+    assert time.monotonic() - started < reading.PATIENCE_S / 2
     assert cameras.closed.is_set()
 
 

@@ -6,7 +6,7 @@ import time
 
 import pytest
 
-from tactune.app.worker import live_reader
+from tactune.app.worker import reading
 from tactune.app.worker.worker import SourceRequest, Worker
 
 from .conftest import LiveSource, TinySource
@@ -81,13 +81,13 @@ def test_shutting_down_while_no_frame_comes(qtbot, preset):
     qtbot.waitUntil(lambda: cameras.waits > 1)
     started = time.monotonic()
     watched.worker.shut_down()
-    assert time.monotonic() - started < live_reader.PATIENCE_S / 2
+    assert time.monotonic() - started < reading.PATIENCE_S / 2
     assert watched.worker.isFinished()
     assert cameras.closed.is_set()
 
 
 def test_a_driver_that_hangs_does_not_keep_the_window_open(qtbot, preset, monkeypatch):
-    monkeypatch.setattr(live_reader, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(reading, "PATIENCE_S", 0.1)
     watched = Watched(preset)
     source = LiveSource()
     watched.open(source)
@@ -100,7 +100,7 @@ def test_a_driver_that_hangs_does_not_keep_the_window_open(qtbot, preset, monkey
 def test_waiting_costs_next_to_nothing(watched, cameras):
     before, started = cameras.waits, time.monotonic()
     watched.worker.msleep(300)
-    assert (cameras.waits - before) / (time.monotonic() - started) < 2 / live_reader.POLL_S
+    assert (cameras.waits - before) / (time.monotonic() - started) < 2 / reading.POLL_S
 
 
 @pytest.mark.parametrize("hold", ["pause", "freeze"])
@@ -119,7 +119,7 @@ def test_a_held_live_source_is_drained_and_goes_on_with_the_newest(watched, came
 
 
 def test_no_frame_for_a_while_is_stale_and_the_next_one_is_not(watched, cameras, qtbot, monkeypatch):
-    monkeypatch.setattr(live_reader, "STALE_AFTER_S", 0.3)
+    monkeypatch.setattr(reading, "STALE_AFTER_S", 0.3)
     qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].stale)
     cameras.release()
     qtbot.waitUntil(lambda: not watched.states[-1].stale)

@@ -1,4 +1,4 @@
-from tactune.app.worker.mailbox import Mailbox
+from tactune.app.worker.threads import Mailbox
 
 
 def test_the_newest_item_wins_and_older_ones_are_counted():

@@ -8,9 +8,9 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
-from tactune.app.window import recording_control
+from tactune.app.window import recording
 from tactune.app.worker import worker
-from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.mcap import container
 from tactune.core.sources.registry import open_source
@@ -196,7 +196,7 @@ def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras
 
 
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
-    monkeypatch.setattr(recording_control, "free_bytes", lambda folder: 300_000_000)
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: 300_000_000)
     press_record(window)
     assert "There are only 300 MB left" in told(window)
     assert "make room, or choose another folder" in told(window)
@@ -207,7 +207,7 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     begin(window, qtbot)
     cameras.release(4)
     qtbot.waitUntil(lambda: len(cameras.given) == 5)
-    monkeypatch.setattr(recording_control, "free_bytes", lambda folder: 1_000_000)
+    monkeypatch.setattr(recording, "free_bytes", lambda folder: 1_000_000)
     qtbot.waitUntil(lambda: not window.live.recording.running)
     assert "It ended because only 1.0 MB are left on the disk" in told(window)
     [path] = folder.iterdir()

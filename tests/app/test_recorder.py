@@ -6,7 +6,7 @@ from threading import Event
 
 import pytest
 
-from tactune.app.window.recording_bar import clock, duration, size
+from tactune.app.window.recording import clock, duration, size
 from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.preset import Preset

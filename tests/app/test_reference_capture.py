@@ -12,7 +12,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.worker.abandoned_threads import wait_for_left
+from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.model.frames import SensorFrame

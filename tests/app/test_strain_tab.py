@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import QApplication, QLabel, QPushButton
 
 from tactune.app.analysis import strain_tab
 from tactune.app.analysis.strain_work import StrainTask, examine
-from tactune.app.worker.opening import SourceRequest
+from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
 from tactune.core.model.intrinsics import Intrinsics

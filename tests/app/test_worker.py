@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from tactune.app.worker import worker as worker_module
-from tactune.app.worker.abandoned_threads import wait_for_left
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
+from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest, Worker
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError

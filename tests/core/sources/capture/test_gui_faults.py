@@ -20,14 +20,14 @@ from PyQt6.QtWidgets import QApplication
 
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
-from tactune.app.window.message_bar import Message
-from tactune.app.worker.opening import SourceRequest
+from tactune.app.worker.reading import SourceRequest
 from tactune.app.worker.recorder import RecordingEnd
 from tactune.app.worker.results import SourceState
 from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, Progress
 from tactune.core.sources.process import ProcessSource
 from tactune.core.sources.registry import open_source
+from tactune.widgets.basics.message_bar import Message
 
 #: What a person is promised. A machine may be too busy once, but a window that waited for the capture process would
 #: stand still for at least a second each time.

@@ -1,6 +1,6 @@
-"""Questions to the person. None of them blocks: the answer comes to a function.
+"""Dialogs that do not block: each answer goes to a callback.
 
-Without nested event loops the worker's results, timers and shutdown go on while a question is
+Without nested event loops the worker's results, timers and shutdown continue while a dialog is
 open, and tests can answer with real keys.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+from PyQt6.QtCore import QMimeData
 from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
@@ -19,8 +20,6 @@ from PyQt6.QtWidgets import (
     QPlainTextEdit,
     QWidget,
 )
-
-PRESET_FILTER = "Presets (*.json)"
 
 
 class Dialogs:
@@ -134,3 +133,8 @@ class Dialogs:
 
         dialog.finished.connect(answered)
         dialog.open()
+
+
+def local_files(data: QMimeData | None) -> list[Path]:
+    """Return the local files and folders in dragged data."""
+    return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from contextlib import suppress
 
-from ..core.errors import TactuneError
-from ..core.model.files import user_path
+from ...core.errors import TactuneError
+from ...core.model.files import user_path
 
 SOURCE = "sim"
 
@@ -18,7 +18,7 @@ def default_preset(source: str) -> str:
     plain = source.removeprefix("live:")
     path = user_path(plain.removeprefix("mcap:"))
     if path.suffix == ".mcap" and path.is_file():
-        from ..core.preset.file import load_preset
+        from ...core.preset.file import load_preset
 
         with suppress(TactuneError):  # opening the source tells what is wrong with it
             load_preset(path)

@@ -1,4 +1,4 @@
-"""An error in a slot must not vanish: it goes to the window and to whoever listened before."""
+"""Errors for the person: uncaught exceptions reach the window, and every error becomes one sentence."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from collections.abc import Callable
 from types import TracebackType
 
 from PyQt6.QtCore import QObject, pyqtSignal
+
+from ...core.errors import TactuneError
 
 ExceptionHook = Callable[[type[BaseException], BaseException, TracebackType | None], object]
 
@@ -57,3 +59,10 @@ def guarded(act: Callable[[], object]) -> None:
         act()
     except Exception as error:
         sys.excepthook(type(error), error, error.__traceback__)
+
+
+def explain(error: Exception, what: str) -> str:
+    """Turn an error into one sentence; the tool's own errors speak for themselves."""
+    if isinstance(error, TactuneError):
+        return str(error)
+    return f"{what[0].upper()}{what[1:]} ({type(error).__name__}: {error})."

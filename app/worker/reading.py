@@ -1,17 +1,116 @@
-"""Drains a live source on a thread of its own, whatever the worker and the window are doing."""
+"""Opening a source and reading its frames: recordings ahead of time, live cameras on their own thread."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Protocol
 
+from ...core.contact.warmup import warm_up_if_needed
+from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
-from ...core.sources.base import CameraOption, CameraRole, FrameSource, Health
-from .explain import explain
-from .mailbox import Mailbox
+from ...core.sources.base import CameraOption, CameraRole, FrameSource, Health, Progress
+from .errors import explain
 from .results import SourceState
+from .threads import Mailbox
+
+_PROGRESS_INTERVAL_S = 0.05
+
+
+@dataclass(frozen=True)
+class SourceRequest:
+    """A source to open: what to call it meanwhile and how to open it.
+
+    ``exclusive`` is for cameras, which only one can have: the present source is closed first.
+    """
+
+    name: str
+    open: Callable[[Progress], FrameSource]
+    exclusive: bool = False
+
+
+class OpeningCancelledError(TactuneError):
+    """Opening was given up because nobody wants the source any more."""
+
+
+def open_requested(
+    request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
+) -> FrameSource:
+    """Compile the pipeline where that is still to do, open a source, and report progress now and then.
+
+    Raises
+    ------
+    OpeningCancelledError
+        ``wanted`` has become false.
+    Exception
+        Whatever opening it raises.
+    """
+    last_report_s = 0.0
+
+    def progress(fraction: float, text: str) -> None:
+        nonlocal last_report_s
+        if not wanted():
+            raise OpeningCancelledError(f"opening {request.name} was cancelled")
+        if time.perf_counter() - last_report_s > _PROGRESS_INTERVAL_S:
+            last_report_s = time.perf_counter()
+            report(fraction, text)
+
+    report(0.0, "")
+    warm_up_if_needed(progress)
+    source = request.open(progress)
+    if not wanted():
+        source.close()
+        raise OpeningCancelledError(f"opening {request.name} was cancelled")
+    return source
+
+
+class FrameReader:
+    """Owns an open recording; only its own thread touches it.
+
+    Reading one frame ahead uses a second processor core, for the simulator's noise or for decoding
+    images. A frame that was read ahead and is not wanted after all (the person seeks) is dropped.
+    """
+
+    def __init__(self, source: FrameSource) -> None:
+        self.source = source
+        self._thread = ThreadPoolExecutor(1, "reader")
+        self._ahead: tuple[int, Future[SensorFrame | None]] | None = None
+
+    def read(self, index: int) -> SensorFrame | None:
+        """Return frame ``index`` of a recording; None at the end.
+
+        Raises
+        ------
+        Exception
+            Whatever the source raises.
+        """
+        ahead, self._ahead = self._ahead, None
+        if ahead is not None and ahead[0] == index:
+            return ahead[1].result()
+        return self._thread.submit(self._read, index).result()
+
+    def read_ahead(self, index: int | None) -> None:
+        """Begin to read a frame that will probably be wanted next; what goes wrong appears when it is."""
+        if self._ahead is None and index is not None:
+            self._ahead = index, self._thread.submit(self._read, index)
+
+    def reference(self) -> SensorFrame | None:
+        """Return a frame of the untouched membrane, or None where the recording has none."""
+        return self._thread.submit(self.source.reference).result()
+
+    def close(self) -> None:
+        """Release the source, after whatever is being read."""
+        self._thread.submit(self.source.close)
+        self._thread.shutdown(wait=True)
+
+    def _read(self, index: int) -> SensorFrame | None:
+        if self.source.position != index:
+            self.source.seek(index)
+        return self.source.next_frame()
+
 
 #: Orders (close, an option) wait no longer than this while no frame comes.
 POLL_S = 0.05

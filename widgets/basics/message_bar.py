@@ -1,4 +1,4 @@
-"""Sentences above the views: warnings, errors and offers that wait without being in the way."""
+"""Sentences above a window's views: notes, warnings and errors with buttons that answer them."""
 
 from __future__ import annotations
 
