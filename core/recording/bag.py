@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from importlib.metadata import version
 from pathlib import Path
-from typing import Final
 
 from ..errors import ExportError
 from ..model.files import user_path
@@ -16,16 +15,16 @@ from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
 from ..sources.mcap.container import McapWriter, Message
-from ..sources.mcap.messages import SAID_ONCE, STATIC_QOS, definition, type_hash
-
-#: Names inside the file.
-METADATA_NAME: Final = "tactune"
-RIG_NAME: Final = "rig.json"
-PRESET_NAME: Final = "preset.json"
-REFERENCE_NAME: Final = "reference.npz"
-
-#: Grows when an older reader could not read a recording any more.
-FORMAT_VERSION: Final = 1
+from ..sources.mcap.messages import (
+    FORMAT_VERSION,
+    METADATA_NAME,
+    PRESET_NAME,
+    RIG_NAME,
+    SAID_ONCE,
+    STATIC_QOS,
+    definition,
+    type_hash,
+)
 
 
 class Bag:

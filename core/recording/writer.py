@@ -23,6 +23,7 @@ from ..sources.mcap.container import Buffer, Message
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
+    REFERENCE_NAME,
     TEXT,
     TRANSFORMS,
     LogClock,
@@ -34,7 +35,7 @@ from ..sources.mcap.messages import (
     text,
 )
 from ..sources.mcap.streams import image_streams, images_of
-from .bag import REFERENCE_NAME, Bag
+from .bag import Bag
 
 #: Frames wait in no more memory than this: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20

@@ -44,6 +44,15 @@ from ...model.arrays import Float32Array, Float64Array
 from ...model.frames import Matrix4, Rig, SensorFrame, rigid_transform
 from ...model.intrinsics import Intrinsics
 
+#: Names of the metadata record and the attachments inside a recording.
+METADATA_NAME: Final = "tactune"
+RIG_NAME: Final = "rig.json"
+PRESET_NAME: Final = "preset.json"
+REFERENCE_NAME: Final = "reference.npz"
+
+#: Version of the recording format. It grows when an older reader cannot read a newer recording.
+FORMAT_VERSION: Final = 1
+
 TYPES: Final = get_typestore(Stores.ROS2_HUMBLE)
 
 IMAGE: Final = "sensor_msgs/msg/Image"

@@ -18,10 +18,19 @@ from ...model.rig_file import parse_rig
 from ...model.untouched_archive import parse_reference
 from ...preset import Preset
 from ...preset.file import preset_from_text
-from ...recording.bag import FORMAT_VERSION, METADATA_NAME, PRESET_NAME, REFERENCE_NAME, RIG_NAME
 from ..base import Health, Progress, SeekableSource
 from .lenses import rig_from_lenses
-from .messages import IMAGE, TEXT, Topic, parse
+from .messages import (
+    FORMAT_VERSION,
+    IMAGE,
+    METADATA_NAME,
+    PRESET_NAME,
+    REFERENCE_NAME,
+    RIG_NAME,
+    TEXT,
+    Topic,
+    parse,
+)
 from .reader import McapFile
 
 _Encodings = dict[str, tuple[np.dtype[Any], int, int | None]]
