@@ -18,7 +18,6 @@ from ..core.model.files import atomic_path
 from ..core.preset import Preset
 from ..core.preset.file import load_preset
 from ..widgets.basics.theme import ThemeChoice
-from .document.defaults import default_preset
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
 from .worker.threads import wait_for_left
@@ -33,7 +32,7 @@ WAKE_MS = 200
 
 def run_gui(
     source: str,
-    preset: str | None,
+    preset: str,
     screenshot: Path | None,
     after: int,
     size: tuple[int, int] | None = None,
@@ -45,8 +44,8 @@ def run_gui(
     ----------
     source : str
         As `tactune.core.sources.registry.open_source` takes it.
-    preset : str or None
-        A file or a shipped name. None: ``simulator`` for a simulated source, else ``default``.
+    preset : str
+        A file or a shipped name.
     screenshot : Path or None
         Save a picture of the window here once ``after`` frames have been processed, then end.
     after : int
@@ -65,7 +64,7 @@ def run_gui(
     TactuneError
         The preset cannot be used, or no picture could be taken.
     """
-    start_preset, preset_path = start_with(preset, source)
+    start_preset, preset_path = start_with(preset)
     application = make_application()
     if screenshot is None:
         window = MainWindow(start_preset, Settings(default_settings_file()), default_data_folder())
@@ -144,9 +143,8 @@ def make_application() -> QApplication:
     return application
 
 
-def start_with(name: str | None, source: str) -> tuple[Preset, Path | None]:
+def start_with(name: str) -> tuple[Preset, Path | None]:
     """Return the preset to begin with, and its file unless it is a shipped one."""
-    name = name or default_preset(source)
     path = Path(name)
     return load_preset(name), path if path.is_file() and path.suffix != ".mcap" else None
 

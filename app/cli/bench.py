@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import typer
 
 from ...core.errors import TactuneError
+from .common import CliProgress
 
 bench_commands = typer.Typer(
     help="Measure run time against error, side by side with other ways to do the same.",
@@ -70,7 +71,6 @@ def stability(
 
     from ...core.bench.long_run import check_long_run
     from ...core.bench.stability import check_stability
-    from .progress import CliProgress
 
     with CliProgress(quiet=as_json) as progress:
         report = check_stability(frames, seed, lambda share: progress.preparing(share, "comparing frames"))
@@ -92,7 +92,6 @@ def _names(text: str) -> list[str]:
 def _run_gate(rounds: int, as_json: bool) -> int:
     from ...core.bench.gate import run_gate
     from ...core.bench.machine import machine_facts
-    from .progress import CliProgress
 
     _need("open3d")
     with CliProgress(quiet=as_json) as progress:
@@ -117,7 +116,6 @@ def _compare(
     from ...core.bench.registry import Job
     from ...core.bench.run import compare_engines, rows_as_json, rows_as_text
     from ...core.bench.scenes import scene_names
-    from .progress import CliProgress
 
     facts = machine_facts()
     with CliProgress(quiet=as_json) as progress:
@@ -155,7 +153,6 @@ def _write_report(path: Path, rounds: int) -> None:
     from ...core.bench.scenes import scene_names
     from ...core.bench.stability import check_stability
     from ...core.bench.stages import stage_breakdown, thread_scaling
-    from .progress import CliProgress
 
     _need("open3d")
     machine = _machine_line(machine_facts())

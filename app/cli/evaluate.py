@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import TactuneError
-from .progress import CliProgress
+from .common import CliProgress, counted, finite_or_none, warn
 from .scan import evaluate_recording
 
 if TYPE_CHECKING:
@@ -89,8 +89,6 @@ def evaluate_patch(
     """Compare the clouds of two files: RMSE, Hausdorff, 95th percentile and Chamfer distance."""
     from ...core.evaluation.distances import cloud_distances
     from ...core.recording.foreign_clouds import read_points, unit_doubt
-    from .patch_record import finite_or_none
-    from .run import counted, warn
 
     clouds = {}
     for path in (patch, truth):
@@ -153,7 +151,6 @@ def _plan(
 def _measure(plan: TablePlan) -> Table:
     """Measure cell after cell, telling how far it is; after Ctrl-C say how to go on."""
     from ...core.evaluation.table import Table, measure_table
-    from .run import counted, warn
 
     finished = Table()
     with CliProgress() as progress:

@@ -18,19 +18,17 @@ from typing import Annotated
 import typer
 
 from ...core.errors import MissingExtraError, TactuneError
-from ..document import defaults
 from .bench import bench_commands
-from .calibrate import calibrate
-from .devices import devices
-from .doctor import doctor
+from .calibrate import calibrate, recheck
+from .common import SOURCE, PresetOption, SourceOption, default_preset
+from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
 from .preset import preset_commands
-from .recheck import recheck
 from .record import convert, record
+from .run import export_folder, run
 from .scan import export_scan
 from .strain import strain
 from .sweep import sweep
-from .warmup import warmup
 
 #: Exit status for anything that the person can put right: a wrong option, a wrong file.
 USAGE_STATUS = 2
@@ -48,6 +46,8 @@ commands = typer.Typer(
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")
+commands.command()(run)
+commands.command("export-folder")(export_folder)
 commands.command()(calibrate)
 commands.command()(devices)
 commands.command()(doctor)
@@ -58,38 +58,6 @@ commands.command()(convert)
 commands.command()(strain)
 commands.command()(sweep)
 commands.command()(warmup)
-
-Source = Annotated[
-    str,
-    typer.Option(
-        "--source",
-        "-s",
-        metavar="SOURCE",
-        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), realsense:, live:SOURCE, "
-        "folder:PATH, bag:PATH, mcap:PATH, or a path.",
-    ),
-]
-PresetName = Annotated[
-    str | None,
-    typer.Option(
-        "--preset",
-        "-p",
-        metavar="FILE|NAME",
-        help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
-    ),
-]
-FrameCount = Annotated[
-    int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many; default: all.")
-]
-
-
-class Format(StrEnum):
-    """File formats of a patch."""
-
-    NPZ = "npz"
-    PLY = "ply"
-    PCD = "pcd"
-    CSV = "csv"
 
 
 class Theme(StrEnum):
@@ -129,14 +97,14 @@ def _start(
     if show_version:
         typer.echo(f"tactune {version('tactune')}")
     elif context.invoked_subcommand is None:
-        raise typer.Exit(_open_window(defaults.SOURCE, None, None, 0))
+        raise typer.Exit(_open_window(SOURCE, None, None, 0))
 
 
 @commands.command()
 def gui(
     *,
-    source: Source = defaults.SOURCE,
-    preset: PresetName = None,
+    source: SourceOption = SOURCE,
+    preset: PresetOption = None,
     screenshot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Save a picture of the window to a .png file and close it.")
     ] = None,
@@ -148,67 +116,6 @@ def gui(
     raise typer.Exit(
         _open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme and theme.value)
     )
-
-
-@commands.command()
-def run(
-    *,
-    source: Source = defaults.SOURCE,
-    preset: PresetName = None,
-    frames: FrameCount = None,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            "--out",
-            "-o",
-            metavar="DIR|FILE.mcap",
-            help="A folder: a file a frame, such as patch_000012.npz. A .mcap: all patches, as PointCloud2 for ROS 2.",
-        ),
-    ] = None,
-    file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
-    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
-    truth: Annotated[
-        bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
-    ] = False,
-    method: Annotated[
-        str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
-    ] = "fusion",
-    reference: Annotated[
-        str | None,
-        typer.Option(
-            metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
-        ),
-    ] = None,
-    settings: Annotated[
-        list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUE", help="As in tactune preset new, for this run; may be repeated."),
-    ] = None,
-) -> None:
-    """Compute contact patches without a window."""
-    from .run import RunOptions, run_frames
-
-    if out is None and not json_lines and not truth:
-        raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
-        )
-    preset = preset or defaults.default_preset(source)
-    changed = tuple(settings or ())
-    run_frames(
-        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference, changed)
-    )
-
-
-@commands.command("export-folder")
-def export_folder(
-    *,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
-    source: Source = defaults.SOURCE,
-    frames: FrameCount = None,
-) -> None:
-    """Write frames as PNG images, to hand on."""
-    from .run import export_frames
-
-    export_frames(source, out, frames)
 
 
 def _check_x_display() -> None:
@@ -262,7 +169,7 @@ def _open_window(
             f"the window needs a library of the operating system ({error}); install it, "
             "or use tactune run, which works without it"
         ) from error
-    return run_gui(source, preset, screenshot, after, size=size, theme=theme)
+    return run_gui(source, preset or default_preset(source), screenshot, after, size=size, theme=theme)
 
 
 def _parse_size(text: str | None) -> tuple[int, int] | None:

@@ -3,16 +3,29 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.errors import PresetError, SourceError, TactuneError
+from ...core.errors import CalibrationError, PresetError, TactuneError
+from .common import (
+    AveragedFrames,
+    CliProgress,
+    UntouchedSource,
+    average_frames,
+    counted,
+    find_rig,
+    open_with_progress,
+    parse_settings,
+    warn,
+)
 
 if TYPE_CHECKING:
-    from ...core.model.frames import Rig
+    from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset
+    from ...core.rig.untouched import CapturedReference
 
 preset_commands = typer.Typer(
     help="Make, show and check presets.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
@@ -54,7 +67,6 @@ def new(
     from ...core.preset import Preset, now
     from ...core.preset.file import load_preset, save_preset
     from ...core.rig.untouched import copy_reference
-    from .settings import parse_settings
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
@@ -108,13 +120,9 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
 @preset_commands.command("capture-reference")
 def capture_reference(
     *,
-    source: Annotated[
-        str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
-    ],
+    source: UntouchedSource,
     preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
-    frames: Annotated[
-        int, typer.Option("--frames", "-n", min=1, max=1000, metavar="N", help="How many frames to average.")
-    ] = 15,
+    frames: AveragedFrames = 15,
     force: Annotated[bool, typer.Option("--force", help="Keep it though the preset finds contact on it.")] = False,
 ) -> None:
     """Average frames of the untouched membrane into a preset's reference, for methods and checks that compare with it.
@@ -122,9 +130,7 @@ def capture_reference(
     Frames in which the preset itself finds contact are refused. The simulator takes its object away meanwhile. The
     reference is a file beside the preset.
     """
-    from .reference import capture_into
-
-    capture_into(preset, source, frames, force=force)
+    _capture_into(preset, source, frames, force=force)
 
 
 @preset_commands.command()
@@ -133,26 +139,6 @@ def schema() -> None:
     from ...core.preset.file import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))
-
-
-def find_rig(name: str) -> Rig:
-    """Return the rig of a rig file, of a preset or of a source of frames."""
-    from ...core.model.rig_file import load_rig, read_json_object
-    from ...core.preset.file import load_preset
-
-    path = Path(name)
-    if path.is_file() and path.suffix == ".json":
-        if "schema" not in read_json_object(path):
-            return load_rig(path)
-        rig = load_preset(path).rig
-        if rig is None:
-            raise SourceError(f"the preset {path} serves any rig and names none; give a rig.json or a source of frames")
-        return rig
-
-    from .run import open_with_progress
-
-    with open_with_progress(name) as source:
-        return source.rig
 
 
 def _tell_notes(preset: Preset) -> None:
@@ -170,3 +156,66 @@ def _describe(preset: Preset) -> str:
         else "for any rig"
     )
     return f"preset {preset.name!r} {cameras}"
+
+
+def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> None:
+    """Average frames of a source into a preset's reference; first the reference is written, then the preset.
+
+    Raises
+    ------
+    CalibrationError
+        The preset's own pipeline finds a contact patch on the membrane, unless ``force``.
+    """
+    from ...core.preset import now
+    from ...core.preset.file import load_preset, save_preset
+    from ...core.preset.rig_check import check_rig
+    from ...core.rig.untouched import save_reference
+
+    if not path.is_file() or path.suffix == ".mcap":
+        raise PresetError(
+            f"{path} is no preset file that could keep a reference; make one with tactune preset new, "
+            "or copy a shipped one with tactune preset show NAME > FILE"
+        )
+    preset = load_preset(path)
+    with open_with_progress(source_name, preset.cameras) as source:
+        for sentence in check_rig(preset, source.rig):
+            warn(sentence)
+        captured = average_frames(source, frames)
+        _check_untouched(preset, path, source.rig, captured.frame, force=force)
+        unit_m = source.rig.tactile.depth_unit_m
+    record = save_reference(captured.frame, captured.frames, path)
+    save_preset(preset.model_copy(update={"reference": record, "modified": now()}), path)
+    if captured.frames < frames:
+        warn(f"{source.name} ended after {captured.frames} of the {frames} frames asked for")
+    typer.echo(f"averaged {counted(captured.frames, 'frame')} of {source.name}{_noise_words(captured, unit_m)}")
+    typer.echo(f"wrote {path.parent / record.file}, named in {path}")
+
+
+def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
+    """Say what speaks against an untouched membrane, and refuse one that is surely touched."""
+    from ...core.contact.warmup import warm_up_if_needed
+    from ...core.rig.untouched_check import touch_doubts
+
+    with CliProgress() as progress:
+        warm_up_if_needed(progress.preparing)
+    for doubt in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
+        if doubt.certain and not force:
+            raise CalibrationError(f"{doubt.sentence}, or keep it all the same with --force")
+        warn(doubt.sentence)
+
+
+def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
+    from ...core.rig.untouched import load_reference
+
+    try:
+        return None if preset.reference is None else load_reference(preset.reference, path)
+    except PresetError:  # lost or damaged: the new one mends that
+        return None
+
+
+def _noise_words(captured: CapturedReference, unit_m: float) -> str:
+    """Say how much averaging helped, where that is known."""
+    single, averaged = (1e3 * unit_m * counts for counts in captured.noise_counts)
+    if math.isnan(single):
+        return ""
+    return f": noise of the tactile depth {single:.2f} mm in one frame, {averaged:.2f} mm in the reference"

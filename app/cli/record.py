@@ -10,7 +10,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import ExportError
-from .stop import WAIT_S, stop_on_signals
+from .common import (
+    WAIT_S,
+    CliProgress,
+    counted,
+    number_of_frames,
+    open_with_progress,
+    stop_on_signals,
+    warn,
+    warn_of_lost_frames,
+)
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
@@ -48,7 +57,6 @@ def record(
     """
     from ...core.preset.file import load_preset
     from ...core.recording import SessionWriter
-    from .run import open_with_progress
 
     if out.suffix != ".mcap":
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
@@ -81,8 +89,6 @@ def convert(
     from ...core.recording.convert import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
-    from .progress import CliProgress
-    from .run import counted, open_with_progress, warn
 
     if target.suffix in _READ_ONLY_SUFFIXES:
         raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")
@@ -112,7 +118,6 @@ def convert(
 def _reference(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
     """Return what the recording is to keep: the preset's own reference, else the source's."""
     from ...core.rig.untouched import kept_reference
-    from .run import warn
 
     found = kept_reference(preset, origin, source)
     for sentence in found.warnings:
@@ -122,9 +127,6 @@ def _reference(preset: Preset | None, origin: str | None, source: FrameSource) -
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:
     """Hand frames over until the source ends, enough are there, something fails or Ctrl+C is pressed."""
-    from .progress import CliProgress
-    from .run import number_of_frames, warn
-
     live = source.length is None
     total, end_s = number_of_frames(source, frames), math.inf
     if seconds is not None and live:
@@ -151,7 +153,6 @@ def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | Non
 
 
 def _tell(source: FrameSource, status: RecordingStatus, lost_before: int) -> None:
-    from .run import counted, warn, warn_of_lost_frames
 
     if status.error:
         kept = f"; the {counted(status.frames, 'frame')} before are in the file" if status.frames else ""

@@ -7,35 +7,46 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from enum import StrEnum
 from pathlib import Path
 from statistics import median
 from threading import Event
-from typing import Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ...core.contact.pipeline import ContactPatch
-from ...core.contact.warmup import warm_up_if_needed
 from ...core.errors import ExportError, SourceError
-from ...core.evaluation.metrics import compare_with_truth
-from ...core.methods.method import MethodPatch
-from ...core.model.clouds import PointCloud
-from ...core.model.frames import GroundTruth, Rig, SensorFrame
-from ...core.preset import CamerasSection, Preset
-from ...core.preset.file import load_preset
-from ...core.preset.rig_check import check_rig
-from ...core.recording.cloud_files import patch_cloud, write_cloud
-from ...core.sources import FrameSource
-from ...core.sources.folder import export_folder
-from ...core.sources.registry import open_source
-from .method import FUSION, Step, make_step, read_reference
-from .patch_record import finite_or_none
-from .progress import CliProgress
-from .settings import parse_settings
-from .stop import WAIT_S, stop_on_signals
+from .common import (
+    FUSION,
+    SOURCE,
+    WAIT_S,
+    CliProgress,
+    FrameCount,
+    PresetOption,
+    SourceOption,
+    counted,
+    default_preset,
+    finite_or_none,
+    number_of_frames,
+    open_with_progress,
+    parse_settings,
+    stop_on_signals,
+    warn,
+    warn_of_lost_frames,
+)
+
+if TYPE_CHECKING:
+    from ...core.contact.pipeline import ContactPatch
+    from ...core.methods.method import MethodPatch
+    from ...core.model.clouds import PointCloud
+    from ...core.model.frames import GroundTruth, Rig, SensorFrame
+    from ...core.preset import Preset
+    from ...core.sources import FrameSource
+    from .methods import Step
+
+    SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
 
 Record = dict[str, Any]
-SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
 
 #: Exit status of what was interrupted, as shells have it for Ctrl+C.
 INTERRUPTED_STATUS = 130
@@ -51,6 +62,15 @@ STRAIN_KEYS = {
     "true_strain_width_percent": "along the width",
     "true_max_strain_percent": "in any direction",
 }
+
+
+class Format(StrEnum):
+    """File formats of a patch."""
+
+    NPZ = "npz"
+    PLY = "ply"
+    PCD = "pcd"
+    CSV = "csv"
 
 
 @dataclass(frozen=True)
@@ -69,8 +89,72 @@ class RunOptions:
     settings: tuple[str, ...] = ()
 
 
+def run(
+    *,
+    source: SourceOption = SOURCE,
+    preset: PresetOption = None,
+    frames: FrameCount = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "--out",
+            "-o",
+            metavar="DIR|FILE.mcap",
+            help="A folder: a file a frame, such as patch_000012.npz. A .mcap: all patches, as PointCloud2 for ROS 2.",
+        ),
+    ] = None,
+    file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
+    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
+    truth: Annotated[
+        bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
+    ] = False,
+    method: Annotated[
+        str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
+    ] = "fusion",
+    reference: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
+        ),
+    ] = None,
+    settings: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="FIELD=VALUE", help="As in tactune preset new, for this run; may be repeated."),
+    ] = None,
+) -> None:
+    """Compute contact patches without a window."""
+    if out is None and not json_lines and not truth:
+        raise typer.BadParameter(
+            "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
+        )
+    preset = preset or default_preset(source)
+    changed = tuple(settings or ())
+    run_frames(
+        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference, changed)
+    )
+
+
+def export_folder(
+    *,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
+    source: SourceOption = SOURCE,
+    frames: FrameCount = None,
+) -> None:
+    """Write frames as PNG images, to hand on."""
+    from ...core.sources.folder import export_folder as write_folder
+
+    with open_with_progress(source) as opened, CliProgress() as progress:
+        count = write_folder(opened, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
+    typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {out}")
+
+
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
+    from ...core.contact.warmup import warm_up_if_needed
+    from ...core.preset.file import load_preset
+    from ...core.preset.rig_check import check_rig
+    from .methods import make_step, read_reference
+
     preset = load_preset(options.preset).with_values(parse_settings(options.settings))
     reference = read_reference(options.method, options.reference)
     if options.out is not None and options.out.suffix != MCAP_SUFFIX:
@@ -108,6 +192,8 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
     else:
+        from ...core.recording.cloud_files import write_cloud
+
         yield lambda patch, frame: write_cloud(
             patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig)
         )
@@ -115,13 +201,11 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
 
 def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
     """Return what is known of a patch; the points of other methods than fusion need not be pixels."""
+    from ...core.contact.pipeline import ContactPatch
+    from ...core.model.clouds import PointCloud
+    from ...core.recording.cloud_files import patch_cloud
+
     return patch_cloud(patch, frame, rig) if isinstance(patch, ContactPatch) else PointCloud(patch.points)
-
-
-def warn_of_lost_frames(source: FrameSource, before: int) -> None:
-    """Tell how many frames the source has lost since it had lost ``before``."""
-    if lost := source.health().dropped - before:
-        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
 
 
 def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
@@ -163,22 +247,6 @@ def process_frames(
     return records
 
 
-def export_frames(source_name: str, out: Path, frames: int | None) -> None:
-    """Write a source's frames as a folder of images."""
-    with open_with_progress(source_name) as source, CliProgress() as progress:
-        count = export_folder(source, out, frames, lambda share, _: progress.frames(round(share * 100), 100))
-    typer.echo(f"wrote {counted(count, 'frame')} of {source.name} to {out}")
-
-
-@contextmanager
-def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
-    """Open a source, showing how its preparation goes; ``cameras`` of a preset are for live ones."""
-    with CliProgress() as progress:
-        source = open_source(name, progress.preparing, cameras)
-    with source:
-        yield source
-
-
 def make_folder(folder: Path) -> None:
     """Make the folder for patches before anything is computed, and say what it already holds."""
     try:
@@ -195,16 +263,12 @@ def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
     return folder / f"patch_{sequence:06d}.{file_format}"
 
 
-def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
-    """Return how many frames there will be, None where nobody knows."""
-    known = [count for count in (source.length, asked) if count is not None]
-    return min(known, default=None)
-
-
 def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
     """Compare with the truth; every value is None where the source has none."""
     if truth is None:
         return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
+    from ...core.evaluation.metrics import compare_with_truth
+
     scores = compare_with_truth(patch, truth, rig)
     known = truth.strain
     strains = (known.length, known.width, known.largest) if known is not None else (None, None, None)
@@ -267,13 +331,3 @@ def truth_lines(records: list[Record]) -> list[str]:
 
 def _by(method: str) -> str:
     return "" if method == FUSION else f", method {method}"
-
-
-def counted(number: int, thing: str) -> str:
-    """Return a number of things in words, such as ``"1 frame"`` or ``"2 frames"``."""
-    return f"{number} {thing}" + ("s" if number != 1 else "")
-
-
-def warn(sentence: str) -> None:
-    """Say something on standard error."""
-    typer.echo(f"tactune: {sentence}", err=True)

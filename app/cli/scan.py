@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 from enum import StrEnum
 from pathlib import Path
@@ -12,11 +10,19 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from ...core.errors import TactuneError
-from ...core.model.arrays import BoolArray
-from ...core.model.files import atomic_path
-from ..document import defaults
+from .common import (
+    FUSION,
+    CliProgress,
+    default_preset,
+    finite_or_none,
+    number_of_frames,
+    open_with_progress,
+    warn,
+    write_csv,
+)
 
 if TYPE_CHECKING:
+    from ...core.model.arrays import BoolArray
     from ...core.model.frames import Matrix4, SensorFrame
     from ...core.preset import Preset
     from ...core.scan.paint import PaintSettings
@@ -24,7 +30,7 @@ if TYPE_CHECKING:
     from ...core.scan.scan import Scan
     from ...core.scan.scores import ScanTruth
     from ...core.sources import FrameSource
-    from .method import Step
+    from .methods import Step
 
 Record = dict[str, Any]
 
@@ -112,16 +118,14 @@ def evaluate_recording(
     from ...core.scan.pose import save_transform as write_transform
     from ...core.scan.scan import UNITS_M, load_scan
     from ...core.scan.scores import scan_truth
-    from .progress import CliProgress
-    from .run import number_of_frames, open_with_progress
-    from .scan_frames import frame_range, frames_between, remembered_frames
+    from .methods import frame_range, frames_between, remembered_frames
 
     unit_m = UNITS_M[unit]
     first, last = frame_range(frame, frames)
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
     names = _methods(method or [], reference)
-    origin = preset or defaults.default_preset(source)
+    origin = preset or default_preset(source)
     chosen = load_preset(origin)
     loaded = load_scan(scan, unit_m)
     contact = _contact(loaded, settings, scan)
@@ -150,7 +154,7 @@ def evaluate_recording(
     if save_transform is not None:
         write_transform(save_transform, pose)
     if csv_file is not None:
-        _write_csv(csv_file, records)
+        write_csv(csv_file, records)
     if as_json:
         found = {"scan": str(scan), "contact_mm2": truth.area_mm2, "T_proximity_scan": pose}
         found["refined"] = refined and {name: getattr(refined, name) for name in _REFINED}
@@ -186,7 +190,6 @@ def export_scan(
 ) -> None:
     """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
     from ...core.scan.simulated import PaintFlaws, export_painted_scan
-    from .run import open_with_progress
 
     spacing_m = None if spacing_mm is None else spacing_mm / 1e3
     with open_with_progress(source) as opened:
@@ -262,7 +265,7 @@ def _contact(scan: Scan, paint: PaintSettings, path: Path) -> BoolArray:
 def _methods(asked: list[str], reference: str | None) -> list[str]:
     """Return the methods' names, each once and known."""
     from ...core.methods.registry import method_names, needs_reference
-    from .method import FUSION, read_reference
+    from .methods import read_reference
 
     names = list(dict.fromkeys([FUSION, *method_names()] if "all" in asked else asked or [FUSION]))
     for name in names:
@@ -277,8 +280,7 @@ def _steps(
 ) -> dict[str, Step]:
     """Build what each method does with a frame; one that cannot work here is left out with a warning, or refused."""
     from ...core.methods.registry import needs_reference
-    from .method import make_step, read_reference
-    from .run import warn
+    from .methods import make_step, read_reference
 
     needing = [name for name in names if needs_reference(name)]
     untouched = read_reference(needing[0], reference) if needing else None
@@ -307,7 +309,6 @@ def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Reco
     """Return what is said of one method's patch in one frame."""
     from ...core.evaluation.cells import NO_CONTACT_FOUND
     from ...core.scan.scores import score_against_scan
-    from .patch_record import finite_or_none
 
     said, patch = step(frame)
     scores = score_against_scan(patch.points, said["area_mm2"] or 0.0, truth)
@@ -318,8 +319,6 @@ def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Reco
 
 
 def _warn_of_places(records: list[Record]) -> None:
-    from .run import warn
-
     known = [record["symmetric_rmse_mm"] for record in records if record["symmetric_rmse_mm"] is not None]
     if known and min(known) > _FAR_MM:
         warn(
@@ -363,12 +362,3 @@ def _mean(name: str, records: list[Record]) -> Record:
         return {"method": name, "points": 0, "failure": "no patch in any frame"}
     means: Record = {column: sum(record[column] for record in good) / len(good) for column in ("points", *_COLUMNS)}
     return means | {"method": name, "failure": ""}
-
-
-def _write_csv(path: Path, records: list[Record]) -> None:
-    text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, list(records[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")

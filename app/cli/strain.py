@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import itertools
 import json
 import sys
@@ -15,8 +13,15 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import SourceError
-from ...core.model.files import atomic_path
-from ..document import defaults
+from .common import (
+    CliProgress,
+    FrameCount,
+    default_preset,
+    number_of_frames,
+    open_with_progress,
+    warn,
+    write_csv,
+)
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
@@ -59,9 +64,7 @@ def strain(
     spacing_mm: Annotated[
         float, typer.Option("--spacing-mm", metavar="MM", help="Distance of neighbouring dots on the flat sheet.")
     ] = 10.0,
-    frames: Annotated[
-        int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many; default: all.")
-    ] = None,
+    frames: FrameCount = None,
     average: Annotated[
         int,
         typer.Option(
@@ -90,13 +93,11 @@ def strain(
     from ...core.rig.untouched import kept_reference
     from ...core.strain.average import average_still
     from ...core.strain.strain import StrainError, check_spacing, indentation_m, measure_strain
-    from .progress import CliProgress
-    from .run import number_of_frames, open_with_progress, warn
 
     if plot is not None and plot.suffix.lower() != ".png":
         raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
     check_spacing(spacing_mm / 1e3)
-    origin = preset or defaults.default_preset(source)
+    origin = preset or default_preset(source)
     chosen = load_preset(origin)
     records: list[StrainRecord] = []
     measured: StrainMeasurement | None = None
@@ -128,7 +129,7 @@ def strain(
     if measured is None:
         raise StrainError(records[0].problem)
     if csv_file is not None:
-        _write_csv(records, csv_file)
+        write_csv(csv_file, [asdict(record) for record in records])
     if plot is not None:
         _draw(records, measured, plot)
     if not json_lines:
@@ -178,16 +179,6 @@ def _solver(record: StrainRecord) -> str:
         return ""
     length = f"{record.true_strain_length_seen_percent:.1f} ({record.true_strain_length_percent:.1f})"
     return f"{length:>35}{f'{record.true_strain_width_seen_percent:.1f} ({record.true_strain_width_percent:.1f})':>18}"
-
-
-def _write_csv(records: list[StrainRecord], path: Path) -> None:
-    text = io.StringIO(newline="")
-    rows = [asdict(record) for record in records]
-    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    with atomic_path(path) as temporary:
-        temporary.write_text(text.getvalue(), encoding="utf-8")
 
 
 def _draw(records: list[StrainRecord], last: StrainMeasurement, path: Path) -> None:

@@ -3,26 +3,36 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+import math
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, Final
 
 import typer
+from rich.box import SIMPLE
+from rich.console import Console
+from rich.table import Table
 
 from ...core.errors import ExportError
-from .progress import CliProgress
+from .common import CliProgress, counted, default_preset, finite_or_none, warn
 
 if TYPE_CHECKING:
     from ...core.preset import Preset
+    from ...core.tuning.best import Edge, Effect, Score
     from ...core.tuning.journal import Journal
     from ...core.tuning.plan import Plan, Request
     from ...core.tuning.sweep import Engine
     from ...core.tuning.sweep_file import SweepFile
+    from ...core.tuning.table import Row
 
 #: What stands beside the table while and after a sweep runs, so that it can go on.
 JOURNAL_SUFFIX = ".runs.jsonl"
+#: Settings that are shown.
+TOP: Final = 10
+
+_UNITS: Final = {"rmse_mm": "mm", "area_error": "mm2", "area": "mm2", "ms": "ms a frame"}
 
 
 @dataclass(frozen=True)
@@ -104,12 +114,17 @@ def sweep(
 ) -> None:  # fmt: skip
     """Try parameters over recordings and scenes, in parallel; Ctrl-C keeps what is done, the same command goes on."""
     from ...core.sources.registry import open_source
-    from ...core.tuning.best import best_preset, check_presentable, choose_objective, edges, effects, rank
+    from ...core.tuning.best import (
+        best_preset,
+        check_presentable,
+        choose_objective,
+        edges,
+        effects,
+        rank,
+    )
     from ...core.tuning.journal import Journal
     from ...core.tuning.plan import little_averaged, make_plan, short_takes
     from ...core.tuning.table import check_replaced, check_table, sweep_rows, write_table
-    from .run import counted, warn
-    from .sweep_text import outcome_as_json, print_outcome
 
     options = _options(file, preset, source, settings, method, frames, seeds, sample, seed, objective)
     kept = out.with_name(out.name.removesuffix(".parquet") + JOURNAL_SUFFIX)
@@ -140,10 +155,10 @@ def sweep(
     found, at_edge = effects(plan, scores), edges(plan, scores)
     if as_json:
         typer.echo(
-            json.dumps(outcome_as_json(plan, scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False)
+            json.dumps(_outcome_as_json(plan, scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False)
         )
     else:
-        print_outcome(plan, scores, found, at_edge, chosen)
+        _print_outcome(plan, scores, found, at_edge, chosen)
     typer.echo(f"wrote {out}: {counted(len(rows), 'run')}", err=True)
     if failed := [row for row in rows if row["failure"]]:
         warn(f"{counted(len(failed), 'run')} failed, such as: {failed[0]['failure']}")
@@ -210,8 +225,6 @@ def _preset_of_file(told: SweepFile, file: Path | None) -> str | None:
 
 
 def _usual_preset(sources: tuple[str, ...]) -> str:
-    from ..document.defaults import default_preset
-
     names = {default_preset(source) for source in sources}
     return names.pop() if len(names) == 1 else "default"
 
@@ -226,7 +239,6 @@ def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, i
     from ...core.tuning.cluster import connect
     from ...core.tuning.local import check_joblib, run_locally
     from ...core.tuning.values import SweepError
-    from .run import warn
 
     if scheduler is None:
         check_joblib()
@@ -247,7 +259,6 @@ def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, i
 def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progress: CliProgress) -> None:
     """Run what is left, telling how far it is; after Ctrl-C say how to go on."""
     from ...core.tuning.sweep import measure_sweep
-    from .run import counted, warn
 
     try:
         for done in measure_sweep(plan, journal, engine, workers):
@@ -285,3 +296,94 @@ def _write_best(path: Path, preset: Preset, options: _Options) -> None:
         copy_reference(preset.reference, options.preset_file, path)
     save_preset(preset, path)
     typer.echo(f"wrote {path}", err=True)
+
+
+def _print_outcome(
+    plan: Plan, scores: Sequence[Score], effects: Iterable[Effect], edges: Iterable[Edge], objective: str
+) -> None:
+    """Print the best settings and what each parameter does."""
+    from ...core.tuning.best import OBJECTIVES
+
+    console = Console(highlight=False, soft_wrap=True)
+    larger = OBJECTIVES[objective][1]
+    heading = (
+        f"{objective}{f' ({_UNITS[objective]})' if objective in _UNITS else ''}, {'most' if larger else 'least'} first"
+    )
+    best = Table(title=f"Best {min(TOP, len(scores))} of {len(scores)} settings by {heading}", box=SIMPLE,
+                 title_justify="left")  # fmt: skip
+    names = _columns(plan)
+    for name in names:
+        best.add_column(name, no_wrap=True)
+    for name in (objective, *["ms"] * (objective != "ms"), "failed or missed"):
+        best.add_column(name, justify="right", no_wrap=True)
+    for score in scores[:TOP]:
+        times = [_number(score.ms)] * (objective != "ms")
+        best.add_row(*(_value(score, name) for name in names), _number(score.value), *times, str(score.bad))
+    console.print(best)
+    by_value = Table(title=f"Mean {objective} over all other parameters", box=SIMPLE, title_justify="left")
+    for name in ("parameter", "value"):
+        by_value.add_column(name, no_wrap=True)
+    for name in (objective, "runs"):
+        by_value.add_column(name, justify="right")
+    shown = ""
+    for effect in effects:
+        by_value.add_row("" if effect.path == shown else effect.path, effect.label, _number(effect.value),
+                         str(effect.runs))  # fmt: skip
+        shown = effect.path
+    if shown:
+        console.print(by_value)
+    for edge in edges:
+        console.print(f"{edge.sentence[:1].upper()}{edge.sentence[1:]}.")
+
+
+def _outcome_as_json(
+    plan: Plan,
+    scores: Sequence[Score],
+    effects: Iterable[Effect],
+    edges: Iterable[Edge],
+    objective: str,
+    rows: Sequence[Row],
+    out: Path,
+) -> dict[str, Any]:
+    """Return the same as `_print_outcome` shows, for programs."""
+    return {
+        "runs": len(rows),
+        "failed": sum(bool(row["failure"]) for row in rows),
+        "out": str(out),
+        "objective": objective,
+        "top": [
+            {
+                "method": score.setting.method,
+                "values": score.setting.values,
+                "value": finite_or_none(score.value),
+                "ms": finite_or_none(score.ms),
+                "failed_or_missed": score.bad,
+                "runs": score.runs,
+            }
+            for score in scores[:TOP]
+        ],
+        "effects": [
+            {"parameter": effect.path, "value": effect.label, "mean": effect.value, "runs": effect.runs}
+            for effect in effects
+        ],
+        "at_edge": [
+            {"parameter": edge.path, "value": edge.value, "edge": "largest" if edge.largest else "smallest"}
+            for edge in edges
+        ],
+    }
+
+
+def _columns(plan: Plan) -> list[str]:
+    several = len({setting.method for setting in plan.settings}) > 1
+    return [*["method"] * several, *plan.paths]
+
+
+def _value(score: Score, name: str) -> str:
+    if name == "method":
+        return score.setting.method
+    value = score.setting.values[name]
+    return value if isinstance(value, str) else json.dumps(value)
+
+
+def _number(number: float) -> str:
+    return "-" if math.isnan(number) else f"{number:.4g}"

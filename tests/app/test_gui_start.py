@@ -10,6 +10,7 @@ import sys
 import pytest
 from PyQt6.QtGui import QImage
 
+from tactune.app.cli.common import default_preset
 from tactune.app.gui import run_gui, start_with
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
@@ -28,22 +29,22 @@ def recording(tmp_path):
     ("source", "name"), [("sim", "simulator"), ("sim:cube?seed=2", "simulator"), ("bag:x", "default")]
 )
 def test_the_preset_fits_the_source(source, name):
-    preset, path = start_with(None, source)
+    preset, path = start_with(default_preset(source))
     assert preset.name == name
     assert path is None
 
 
 def test_a_preset_file_stays_the_document_s(preset, tmp_path):
     save_preset(preset, tmp_path / "mine.json")
-    assert start_with(str(tmp_path / "mine.json"), "sim") == (preset, tmp_path / "mine.json")
+    assert start_with(str(tmp_path / "mine.json")) == (preset, tmp_path / "mine.json")
     with pytest.raises(PresetError, match="missing"):
-        start_with(str(tmp_path / "missing.json"), "sim")
+        start_with(str(tmp_path / "missing.json"))
 
 
 @pytest.mark.parametrize("theme", ["light", "dark"])
 def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, theme):
     picture = tmp_path / "window.png"
-    assert run_gui(recording, None, picture, after=2, size=(1100, 700), theme=theme) == 0
+    assert run_gui(recording, "default", picture, after=2, size=(1100, 700), theme=theme) == 0
     image = QImage(str(picture))
     assert (image.width(), image.height()) == (1100, 700)
     corner = image.pixelColor(1098, 690).lightness()
@@ -53,13 +54,13 @@ def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, them
 
 def test_a_single_frame_is_enough_for_a_picture(qapp, tmp_path):
     export_folder(TinySource(length=1), tmp_path / "one")
-    assert run_gui(f"folder:{tmp_path / 'one'}", None, tmp_path / "window.png", after=30) == 0
+    assert run_gui(f"folder:{tmp_path / 'one'}", "default", tmp_path / "window.png", after=30) == 0
     assert (tmp_path / "window.png").exists()
 
 
 def test_no_picture_without_a_source(qapp, tmp_path):
     with pytest.raises(ExportError, match="nowhere"):
-        run_gui(f"folder:{tmp_path / 'nowhere'}", None, tmp_path / "window.png", after=1)
+        run_gui(f"folder:{tmp_path / 'nowhere'}", "default", tmp_path / "window.png", after=1)
     assert not (tmp_path / "window.png").exists()
 
 
@@ -67,7 +68,7 @@ INTERRUPT = """
 import os, signal, sys
 from PyQt6.QtCore import QTimer
 from tactune.app import gui
-from tactune.app.main_window import MainWindow
+from tactune.app.window.main_window import MainWindow
 
 shown = MainWindow._show_newest
 def interrupt(window):
@@ -78,7 +79,7 @@ def interrupt(window):
         window.worker.shut_down = lambda: (print("ended"), end())
         QTimer.singleShot(0, lambda: [os.kill(os.getpid(), int(sys.argv[2])) for _ in range(2)])
 MainWindow._show_newest = interrupt
-sys.exit(gui.run_gui(sys.argv[1], None, None, 1))
+sys.exit(gui.run_gui(sys.argv[1], "simulator", None, 1))
 """
 
 

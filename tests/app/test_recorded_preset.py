@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tactune.app.document.defaults import default_preset
+from tactune.app.cli.common import default_preset
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError

@@ -40,7 +40,7 @@ print("numba" in sys.modules)
 def test_the_commands_that_need_no_window_import_none() -> None:
     program = """
 import sys
-from tactune.app import cli, cli_calibrate, cli_preset, cli_run
+from tactune.app.cli import main, methods, run
 print(sorted({name.partition(".")[0] for name in sys.modules} & {"PyQt6", "pyqtgraph", "OpenGL", "open3d"}))
 """
     done = subprocess.run([sys.executable, "-c", program], check=False, capture_output=True, text=True)

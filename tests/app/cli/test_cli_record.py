@@ -17,7 +17,6 @@ import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
-from tactune.app.cli import run as cli_run
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
@@ -90,7 +89,7 @@ class LiveSource(FrameSource):
 @pytest.fixture
 def live(recording: Path, monkeypatch: pytest.MonkeyPatch) -> LiveSource:
     source = LiveSource(open_source(str(recording)))
-    monkeypatch.setattr(cli_run, "open_source", lambda *_: source)
+    monkeypatch.setattr("tactune.core.sources.registry.open_source", lambda *_: source)
     return source
 
 

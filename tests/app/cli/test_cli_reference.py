@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 import pytest
 
-from tactune.app.cli import reference as cli_reference
 from tactune.core.errors import ExportError
 from tactune.core.preset import Preset
 from tactune.core.preset.file import load_preset, save_preset
@@ -74,7 +73,7 @@ def test_a_crash_before_the_preset_is_written_leaves_the_old_pair(
     def fail(*_: object) -> None:
         raise ExportError("the disk is full")
 
-    monkeypatch.setattr(cli_reference, "save_preset", fail)
+    monkeypatch.setattr("tactune.core.preset.file.save_preset", fail)
     words = ("preset", "capture-reference", "--source", recording, "--preset", referenced)
     assert tactune(*words).status == 2
     assert load_preset(referenced) == before

@@ -12,6 +12,8 @@ from typing import Any
 
 import pytest
 
+from tactune.app.cli.common import default_preset
+
 Tactune = Callable[..., Any]
 HEAVY = ("numpy", "scipy", "cv2", "numba", "pydantic", "open3d", "PyQt6", "pyqtgraph", "OpenGL")
 
@@ -65,7 +67,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
 
 def test_without_a_command_the_window_opens_on_the_simulator(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
     assert tactune().status == 0
-    assert [call[:3] for call in opened] == [("sim", None, None)]
+    assert [call[:3] for call in opened] == [("sim", "simulator", None)]
 
 
 def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any, ...]]) -> None:
@@ -110,7 +112,7 @@ class WithoutLibrary:
             raise ImportError("libEGL.so.1: cannot open shared object file: No such file or directory")
 {obstacle}
 sys.argv = ["tactune", "gui"]
-from tactune.app.cli import main
+from tactune.app.cli.main import main
 sys.exit(main())
 """
     environment = os.environ | {"QT_QPA_PLATFORM": "offscreen"}
@@ -135,3 +137,12 @@ def test_a_display_that_does_not_answer_is_said_in_words(tactune: Tactune, monke
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setenv("DISPLAY", ":9999")
     assert "display :9999 does not answer" in tactune().sentence
+
+
+@pytest.mark.parametrize(
+    ("source", "preset"),
+    [("sim", "simulator"), ("sim:cup?seed=3", "simulator"), ("live:sim", "simulator"), ("live:sim:cube", "simulator"),
+     ("folder:sim", "default"), ("realsense:", "default"), ("live:folder:x", "default"), ("similar.bag", "default")],
+)  # fmt: skip
+def test_the_simulator_has_a_preset_of_its_own(source: str, preset: str) -> None:
+    assert default_preset(source) == preset

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tactune.app.cameras import list_devices
-from tactune.app.cli import devices as cli_devices
+from tactune.app.cli import doctor as cli_devices
 from tactune.app.doctor import cameras as doctor_cameras
 from tactune.app.doctor import checks as doctor
 from tactune.app.doctor.cameras import UsbCamera

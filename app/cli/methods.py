@@ -1,24 +1,23 @@
-"""What ``tactune run`` does with a frame: the pipeline, or another method behind the same interface."""
+"""What ``tactune run`` and ``tactune evaluate recording`` do with frames: choose them, run a method, record numbers."""
 
 from __future__ import annotations
 
+import itertools
+import re
 import time
-from collections.abc import Callable
-from typing import Any, Final
+from collections.abc import Callable, Iterator
+from typing import Any
 
-from ...core.contact.pipeline import ContactPatch, ContactPipeline
+from ...core.contact.pipeline import ContactPatch, ContactPipeline, averaged_frames
 from ...core.errors import SourceError, TactuneError
 from ...core.evaluation.metrics import method_area_mm2
 from ...core.methods.method import MethodPatch
-from ...core.methods.registry import make_method, method_names, needs_reference
+from ...core.methods.registry import FUSION_FIELDS, make_method, method_names, needs_reference
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources import FrameSource
 from ...core.sources.registry import open_source
-from .patch_record import patch_record
-
-#: The preset's own pipeline, with whichever alignment it names.
-FUSION: Final = "fusion"
+from .common import FUSION, finite_or_none
 
 #: What can be said of a frame, and its patch.
 Step = Callable[[SensorFrame], tuple[dict[str, Any], ContactPatch | MethodPatch]]
@@ -119,3 +118,60 @@ def _record(method: str, frame: SensorFrame, patch: MethodPatch, ms: float, rig:
         "method": method,
         "failure": patch.failure,
     }
+
+
+def patch_record(patch: ContactPatch) -> dict[str, Any]:
+    """Return the numbers of a patch, ready for JSON (an empty patch has the centroid None)."""
+    return {
+        "sequence": int(patch.sequence),
+        "points": len(patch.points),
+        "area_mm2": finite_or_none(patch.area_mm2),
+        "centroid_m": patch.centroid_m,
+        "averaged_frames": patch.averaged_frames,
+        "stage_ms": {stage: round(ms, 4) for stage, ms in patch.stage_ms.items()},
+    }
+
+
+def frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]:
+    """Return the first and the last frame asked for; None is the source's last.
+
+    Raises
+    ------
+    TactuneError
+        ``--frames`` cannot be read, or ``--frame`` is given beside it.
+    """
+    if frames is None:
+        return (0, None) if frame is None else (frame, frame)
+    match = re.fullmatch(r"([0-9]{1,9}):([0-9]{1,9})", frames)
+    if match is None or int(match[1]) > int(match[2]) or frame is not None:
+        raise TactuneError(f"--frames is {frames!r}; give first:last, such as 0:9, and no --frame beside it")
+    return int(match[1]), int(match[2])
+
+
+def remembered_frames(method: str, preset: Preset) -> int:
+    """Return how many frames a method should be shown before, and with, one that is judged."""
+    fields = {FUSION: {}, **FUSION_FIELDS}.get(method)
+    return 1 if fields is None else averaged_frames(preset.with_values(fields))
+
+
+def frames_between(source: FrameSource, first: int, last: int | None, before: int) -> Iterator[tuple[int, SensorFrame]]:
+    """Yield the frames from first to last, at least one, and as many before them as there are; each with its index.
+
+    Raises
+    ------
+    SourceError
+        The source ends before the last, or before the first.
+    """
+    if source.length is not None and max(first, last or 0) >= source.length:
+        raise SourceError(f"{source.name} has no frame {max(first, last or 0)}; it has {source.length} of them")
+    index = max(0, first - before)
+    if source.length is not None:
+        source.seek(index)
+    else:
+        for _ in itertools.islice(source, index):
+            pass
+    for frame in itertools.islice(source, None if last is None else last + 1 - index):
+        yield index, frame
+        index += 1
+    if index <= first or (last is not None and index <= last):
+        raise SourceError(f"{source.name} has no frame {max(first, index)}; it ended after {index} of them")

@@ -1,0 +1,280 @@
+"""What several commands share: options, progress, stopping, ``--set``, opening a source, the untouched membrane.
+
+Everything heavy is imported inside the functions, since ``tactune --help`` imports this file.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+import signal
+import sys
+import threading
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Annotated, Any, Final, Self
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+from ...core.errors import PresetError, SourceError, TactuneError
+from ...core.model.files import atomic_path, user_path
+
+if TYPE_CHECKING:
+    from ...core.model.frames import Rig, SensorFrame
+    from ...core.preset import CamerasSection
+    from ...core.rig.untouched import CapturedReference
+    from ...core.sources import FrameSource
+
+#: The source where none is given.
+SOURCE = "sim"
+#: The method that is the preset's own pipeline, with its contact test and alignment.
+FUSION: Final = "fusion"
+#: How often a command that waits for a live source looks for Ctrl+C, in seconds.
+WAIT_S = 0.2
+
+SourceOption = Annotated[
+    str,
+    typer.Option(
+        "--source",
+        "-s",
+        metavar="SOURCE",
+        help="Where frames come from: sim, sim:cube (options as in 'sim:cup?seed=3'), realsense:, live:SOURCE, "
+        "folder:PATH, bag:PATH, mcap:PATH, or a path.",
+    ),
+]
+UntouchedSource = Annotated[
+    str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames while nothing touches the membrane.")
+]
+PresetOption = Annotated[
+    str | None,
+    typer.Option(
+        "--preset",
+        "-p",
+        metavar="FILE|NAME",
+        help="A preset file or shipped name; default: the recording's own, simulator for sim, else default.",
+    ),
+]
+FrameCount = Annotated[
+    int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames; default: all.")
+]
+AveragedFrames = Annotated[
+    int, typer.Option("--frames", "-n", min=1, max=1000, metavar="N", help="Number of frames to average.")
+]
+
+
+def default_preset(source: str) -> str:
+    """Return the preset for a source where none is given, as `load_preset` takes it.
+
+    A recording's own where it holds one, ``simulator`` for the simulator (played live or not), else ``default``.
+    """
+    plain = source.removeprefix("live:")
+    path = user_path(plain.removeprefix("mcap:"))
+    if path.suffix == ".mcap" and path.is_file():
+        from ...core.preset.file import load_preset
+
+        with suppress(TactuneError):  # opening the source reports what is wrong with it
+            load_preset(path)
+            return str(path)
+    return "simulator" if plain.partition(":")[0] == "sim" else "default"
+
+
+# Words and numbers
+
+
+def counted(number: int, thing: str) -> str:
+    """Return a number with its noun, such as ``"1 frame"`` or ``"2 frames"``."""
+    return f"{number} {thing}" + ("s" if number != 1 else "")
+
+
+def warn(sentence: str) -> None:
+    """Print a sentence on standard error."""
+    typer.echo(f"tactune: {sentence}", err=True)
+
+
+def finite_or_none(number: float | None) -> float | None:
+    """Return a number as JSON can hold it: nan and infinity become None."""
+    return None if number is None or not math.isfinite(number) else float(number)
+
+
+def write_csv(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Write rows with equal keys as CSV, atomically."""
+    text = io.StringIO(newline="")
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    with atomic_path(path) as temporary:
+        temporary.write_text(text.getvalue(), encoding="utf-8")
+
+
+class CliProgress:
+    """Progress on standard error: a bar on a terminal, elsewhere one sentence before a long preparation.
+
+    A context manager.
+
+    Parameters
+    ----------
+    quiet : bool
+        No bar, because something else is written to the same terminal.
+    """
+
+    def __init__(self, quiet: bool = False) -> None:
+        self._on_terminal = sys.stderr.isatty()
+        # The bar must leave standard output alone: it may be a pipe or a file with JSON lines.
+        self._bar = Progress(
+            TextColumn("{task.description}"),
+            BarColumn(),
+            MofNCompleteColumn(),
+            TimeRemainingColumn(),
+            console=Console(stderr=True),
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+            disable=quiet or not self._on_terminal,
+        )
+        self._task = self._bar.add_task("", visible=False)
+        self._announced = False
+
+    def preparing(self, share: float, what: str) -> None:
+        """Show the share of a preparation that is done, 0 to 1."""
+        if 0 < share < 1 and not self._on_terminal and not self._announced:
+            self._announced = True
+            typer.echo(f"tactune: {what} ...", err=True)
+        self._bar.update(self._task, description=what, completed=round(100 * share), total=100, visible=share < 1)
+
+    def frames(self, done: int, total: int | None, what: str = "frames") -> None:
+        """Show the number of frames done, and the total where it is known."""
+        self._bar.update(self._task, description=what, completed=done, total=total, visible=True)
+
+    def __enter__(self) -> Self:
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bar.stop()
+
+
+@contextmanager
+def stop_on_signals() -> Iterator[threading.Event]:
+    """Yield an event that the first Ctrl+C or SIGTERM sets; the second ends the program as usual."""
+    stopped = threading.Event()
+    usual = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+
+    def restore() -> None:
+        for number, handler in usual.items():
+            signal.signal(number, handler)
+
+    def press(*_: object) -> None:
+        stopped.set()
+        restore()
+
+    for number in usual:
+        signal.signal(number, press)
+    try:
+        yield stopped
+    finally:
+        restore()
+
+
+# --set FIELD=VALUE
+
+
+def parse_settings(texts: Sequence[str]) -> dict[str, Any]:
+    """Return the preset fields that ``FIELD=VALUE`` texts set, with the switches of their sections.
+
+    Raises
+    ------
+    PresetError
+        A text has no ``=``.
+    """
+    return _turning_sections_on(dict(_parse_setting(text) for text in texts))
+
+
+def _parse_setting(text: str) -> tuple[str, Any]:
+    """Split ``path=value``; the value is JSON, or else a bare word."""
+    path, separator, value = text.partition("=")
+    if not separator:
+        raise PresetError(f"--set {text}: there is no =; write FIELD=VALUE, such as tolerance.t=0.01")
+    try:
+        return path.strip(), json.loads(value)
+    except (ValueError, RecursionError):
+        return path.strip(), value
+
+
+def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
+    """Add ``section.enabled``, or the contact test, for each section with a value, unless the person set it."""
+    from ...core.preset.file import preset_paths
+
+    sections = {path.partition(".")[0] for path in values}
+    switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
+    if "membrane" in sections:
+        switches["contact_test"] = "membrane"
+    return switches | values
+
+
+# Sources
+
+
+@contextmanager
+def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iterator[FrameSource]:
+    """Open a source and show its preparation; ``cameras`` is the preset's section for live cameras."""
+    from ...core.sources.registry import open_source
+
+    with CliProgress() as progress:
+        source = open_source(name, progress.preparing, cameras)
+    with source:
+        yield source
+
+
+def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
+    """Return how many frames a command will read; None where that is unknown."""
+    known = [count for count in (source.length, asked) if count is not None]
+    return min(known, default=None)
+
+
+def warn_of_lost_frames(source: FrameSource, before: int) -> None:
+    """Warn of the frames that the source has lost since its count was ``before``."""
+    if lost := source.health().dropped - before:
+        warn(f"{counted(lost, 'frame')} lost before they got here; see that nothing else uses the machine or its USB")
+
+
+def find_rig(name: str) -> Rig:
+    """Return the rig of a rig file, of a preset or of a source of frames."""
+    from ...core.model.rig_file import load_rig, read_json_object
+    from ...core.preset.file import load_preset
+
+    path = Path(name)
+    if path.is_file() and path.suffix == ".json":
+        if "schema" not in read_json_object(path):
+            return load_rig(path)
+        rig = load_preset(path).rig
+        if rig is None:
+            raise SourceError(f"the preset {path} serves any rig and names none; give a rig.json or a source of frames")
+        return rig
+    with open_with_progress(name) as source:
+        return source.rig
+
+
+def average_frames(source: FrameSource, frames: int) -> CapturedReference:
+    """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
+    from ...core.rig.untouched import average_untouched
+    from ...core.rig.untouched_source import frames_to_average
+    from ...core.sources.simulator.source import SimulatorSource
+
+    if isinstance(source, SimulatorSource):
+        warn(f"{source.name} is simulated: its object is taken away for this, so nothing can touch the membrane")
+    with frames_to_average(source, frames) as shown, CliProgress() as progress:
+        return average_untouched(_counted_out(shown, frames, progress))
+
+
+def _counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:
+    for number, frame in enumerate(frames, start=1):
+        yield frame
+        progress.frames(number, total)
