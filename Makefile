@@ -1,4 +1,4 @@
-# make run: set up and start. make test: set up and run every test. make help: the rest.
+# make run: set up and start. make test: set up and run the tests. make help: the rest.
 
 SOURCE ?= sim
 PRESET ?= simulator
@@ -8,14 +8,17 @@ OUT ?= out
 unexport PYTHONPATH
 export PYTHONNOUSERSITE = 1
 
-.PHONY: run test test-newest-realsense lint format setup lock clean help
+.PHONY: run test test-long test-newest-realsense lint format setup lock clean help
 .DEFAULT_GOAL := help
 
 run: setup  ## start the application on the simulator; without a display do the same job headless, into out/
 	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
 
-test: setup  ## run the OpenGL tests under Xvfb, then all others offscreen
+test: setup  ## run the tests: OpenGL under Xvfb, then all others offscreen in two processes
 	@scripts/test.sh
+
+test-long: setup  ## run the soaks and the long random tests
+	@scripts/test.sh long
 
 test-newest-realsense: setup  ## run the tests of the live cameras with the newest camera driver
 	@scripts/test_newest_realsense.sh

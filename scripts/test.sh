@@ -1,18 +1,33 @@
-#!/bin/sh
-# The OpenGL tests need a display and Qt allows one platform per process: they run first, under Xvfb. Everything
-# else runs offscreen and last, so that the closing line of the large suite is the last line printed.
-set -eu
-pytest="env -u WAYLAND_DISPLAY .venv/bin/python -m pytest"
+#!/usr/bin/env bash
+# Runs the tests in two processes; `scripts/test.sh long` runs the soaks and the long random tests instead.
+# The OpenGL tests need a display, and Qt allows one platform per process: they run first, under Xvfb.
+# The last line is the sum of all runs: "N passed, N failed, N skipped".
+set -uo pipefail
+logs=$(mktemp -d)
+trap 'rm -rf "$logs"' EXIT
+status=0
 
-if command -v xvfb-run >/dev/null 2>&1; then
-    xvfb="xvfb-run --auto-servernum --server-args='-screen 0 1600x1000x24'"
-elif [ -n "${DISPLAY:-}" ]; then
-    xvfb=
+run_pytest() { # platform, launcher, pytest's options ...
+    local platform=$1 launcher=$2
+    shift 2
+    eval "env -u WAYLAND_DISPLAY QT_QPA_PLATFORM=$platform $launcher" .venv/bin/python -m pytest '"$@"' 2>&1 |
+        tee "$logs/$(date +%s%N)" || status=1
+}
+
+# Kernels are compiled once, not by both processes at the same time.
+.venv/bin/tactune warmup >/dev/null || status=1
+if [ "${1:-}" = long ]; then
+    run_pytest offscreen "" -m "long and not gl" --numprocesses 2 --dist worksteal
 else
-    echo "The OpenGL tests need xvfb-run or a display: install xvfb with your package manager." >&2
-    exit 1
+    if command -v xvfb-run >/dev/null 2>&1; then
+        run_pytest xcb "xvfb-run --auto-servernum --server-args='-screen 0 1600x1000x24'" -m gl
+    elif [ -n "${DISPLAY:-}" ]; then
+        run_pytest xcb "" -m gl
+    else
+        echo "The OpenGL tests need xvfb-run or a display: install xvfb with your package manager." >&2
+        exit 1
+    fi
+    run_pytest offscreen "" -m "not gl and not long" --numprocesses 2 --dist worksteal
 fi
-gl=0
-eval "QT_QPA_PLATFORM=xcb $xvfb $pytest -m gl" || gl=$?
-QT_QPA_PLATFORM=offscreen $pytest -m "not gl" || exit
-exit $gl
+scripts/sum_tests.sh "$logs"/*
+exit $status

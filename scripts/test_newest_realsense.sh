@@ -13,4 +13,4 @@ folder=$PWD/.realsense-newest
 PYTHONPATH=$folder .venv/bin/python -c 'from importlib.metadata import version
 import pyrealsense2
 print("Camera driver", version("pyrealsense2"), "in", pyrealsense2.__path__[0])'
-PYTHONPATH=$folder QT_QPA_PLATFORM=offscreen exec .venv/bin/python -m pytest tests/realsense "$@"
+PYTHONPATH=$folder QT_QPA_PLATFORM=offscreen exec .venv/bin/python -m pytest tests/core/sources/realsense "$@"

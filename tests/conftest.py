@@ -1,10 +1,33 @@
-"""What holds for every test."""
+"""Settings and fixtures for every test: a home folder per process, patient waiting, recordings of real cameras."""
 
 from __future__ import annotations
 
+import atexit
+import fcntl
+import os
+import shutil
 import signal
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
 
+import platformdirs
+import pytest
 from hypothesis import settings
+from numba.core.caching import IndexDataCacheFile
+
+ROOT = Path(__file__).resolve().parent.parent
+SHARED_DATA = Path(os.environ.get("TACTUNE_TEST_DATA", ROOT.parent / "shared" / "data"))
+NO_SHARED_DATA = "no ../shared/data (set TACTUNE_TEST_DATA)"
+
+# Settings, recovered presets and documents belong to one test process. Caches (kernels, scenes) are shared.
+os.environ["XDG_CACHE_HOME"] = platformdirs.user_cache_dir()
+_home = tempfile.mkdtemp(prefix="tactune-tests-")
+atexit.register(shutil.rmtree, _home, ignore_errors=True)
+os.environ["HOME"] = _home
+for name in ("CONFIG", "DATA", "STATE"):
+    os.environ[f"XDG_{name}_HOME"] = f"{_home}/{name.lower()}"
 
 # A busy machine is no failure.
 settings.register_profile("tactune", deadline=None)
@@ -13,3 +36,52 @@ settings.load_profile("tactune")
 # A shell makes what it runs in the background ignore interrupts, and so would every program that a test starts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _save_locked(save: Callable[..., None]) -> Callable[..., None]:
+    """Let one process at a time extend numba's index of a kernel; two at once could mix up their machine code."""
+
+    def locked(self: Any, key: Any, data: Any) -> None:
+        with Path(self._index_path).with_name(".lock").open("w") as lock:
+            fcntl.flock(lock, fcntl.LOCK_EX)
+            save(self, key, data)
+
+    return locked
+
+
+IndexDataCacheFile.save = _save_locked(IndexDataCacheFile.save)
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Return the folder of recordings of real cameras; skip the test where there is none."""
+    if not SHARED_DATA.is_dir():
+        pytest.skip(NO_SHARED_DATA)
+    return SHARED_DATA
+
+
+@pytest.hookimpl(trylast=True)
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    skipped = terminalreporter.stats.get("skipped", [])
+    count = sum(NO_SHARED_DATA in str(report.longrepr) for report in skipped)
+    if count:
+        words = f"{count} tests of real recordings were SKIPPED: {NO_SHARED_DATA}"
+        terminalreporter.write_line(words, red=True, bold=True)
+
+
+@pytest.fixture
+def qtbot(qapp: Any, request: pytest.FixtureRequest) -> Any:
+    """Give pytest-qt's robot at least a minute of patience: a busy machine does everything, but later."""
+    from pytestqt.qtbot import QtBot
+
+    bot = QtBot(request)
+    for name in ("waitUntil", "waitSignal", "waitSignals", "waitExposed", "waitActive"):
+        setattr(bot, name, _patient(getattr(bot, name)))
+    return bot
+
+
+def _patient(wait: Callable[..., Any]) -> Callable[..., Any]:
+    def wait_longer(*what: Any, timeout: int = 0, **options: Any) -> Any:
+        return wait(*what, timeout=max(timeout, 60_000), **options)
+
+    return wait_longer
