@@ -58,7 +58,7 @@ class Rounds(QObject):
 
     def _begin_when_ready(self) -> None:
         comparison = self._tab.comparison
-        if comparison is None or self._tab.reference.searching or comparison.task.no_reference:
+        if comparison is None or self._tab.untouched.searching or comparison.task.no_untouched:
             return
         self._ready.stop()
         self._window.frameShown.connect(self._frame_shown)

@@ -30,7 +30,7 @@ from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 
 NODES = (440, 1000, 2000)
-#: The frames of a press: the first, untouched one is the reference.
+#: The frames of a press: the first, untouched one is the untouched frame.
 PRESSED = range(6, 42, 2)
 PAPER_MS = 300.0
 

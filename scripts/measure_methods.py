@@ -85,7 +85,7 @@ def source(cell: Cell, seed: int) -> SimulatorSource:
 
 @cache
 def untouched() -> SensorFrame:
-    """Return the reference of the methods that need one."""
+    """Return the untouched frame of the methods that need one."""
     return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0)).read(0)
 
 
@@ -153,17 +153,17 @@ def show(builds: dict[str, Build], cells: Sequence[Cell], seeds: Sequence[int]) 
 def methods() -> dict[str, Build]:
     """Return every method with the straight preset, and fusion with the simulator's too."""
     builds: dict[str, Build] = {
-        name: (lambda rig, reference, name=name: make_method(name, STRAIGHT, rig, reference)) for name in method_names()
+        name: (lambda rig, untouched, name=name: make_method(name, STRAIGHT, rig, untouched)) for name in method_names()
     }
     for name in ("fusion-rigid", "fusion-homography"):
-        builds[f"{name} simulator"] = lambda rig, reference, name=name: make_method(name, SIMULATOR, rig, reference)
+        builds[f"{name} simulator"] = lambda rig, untouched, name=name: make_method(name, SIMULATOR, rig, untouched)
     return builds
 
 
 def parts() -> dict[str, Build]:
     """Return fusion-membrane with one part after another left out."""
     return {
-        label: (lambda rig, reference, values=values: Fusion(STRAIGHT.with_values(values), rig, OURS, MEMBRANE))
+        label: (lambda rig, untouched, values=values: Fusion(STRAIGHT.with_values(values), rig, OURS, MEMBRANE))
         for label, values in PARTS.items()
     }
 

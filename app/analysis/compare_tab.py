@@ -63,7 +63,7 @@ class CompareTab(MeasuringTab):
         if self._result is not None and self._result.source is not result.source:
             self.grid.clear()
         self._result = result
-        self.reference.look(result)
+        self.untouched.look(result)
         self._send()
 
     def shut_down(self) -> None:
@@ -110,8 +110,8 @@ class CompareTab(MeasuringTab):
         self.table.copied.connect(lambda rows: self._say(f"{rows} row{'' if rows == 1 else 's'} copied as text."))
         self.color_by.currentIndexChanged.connect(self._send)
         self.grid.stepChanged.connect(self._send)
-        self.reference.changed.connect(self._reference_changed)
-        self.reference.progress.connect(self._show_progress)
+        self.untouched.changed.connect(self._untouched_changed)
+        self.untouched.progress.connect(self._show_progress)
         self.give_up.clicked.connect(self._cancel_or_retry)
         self.export.clicked.connect(self._ask_where)
 
@@ -137,8 +137,8 @@ class CompareTab(MeasuringTab):
             Task(
                 result,
                 self.table.chosen(),
-                self.reference.frame,
-                self.reference.sentence,
+                self.untouched.frame,
+                self.untouched.sentence,
                 theme_name(),
                 by_truth=self.color_by.currentIndex() == 1 and result.frame.truth is not None,
                 step=self.grid.step,
@@ -174,8 +174,8 @@ class CompareTab(MeasuringTab):
             parts.append(f"{rate:.1f} compared per second, {self.thread_.skipped} skipped")
         if not truth:
             parts.append("no truth known, so no RMSE and IoU")
-        if self.reference.warning:
-            parts.append(self.reference.warning)
+        if self.untouched.warning:
+            parts.append(self.untouched.warning)
         self.status.setText(" · ".join(parts))
 
     def _note_setting_up(self, name: str) -> None:
@@ -188,21 +188,21 @@ class CompareTab(MeasuringTab):
             self.grid.tiles[self._setting_up].show_setting_up()
 
     def _show_progress(self, share: float) -> None:
-        """Show how preparing the reference goes, once that has something to say."""
+        """Show how preparing the untouched frame goes, once that has something to say."""
         self.progress.setValue(round(100 * share))
-        if self.reference.searching:
+        if self.untouched.searching:
             self.progress.show()
             self.give_up.show()
 
-    def _reference_changed(self) -> None:
-        searching = self.reference.searching
+    def _untouched_changed(self) -> None:
+        searching = self.untouched.searching
         self.progress.setVisible(searching and self.progress.isVisible())
-        self.give_up.setVisible(self.progress.isVisible() or self.reference.cancelled)
+        self.give_up.setVisible(self.progress.isVisible() or self.untouched.cancelled)
         self.give_up.setText("Cancel" if searching else "Try again")
         self._send()
 
     def _cancel_or_retry(self) -> None:
-        (self.reference.cancel if self.reference.searching else self.reference.retry)()
+        (self.untouched.cancel if self.untouched.searching else self.untouched.retry)()
 
     # Taking things out
 

@@ -18,7 +18,7 @@ from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.evaluation.metrics import compare_with_truth, method_area_mm2, truth_cloud
 from ...core.methods.method import ContactMethod, MethodPatch, failed
-from ...core.methods.registry import Fusion, make_method, needs_reference, settings_of
+from ...core.methods.registry import Fusion, make_method, needs_untouched, settings_of
 from ...core.model.arrays import BoolArray, Float32Array, Uint16Array
 from ...core.model.clouds import ray_table
 from ...core.model.frames import GroundTruth, Rig, SensorFrame
@@ -126,9 +126,9 @@ class Task:
     result : Result
         The frame, its source and the preset.
     methods : tuple of str
-    reference : SensorFrame or None
-    no_reference : str
-        Why there is no reference, as a sentence with the next step.
+    untouched : SensorFrame or None
+    no_untouched : str
+        Why there is no untouched frame, as a sentence with the next step.
     by_truth : bool
         Colour points by their agreement with the truth.
     step : int
@@ -137,8 +137,8 @@ class Task:
 
     result: Result
     methods: tuple[str, ...]
-    reference: SensorFrame | None = None
-    no_reference: str = ""
+    untouched: SensorFrame | None = None
+    no_untouched: str = ""
     theme: Theme = "light"
     by_truth: bool = False
     step: int = 1
@@ -203,7 +203,7 @@ class _Entrant:
     Attributes
     ----------
     place : tuple
-        Source, rig and reference: where these change, the method is made anew.
+        Source, rig and untouched frame: where these change, the method is made anew.
     settings : tuple
         As `settings_of` returns them.
     warm : bool
@@ -255,14 +255,14 @@ class Comparer:
     def _entrant(self, name: str, task: Task) -> _Entrant:
         """Return a method that fits the task; where the preset has changed, a warm pipeline takes the new one over."""
         preset, source = task.result.preset, task.result.source
-        against = (task.reference, task.no_reference) if needs_reference(name) else ()
+        against = (task.untouched, task.no_untouched) if needs_untouched(name) else ()
         fresh = _Entrant((source.name, source.rig, *against), settings_of(name, preset))
         known = self._entrants.get(name)
         if known is not None and (known.place, known.settings) == (fresh.place, fresh.settings):
             return known
         self._entrants[name] = fresh
-        if against and task.reference is None and task.no_reference:
-            fresh.problem = task.no_reference
+        if against and task.untouched is None and task.no_untouched:
+            fresh.problem = task.no_untouched
             return fresh
         try:
             if known is not None and known.place == fresh.place and isinstance(known.method, Fusion):
@@ -270,7 +270,7 @@ class Comparer:
                 fresh.method, fresh.warm, fresh.shown = known.method, known.warm, known.shown
             else:
                 self._tell(name)
-                fresh.method = make_method(name, preset, source.rig, task.reference)
+                fresh.method = make_method(name, preset, source.rig, task.untouched)
         except Exception as error:
             fresh.problem = explain(error, f"{name} cannot be set up")
         return fresh

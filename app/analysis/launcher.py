@@ -78,7 +78,7 @@ class AnalysisLauncher(QObject):
         made.take_actions(
             [
                 *(self._action(key) for key in TABS),
-                actions.capture_reference,
+                actions.capture_untouched,
                 *(actions.previous, actions.next, actions.first, actions.loop, actions.freeze),
             ]
         )

@@ -14,8 +14,8 @@ from ...widgets.basics.elided_label import ElidedLabel
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..worker.jobs import Job
 from ..worker.results import RateMeter, Result
-from .compare_reference import Reference
 from .tab import AnalysisTab
+from .untouched_search import UntouchedSearch
 
 
 def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
@@ -70,7 +70,7 @@ class MeasuringTab(AnalysisTab):
         self._dialogs = window.dialogs.over(self)
         self._result: Result | None = None
         self._rate = RateMeter()
-        self.reference = Reference(window.document, self)
+        self.untouched = UntouchedSearch(window.document, self)
         self._writing = Job(self)
         self.status = ElidedLabel(waiting)
         self.messages = MessageBar()
@@ -87,7 +87,7 @@ class MeasuringTab(AnalysisTab):
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
-        self.reference.shut_down()
+        self.untouched.shut_down()
         self._writing.stop()
 
     def _lay_out_around(self, sheet: QSplitter, row: QHBoxLayout) -> None:

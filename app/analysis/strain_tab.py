@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MOST_AVERAGED = 30
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
-_NO_REFERENCE = (
+_NO_UNTOUCHED = (
     "No displacement: the untouched membrane is not known. Show it without touch, then press “Take as untouched”."
 )
 _FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
@@ -77,7 +77,7 @@ class StrainTab(MeasuringTab):
         self._result = result
         if not self._frames or result.frame is not self._frames[-1]:
             self._frames.append(result.frame)
-        self.reference.look(result)
+        self.untouched.look(result)
         self._measure()
 
     def shut_down(self) -> None:
@@ -158,8 +158,8 @@ class StrainTab(MeasuringTab):
     def _connect(self) -> None:
         self._job.done.connect(self._show)
         self._job.failed.connect(self._complain)
-        self.reference.changed.connect(self._reference_changed)
-        self.reference.progress.connect(self._show_progress)
+        self.untouched.changed.connect(self._untouched_changed)
+        self.untouched.progress.connect(self._show_progress)
         self.spacing.valueChanged.connect(self._spacing_changed)
         self.average.valueChanged.connect(self._average_changed)
         self.map_of.currentTextChanged.connect(self._map_changed)
@@ -190,10 +190,10 @@ class StrainTab(MeasuringTab):
         if self._result is None or not self._frames:
             return
         frames = list(self._frames)[-self.average.value() :]
-        reference = self._captured or self.reference.frame
+        untouched = self._captured or self.untouched.frame
         result, spacing_m = self._result, self.spacing.value() / 1e3
         pose = result.preset.alignment.rigid.T_proximity_tactile
-        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, reference, pose)
+        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, untouched, pose)
         self._job.start(lambda _: examine(task))
 
     def _show(self, view: StrainView) -> None:
@@ -223,10 +223,10 @@ class StrainTab(MeasuringTab):
             parts.append(f"{view.averaged} frames averaged")
         if result.playback.running and (rate := self._rate.rate()):
             parts.append(f"{rate:.1f} measured per second")
-        if view.task.reference is None and not self.reference.searching:
-            parts.append(_NO_REFERENCE)
-        if self.reference.warning and self._captured is None:
-            parts.append(self.reference.warning)
+        if view.task.untouched is None and not self.untouched.searching:
+            parts.append(_NO_UNTOUCHED)
+        if self.untouched.warning and self._captured is None:
+            parts.append(self.untouched.warning)
         self.status.setText(" · ".join(parts))
 
     # What a person does
@@ -290,9 +290,9 @@ class StrainTab(MeasuringTab):
 
     def _show_progress(self, share: float) -> None:
         self.progress.setValue(round(100 * share))
-        self.progress.setVisible(self.reference.searching)
+        self.progress.setVisible(self.untouched.searching)
 
-    def _reference_changed(self) -> None:
-        if not self.reference.searching:
+    def _untouched_changed(self) -> None:
+        if not self.untouched.searching:
             self.progress.hide()
             self._measure()

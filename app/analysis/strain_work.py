@@ -42,7 +42,7 @@ class StrainTask:
         The newest last; those before it are averaged with it where nothing has moved.
     number : int
         The newest one's, as windows show it: from 1.
-    reference : SensorFrame or None
+    untouched : SensorFrame or None
         The untouched membrane.
     T_proximity_tactile : 4 x 4 or None
         The preset's calibrated pose; None takes the rig's.
@@ -52,7 +52,7 @@ class StrainTask:
     number: int
     rig: Rig
     spacing_m: float
-    reference: SensorFrame | None
+    untouched: SensorFrame | None
     T_proximity_tactile: Matrix4 | None = None
 
     @property
@@ -72,7 +72,7 @@ class StrainView:
     color : uint8, shape (H, W, 3), or None
         The tactile colour image.
     displacement_mm : float or None
-        Against the reference.
+        Against the untouched frame.
     problem : str
         Empty where ``measured`` is there.
     """
@@ -99,8 +99,8 @@ def examine(task: StrainTask) -> StrainView:
     truth = frame.truth.strain if frame.truth is not None else None
     displacement_mm = None
     try:
-        if task.reference is not None:
-            displacement_mm = 1e3 * indentation_m(frame, task.reference, task.rig)
+        if task.untouched is not None:
+            displacement_mm = 1e3 * indentation_m(frame, task.untouched, task.rig)
         measured = measure_strain(frame, task.rig, task.spacing_m, task.T_proximity_tactile)
     except StrainError as error:
         return StrainView(

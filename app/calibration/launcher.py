@@ -94,7 +94,7 @@ class CalibrationLauncher(QObject):
         if self.recheck is not None and self._result is not None:
             document, result = self._document, self._result
             frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
-            self.recheck.check(document.preset, result.source.rig, frame, document.reference_home)
+            self.recheck.check(document.preset, result.source.rig, frame, document.untouched_home)
 
     def _wizard_closed(self) -> None:
         if self.wizard is not None:

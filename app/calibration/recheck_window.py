@@ -13,8 +13,8 @@ from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
-from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_reference
-from ...core.rig.untouched import load_reference
+from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
+from ...core.rig.untouched import load_untouched
 from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
@@ -24,11 +24,11 @@ from .state import ImageChoice
 _FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
 _CHECKING = "Looking the points up on the present frame…"
 _WORST_SHARE = 0.95
-_NO_REFERENCE = (
-    "The inflation was not checked: this preset has no reference. Capture one while nothing touches the membrane, "
-    "with Analysis > Capture reference…"
+_NO_UNTOUCHED = (
+    "The inflation was not checked: this preset has no untouched frame. Capture one while nothing touches the "
+    "membrane, with Analysis > Capture untouched frame…"
 )
-_LOST = "The inflation was not checked: the preset's reference cannot be found; capture it anew."
+_LOST = "The inflation was not checked: the preset's untouched frame cannot be found; capture it anew."
 
 
 @dataclass(frozen=True)
@@ -40,17 +40,17 @@ class Rechecked:
 
 
 def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> Rechecked:
-    """Check the alignment, and the membrane against the preset's reference where it has one."""
+    """Check the alignment, and the membrane against the preset's untouched frame where it has one."""
     alignment: Drift | str
-    membrane: MembraneDrift | str = _NO_REFERENCE if preset.reference is None else _LOST
+    membrane: MembraneDrift | str = _NO_UNTOUCHED if preset.untouched is None else _LOST
     try:
         alignment = recheck(preset, rig, frame)
     except TactuneError as error:
         alignment = _sentence(error)
-    if preset.reference is not None and preset_path is not None:
+    if preset.untouched is not None and preset_path is not None:
         try:
-            reference = load_reference(preset.reference, preset_path)
-            membrane = compare_with_reference(preset, rig, frame, reference)
+            untouched = load_untouched(preset.untouched, preset_path)
+            membrane = compare_with_untouched(preset, rig, frame, untouched)
         except TactuneError as error:
             membrane = f"The inflation was not checked: {error}."
     return Rechecked(alignment, membrane)
@@ -84,7 +84,7 @@ class RecheckWindow(QDialog):
         self.membrane = QLabel()
         self.membrane.setWordWrap(True)
         self.membrane.setFont(font)
-        self.membrane.setToolTip("The tactile and proximity depth of the membrane against the preset's reference")
+        self.membrane.setToolTip("The tactile and proximity depth of the membrane against the preset's untouched frame")
         self.image = PointImage("Tactile camera: where the proximity camera finds each place, from where it should be")
         self.image.set_loupe_wanted(False)
         self.numbers = QGridLayout()
@@ -118,7 +118,7 @@ class RecheckWindow(QDialog):
         self._job.failed.connect(self._fail)
 
     def check(self, preset: Preset, rig: Rig, frame: SensorFrame, preset_path: Path | None = None) -> None:
-        """Check a preset on a frame, on another thread; its reference lies beside ``preset_path``."""
+        """Check a preset on a frame, on another thread; its untouched frame lies beside ``preset_path``."""
         self.sentence.setText(_CHECKING)
         self.membrane.setText("")
         choice: ImageChoice = "color" if frame.tactile_color is not None else "depth"

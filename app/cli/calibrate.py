@@ -78,18 +78,17 @@ def recheck(
 ) -> None:
     """Look whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
-    The alignment is compared with what both colour cameras see, the untouched membrane with the preset's
-    reference. Exit status 0 where what could be checked holds, 1 where something has
-    drifted; what could not be checked is said. A reference that the preset names must be there. The simulator's object
-    is taken away, so there only its noise differs.
+    The alignment is compared with what both colour cameras see, the membrane with the preset's untouched frame. Exit
+    status 0 if every check passes, 1 if something has drifted; checks that were not possible are listed. An untouched
+    frame that the preset names must exist. The simulator removes its object, so only its noise differs.
     """
     from ...core.calibration.recheck import recheck as recheck_alignment
     from ...core.preset.file import load_preset
-    from ...core.rig.drift import compare_with_reference
-    from ...core.rig.untouched import load_reference
+    from ...core.rig.drift import compare_with_untouched
+    from ...core.rig.untouched import load_untouched
 
     checked = load_preset(preset)
-    reference = None if checked.reference is None else load_reference(checked.reference, Path(preset))
+    untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))
     with open_with_progress(source, checked.cameras) as opened:
         now, rig = average_frames(opened, frames).frame, opened.rig
     found: dict[str, Any] = {}
@@ -100,11 +99,11 @@ def recheck(
     else:
         numbers = {name: getattr(drift, name) for name in ("drift_px", "drift_mm", "worst_px", "stored", "found")}
         found["alignment"] = {"ok": not drift.recalibrate, "sentence": drift.sentence, **numbers}
-    if reference is None:
-        warn(f"the membrane was not checked: {preset} has no reference; see tactune preset capture-reference")
+    if untouched is None:
+        warn(f"the membrane was not checked: {preset} has no untouched frame; see tactune preset capture-untouched")
     else:
         try:
-            found["membrane"] = _membrane_record(compare_with_reference(checked, rig, now, reference))
+            found["membrane"] = _membrane_record(compare_with_untouched(checked, rig, now, untouched))
         except (CalibrationError, FrameError) as error:
             warn(f"the membrane was not checked: {error}")
     if not found:

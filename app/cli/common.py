@@ -28,7 +28,7 @@ from ...core.model.files import atomic_path, user_path
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import CamerasSection
-    from ...core.rig.untouched import CapturedReference
+    from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
 #: The source where none is given.
@@ -262,7 +262,7 @@ def find_rig(name: str) -> Rig:
         return source.rig
 
 
-def average_frames(source: FrameSource, frames: int) -> CapturedReference:
+def average_frames(source: FrameSource, frames: int) -> UntouchedAverage:
     """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
     from ...core.rig.untouched import average_untouched
     from ...core.rig.untouched_source import frames_to_average

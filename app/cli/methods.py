@@ -12,7 +12,7 @@ from ...core.contact.pipeline import ContactPatch, ContactPipeline, averaged_fra
 from ...core.errors import SourceError, TactuneError
 from ...core.evaluation.metrics import method_area_mm2
 from ...core.methods.method import MethodPatch
-from ...core.methods.registry import FUSION_FIELDS, make_method, method_names, needs_reference
+from ...core.methods.registry import FUSION_FIELDS, make_method, method_names, needs_untouched
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources import FrameSource
@@ -23,25 +23,25 @@ from .common import FUSION, finite_or_none
 Step = Callable[[SensorFrame], tuple[dict[str, Any], ContactPatch | MethodPatch]]
 
 
-def read_reference(method: str, name: str | None) -> SensorFrame | None:
-    """Return the first frame of the source that ``--reference`` names.
+def read_untouched(method: str, name: str | None) -> SensorFrame | None:
+    """Return the first frame of the source that ``--untouched`` names.
 
     Raises
     ------
     TactuneError
-        There is no such method, or it needs no reference; or the source cannot be opened or is empty.
+        There is no such method, or it needs no untouched frame; or the source cannot be opened or is empty.
     """
     known = (FUSION, *method_names())
     if method not in known:
         raise TactuneError(f"there is no method {method!r}; known are {', '.join(known)}")
     if name is None:
         return None
-    if not needs_reference(method):
-        raise TactuneError(f"{method} compares with no reference; leave --reference out")
+    if not needs_untouched(method):
+        raise TactuneError(f"{method} compares with no untouched frame; leave --untouched out")
     with open_source(name) as source:
         frame = source.next_frame()
     if frame is None:
-        raise SourceError(f"the reference {name} gave no frame; check the source")
+        raise SourceError(f"the untouched frame {name} gave no frame; check the source")
     return frame
 
 
@@ -50,7 +50,7 @@ def make_step(
     preset: Preset,
     preset_origin: str,
     source: FrameSource,
-    reference: SensorFrame | None,
+    untouched: SensorFrame | None,
     warn: Callable[[str], None],
 ) -> Step:
     """Build what is done with each frame of a source.
@@ -62,32 +62,32 @@ def make_step(
     preset_origin : str
         As `load_preset` took it.
     source : FrameSource
-    reference : SensorFrame or None
-        From ``--reference``; without it the preset's own is taken, else the source's.
+    untouched : SensorFrame or None
+        From ``--untouched``; without it the preset's own is taken, else the source's.
     warn : callable
         Told why the preset's own was not taken.
 
     Raises
     ------
     TactuneError
-        The method needs a reference and there is none, or it cannot work with this preset and rig.
+        The method needs an untouched frame and there is none, or it cannot work with this preset and rig.
     """
     if method == FUSION:
         return _fusion_step(ContactPipeline(preset, source.rig))
-    if needs_reference(method) and reference is None:
-        from ...core.rig.untouched import find_reference  # what the pipeline alone need not wait for
+    if needs_untouched(method) and untouched is None:
+        from ...core.rig.untouched import find_untouched  # what the pipeline alone need not wait for
 
-        found_reference = find_reference(preset, preset_origin, source)
-        for sentence in found_reference.warnings:
+        looked_up = find_untouched(preset, preset_origin, source)
+        for sentence in looked_up.warnings:
             warn(sentence)
-        reference = found_reference.frame
-        if reference is None:
+        untouched = looked_up.frame
+        if untouched is None:
             raise TactuneError(
-                f"{method} compares with the untouched membrane, but neither the preset nor {source.name} keeps a "
-                "reference; make one with tactune preset capture-reference, or give --reference a source or path "
+                f"{method} compares with the untouched membrane, but neither the preset nor {source.name} keeps an "
+                "untouched frame; make one with tactune preset capture-untouched, or give --untouched a source or path "
                 "whose first frame shows the membrane while nothing touches it"
             )
-    found = make_method(method, preset, source.rig, reference)
+    found = make_method(method, preset, source.rig, untouched)
 
     def step(frame: SensorFrame) -> tuple[dict[str, Any], MethodPatch]:
         started = time.perf_counter_ns()

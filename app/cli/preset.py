@@ -1,4 +1,4 @@
-"""The commands ``tactune preset new | show | validate | schema | capture-reference``."""
+"""The commands ``tactune preset new | show | validate | schema | capture-untouched``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from .common import (
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
     from ...core.preset import Preset
-    from ...core.rig.untouched import CapturedReference
+    from ...core.rig.untouched import UntouchedAverage
 
 preset_commands = typer.Typer(
     help="Make, show and check presets.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
@@ -66,7 +66,7 @@ def new(
     """Write a new preset: the paper's values or another preset's, changed as you say."""
     from ...core.preset import Preset, now
     from ...core.preset.file import load_preset, save_preset
-    from ...core.rig.untouched import copy_reference
+    from ...core.rig.untouched import copy_untouched
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
@@ -80,12 +80,14 @@ def new(
         given = "the paper's values name" if start is None else f"the preset {start} names"
         raise PresetError(f"{given} no rig; add --rig with a rig.json, another preset or a source of frames")
     preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
-    if start is not None and preset.reference is not None:
-        copy_reference(preset.reference, Path(start), out)
+    if start is not None and preset.untouched is not None:
+        copy_untouched(preset.untouched, Path(start), out)
     save_preset(preset, out)
     typer.echo(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
-        note = f"cameras, alignment and reference are still those of {start}, made for another rig; calibrate anew."
+        note = (
+            f"cameras, alignment and untouched frame are still those of {start}, made for another rig; calibrate anew."
+        )
         typer.echo(f"note: {note}", err=True)
     _tell_notes(preset)
 
@@ -117,18 +119,18 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
         raise typer.Exit(2)
 
 
-@preset_commands.command("capture-reference")
-def capture_reference(
+@preset_commands.command("capture-untouched")
+def capture_untouched(
     *,
     source: UntouchedSource,
     preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
     frames: AveragedFrames = 15,
     force: Annotated[bool, typer.Option("--force", help="Keep it though the preset finds contact on it.")] = False,
 ) -> None:
-    """Average frames of the untouched membrane into a preset's reference, for methods and checks that compare with it.
+    """Average frames of the untouched membrane and keep the result with a preset, for methods and checks.
 
     Frames in which the preset itself finds contact are refused. The simulator takes its object away meanwhile. The
-    reference is a file beside the preset.
+    untouched frame is a file beside the preset.
     """
     _capture_into(preset, source, frames, force=force)
 
@@ -159,7 +161,7 @@ def _describe(preset: Preset) -> str:
 
 
 def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> None:
-    """Average frames of a source into a preset's reference; first the reference is written, then the preset.
+    """Average frames of a source into a preset's untouched frame; the frame is written before the preset.
 
     Raises
     ------
@@ -169,11 +171,11 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
     from ...core.preset import now
     from ...core.preset.file import load_preset, save_preset
     from ...core.preset.rig_check import check_rig
-    from ...core.rig.untouched import save_reference
+    from ...core.rig.untouched import save_untouched
 
     if not path.is_file() or path.suffix == ".mcap":
         raise PresetError(
-            f"{path} is no preset file that could keep a reference; make one with tactune preset new, "
+            f"{path} is no preset file that could keep an untouched frame; make one with tactune preset new, "
             "or copy a shipped one with tactune preset show NAME > FILE"
         )
     preset = load_preset(path)
@@ -183,8 +185,8 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
         captured = average_frames(source, frames)
         _check_untouched(preset, path, source.rig, captured.frame, force=force)
         unit_m = source.rig.tactile.depth_unit_m
-    record = save_reference(captured.frame, captured.frames, path)
-    save_preset(preset.model_copy(update={"reference": record, "modified": now()}), path)
+    record = save_untouched(captured.frame, captured.frames, path)
+    save_preset(preset.model_copy(update={"untouched": record, "modified": now()}), path)
     if captured.frames < frames:
         warn(f"{source.name} ended after {captured.frames} of the {frames} frames asked for")
     typer.echo(f"averaged {counted(captured.frames, 'frame')} of {source.name}{_noise_words(captured, unit_m)}")
@@ -205,17 +207,17 @@ def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame
 
 
 def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
-    from ...core.rig.untouched import load_reference
+    from ...core.rig.untouched import load_untouched
 
     try:
-        return None if preset.reference is None else load_reference(preset.reference, path)
+        return None if preset.untouched is None else load_untouched(preset.untouched, path)
     except PresetError:  # lost or damaged: the new one mends that
         return None
 
 
-def _noise_words(captured: CapturedReference, unit_m: float) -> str:
+def _noise_words(captured: UntouchedAverage, unit_m: float) -> str:
     """Say how much averaging helped, where that is known."""
     single, averaged = (1e3 * unit_m * counts for counts in captured.noise_counts)
     if math.isnan(single):
         return ""
-    return f": noise of the tactile depth {single:.2f} mm in one frame, {averaged:.2f} mm in the reference"
+    return f": noise of the tactile depth {single:.2f} mm in one frame, {averaged:.2f} mm in the untouched frame"

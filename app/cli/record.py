@@ -65,9 +65,9 @@ def record(
     with open_with_progress(source, kept.cameras if kept else None) as opened:
         if force:
             out.unlink(missing_ok=True)
-        reference = _reference(kept, preset, opened)
+        untouched = _untouched(kept, preset, opened)
         with SessionWriter(
-            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, reference=reference
+            out, opened.rig, preset=kept, frame_rate_hz=opened.frame_rate_hz, untouched=untouched
         ) as writer:
             lost_before = opened.health().dropped
             _record_frames(opened, writer, frames, seconds)
@@ -104,8 +104,8 @@ def convert(
             progress.frames(round(share * 100), 100)
 
         if to_mcap:
-            reference = _reference(kept, preset, opened)
-            count = export_mcap(opened, target, frames, preset=kept, reference=reference, progress=show)
+            untouched = _untouched(kept, preset, opened)
+            count = export_mcap(opened, target, frames, preset=kept, untouched=untouched, progress=show)
         else:
             count = export_folder(opened, target, frames, show)
             if kept is not None:
@@ -115,11 +115,11 @@ def convert(
     typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
 
 
-def _reference(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
-    """Return what the recording is to keep: the preset's own reference, else the source's."""
-    from ...core.rig.untouched import kept_reference
+def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
+    """Return what the recording is to keep: the preset's own untouched frame, else the source's."""
+    from ...core.rig.untouched import kept_untouched
 
-    found = kept_reference(preset, origin, source)
+    found = kept_untouched(preset, origin, source)
     for sentence in found.warnings:
         warn(sentence)
     return found.frame

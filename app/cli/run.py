@@ -85,7 +85,7 @@ class RunOptions:
     json_lines: bool
     truth: bool
     method: str = FUSION
-    reference: str | None = None
+    untouched: str | None = None
     settings: tuple[str, ...] = ()
 
 
@@ -111,7 +111,7 @@ def run(
     method: Annotated[
         str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
     ] = "fusion",
-    reference: Annotated[
+    untouched: Annotated[
         str | None,
         typer.Option(
             metavar="SOURCE", help="A source or path whose first frame shows the untouched membrane; for other methods."
@@ -130,7 +130,7 @@ def run(
     preset = preset or default_preset(source)
     changed = tuple(settings or ())
     run_frames(
-        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, reference, changed)
+        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, untouched, changed)
     )
 
 
@@ -153,17 +153,17 @@ def run_frames(options: RunOptions) -> None:
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.preset.file import load_preset
     from ...core.preset.rig_check import check_rig
-    from .methods import make_step, read_reference
+    from .methods import make_step, read_untouched
 
     preset = load_preset(options.preset).with_values(parse_settings(options.settings))
-    reference = read_reference(options.method, options.reference)
+    untouched = read_untouched(options.method, options.untouched)
     if options.out is not None and options.out.suffix != MCAP_SUFFIX:
         make_folder(options.out)
     with open_with_progress(options.source, preset.cameras) as source:
         if options.method == FUSION:
             with CliProgress() as progress:
                 warm_up_if_needed(progress.preparing)
-        step = make_step(options.method, preset, options.preset, source, reference, warn)
+        step = make_step(options.method, preset, options.preset, source, untouched, warn)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         lost_before = source.health().dropped

@@ -87,7 +87,7 @@ def evaluate_recording(
     method: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="May be repeated; 'all' for all. Default: fusion.")
     ] = None,
-    reference: Annotated[
+    untouched: Annotated[
         str | None, typer.Option(metavar="SOURCE", help="The untouched membrane, for methods that need it.")
     ] = None,
     frame: Annotated[int | None, typer.Option(min=0, metavar="N", help="Only this frame, from 0.")] = None,
@@ -124,7 +124,7 @@ def evaluate_recording(
     first, last = frame_range(frame, frames)
     settings = parse_paint(paint or [])
     pose = _start_pose(scan, transform, pairs, unit_m)
-    names = _methods(method or [], reference)
+    names = _methods(method or [], untouched)
     origin = preset or default_preset(source)
     chosen = load_preset(origin)
     loaded = load_scan(scan, unit_m)
@@ -134,7 +134,7 @@ def evaluate_recording(
     with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
         if opened.length is None and last is None:
             raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
-        steps = _steps(names, opened, chosen, origin, reference, leave_out="all" in (method or []))
+        steps = _steps(names, opened, chosen, origin, untouched, leave_out="all" in (method or []))
         names = list(steps)
         remembered = {name: remembered_frames(name, chosen) for name in names}
         total = number_of_frames(opened, None if last is None else last + 1)
@@ -262,32 +262,32 @@ def _contact(scan: Scan, paint: PaintSettings, path: Path) -> BoolArray:
     return contact
 
 
-def _methods(asked: list[str], reference: str | None) -> list[str]:
+def _methods(asked: list[str], untouched: str | None) -> list[str]:
     """Return the methods' names, each once and known."""
-    from ...core.methods.registry import method_names, needs_reference
-    from .methods import read_reference
+    from ...core.methods.registry import method_names, needs_untouched
+    from .methods import read_untouched
 
     names = list(dict.fromkeys([FUSION, *method_names()] if "all" in asked else asked or [FUSION]))
     for name in names:
-        read_reference(name, None)
-    if reference is not None and not any(map(needs_reference, names)):
-        raise TactuneError(f"{' and '.join(names)} compare with no reference; leave --reference out")
+        read_untouched(name, None)
+    if untouched is not None and not any(map(needs_untouched, names)):
+        raise TactuneError(f"{' and '.join(names)} compare with no untouched frame; leave --untouched out")
     return names
 
 
 def _steps(
-    names: list[str], source: FrameSource, preset: Preset, origin: str, reference: str | None, *, leave_out: bool
+    names: list[str], source: FrameSource, preset: Preset, origin: str, untouched: str | None, *, leave_out: bool
 ) -> dict[str, Step]:
     """Build what each method does with a frame; one that cannot work here is left out with a warning, or refused."""
-    from ...core.methods.registry import needs_reference
-    from .methods import make_step, read_reference
+    from ...core.methods.registry import needs_untouched
+    from .methods import make_step, read_untouched
 
-    needing = [name for name in names if needs_reference(name)]
-    untouched = read_reference(needing[0], reference) if needing else None
+    needing = [name for name in names if needs_untouched(name)]
+    compared_with = read_untouched(needing[0], untouched) if needing else None
     steps = {}
     for name in names:
         try:
-            steps[name] = make_step(name, preset, origin, source, untouched, warn)
+            steps[name] = make_step(name, preset, origin, source, compared_with, warn)
         except TactuneError as error:
             if not leave_out:
                 raise

@@ -85,12 +85,12 @@ def strain(
 ) -> None:
     """Measure membrane strain from a printed grid of dots.
 
-    The displacement is against the first frame, or the reference of the preset or the source where there is one.
+    The displacement is against the first frame, or the untouched frame of the preset or the source where there is one.
     Where the simulator's solver knows the strain it stands beside: between dots that the camera sees, in brackets
     between all.
     """
     from ...core.preset.file import load_preset
-    from ...core.rig.untouched import kept_reference
+    from ...core.rig.untouched import kept_untouched
     from ...core.strain.average import average_still
     from ...core.strain.strain import StrainError, check_spacing, indentation_m, measure_strain
 
@@ -106,16 +106,16 @@ def strain(
         open_with_progress(source, chosen.cameras) as opened,
         CliProgress(quiet=json_lines and sys.stdout.isatty()) as bar,
     ):
-        total, kept = number_of_frames(opened, frames), kept_reference(chosen, origin, opened)
-        reference, pose = kept.frame, chosen.alignment.rigid.T_proximity_tactile
+        total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
+        untouched, pose = kept.frame, chosen.alignment.rigid.T_proximity_tactile
         for sentence in kept.warnings:
             warn(sentence)
         for frame in itertools.islice(opened, total):
-            reference = reference or frame
+            untouched = untouched or frame
             latest.append(frame)
             quiet, averaged = average_still(list(latest), opened.rig)
             try:
-                displacement = 1e3 * indentation_m(quiet, reference, opened.rig)
+                displacement = 1e3 * indentation_m(quiet, untouched, opened.rig)
                 measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3, pose)
                 record = _record(quiet, displacement, measured, averaged)
             except StrainError as error:

@@ -179,9 +179,9 @@ def _options(
     objective: str | None,
 ) -> _Options:
     """Join the sweep file and the options, which win."""
-    from ...core.methods.registry import needs_reference
+    from ...core.methods.registry import needs_untouched
     from ...core.preset.file import load_preset
-    from ...core.rig.untouched import load_reference
+    from ...core.rig.untouched import load_untouched
     from ...core.tuning.clips import FrameRange, parse_frames
     from ...core.tuning.plan import FUSION, Request
     from ...core.tuning.sweep_file import SweepFile, load_sweep_file
@@ -196,9 +196,9 @@ def _options(
     name = preset or _preset_of_file(told, file) or _usual_preset(sources)
     which = frames if frames is not None else told.frames
     base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
-    reference = None
-    if base.reference is not None and base_file is not None and any(map(needs_reference, methods)):
-        reference = load_reference(base.reference, base_file)
+    untouched = None
+    if base.untouched is not None and base_file is not None and any(map(needs_untouched, methods)):
+        untouched = load_untouched(base.untouched, base_file)
     return _Options(
         base,
         base_file,
@@ -210,7 +210,7 @@ def _options(
             seeds=seeds or told.seeds or 1,
             sample=sample or told.sample,
             sample_seed=seed if seed is not None else told.seed or 0,
-            reference=reference,
+            untouched=untouched,
         ),
         objective or told.objective,
     )
@@ -290,10 +290,10 @@ def _check_best(path: Path, out: Path, kept: Path, options: _Options) -> None:
 
 def _write_best(path: Path, preset: Preset, options: _Options) -> None:
     from ...core.preset.file import save_preset
-    from ...core.rig.untouched import copy_reference
+    from ...core.rig.untouched import copy_untouched
 
-    if preset.reference is not None and options.preset_file is not None:
-        copy_reference(preset.reference, options.preset_file, path)
+    if preset.untouched is not None and options.preset_file is not None:
+        copy_untouched(preset.untouched, options.preset_file, path)
     save_preset(preset, path)
     typer.echo(f"wrote {path}", err=True)
 

@@ -55,8 +55,8 @@ class EditPreset(QUndoCommand):
 
 def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     """Say what an edit did, such as ``"Tolerance t 0.012"``, for the Edit menu."""
-    if paths == ("reference",):
-        return "Capture reference"
+    if paths == ("untouched",):
+        return "Capture untouched frame"
     if len(paths) == 1:
         return f"{field_title(paths[0])} {format_value(preset.value(paths[0]))}"
     if len(paths) == 2:

@@ -11,9 +11,9 @@ from PyQt6.QtGui import QUndoStack
 from ...core.errors import PresetError
 from ...core.preset import Preset, now
 from ...core.preset.file import load_preset, save_preset
-from ...core.rig.untouched import copy_reference
+from ...core.rig.untouched import copy_untouched
 from .commands import EditPreset
-from .reference_store import ReferenceStore
+from .untouched_store import UntouchedStore
 
 
 class Document(QObject):
@@ -45,8 +45,8 @@ class Document(QObject):
         super().__init__(parent)
         self._preset = preset or Preset()
         self._path: Path | None = None
-        #: Keeps references until the preset has a file.
-        self.references: ReferenceStore | None = None
+        #: Keeps untouched frames until the preset has a file.
+        self.untouched_store: UntouchedStore | None = None
         self.undo_stack = QUndoStack(self)
         self.undo_stack.setUndoLimit(1000)
         self.undo_stack.cleanChanged.connect(self._clean_changed)
@@ -62,9 +62,13 @@ class Document(QObject):
         return self._path
 
     @property
-    def reference_home(self) -> Path | None:
-        """Beside which file the preset's reference lies, as `load_reference` takes it; None: nowhere yet."""
-        return self._path if self.references is None else self.references.home(self._preset.reference, self._path)
+    def untouched_home(self) -> Path | None:
+        """Beside which file the preset's untouched frame lies, as `load_untouched` takes it; None: nowhere yet."""
+        return (
+            self._path
+            if self.untouched_store is None
+            else self.untouched_store.home(self._preset.untouched, self._path)
+        )
 
     @property
     def dirty(self) -> bool:
@@ -131,14 +135,14 @@ class Document(QObject):
         self.fileChanged.emit()
 
     def save(self, path: Path) -> None:
-        """Write the preset to a file, which becomes the document's; its reference goes along first.
+        """Write the preset to a file, which becomes the document's; its untouched frame goes along first.
 
         Raises
         ------
         ExportError
             A file cannot be written; the document stays unsaved.
         """
-        lost = self._bring_reference(path)
+        lost = self._bring_untouched(path)
         save_preset(self._preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()
@@ -147,15 +151,15 @@ class Document(QObject):
         if lost:
             self.warned.emit(lost)
 
-    def _bring_reference(self, to: Path) -> str:
-        """Put the reference beside the file to be, and return why it could not be read, if so."""
-        record, home = self._preset.reference, self.reference_home
+    def _bring_untouched(self, to: Path) -> str:
+        """Put the untouched frame beside the file to be, and return why it could not be read, if so."""
+        record, home = self._preset.untouched, self.untouched_home
         if record is None or (home is not None and home.parent == to.parent):
             return ""
         try:
-            copy_reference(record, home or to, to)
+            copy_untouched(record, home or to, to)
         except PresetError as error:
-            return f"{to.name} was saved without its reference: {error}."
+            return f"{to.name} was saved without its untouched frame: {error}."
         return ""
 
     def _replace(self, preset: Preset, path: Path | None) -> None:

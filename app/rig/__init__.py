@@ -1,1 +1,1 @@
-"""Windows about the rig: camera checks, and the untouched membrane as the preset's reference."""
+"""Windows about the rig: camera checks, and capture of the untouched frame."""

@@ -1,4 +1,4 @@
-"""Averages the frames that are shown into a reference, on a thread of its own."""
+"""Averages the frames that are shown into an untouched frame, on a thread of its own."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Final
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.model.frames import SensorFrame
-from ...core.preset import ReferenceRecord
-from ...core.rig.untouched import CapturedReference, average_untouched
+from ...core.preset import UntouchedRecord
+from ...core.rig.untouched import UntouchedAverage, average_untouched
 from ...core.sources.registry import open_source
 from ..calibration.feed import FrameFeed
-from ..document.reference_store import ReferenceStore
+from ..document.untouched_store import UntouchedStore
 from ..worker.jobs import Job, Progress
 
 _SIMULATOR: Final = "sim:"
@@ -28,10 +28,10 @@ _WAIT_S: Final = 0.1
 
 @dataclass(frozen=True, eq=False)
 class Captured:
-    """A reference that is kept already, and what it is made of."""
+    """An untouched frame that is kept already, and what it is made of."""
 
-    reference: CapturedReference
-    record: ReferenceRecord
+    untouched: UntouchedAverage
+    record: UntouchedRecord
     asked: int
 
 
@@ -60,7 +60,7 @@ class Capture(QObject):
     pausedChanged = pyqtSignal(bool)
     averaging = pyqtSignal()
 
-    def __init__(self, feed: FrameFeed, store: ReferenceStore, parent: QObject | None = None) -> None:
+    def __init__(self, feed: FrameFeed, store: UntouchedStore, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._feed, self._store = feed, store
         self._queue: SimpleQueue[SensorFrame | None] = SimpleQueue()
@@ -191,7 +191,7 @@ class Capture(QObject):
             return self._average(_counted_out(frames, count, progress), count)
 
     def _average(self, frames: Iterator[SensorFrame], asked: int, shift: int = 0) -> Captured:
-        """Average frames; errors name them by their numbers ``shift`` further on, the reference keeps its own."""
+        """Average frames; errors name them by their numbers ``shift`` further on, the untouched frame keeps its own."""
         averaged = average_untouched(replace(frame, sequence=frame.sequence + shift) for frame in frames)
         averaged = replace(averaged, frame=replace(averaged.frame, sequence=averaged.frame.sequence - shift))
         return Captured(averaged, self._store.keep(averaged.frame, averaged.frames), asked)

@@ -1,4 +1,4 @@
-"""Follows the document's preset, so that recordings hold its reference and a recorded one is not lost."""
+"""Follows the document's preset, so that recordings hold its untouched frame and a recorded one is not lost."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import FrameError, PresetError
 from ...core.model.frames import SensorFrame
-from ...core.preset import Preset, ReferenceRecord
-from ...core.rig.untouched import load_reference
+from ...core.preset import Preset, UntouchedRecord
+from ...core.rig.untouched import load_untouched
 from ..document.document import Document
-from ..document.reference_store import ReferenceStore
+from ..document.untouched_store import UntouchedStore
 from ..worker.jobs import Job, Progress
 from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
 
 
-class ReferenceKeeper(QObject):
-    """Reads the reference of whichever preset is in use, on a thread of its own.
+class UntouchedKeeper(QObject):
+    """Reads the untouched frame of whichever preset is in use, on a thread of its own.
 
-    A preset that came out of a recording has no folder: its reference is taken from the recording into
+    A preset that came out of a recording has no folder: its untouched frame is taken from the recording into
     the store, from which it is saved.
 
     Signals
@@ -33,7 +33,7 @@ class ReferenceKeeper(QObject):
 
     changed = pyqtSignal()
 
-    def __init__(self, document: Document, recorder: Recorder, store: ReferenceStore, parent: QObject) -> None:
+    def __init__(self, document: Document, recorder: Recorder, store: UntouchedStore, parent: QObject) -> None:
         super().__init__(parent)
         self._document, self._recorder, self._store = document, recorder, store
         self._info: SourceInfo | None = None
@@ -46,16 +46,16 @@ class ReferenceKeeper(QObject):
 
     @property
     def frame(self) -> SensorFrame | None:
-        """The reference of the preset; None where it has none, or none that can be read, or not yet."""
-        return self._recorder.reference
+        """The untouched frame of the preset; None where it has none, or none that can be read, or not yet."""
+        return self._recorder.untouched
 
     @property
     def busy(self) -> bool:
-        """Whether the reference is still being read."""
+        """Whether the untouched frame is still being read."""
         return self._job.busy
 
     def source_opened(self, info: SourceInfo) -> None:
-        """Look whether this source holds the preset's reference."""
+        """Look whether this source holds the preset's untouched frame."""
         self._info = info
         self._look()
 
@@ -64,39 +64,39 @@ class ReferenceKeeper(QObject):
         self._job.stop()
 
     def _look(self) -> None:
-        preset, home = self._document.preset, self._document.reference_home
-        key = (preset.reference, home, self._info)
+        preset, home = self._document.preset, self._document.untouched_home
+        key = (preset.untouched, home, self._info)
         if key == self._key:
             return
         self._key = key
         self._job.cancel()  # what it finds is another preset's or source's
-        if preset.reference is not None:
-            self._job.start(partial(_read, preset.reference, preset, home, self._info, self._store))
+        if preset.untouched is not None:
+            self._job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
         self._use(None)
 
     def _use(self, frame: SensorFrame | None) -> None:
-        self._recorder.reference = frame
+        self._recorder.untouched = frame
         self.changed.emit()
 
 
 def _read(
-    record: ReferenceRecord,
+    record: UntouchedRecord,
     preset: Preset,
     home: Path | None,
     info: SourceInfo | None,
-    store: ReferenceStore,
+    store: UntouchedStore,
     progress: Progress,
 ) -> SensorFrame | None:
-    """Return the preset's own reference from where it lies, else from the recording that held both, else None."""
+    """Return the preset's own untouched frame from where it lies, else from the recording that held both, else None."""
     if home is not None:
         with suppress(PresetError, FrameError):  # whoever needs it says so
-            frame = load_reference(record, home)
+            frame = load_untouched(record, home)
             if info is not None:
                 frame.check_against(info.rig)
             return frame
-    if info is None or info.preset is None or info.preset.reference != record:
+    if info is None or info.preset is None or info.preset.untouched != record:
         return None
-    found = info.find_reference(preset, None, progress)
+    found = info.find_untouched(preset, None, progress)
     if found.frame is None or found.warnings:
         return None
     store.keep(found.frame, record.frames)

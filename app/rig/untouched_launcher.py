@@ -1,4 +1,4 @@
-"""What the main window needs to know of references: capture one, keep it, pass frames on, close."""
+"""What the main window needs to know of untouched frames: capture one, keep it, pass frames on, close."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from PyQt6.QtCore import QObject
 
 from ...widgets.basics.message_bar import Severity
 from ..calibration.feed import WorkerFeed
-from ..document.reference_store import ReferenceStore
+from ..document.untouched_store import UntouchedStore
 from ..worker.playback import PlaybackState
-from .untouched_keeper import ReferenceKeeper
+from .untouched_keeper import UntouchedKeeper
 from .untouched_window import CaptureWindow
 
 if TYPE_CHECKING:
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from ..worker.results import SourceInfo
 
 
-class ReferenceControls(QObject):
+class UntouchedControls(QObject):
     """Owns the store, follows the preset, and keeps at most one window."""
 
     def __init__(self, window: MainWindow) -> None:
@@ -27,24 +27,24 @@ class ReferenceControls(QObject):
         self._playback: PlaybackState | None = None
         self._feed: WorkerFeed | None = None
         self.window: CaptureWindow | None = None
-        self.store = ReferenceStore(window.data_folder / "references")
+        self.store = UntouchedStore(window.data_folder / "untouched")
         self.store.tidy(window.data_folder)
-        window.document.references = self.store
+        window.document.untouched_store = self.store
         window.document.warned.connect(
-            lambda sentence: window.messages.show_message("reference", Severity.WARNING, sentence)
+            lambda sentence: window.messages.show_message("untouched", Severity.WARNING, sentence)
         )
-        self.keeper = ReferenceKeeper(window.document, window.worker.recorder, self.store, self)
+        self.keeper = UntouchedKeeper(window.document, window.worker.recorder, self.store, self)
         window.worker.playbackChanged.connect(self._playback_changed)
         window.worker.opened.connect(self._source_opened)
         window.frameShown.connect(self._frame_shown)
-        window.actions_.capture_reference.triggered.connect(self.open)
+        window.actions_.capture_untouched.triggered.connect(self.open)
 
     def open(self) -> None:
         """Open the window on the present source, or bring it to the front."""
         main = self._main
         if main.result is None:
             main.messages.show_message(
-                "reference", Severity.WARNING, "There is no frame to capture yet: open a source first."
+                "untouched", Severity.WARNING, "There is no frame to capture yet: open a source first."
             )
             return
         if self.window is None:

@@ -1,4 +1,4 @@
-"""The window in which the untouched membrane becomes the preset's reference."""
+"""The window that captures the preset's untouched frame."""
 
 from __future__ import annotations
 
@@ -12,30 +12,30 @@ from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QPushBut
 
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MOST_FRAMES
-from ...core.rig.untouched_source import REFERENCE_FRAMES
+from ...core.rig.untouched_source import UNTOUCHED_FRAMES
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.feed import FrameFeed
 from ..calibration.pictures import picture
 from ..document.document import Document
-from ..document.reference_store import ReferenceStore
+from ..document.untouched_store import UntouchedStore
 from .untouched_capture import Capture, Captured
-from .untouched_keeper import ReferenceKeeper
+from .untouched_keeper import UntouchedKeeper
 
 _PREVIEW_MS: Final = 80
 _ADVICE: Final = (
-    "The next frames are averaged into the preset's reference. Proximity-only, tactile-only and membrane mechanics "
-    "compare with it, and Re-check calibration tells by it whether the inflation or a camera has changed."
+    "The next frames are averaged into the preset's untouched frame. Proximity-only, tactile-only and membrane "
+    "mechanics compare with it, and Re-check calibration tells by it whether the inflation or a camera has changed."
 )
 _SIMULATED: Final = " The simulator takes its object away for these frames."
-_NONE: Final = "This preset has no reference yet"
-_UNREAD: Final = "The preset's reference cannot be found: capture it anew"
+_NONE: Final = "This preset has no untouched frame yet"
+_UNREAD: Final = "The preset's untouched frame cannot be found: capture it anew"
 _CAPTURING: Final = "Capturing: leave the membrane alone."
 _AVERAGING: Final = "Averaging the frames that came; the membrane may be touched again."
 _OTHER_SOURCE: Final = "Capturing was stopped, because another source was opened."
 
 
 class CaptureWindow(QDialog):
-    """Shows the membrane now and in the reference, and captures a new one as one undoable step.
+    """Shows the membrane now and in the untouched frame, and captures a new one as one undoable step.
 
     Signals
     -------
@@ -49,12 +49,12 @@ class CaptureWindow(QDialog):
         self,
         document: Document,
         feed: FrameFeed,
-        store: ReferenceStore,
-        keeper: ReferenceKeeper,
+        store: UntouchedStore,
+        keeper: UntouchedKeeper,
         parent: QWidget | None = None,
     ) -> None:
         super().__init__(parent)
-        self.setWindowTitle("Capture reference – Tactune")
+        self.setWindowTitle("Capture untouched frame – Tactune")
         self._document, self._feed, self._keeper = document, feed, keeper
         self.capture = Capture(feed, store, self)
         self._redraw = QTimer(self)
@@ -64,7 +64,7 @@ class CaptureWindow(QDialog):
         self._lay_out()
         self._connect()
         self._show_frame()
-        self._show_reference()
+        self._show_untouched()
         self._show_busy(False)
         self.take.setFocus()
 
@@ -78,13 +78,13 @@ class CaptureWindow(QDialog):
         self.advice = QLabel(_ADVICE + simulated)
         self.advice.setWordWrap(True)
         self.now = ImagePane("Now, tactile depth")
-        self.reference = ImagePane("Reference, tactile depth")
-        for pane in (self.now, self.reference):
+        self.untouched = ImagePane("Untouched frame, tactile depth")
+        for pane in (self.now, self.untouched):
             pane.view.setMinimumSize(220, 165)
             pane.resized.connect(partial(_fit, pane))
         self.frames = QSpinBox()
         self.frames.setRange(1, MOST_FRAMES)
-        self.frames.setValue(REFERENCE_FRAMES)
+        self.frames.setValue(UNTOUCHED_FRAMES)
         self.frames.setSuffix(" frames")
         self.frames.setSpecialValueText("1 frame")
         self.frames.setAccessibleName("Frames to average")
@@ -98,21 +98,25 @@ class CaptureWindow(QDialog):
         self.sentence = QLabel()
         self.sentence.setWordWrap(True)
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
-        self.take = _push("&Capture", "Average the frames that come now into the reference (Enter); one undoable step")
+        self.take = _push(
+            "&Capture", "Average the frames that come now into the untouched frame (Enter); one undoable step"
+        )
         self.take.setDefault(True)
         self.go_on = _push("&Go on", "Play on and take the frames that are still missing")
-        self.make_do = _push("Use &these", "Average the frames that came so far into the reference")
-        self.cancel = _push("Cance&l", "Stop capturing (Esc); the preset keeps the reference that it has")
+        self.make_do = _push("Use &these", "Average the frames that came so far into the untouched frame")
+        self.cancel = _push("Cance&l", "Stop capturing (Esc); the preset keeps the untouched frame that it has")
         self.undo = _push("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
-        self.save = _push("&Save preset", "Save the preset; the reference is written beside it (Ctrl+S)")
+        self.save = _push("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
-        self.leave = _push("Close", "Close this window (Esc); an unsaved reference is kept with the unsaved preset")
+        self.leave = _push(
+            "Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
+        )
 
     def _lay_out(self) -> None:
         images = QHBoxLayout()
         images.addWidget(self.now)
-        images.addWidget(self.reference)
+        images.addWidget(self.untouched)
         caption = QLabel("A&verage")
         caption.setBuddy(self.frames)
         taking = QHBoxLayout()
@@ -140,7 +144,7 @@ class CaptureWindow(QDialog):
     def _connect(self) -> None:
         self._feed.frameArrived.connect(lambda _: self._redraw.isActive() or self._redraw.start())
         self._redraw.timeout.connect(self._show_frame)
-        self._keeper.changed.connect(self._show_reference)
+        self._keeper.changed.connect(self._show_untouched)
         self._document.undo_stack.indexChanged.connect(self._show_state)
         self._document.fileChanged.connect(self._show_state)
         self.take.clicked.connect(self._start)
@@ -183,7 +187,7 @@ class CaptureWindow(QDialog):
 
     def _use(self, captured: Captured) -> None:
         self._show_busy(False)
-        self._document.edit("reference", captured.record.model_dump())
+        self._document.edit("untouched", captured.record.model_dump())
         self.sentence.setText(captured_words(captured, self._feed.rig))
         self.save.setFocus()  # the entry would keep Ctrl+Z for itself
 
@@ -227,14 +231,14 @@ class CaptureWindow(QDialog):
         if self._feed.frame is not None:
             self._draw(self.now, self._feed.frame)
 
-    def _show_reference(self) -> None:
-        record, frame = self._document.preset.reference, self._keeper.frame
+    def _show_untouched(self) -> None:
+        record, frame = self._document.preset.untouched, self._keeper.frame
         if frame is not None:
-            self._draw(self.reference, frame)
+            self._draw(self.untouched, frame)
         else:
-            self.reference.set_pixels(None, (1, 1), 1)
+            self.untouched.set_pixels(None, (1, 1), 1)
         found = frame is not None or self._keeper.busy
-        self.reference.set_message("" if found else _NONE if record is None else _UNREAD)
+        self.untouched.set_message("" if found else _NONE if record is None else _UNREAD)
 
     def _draw(self, pane: ImagePane, frame: SensorFrame) -> None:
         rig = self._feed.rig
@@ -246,12 +250,12 @@ class CaptureWindow(QDialog):
 
 def captured_words(captured: Captured, rig: Rig) -> str:
     """Say what was captured and what to do next."""
-    averaged = captured.reference
+    averaged = captured.untouched
     count = f"{averaged.frames} frame{'' if averaged.frames == 1 else 's'}"
     fewer = f" of {captured.asked}, because no more came" if averaged.frames < captured.asked else ""
     before, after = (1e3 * rig.tactile.depth_unit_m * counts for counts in averaged.noise_counts)
     noise = "" if math.isnan(before) else f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
-    return f"Captured {count}{fewer}.{noise} Save the preset to write the reference beside it."
+    return f"Captured {count}{fewer}.{noise} Save the preset to write the untouched frame beside it."
 
 
 def _fit(pane: ImagePane) -> None:

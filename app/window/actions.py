@@ -45,7 +45,7 @@ class Actions:
     calibrate: QAction
     recheck: QAction
     check_cameras: QAction
-    capture_reference: QAction
+    capture_untouched: QAction
     compare: QAction
     scan_truth: QAction
     strain: QAction
@@ -120,7 +120,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
         ),
         check_cameras=action("C&heck cameras…", "Depth quality, skew and interference of both cameras", "F6"),
-        capture_reference=action(
+        capture_untouched=action(
             "Capture re&ference…", "Keep the untouched membrane, with which some methods compare", "Ctrl+Shift+R"
         ),
         compare=action("&Compare methods…", "Every way to find the patch, side by side on the present frame", "F7"),
@@ -226,7 +226,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
     _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
-    _menu(bar, "&Analysis").addActions([actions.compare, actions.scan_truth, actions.strain, actions.capture_reference])
+    _menu(bar, "&Analysis").addActions([actions.compare, actions.scan_truth, actions.strain, actions.capture_untouched])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 

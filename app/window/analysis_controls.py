@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from PyQt6.QtCore import QObject
 
 from ..analysis.launcher import AnalysisLauncher
-from ..rig.untouched_launcher import ReferenceControls
+from ..rig.untouched_launcher import UntouchedControls
 
 if TYPE_CHECKING:
     from .main_window import MainWindow
@@ -18,10 +18,10 @@ class AnalysisControls(QObject):
 
     def __init__(self, window: MainWindow) -> None:
         super().__init__(window)
-        self.reference = ReferenceControls(window)
+        self.untouched = UntouchedControls(window)
         self.launcher = AnalysisLauncher(window)
 
     def close(self) -> None:
         """Close them."""
         self.launcher.close()
-        self.reference.close()
+        self.untouched.close()

@@ -97,9 +97,9 @@ class FrameReader:
         if self._ahead is None and index is not None:
             self._ahead = index, self._thread.submit(self._read, index)
 
-    def reference(self) -> SensorFrame | None:
+    def untouched(self) -> SensorFrame | None:
         """Return a frame of the untouched membrane, or None where the recording has none."""
-        return self._thread.submit(self.source.reference).result()
+        return self._thread.submit(self.source.untouched).result()
 
     def close(self) -> None:
         """Release the source, after whatever is being read."""

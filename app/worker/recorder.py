@@ -36,7 +36,7 @@ class RecordingRequest:
     rig: Rig
     preset: Preset
     frame_rate_hz: float
-    reference: SensorFrame | None = None
+    untouched: SensorFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ def open_writer(request: RecordingRequest) -> Writer:
         request.rig,
         preset=request.preset,
         frame_rate_hz=request.frame_rate_hz,
-        reference=request.reference,
+        untouched=request.untouched,
     )
 
 
@@ -86,8 +86,8 @@ class Recorder:
         self._writer: Writer | None = None
         self._refused = 0
         self._watcher: _Watcher | None = None
-        #: The preset's reference, which recordings hold instead of the source's.
-        self.reference: SensorFrame | None = None
+        #: The preset's untouched frame, which recordings hold instead of the source's.
+        self.untouched: SensorFrame | None = None
         self._finishing: list[Thread] = []
 
     @property
@@ -111,8 +111,8 @@ class Recorder:
         with self._lock:
             if self._writer is not None:
                 return
-            if self.reference is not None:
-                request = replace(request, reference=self.reference)
+            if self.untouched is not None:
+                request = replace(request, untouched=self.untouched)
             try:
                 self._writer = self._open(request)
                 self._refused = 0

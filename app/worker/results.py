@@ -16,7 +16,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import FrameSource, Health
 from .playback import PlaybackState
-from .reference_finding import FindReference, no_reference, reference_finder
+from .untouched_finding import FindUntouched, no_untouched, untouched_finder
 
 if TYPE_CHECKING:
     from ...widgets.clouds.cloud_data import DepthCloud
@@ -99,7 +99,7 @@ class SourceInfo:
     length: int | None
     frame_rate_hz: float
     preset: Preset | None = None
-    find_reference: FindReference = no_reference
+    find_untouched: FindUntouched = no_untouched
 
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
@@ -114,7 +114,7 @@ class SourceInfo:
             source.length,
             source.frame_rate_hz,
             preset,
-            find_reference=reference_finder(source),
+            find_untouched=untouched_finder(source),
         )
 
 

@@ -314,8 +314,8 @@ class Worker(QThread):
             return
         info = self._info
         try:
-            reference = self._reader.reference() if self._reader is not None else None
-            self.recorder.start(RecordingRequest(path, info.rig, self._preset, info.frame_rate_hz, reference))
+            untouched = self._reader.untouched() if self._reader is not None else None
+            self.recorder.start(RecordingRequest(path, info.rig, self._preset, info.frame_rate_hz, untouched))
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return

@@ -110,12 +110,12 @@ def check_methods(names: Sequence[str], known: Sequence[str]) -> None:
 
 
 def build_method(
-    name: str, preset: Preset, rig: Rig, reference: SensorFrame | None, make: MakeMethod = make_method
+    name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None, make: MakeMethod = make_method
 ) -> ContactMethod:
     """Build a method of the table by its name; raises as `make_method` does."""
     if name == STRAIGHT:
-        return make("fusion-homography", preset.with_values({"tolerance.t": STRAIGHT_T}), rig, reference)
-    return make(name, preset, rig, reference)
+        return make("fusion-homography", preset.with_values({"tolerance.t": STRAIGHT_T}), rig, untouched)
+    return make(name, preset, rig, untouched)
 
 
 def measure_cell(

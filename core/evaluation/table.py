@@ -118,12 +118,12 @@ class _SceneFrames(ExitStack):
         """Measure one method."""
         if seed != self._seed:
             self._source = self.enter_context(self._open(f"{self._scene.source}&seed={seed}"))
-            self._reference = untouched_frame(self._source)
+            self._untouched = untouched_frame(self._source)
             self._frames = list(itertools.islice(self._source, FRAMES_A_CELL))
             self._seed = seed
-        reference, rig = self._reference, self._source.rig
+        untouched, rig = self._untouched, self._source.rig
         return measure_cell(
-            method, self._scene, seed, lambda: build_method(method, preset, rig, reference, make), self._frames, rig
+            method, self._scene, seed, lambda: build_method(method, preset, rig, untouched, make), self._frames, rig
         )
 
 

@@ -117,7 +117,7 @@ def _panel(
 ) -> Panel:
     """Find every method's patch in the frame of a scene that the table judges."""
     with open_scene(f"{scene.source}&seed={seed}") as source:
-        reference, frames = untouched_frame(source), list(itertools.islice(source, FRAMES_A_CELL))
+        untouched, frames = untouched_frame(source), list(itertools.islice(source, FRAMES_A_CELL))
         if not frames or frames[-1].truth is None:
             raise TactuneError(
                 f"{source.name} gives no frame with truth, so it cannot be drawn; choose a simulated one"
@@ -126,7 +126,7 @@ def _panel(
         found: dict[str, Float32Array | str] = {}
         for name in methods:
             try:
-                method = build_method(name, preset, source.rig, reference, make)
+                method = build_method(name, preset, source.rig, untouched, make)
                 patch = [method.find(frame) for frame in frames[-method.remembers :]][-1]
             except TactuneError as error:
                 found[name] = str(error)

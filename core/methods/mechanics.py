@@ -26,7 +26,7 @@ class MembraneMechanics(ContactMethod):
     preset : Preset
         Gives the pose that takes tactile points to the proximity frame.
     rig : Rig
-    reference : SensorFrame
+    untouched : SensorFrame
         The untouched membrane: the shape from which it deforms.
     nodes : int
         About how many nodes the mesh has; the paper's has 440.
@@ -39,14 +39,14 @@ class MembraneMechanics(ContactMethod):
         Volume of the air beneath the plane of the rim.
     crop_px : int
         Width of the membrane's rim, in tactile pixels, that is left out. Without it the outline of what
-        the reference shows is where the membrane is clamped; else the outline follows the measurement.
+        the untouched frame shows is where the membrane is clamped; else the outline follows the measurement.
     regularisation : float
         How much a contact pressure costs against misfit, see `MembraneProblem`.
 
     Raises
     ------
     TactuneError
-        A parameter out of its range, or a reference that shows no inflated membrane.
+        A parameter out of its range, or an untouched frame that shows no inflated membrane.
 
     References
     ----------
@@ -60,7 +60,7 @@ class MembraneMechanics(ContactMethod):
         self,
         preset: Preset,
         rig: Rig,
-        reference: SensorFrame,
+        untouched: SensorFrame,
         nodes: int = 440,
         threshold: float = 0.5,
         gauge_pressure_pa: float = 1600.0,
@@ -69,12 +69,12 @@ class MembraneMechanics(ContactMethod):
         regularisation: float = 1.0,
     ) -> None:
         _check(nodes, threshold, gauge_pressure_pa, housing_m3, crop_px, regularisation)
-        reference.check_against(rig)
+        untouched.check_against(rig)
         self._rig, self._threshold = rig, threshold
         self._view = MembraneView(preset.alignment, rig)
         self._factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
         mesh = build_mesh(
-            reference.tactile_depth,
+            untouched.tactile_depth,
             rig.tactile.intrinsics,
             self._factor,
             preset.alignment.depth_offset_m,
@@ -83,7 +83,7 @@ class MembraneMechanics(ContactMethod):
         )
         self.problem = MembraneProblem(mesh, gauge_pressure_pa, housing_m3, regularisation, fixed_rim=crop_px == 0)
         self._sampler = make_sampler(mesh.pixels, mesh.spacing_px, self._factor)
-        self._untouched = self._sampler.sample(reference.tactile_depth)
+        self._untouched = self._sampler.sample(untouched.tactile_depth)
         self._way_per_depth = np.linalg.norm(mesh.positions, axis=1) / mesh.positions[:, 2]
         self._pixels, self._corners, self._weights = interpolation(mesh)
         self._solver = MembraneSolver(self.problem.program(np.zeros(len(mesh.pixels))))
@@ -98,7 +98,7 @@ class MembraneMechanics(ContactMethod):
             return self._failed(
                 f"the tactile camera sees {seen} of the {len(way_m)} nodes, too few for a balance of the membrane"
                 if seen
-                else "the tactile image has no depth where the reference shows the membrane"
+                else "the tactile image has no depth where the untouched frame shows the membrane"
             )
         solution = self.solve(way_m)
         if solution.failure:
@@ -107,7 +107,7 @@ class MembraneMechanics(ContactMethod):
         return MethodPatch(self._view.points(contact, counts), lambda: self._view.pick(contact, counts))
 
     def way_m(self, counts: Uint16Array) -> Float64Array:
-        """Return how much farther along its ray each node is seen than in the reference, metres; nan where unseen."""
+        """Return each node's displacement along its ray since the untouched frame, metres; nan where unseen."""
         return np.asarray((self._sampler.sample(counts) - self._untouched) * self._factor * self._way_per_depth)
 
     def solve(self, way_m: Float64Array) -> Solution:

@@ -89,13 +89,13 @@ class DepthSampler:
 
 
 def build_mesh(
-    reference: Uint16Array, camera: Intrinsics, factor_m: float, offset_m: float, nodes: int, crop_px: int
+    untouched: Uint16Array, camera: Intrinsics, factor_m: float, offset_m: float, nodes: int, crop_px: int
 ) -> MembraneMesh:
-    """Cover the region where the reference has depth with triangles of about equal size in the image.
+    """Cover the region where the untouched frame has depth with triangles of about equal size in the image.
 
     Parameters
     ----------
-    reference : uint16, shape (Ht, Wt)
+    untouched : uint16, shape (Ht, Wt)
         Tactile depth of the untouched membrane, raw counts.
     camera : Intrinsics
         The tactile camera's.
@@ -109,16 +109,16 @@ def build_mesh(
     Raises
     ------
     TactuneError
-        The reference shows too little of a membrane.
+        The untouched frame shows too little of a membrane.
     """
-    whole = _membrane_region(reference)
+    whole = _membrane_region(untouched)
     spacing = np.sqrt(np.count_nonzero(whole) / (0.866 * nodes))
     for _ in range(6):
         region = _eroded(whole, crop_px + round(spacing / 4))
         if np.count_nonzero(region) < _FEWEST_NODES:
             raise TactuneError(
-                f"the reference shows the membrane in {np.count_nonzero(whole)} tactile pixels, which is too small "
-                f"for a mesh with a rim of {crop_px} pixels left out; take a new reference or leave out less"
+                f"the untouched frame shows the membrane in {np.count_nonzero(whole)} tactile pixels, too small "
+                f"for a mesh with a rim of {crop_px} pixels left out; take a new untouched frame or leave out less"
             )
         outline, inner = _place_nodes(region, spacing)
         found = len(outline) + len(inner)
@@ -126,12 +126,12 @@ def build_mesh(
             break
         spacing *= np.sqrt(found / nodes)
     pixels = np.concatenate([outline, inner])
-    depth = make_sampler(pixels, spacing, factor_m).sample(reference) * factor_m + offset_m
+    depth = make_sampler(pixels, spacing, factor_m).sample(untouched) * factor_m + offset_m
     kept, rim = np.isfinite(depth), np.arange(len(pixels)) < len(outline)
     if np.count_nonzero(kept & ~rim) < _FEWEST_NODES:
         raise TactuneError(
-            f"the reference has depth at {np.count_nonzero(kept & ~rim)} nodes within the membrane's outline only, "
-            f"but the mechanics needs {_FEWEST_NODES}; take a new reference or ask for more nodes"
+            f"the untouched frame has depth at {np.count_nonzero(kept & ~rim)} nodes in the membrane's outline only, "
+            f"but the mechanics needs {_FEWEST_NODES}; take a new untouched frame or ask for more nodes"
         )
     pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]
@@ -178,9 +178,9 @@ def interpolation(mesh: MembraneMesh) -> tuple[IndexArray, IndexArray, Float32Ar
     return pixels, nodes, weights.astype(np.float32)
 
 
-def _membrane_region(reference: Uint16Array) -> BoolArray:
+def _membrane_region(untouched: Uint16Array) -> BoolArray:
     """Return the largest part of the image with depth, its holes filled and its outline's nicks closed."""
-    padded = cv2.copyMakeBorder(valid_depth(reference).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
+    padded = cv2.copyMakeBorder(valid_depth(untouched).astype(np.uint8), 1, 1, 1, 1, cv2.BORDER_CONSTANT, value=0)
     valid = cv2.morphologyEx(padded, cv2.MORPH_CLOSE, np.ones((_NICK_PX, _NICK_PX), np.uint8))
     outlines, _ = cv2.findContours(valid, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     region = np.zeros_like(valid)

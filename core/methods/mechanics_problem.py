@@ -125,7 +125,7 @@ class MembraneProblem:
         Parameters
         ----------
         way_m : float64, shape (N,)
-            How much farther along its ray each node is seen than in the reference, metres; nan where
+            How much farther along its ray each node is seen than in the untouched frame, metres; nan where
             it is not seen.
         """
         cosine, way_mm = self.mesh.facing[self.moving], way_m[self.moving] / _MM
@@ -200,8 +200,8 @@ def curvature_radius(mesh: MembraneMesh, stiffness: sparse.csr_matrix, areas: Fl
     twice_curvature = float(bent[inner].sum() / areas[inner].sum())
     if twice_curvature < 2.0 / _LARGEST_RADIUS_M:
         raise TactuneError(
-            "mechanics: the membrane of the reference does not bulge away from the camera; "
-            "inflate it and take a new reference"
+            "mechanics: the membrane of the untouched frame does not bulge away from the camera; "
+            "inflate it and take a new untouched frame"
         )
     return 2.0 / twice_curvature
 

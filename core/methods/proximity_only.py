@@ -17,12 +17,12 @@ class ProximityOnly(ContactMethod):
     Parameters
     ----------
     preset : Preset
-        Gives the alignment that takes the reference to proximity pixels.
+        Gives the alignment that takes the untouched frame to proximity pixels.
     rig : Rig
-    reference : SensorFrame
+    untouched : SensorFrame
         The untouched membrane.
     margin_m : float
-        How much nearer a point must be, so that the noise of the reference's rim is no contact.
+        How much nearer a point must be, so that the noise of the untouched frame's rim is no contact.
 
     References
     ----------
@@ -32,13 +32,13 @@ class ProximityOnly(ContactMethod):
 
     name = "proximity-only"
 
-    def __init__(self, preset: Preset, rig: Rig, reference: SensorFrame, margin_m: float = 0.002) -> None:
-        reference.check_against(rig)
+    def __init__(self, preset: Preset, rig: Rig, untouched: SensorFrame, margin_m: float = 0.002) -> None:
+        untouched.check_against(rig)
         self._rig = rig
-        self._nearer_than_m = MembraneView(preset.alignment, rig).depth_m(reference.tactile_depth) - margin_m
+        self._nearer_than_m = MembraneView(preset.alignment, rig).depth_m(untouched.tactile_depth) - margin_m
 
     def find(self, frame: SensorFrame) -> MethodPatch:
-        """Return the points in front of the reference."""
+        """Return the points in front of the untouched frame."""
         frame.check_against(self._rig)
         counts = frame.proximity_depth
         with np.errstate(invalid="ignore"):

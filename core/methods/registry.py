@@ -58,12 +58,12 @@ class Fusion(ContactMethod):
 
 def method_names() -> tuple[str, ...]:
     """Return the names that `make_method` knows, fusion first."""
-    return (*FUSION_FIELDS, *_AGAINST_REFERENCE)
+    return (*FUSION_FIELDS, *_AGAINST_UNTOUCHED)
 
 
-def needs_reference(name: str) -> bool:
+def needs_untouched(name: str) -> bool:
     """Return whether a method compares with a frame of the untouched membrane."""
-    return name in _AGAINST_REFERENCE
+    return name in _AGAINST_UNTOUCHED
 
 
 def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
@@ -88,7 +88,7 @@ def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
     return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 
-def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | None = None) -> ContactMethod:
+def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> ContactMethod:
     """Build a method by its name.
 
     Parameters
@@ -97,24 +97,24 @@ def make_method(name: str, preset: Preset, rig: Rig, reference: SensorFrame | No
         One of `method_names`.
     preset : Preset
     rig : Rig
-    reference : SensorFrame, optional
+    untouched : SensorFrame, optional
         The inflated, untouched membrane; every method but fusion needs it.
 
     Raises
     ------
     TactuneError
-        There is no such method, the reference is missing, or the method cannot work with these.
+        There is no such method, the untouched frame is missing, or the method cannot work with these.
     """
     if name in FUSION_FIELDS:
         return Fusion(preset, rig, name, FUSION_FIELDS[name])
-    if name not in _AGAINST_REFERENCE:
+    if name not in _AGAINST_UNTOUCHED:
         raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
-    if reference is None:
+    if untouched is None:
         raise TactuneError(
-            f"{name} compares with the untouched membrane, but there is no reference; "
+            f"{name} compares with the untouched membrane, but there is no untouched frame; "
             "capture one while nothing touches the membrane"
         )
-    return _AGAINST_REFERENCE[name](preset, rig, reference)
+    return _AGAINST_UNTOUCHED[name](preset, rig, untouched)
 
 
 #: Which of the preset's fields each way of fusion sets.
@@ -124,7 +124,7 @@ FUSION_FIELDS: dict[str, dict[str, Any]] = {
     "fusion-membrane": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
     "fusion-averaged": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
 }
-_AGAINST_REFERENCE: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
+_AGAINST_UNTOUCHED: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,
     "tactile-only": partial(TactileOnly, rule="share"),
     "tactile-threshold": partial(TactileOnly, rule="threshold"),

@@ -23,7 +23,7 @@ class TactileOnly(ContactMethod):
     preset : Preset
         Gives the pose that takes tactile points to the proximity frame.
     rig : Rig
-    reference : SensorFrame
+    untouched : SensorFrame
         The untouched membrane.
     share : float
         With ``rule="share"``: the share of the deformed points that is contact, the most deformed
@@ -48,7 +48,7 @@ class TactileOnly(ContactMethod):
         self,
         preset: Preset,
         rig: Rig,
-        reference: SensorFrame,
+        untouched: SensorFrame,
         rule: Literal["share", "threshold"] = "share",
         share: float = 0.6,
         threshold_m: float = 0.005,
@@ -58,13 +58,13 @@ class TactileOnly(ContactMethod):
             raise TactuneError(f"tactile-only: the share is {share:g}, but it must be above 0 and at most 1")
         if threshold_m < 0 or noise_m < 0:
             raise TactuneError(f"tactile-only: {min(threshold_m, noise_m):g} m is no deformation; give one from 0")
-        reference.check_against(rig)
+        untouched.check_against(rig)
         self.name = "tactile-only" if rule == "share" else "tactile-threshold"
         self._rig, self._rule, self._share = rig, rule, share
         self._threshold_m, self._noise_m = threshold_m, noise_m
         self._factor = rig.tactile.depth_unit_m * preset.alignment.depth_scale
         self._view = MembraneView(preset.alignment, rig)
-        counts = reference.tactile_depth
+        counts = untouched.tactile_depth
         self._untouched_m = np.where(valid_depth(counts), counts * self._factor, np.nan)
 
     def find(self, frame: SensorFrame) -> MethodPatch:

@@ -28,7 +28,7 @@ _LARGEST_BYTES = 200_000_000
 _parsing = threading.Lock()
 
 
-def reference_bytes(frame: SensorFrame) -> bytes:
+def untouched_bytes(frame: SensorFrame) -> bytes:
     """Return a frame as the bytes of an ``.npz``."""
     arrays = {name: getattr(frame, name) for name in (*_ARRAYS, *_NUMBERS)}
     if frame.truth is not None:
@@ -64,9 +64,9 @@ def frame_from_bytes(data: bytes) -> SensorFrame:
         raise FrameError(" ".join(str(error).split()) or type(error).__name__) from error
 
 
-def parse_reference(data: bytes, origin: str) -> SensorFrame:
+def parse_untouched(data: bytes, origin: str) -> SensorFrame:
     """Return the frame; `SourceError` where the bytes are none."""
     try:
         return frame_from_bytes(data)
     except FrameError as error:
-        raise SourceError(f"{origin}: its reference frame is damaged ({error}); copy or record it again") from error
+        raise SourceError(f"{origin}: its untouched frame is damaged ({error}); copy or record it again") from error

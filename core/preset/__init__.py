@@ -10,10 +10,10 @@ from .preset import (
     OutlierSection,
     Preset,
     RangeSection,
-    ReferenceRecord,
     RegionSection,
     RigidAlignment,
     ToleranceSection,
+    UntouchedRecord,
     now,
 )
 
@@ -27,7 +27,7 @@ __all__ = [
     "OutlierSection",
     "Preset",
     "RangeSection",
-    "ReferenceRecord",
+    "UntouchedRecord",
     "RegionSection",
     "RigidAlignment",
     "ToleranceSection",

@@ -50,8 +50,8 @@ _MEMBRANE_5: Document = {**_MEMBRANE_4, **_CHOSEN_ANEW_5, "frames": 1, "curvatur
 
 
 def _add_contact_test(document: Document) -> Document:
-    """Version 4: presets choose the contact test and may keep a reference; version 3 knew the tolerance only."""
-    return {"contact_test": "tolerance", "membrane": {**_MEMBRANE_4}, "reference": None, **document}
+    """Version 4: presets choose the contact test and may keep an untouched frame; version 3 knew the tolerance only."""
+    return {"contact_test": "tolerance", "membrane": {**_MEMBRANE_4}, "untouched": None, **document}
 
 
 def _add_curvature(document: Document) -> Document:

@@ -27,7 +27,7 @@ __all__ = [
     "OutlierSection",
     "Preset",
     "RangeSection",
-    "ReferenceRecord",
+    "UntouchedRecord",
     "RegionSection",
     "RigidAlignment",
     "ToleranceSection",
@@ -35,7 +35,7 @@ __all__ = [
 ]
 
 
-class ReferenceRecord(Section):
+class UntouchedRecord(Section):
     """The untouched membrane: averaged frames in a file beside the preset."""
 
     file: Annotated[
@@ -85,10 +85,10 @@ class Preset(Section):
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
     cameras: CamerasSection = CamerasSection()
-    reference: Annotated[
-        ReferenceRecord | None,
+    untouched: Annotated[
+        UntouchedRecord | None,
         described(
-            "Reference",
+            "Untouched frame",
             "The untouched membrane, which some methods and the drift check compare with. Empty: not captured.",
             hidden=True,
         ),

@@ -19,7 +19,7 @@ def export_mcap(
     frames: int | None = None,
     *,
     preset: Preset | None = None,
-    reference: SensorFrame | None = None,
+    untouched: SensorFrame | None = None,
     progress: Progress | None = None,
 ) -> int:
     """Write a source's frames as a recording that `McapSource` reads back bit for bit.
@@ -35,7 +35,7 @@ def export_mcap(
         At most this many frames; a live source needs it. None: all up to the end.
     preset : Preset, optional
         Kept in the file.
-    reference : SensorFrame, optional
+    untouched : SensorFrame, optional
         The untouched membrane, kept in the file; by default the source's.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done.
@@ -63,7 +63,7 @@ def export_mcap(
                 source.rig,
                 preset=preset,
                 frame_rate_hz=source.frame_rate_hz,
-                reference=source.reference() if reference is None else reference,
+                untouched=source.untouched() if untouched is None else untouched,
             ) as writer:
                 return _write(source, writer, total, progress)
         except ExportError as error:  # which knows the temporary name only

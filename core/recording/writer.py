@@ -17,15 +17,15 @@ import numpy as np
 from ..errors import FrameError, TactuneError
 from ..model.frames import Rig, SensorFrame
 from ..model.rig_file import json_text, rig_to_json
-from ..model.untouched_archive import reference_bytes
+from ..model.untouched_archive import untouched_bytes
 from ..preset import Preset
 from ..sources.mcap.container import Buffer, Message
 from ..sources.mcap.messages import (
     CAMERA_INFO,
     IMAGE,
-    REFERENCE_NAME,
     TEXT,
     TRANSFORMS,
+    UNTOUCHED_NAME,
     LogClock,
     Topic,
     frame_text,
@@ -86,7 +86,7 @@ class SessionWriter:
         Kept in the file.
     frame_rate_hz : float
         The source's rate, for playback.
-    reference : SensorFrame, optional
+    untouched : SensorFrame, optional
         A frame of the untouched membrane, kept in the file.
     queue_bytes : int
         How much memory the frames that wait may take; one frame may always wait.
@@ -104,13 +104,13 @@ class SessionWriter:
         *,
         preset: Preset | None = None,
         frame_rate_hz: float = 30.0,
-        reference: SensorFrame | None = None,
+        untouched: SensorFrame | None = None,
         queue_bytes: int = QUEUE_BYTES,
     ) -> None:
         self._rig = rig
         self._streams = image_streams(rig)
         self._clock = LogClock(1.0 / frame_rate_hz)
-        attachments = {} if reference is None else {REFERENCE_NAME: reference_bytes(reference)}
+        attachments = {} if untouched is None else {UNTOUCHED_NAME: untouched_bytes(untouched)}
         self._bag = Bag(path, self._topics(), rig, preset, frame_rate_hz, attachments)
         self._queue: deque[tuple[SensorFrame, int]] = deque()
         self._queue_bytes = queue_bytes

@@ -1,4 +1,4 @@
-"""Whether the untouched membrane is still where the reference has it: the depth change of both cameras, in words."""
+"""Drift of the membrane since the untouched frame was captured: the depth change of both cameras, in words."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import Preset
 
-#: Changes from which methods that compare with the reference go wrong: half of proximity-only's margin.
+#: Changes from which methods that compare with the untouched frame go wrong: half of proximity-only's margin.
 LIMIT_M: Final = 0.001
 
 Verdict = Literal["fine", "inflation", "camera", "touched"]
@@ -34,7 +34,7 @@ _ROUNDS: Final = 4
 
 @dataclass(frozen=True)
 class DepthChange:
-    """How one camera sees the membrane change, present minus reference; positive is farther away.
+    """How one camera sees the membrane change, present minus untouched frame; positive is farther away.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class DepthChange:
 
 @dataclass(frozen=True)
 class MembraneDrift:
-    """What has changed since the reference was captured.
+    """What has changed since the untouched frame was captured.
 
     Attributes
     ----------
@@ -74,8 +74,8 @@ class MembraneDrift:
     sentence: str
 
 
-def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, reference: SensorFrame) -> MembraneDrift:
-    """Compare the present untouched membrane with the reference.
+def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
+    """Compare the present untouched membrane with the untouched frame.
 
     The change of the tactile depth is taken apart, robustly, into a multiple of the membrane's own bulge, which
     a change of pressure makes, and a plane over the image, which a camera that moves or drifts makes; what
@@ -88,7 +88,7 @@ def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, referen
     rig : Rig
     frame : SensorFrame
         One frame while nothing touches, or the median of several.
-    reference : SensorFrame
+    untouched : SensorFrame
 
     Raises
     ------
@@ -99,13 +99,13 @@ def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, referen
     RigMismatchError
         The preset leaves the pose to a rig that has none.
     """
-    for one in (frame, reference):
+    for one in (frame, untouched):
         one.check_against(rig)
-    change, x, y, before = _changes(frame.tactile_depth, reference.tactile_depth, rig.tactile)
+    change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)
     if len(change) < _FEWEST_PIXELS:
         raise CalibrationError(
-            f"the tactile camera sees only {len(change)} pixels of the membrane both now and in the reference; "
-            "check that it sees the membrane, or capture the reference anew"
+            f"the tactile camera sees only {len(change)} pixels of the membrane both now and in the untouched frame; "
+            "check that it sees the membrane, or capture the untouched frame anew"
         )
     rim, apex = np.quantile(before, [0.02, 0.98])
     inflated = apex - rim >= _LEAST_BULGE_M
@@ -115,7 +115,7 @@ def compare_with_reference(preset: Preset, rig: Rig, frame: SensorFrame, referen
     plane = fitted[0] + fitted[1] * x + fitted[2] * y
     tactile = _sum_up(change, plane)
     dented = float(np.mean(np.abs(change - plane - inflation_m * bulge) > _DENT_M))
-    proximity = _proximity_change(preset, rig, frame, reference, inflation_m)
+    proximity = _proximity_change(preset, rig, frame, untouched, inflation_m)
     verdict, sentence = _judge(tactile, proximity, inflation_m, dented)
     return MembraneDrift(tactile, proximity, inflation_m, verdict, sentence)
 
@@ -124,15 +124,15 @@ def _proximity_change(
     preset: Preset,
     rig: Rig,
     frame: SensorFrame,
-    reference: SensorFrame,
+    untouched: SensorFrame,
     inflation_m: float,
 ) -> DepthChange | None:
     """Return the change where the proximity camera sees the membrane, less what the inflation explains."""
     view = MembraneView(preset.alignment, rig)
-    membrane = view.depth_m(reference.tactile_depth)
+    membrane = view.depth_m(untouched.tactile_depth)
     with np.errstate(invalid="ignore"):
-        seen = np.abs(reference.proximity_depth * rig.proximity.depth_unit_m - membrane) < _SAME_SURFACE_M
-    where = np.where(seen, reference.proximity_depth, np.uint16(0))
+        seen = np.abs(untouched.proximity_depth * rig.proximity.depth_unit_m - membrane) < _SAME_SURFACE_M
+    where = np.where(seen, untouched.proximity_depth, np.uint16(0))
     change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
     if len(change) < _FEWEST_PIXELS:
         return None
@@ -178,7 +178,7 @@ def _judge(
 ) -> tuple[Verdict, str]:
     if dented > _DENT_SHARE:
         return "touched", (
-            f"Something touches the membrane: {100 * dented:.0f} % of it differs from the reference by more than "
+            f"Something touches the membrane: {100 * dented:.0f} % of it differs from the untouched frame by more than "
             f"{1e3 * _DENT_M:.0f} mm; take it away and check again."
         )
     known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
@@ -188,14 +188,14 @@ def _judge(
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
         return "camera", (
             f"{cameras} moved, or drifted with temperature: the membrane's depth is off by {by} up to its rim; "
-            "calibrate again, then capture the reference anew."
+            "calibrate again, then capture the untouched frame anew."
         )
     if abs(inflation_m) > LIMIT_M:
         return "inflation", (
             f"The inflation has changed: the middle of the membrane stands {1e3 * abs(inflation_m):.1f} mm "
-            f"{'farther out' if inflation_m > 0 else 'farther in'} than in the reference; inflate it as before, or "
-            "capture the reference anew."
+            f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
+            "or capture the untouched frame anew."
         )
     numbers = ", ".join(f"{name} {1e3 * change.median_m:+.2f} mm" for name, change in known.items())
     unseen = "" if proximity else "; the proximity camera sees too little of the membrane itself to be judged"
-    return "fine", f"The membrane is as in the reference (median change: {numbers}){unseen}."
+    return "fine", f"The membrane is as in the untouched frame (median change: {numbers}){unseen}."

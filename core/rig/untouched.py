@@ -16,8 +16,8 @@ from ..model.arrays import Float64Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.files import atomic_path
 from ..model.frames import SensorFrame
-from ..model.untouched_archive import frame_from_bytes, reference_bytes
-from ..preset import Preset, ReferenceRecord
+from ..model.untouched_archive import frame_from_bytes, untouched_bytes
+from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
 #: More frames take minutes and average nothing that fewer leave.
@@ -31,13 +31,13 @@ _TILE_PX: Final = 16
 _MOVED_SHARE: Final = 0.0067
 #: ... in more than this share of them.
 _MOVED_TILES: Final = 0.005
-#: Two frames of 1280 x 720 with colour take 15 MB; anything far larger is no reference.
+#: Two frames of 1280 x 720 with colour take 15 MB; anything far larger is no untouched frame.
 _LARGEST_BYTES: Final = 100_000_000
-_ANEW: Final = "capture the reference anew"
+_ANEW: Final = "capture the untouched frame anew"
 
 
 @dataclass(frozen=True, eq=False)
-class CapturedReference:
+class UntouchedAverage:
     """The averaged membrane, and how much quieter it is than one frame.
 
     Attributes
@@ -57,14 +57,14 @@ class CapturedReference:
 
 
 @dataclass(frozen=True, eq=False)
-class FoundReference:
+class FoundUntouched:
     """What methods compare with: a frame, or None where there is none, and what is to be said of it."""
 
     frame: SensorFrame | None
     warnings: tuple[str, ...] = ()
 
 
-def average_untouched(frames: Iterable[SensorFrame]) -> CapturedReference:
+def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
     """Average frames of the untouched membrane: the median of each pixel.
 
     Up to 59 frames the median is exact; of more, it is the median of the medians of 30 each (Rousseeuw &
@@ -89,21 +89,21 @@ def average_untouched(frames: Iterable[SensorFrame]) -> CapturedReference:
         _refuse_movement(first, frame)
         count += 1
         if count > MOST_FRAMES:
-            raise CalibrationError(f"a reference is averaged from at most {MOST_FRAMES} frames; ask for fewer")
+            raise CalibrationError(f"an untouched frame is averaged from at most {MOST_FRAMES} frames; ask for fewer")
         held.append(frame)
         if len(held) == 2 * _BLOCK:
             blocks.append(take_snapshot(held[:_BLOCK]).frame)
             held = held[_BLOCK:]
     if first is None:
-        raise CalibrationError("a reference needs at least one frame; the source gave none")
+        raise CalibrationError("an untouched frame needs at least one frame; the source gave none")
     parts = [*blocks, take_snapshot(held).frame] if blocks else held
-    return CapturedReference(take_snapshot(parts).frame, count, _noise(held, parts))
+    return UntouchedAverage(take_snapshot(parts).frame, count, _noise(held, parts))
 
 
-def save_reference(frame: SensorFrame, frames: int, preset_path: Path) -> ReferenceRecord:
-    """Write a reference beside a preset file and return what the preset keeps of it.
+def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
+    """Write an untouched frame beside a preset file and return what the preset keeps of it.
 
-    The file is named by its content, ``reference-HASH.npz``, so it never replaces the one that a preset in
+    The file is named by its content, ``untouched-HASH.npz``, so it never replaces the one that a preset in
     this folder still names: save the preset afterwards, and whatever happens in between, the pair on the
     disk is whole.
 
@@ -122,18 +122,18 @@ def save_reference(frame: SensorFrame, frames: int, preset_path: Path) -> Refere
         The file cannot be written.
     """
     sha256 = content_hash(frame)
-    record = ReferenceRecord(file=f"reference-{sha256[:12]}.npz", sha256=sha256, frames=frames)
+    record = UntouchedRecord(file=f"untouched-{sha256[:12]}.npz", sha256=sha256, frames=frames)
     with atomic_path(preset_path.parent / record.file) as temporary:
-        temporary.write_bytes(reference_bytes(frame))
+        temporary.write_bytes(untouched_bytes(frame))
     return record
 
 
-def load_reference(record: ReferenceRecord, preset_path: Path) -> SensorFrame:
-    """Read the reference that a preset names.
+def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
+    """Read the untouched frame that a preset names.
 
     Parameters
     ----------
-    record : ReferenceRecord
+    record : UntouchedRecord
     preset_path : Path
         The preset's file, or the recording (``.mcap``) that holds both.
 
@@ -143,57 +143,59 @@ def load_reference(record: ReferenceRecord, preset_path: Path) -> SensorFrame:
         It is missing, damaged, or another than the preset was saved with.
     """
     if preset_path.suffix == ".mcap":
-        return _checked(_recorded(preset_path), record, f"the reference in {preset_path}")
+        return _checked(_recorded(preset_path), record, f"the untouched frame in {preset_path}")
     path = preset_path.parent / record.file
     if not path.is_file():
-        raise PresetError(f"the reference {path} of the preset is missing; put it there, or {_ANEW}")
+        raise PresetError(f"the untouched frame {path} of the preset is missing; put it there, or {_ANEW}")
     try:
         if path.stat().st_size > _LARGEST_BYTES:
-            raise PresetError(f"{path} is far too large for a reference; {_ANEW}")
+            raise PresetError(f"{path} is far too large for an untouched frame; {_ANEW}")
         frame = frame_from_bytes(path.read_bytes())
     except OSError as error:
-        raise PresetError(f"cannot read the reference {path}: {error.strerror or error}; {_ANEW}") from error
+        raise PresetError(f"cannot read the untouched frame {path}: {error.strerror or error}; {_ANEW}") from error
     except FrameError as error:
-        raise PresetError(f"the reference {path} is damaged ({error}); {_ANEW}") from error
-    return _checked(frame, record, f"the reference {path}")
+        raise PresetError(f"the untouched frame {path} is damaged ({error}); {_ANEW}") from error
+    return _checked(frame, record, f"the untouched frame {path}")
 
 
-def copy_reference(record: ReferenceRecord, preset_path: Path, to: Path) -> None:
-    """Put a preset's reference beside another preset file, unless it is there already.
+def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None:
+    """Put a preset's untouched frame beside another preset file, unless it is there already.
 
     Parameters
     ----------
-    record : ReferenceRecord
+    record : UntouchedRecord
     preset_path : Path
-        Where it is now, as `load_reference` takes it.
+        Where it is now, as `load_untouched` takes it.
     to : Path
         The other preset's file.
 
     Raises
     ------
     PresetError
-        The reference is missing, damaged or another.
+        The untouched frame is missing, damaged or another.
     ExportError
         It cannot be written there, or another file of its name is in the way.
     """
     target = to.parent / record.file
     if target.is_file():
         try:
-            load_reference(record, to)
+            load_untouched(record, to)
         except PresetError as error:
-            raise ExportError(f"the reference cannot go beside {to}, {target} is in the way; remove it") from error
+            raise ExportError(
+                f"the untouched frame cannot go beside {to}, {target} is in the way; remove it"
+            ) from error
         return
-    frame = load_reference(record, preset_path)
+    frame = load_untouched(record, preset_path)
     packed = preset_path.suffix != ".mcap"
-    data = (preset_path.parent / record.file).read_bytes() if packed else reference_bytes(frame)
+    data = (preset_path.parent / record.file).read_bytes() if packed else untouched_bytes(frame)
     with atomic_path(target) as temporary:
         temporary.write_bytes(data)
 
 
-def find_reference(
+def find_untouched(
     preset: Preset, preset_path: Path | str | None, source: FrameSource, progress: Progress | None = None
-) -> FoundReference:
-    """Return what methods compare with: the preset's own reference, else the source's.
+) -> FoundUntouched:
+    """Return what methods compare with: the preset's own untouched frame, else the source's.
 
     Parameters
     ----------
@@ -207,43 +209,43 @@ def find_reference(
 
     Returns
     -------
-    FoundReference
-        Its warnings say why the preset's own reference was not taken.
+    FoundUntouched
+        Its warnings say why the preset's own untouched frame was not taken.
 
     Raises
     ------
     SourceError
-        The source's reference cannot be read.
+        The source's untouched frame cannot be read.
     """
-    found = kept_reference(preset, preset_path, source)
+    found = kept_untouched(preset, preset_path, source)
     if found.frame is not None:
         return found
     # the simulator, which other sources need not wait for
     from .untouched_source import untouched_frame
 
-    return FoundReference(untouched_frame(source, progress), found.warnings)
+    return FoundUntouched(untouched_frame(source, progress), found.warnings)
 
 
-def kept_reference(preset: Preset | None, preset_path: Path | str | None, source: FrameSource) -> FoundReference:
-    """Return what is kept already, for a recording: the preset's own reference, else the source's.
+def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source: FrameSource) -> FoundUntouched:
+    """Return what is kept already, for a recording: the preset's own untouched frame, else the source's.
 
-    Parameters and errors are those of `find_reference`; nothing is captured or simulated.
+    Parameters and errors are those of `find_untouched`; nothing is captured or simulated.
     """
     warnings: tuple[str, ...] = ()
-    if preset is not None and preset.reference is not None:
+    if preset is not None and preset.untouched is not None:
         try:
-            frame = _own_reference(preset.reference, preset_path, source)
+            frame = _own_untouched(preset.untouched, preset_path, source)
             frame.check_against(source.rig)
-            return FoundReference(frame)
+            return FoundUntouched(frame)
         except (PresetError, FrameError) as error:
-            warnings = (f"the preset's own reference is not used: {error}",)
-    return FoundReference(source.reference(), warnings)
+            warnings = (f"the preset's own untouched frame is not used: {error}",)
+    return FoundUntouched(source.untouched(), warnings)
 
 
-def _own_reference(record: ReferenceRecord, preset_path: Path | str | None, source: FrameSource) -> SensorFrame:
+def _own_untouched(record: UntouchedRecord, preset_path: Path | str | None, source: FrameSource) -> SensorFrame:
     if preset_path is not None:
-        return load_reference(record, Path(preset_path))
-    return _checked(source.reference(), record, f"the reference in {source.name}")
+        return load_untouched(record, Path(preset_path))
+    return _checked(source.untouched(), record, f"the untouched frame in {source.name}")
 
 
 def _recorded(path: Path) -> SensorFrame | None:
@@ -251,12 +253,12 @@ def _recorded(path: Path) -> SensorFrame | None:
 
     try:
         with McapSource(path) as recording:
-            return recording.reference()
+            return recording.untouched()
     except SourceError as error:
-        raise PresetError(f"the reference of the preset cannot be read: {error}") from error
+        raise PresetError(f"the untouched frame of the preset cannot be read: {error}") from error
 
 
-def _checked(frame: SensorFrame | None, record: ReferenceRecord, what: str) -> SensorFrame:
+def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:
     if frame is None or content_hash(frame) != record.sha256:
         raise PresetError(f"{what} is not the one that the preset was saved with; {_ANEW}")
     return frame
@@ -271,7 +273,7 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
     if moved.mean() > _MOVED_TILES:
         farthest = float(np.abs(after - before)[moved].max() / np.median(before[moved]))
         raise CalibrationError(
-            f"the membrane moved while the reference was captured: frame {frame.sequence} differs from frame "
+            f"the membrane moved while the untouched frame was captured: frame {frame.sequence} differs from frame "
             f"{first.sequence} by up to {100 * farthest:.1f} % of the depth; see that nothing touches it and "
             "that it is inflated for good, then capture again"
         )

@@ -8,7 +8,7 @@ from ..contact.pipeline import ContactPipeline
 from ..errors import CalibrationError, FrameError, RigMismatchError
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from .drift import compare_with_reference
+from .drift import compare_with_untouched
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: Senso
     membrane : SensorFrame
         One frame, or the median of several.
     earlier : SensorFrame or None
-        The preset's present reference.
+        The preset's present untouched frame.
 
     Raises
     ------
@@ -63,11 +63,12 @@ def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: Senso
 
 def _dent(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame) -> str:
     try:
-        drift = compare_with_reference(preset, rig, membrane, earlier)
+        drift = compare_with_untouched(preset, rig, membrane, earlier)
     except (CalibrationError, FrameError):  # of another sensor, or blind: nothing to learn from it
         return ""
     if drift.verdict != "touched":
         return ""
     return (
-        "in places the membrane is over 3 mm from where the preset's present reference has it; one of both is touched"
+        "in places the membrane is over 3 mm from where the preset's present untouched frame has it; one of both is "
+        "touched"
     )

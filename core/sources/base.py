@@ -152,7 +152,7 @@ class FrameSource(ABC):
         """
         raise SourceError(f"{self.name}: a live source cannot seek to frame {index}")
 
-    def reference(self) -> SensorFrame | None:
+    def untouched(self) -> SensorFrame | None:
         """Return a frame of the untouched membrane, or None where the source has none."""
         return None
 

@@ -1,7 +1,7 @@
 """Recordings as folders of PNG images that anyone can open, make or hand on.
 
 A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and either one frame or
-numbered subfolders with one frame each; a subfolder ``reference`` may hold a frame of the untouched
+numbered subfolders with one frame each; a subfolder ``untouched`` may hold a frame of the untouched
 membrane. A frame is::
 
     proximity_depth.png   16 bit, counts
@@ -98,9 +98,9 @@ class FolderSource(SeekableSource):
                     f"{folder / 'frame.json'} has the sequence {stamp.sequence}, and so has {first.name}; correct it"
                 )
 
-    def reference(self) -> SensorFrame | None:
-        """Return the frame in the subfolder ``reference``, or None where there is none."""
-        folder = self._path / "reference"
+    def untouched(self) -> SensorFrame | None:
+        """Return the frame in the subfolder ``untouched``, or None where there is none."""
+        folder = self._path / "untouched"
         if not folder.is_dir():
             return None
         _require_images(folder)
@@ -309,9 +309,9 @@ def _write_recording(source: FrameSource, folder: Path, frames: int | None, prog
     available = math.inf if source.length is None else source.length - source.position
     total = int(min(math.inf if frames is None else frames, available))
     _write_file(folder / "rig.json", json_text(rig_to_json(source.rig)))
-    reference = source.reference()
-    if reference is not None:
-        _write_frame(folder / "reference", reference, source.rig)
+    untouched = source.untouched()
+    if untouched is not None:
+        _write_frame(folder / "untouched", untouched, source.rig)
     count = 0
     while count < total and (frame := source.next_frame()) is not None:
         _write_frame(folder / f"{count:06d}", frame, source.rig)

@@ -180,7 +180,7 @@ def check_spacing(spacing_m: float) -> None:
         )
 
 
-def indentation_m(frame: SensorFrame, reference: SensorFrame, rig: Rig) -> float:
+def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float:
     """Return how far the membrane has come towards the tactile camera where it came farthest, metres.
 
     Noise is averaged over some pixels first; 0 where nothing came nearer.
@@ -190,7 +190,7 @@ def indentation_m(frame: SensorFrame, reference: SensorFrame, rig: Rig) -> float
     StrainError
         The frames have no pixel with depth in common.
     """
-    depths = [_depth_m(one.tactile_depth, rig.tactile) for one in (reference, frame)]
+    depths = [_depth_m(one.tactile_depth, rig.tactile) for one in (untouched, frame)]
     moved = depths[0] - depths[1]
     seen = np.isfinite(moved)
     if not seen.any():

@@ -58,7 +58,7 @@ class Take:
         Indices.
     identity : str
         Hash of the rig and of the frames' images and truth.
-    reference : str
+    untouched : str
         Hash of the untouched membrane; empty where no method asks for it.
     has_truth : bool
         Whether at least one frame knows its truth.
@@ -69,7 +69,7 @@ class Take:
     seed: int
     frames: range
     identity: str
-    reference: str
+    untouched: str
     has_truth: bool
 
 
@@ -118,8 +118,8 @@ def inspect_takes(
     seeds: int,
     frames: FrameRange,
     preset: Preset,
-    with_reference: bool,
-    reference: SensorFrame | None = None,
+    with_untouched: bool,
+    untouched: SensorFrame | None = None,
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
 ) -> list[Take]:
@@ -142,8 +142,8 @@ def inspect_takes(
                 held = opened
                 check_rig(preset, opened.rig)
                 images, has_truth, chosen = _read_frames(source, opened, frames)
-                of_reference = _reference_identity(opened, reference) if with_reference else ""
-                takes.append(Take(source, name, seed, chosen, images, of_reference, has_truth))
+                of_untouched = _untouched_identity(opened, untouched) if with_untouched else ""
+                takes.append(Take(source, name, seed, chosen, images, of_untouched, has_truth))
         finally:
             if held is not None:
                 held.close()
@@ -185,8 +185,8 @@ def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[
     return digest.hexdigest(), has_truth, chosen
 
 
-def _reference_identity(opened: FrameSource, reference: SensorFrame | None) -> str:
-    untouched = untouched_frame(opened) if reference is None else reference
+def _untouched_identity(opened: FrameSource, untouched: SensorFrame | None) -> str:
+    untouched = untouched_frame(opened) if untouched is None else untouched
     if untouched is None:
         return ""
     digest = frames_identity(opened.rig)

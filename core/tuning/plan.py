@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from ..evaluation.cells import check_methods, code_version
-from ..methods.registry import FUSION_FIELDS, method_names, needs_reference
+from ..methods.registry import FUSION_FIELDS, method_names, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import Preset
 from ..sources.registry import open_source
@@ -70,7 +70,7 @@ class Request:
     sample : int or None
         Take so many combinations instead of all.
     sample_seed : int
-    reference : SensorFrame or None
+    untouched : SensorFrame or None
         The preset's own untouched membrane, for methods that compare with one; without it the sources'.
     """
 
@@ -81,7 +81,7 @@ class Request:
     seeds: int = 1
     sample: int | None = None
     sample_seed: int = 0
-    reference: SensorFrame | None = None
+    untouched: SensorFrame | None = None
 
 
 @dataclass(frozen=True)
@@ -118,7 +118,7 @@ class Batch:
     take: Take
     code: str
     runs: tuple[tuple[str, str, dict[str, Any]], ...]
-    reference: SensorFrame | None = None
+    untouched: SensorFrame | None = None
 
     @property
     def name(self) -> str:
@@ -139,7 +139,7 @@ class Plan:
     takes : tuple of Take
     code : str
         Version of the program's code.
-    reference : SensorFrame or None
+    untouched : SensorFrame or None
         As in `Request`, where a method asks for it.
     """
 
@@ -148,7 +148,7 @@ class Plan:
     settings: tuple[Setting, ...]
     takes: tuple[Take, ...]
     code: str
-    reference: SensorFrame | None = None
+    untouched: SensorFrame | None = None
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
@@ -170,14 +170,14 @@ class Plan:
             for start in range(0, len(waiting), size):
                 part = waiting[start : start + size]
                 runs = tuple((run.key, run.setting.method, run.setting.values) for run in part)
-                yield Batch(self.base, take, self.code, runs, self.reference)
+                yield Batch(self.base, take, self.code, runs, self.untouched)
 
     def _key(self, setting: Setting, take: Take) -> str:
-        reference = take.reference if needs_reference(setting.method) else ""
+        untouched = take.untouched if needs_untouched(setting.method) else ""
         frames = take.frames
         text = json.dumps(
             [setting.method, setting.parameters, take.source, take.seed, frames.start, frames.stop, frames.step,
-             take.identity, reference, self.code],
+             take.identity, untouched, self.code],
             sort_keys=True,
         )  # fmt: skip
         return hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -219,14 +219,14 @@ def make_plan(
     if set(request.methods) == {FUSION}:
         check_contact_test(axes, base)
     settings = _settings(base, axes, request)
-    wanted = any(map(needs_reference, request.methods))
+    wanted = any(map(needs_untouched, request.methods))
     takes = inspect_takes(
-        request.sources, request.seeds, request.frames, base, wanted, request.reference, opener, progress
+        request.sources, request.seeds, request.frames, base, wanted, request.untouched, opener, progress
     )
     count = len(settings) * len(takes)
     _check_size(count, request)
-    reference = request.reference if wanted else None
-    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), reference)
+    untouched = request.untouched if wanted else None
+    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), untouched)
 
 
 def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
@@ -244,7 +244,7 @@ def little_averaged(plan: Plan) -> list[str]:
     """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
     averaged = {
         setting.parameters["membrane.frames"] for setting in plan.settings
-        if setting.parameters["contact_test"] == "membrane" and not needs_reference(setting.method)
+        if setting.parameters["contact_test"] == "membrane" and not needs_untouched(setting.method)
     }  # fmt: skip
     most, said = max(averaged, default=1), []
     for take in plan.takes:

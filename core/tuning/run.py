@@ -20,7 +20,7 @@ from ..contact.warmup import warm_up
 from ..errors import TactuneError
 from ..evaluation.cells import code_version
 from ..methods.method import ContactMethod, MethodPatch
-from ..methods.registry import Fusion, make_method, needs_reference
+from ..methods.registry import Fusion, make_method, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import Preset
 from ..rig.untouched_source import untouched_frame
@@ -63,7 +63,7 @@ class _OpenTake:
         self.take = take
         self.source = open_source(take.name)
         self._checked = False
-        self._reference: SensorFrame | None = None
+        self._untouched: SensorFrame | None = None
 
     @staticmethod
     def of(take: Take) -> _OpenTake:
@@ -119,16 +119,16 @@ class _OpenTake:
         with _failures_of(tally):
             preset = batch.base.with_values(values)
             if method != FUSION:
-                return _find_by(make_method(method, preset, self.source.rig, self._reference_for(method, batch)))
+                return _find_by(make_method(method, preset, self.source.rig, self._untouched_for(method, batch)))
             if averaged_frames(preset) > 1:
                 return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it remembers frames: not to be shared
             return lambda frame: shared.find(preset, frame)
         return None
 
-    def _reference_for(self, method: str, batch: Batch) -> SensorFrame | None:
-        if needs_reference(method) and self._reference is None:
-            self._reference = batch.reference or untouched_frame(self.source)
-        return self._reference
+    def _untouched_for(self, method: str, batch: Batch) -> SensorFrame | None:
+        if needs_untouched(method) and self._untouched is None:
+            self._untouched = batch.untouched or untouched_frame(self.source)
+        return self._untouched
 
 
 def _find_by(method: ContactMethod) -> Find:

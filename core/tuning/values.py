@@ -20,7 +20,7 @@ from ..preset.file import preset_paths, set_path
 #: Fields that say who, when and where, and change no result.
 _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration")
 #: Fields that change results but are no parameters.
-_FIXED: Final = ("reference",)
+_FIXED: Final = ("untouched",)
 
 #: Which contact test uses a section.
 _TEST_OF: Final = {"tolerance": "tolerance", "outliers": "tolerance", "membrane": "membrane"}

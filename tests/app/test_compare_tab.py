@@ -17,15 +17,15 @@ from tactune.app.analysis import comparer
 from tactune.app.analysis.compare_table import comparison_csv
 from tactune.app.analysis.comparer import Scores
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
-from tactune.app.document.reference_store import ReferenceStore
+from tactune.app.document.untouched_store import UntouchedStore
 from tactune.app.worker.reading import SourceRequest
-from tactune.app.worker.reference_finding import reference_finder
 from tactune.app.worker.threads import wait_for_left
+from tactune.app.worker.untouched_finding import untouched_finder
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.methods.registry import make_method, method_names
 from tactune.core.model.frames import GroundTruth, SensorFrame
-from tactune.core.rig.untouched import save_reference
+from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.base import SeekableSource
 
 from .conftest import at_rest, tiny_frame, tiny_rig
@@ -34,9 +34,9 @@ from .conftest import at_rest, tiny_frame, tiny_rig
 class KnowingSource(SeekableSource):
     """A disc touches; its truth is known, two columns off, and so is the untouched membrane."""
 
-    def __init__(self, reference: bool = True, truth: bool = True) -> None:
+    def __init__(self, untouched: bool = True, truth: bool = True) -> None:
         super().__init__("knowing", tiny_rig(), 8)
-        self._has_reference, self._has_truth = reference, truth
+        self._has_untouched, self._has_truth = untouched, truth
 
     def read(self, index: int) -> SensorFrame:
         frame = tiny_frame(index, self.rig)
@@ -46,8 +46,8 @@ class KnowingSource(SeekableSource):
         touching = np.roll(frame.proximity_color[..., 0] == 200, 2, axis=1)
         return replace(frame, truth=GroundTruth(touching, depth_m))
 
-    def reference(self) -> SensorFrame | None:
-        if not self._has_reference:
+    def untouched(self) -> SensorFrame | None:
+        if not self._has_untouched:
             return None
         frame = tiny_frame(0, self.rig)
         deeper = frame.tactile_depth.copy()
@@ -71,17 +71,17 @@ def open_on(qtbot, window, make):
 
 
 def settle(qtbot, window, tab) -> None:
-    """Wait until what is shown is what is chosen, with the reference that was found."""
+    """Wait until what is shown is what is chosen, with the untouched frame that was found."""
 
     def settled() -> bool:
-        if tab.comparison is None or tab.reference.searching:
+        if tab.comparison is None or tab.untouched.searching:
             return False
         task = tab.comparison.task
         return (
             task.result.frame is window.result.frame
             and task.methods == tab.table.chosen()
-            and task.reference is tab.reference.frame
-            and task.no_reference == tab.reference.sentence
+            and task.untouched is tab.untouched.frame
+            and task.no_untouched == tab.untouched.sentence
             and task.by_truth == (tab.color_by.currentIndex() == 1)
         )
 
@@ -121,7 +121,7 @@ def test_each_method_has_a_view_and_the_numbers_that_python_gives(window, tab):
     frame, rig = window.result.frame, window.result.source.rig
     assert tab.grid.shown() == [TRUTH, "fusion-rigid", "tactile-only"]
     for name in tab.table.chosen():
-        patch = make_method(name, window.document.preset, rig, KnowingSource().reference()).find(frame)
+        patch = make_method(name, window.document.preset, rig, KnowingSource().untouched()).find(frame)
         known = compare_with_truth(patch, frame.truth, rig)
         assert len(patch.points) > 50
         text = tab.grid.tiles[name].caption.text()
@@ -190,10 +190,10 @@ def test_it_follows_the_main_window_and_holds_while_that_stands_still(qtbot, win
     assert tab.comparison is shown
 
 
-def test_the_disk_is_not_asked_for_the_reference_with_each_frame(qtbot, window, tab, monkeypatch):
+def test_the_disk_is_not_asked_for_the_untouched_frame_with_each_frame(qtbot, window, tab, monkeypatch):
     asked = []
-    home = ReferenceStore.home
-    monkeypatch.setattr(ReferenceStore, "home", lambda *rest: asked.append(1) or home(*rest))
+    home = UntouchedStore.home
+    monkeypatch.setattr(UntouchedStore, "home", lambda *rest: asked.append(1) or home(*rest))
     for index in (4, 5, 6):
         window.worker.seek(index)
         qtbot.waitUntil(lambda index=index: at_rest(window, index))
@@ -208,8 +208,8 @@ def test_another_preset_is_compared_at_once(qtbot, window, tab):
     assert outcomes(tab)["fusion-rigid"].scores.points == 64 * 48
 
 
-def test_without_a_reference_the_view_says_how_to_get_one(qtbot, window):
-    tab = open_on(qtbot, window, lambda: KnowingSource(reference=False))
+def test_without_an_untouched_frame_the_view_says_how_to_get_one(qtbot, window):
+    tab = open_on(qtbot, window, lambda: KnowingSource(untouched=False))
     tile = tab.grid.tiles["tactile-only"]
     assert "Ctrl+Shift+R" in tile.view.message()
     assert "no patch" in tile.caption.text()
@@ -224,27 +224,27 @@ def test_without_truth_there_is_no_view_of_it_and_no_score(qtbot, window):
     assert tab.table.isRowHidden(0) and not tab.color_by.isEnabled()
 
 
-def test_a_damaged_reference_is_said_and_tried_again(qtbot, window):
+def test_a_damaged_untouched_frame_is_said_and_tried_again(qtbot, window):
     class Damaged(KnowingSource):
-        def reference(self) -> SensorFrame | None:
-            raise SourceError("the reference is damaged; capture it anew")
+        def untouched(self) -> SensorFrame | None:
+            raise SourceError("the untouched frame is damaged; capture it anew")
 
     tab = open_on(qtbot, window, Damaged)
-    assert "the reference is damaged; capture it anew" in tab.grid.tiles["tactile-only"].view.message()
+    assert "the untouched frame is damaged; capture it anew" in tab.grid.tiles["tactile-only"].view.message()
 
 
-def test_the_reference_of_the_preset_goes_first(preset, tmp_path):
+def test_the_untouched_frame_of_the_preset_goes_first(preset, tmp_path):
     source, home = KnowingSource(), tmp_path / "cup.json"
-    find = reference_finder(source)
+    find = untouched_finder(source)
     assert find(preset, home, lambda share, words: None).frame.tactile_depth[20, 20] > 2500
     own = tiny_frame(5, source.rig)
-    kept = preset.model_copy(update={"reference": save_reference(own, 1, home)})
+    kept = preset.model_copy(update={"untouched": save_untouched(own, 1, home)})
     found = find(kept, home, lambda share, words: None)
     assert not found.warnings
     np.testing.assert_array_equal(found.frame.tactile_depth, own.tactile_depth)
 
 
-def test_preparing_the_reference_can_be_cancelled_and_begun_again(qtbot, window):
+def test_preparing_the_untouched_frame_can_be_cancelled_and_begun_again(qtbot, window):
     tab = open_on(qtbot, window, KnowingSource)
     may_end = Event()
 
@@ -253,8 +253,8 @@ def test_preparing_the_reference_can_be_cancelled_and_begun_again(qtbot, window)
             progress(0.25, "solving")
         return found(_preset, _path, progress)
 
-    found = window.result.source.find_reference
-    slow_info = replace(window.result.source, find_reference=slow)
+    found = window.result.source.find_untouched
+    slow_info = replace(window.result.source, find_untouched=slow)
     tab.show_result(replace(window.result, source=slow_info))
     qtbot.waitUntil(lambda: tab.progress.isVisible() and tab.progress.value() == 25)
     QTest.mouseClick(tab.give_up, Qt.MouseButton.LeftButton)

@@ -46,17 +46,17 @@ def sheet(index: int, stretch=(1.0, 1.0), depth_m=0.3, dots=True) -> SensorFrame
 class PressedGrid(SeekableSource):
     """Frame n is 3 n mm nearer and stretched by 5 n % along the length and 2 n % along the width."""
 
-    def __init__(self, reference=True, dots=True):
+    def __init__(self, untouched=True, dots=True):
         super().__init__("grid", RIG, 8)
-        self._has_reference, self._dots = reference, dots
+        self._has_untouched, self._dots = untouched, dots
 
     def read(self, index):
         frame = sheet(index, (1 + 0.05 * index, 1 + 0.02 * index), 0.3 - 0.003 * index, self._dots)
         strain = TrueStrain(0.09 * index, 0.05 * index, 0.02 * index, 0.05 * index, 0.02 * index)
         return replace(frame, truth=GroundTruth(np.zeros((240, 320), bool), strain=strain))
 
-    def reference(self):
-        return sheet(0) if self._has_reference else None
+    def untouched(self):
+        return sheet(0) if self._has_untouched else None
 
 
 def opened(qtbot, window, source=None, index=3):
@@ -83,7 +83,7 @@ def settled(qtbot, tab, index):
             tab.view is not None
             and tab.view.task.frame.sequence == index
             and not tab._job.busy
-            and not tab.reference.searching
+            and not tab.untouched.searching
         ),
         timeout=20_000,
     )
@@ -161,9 +161,9 @@ def test_without_a_grid_it_says_what_to_do(qtbot, make_window):
     assert not tab.export.isEnabled()
 
 
-def test_a_captured_frame_is_the_reference_of_a_source_without_one(qtbot, make_window):
+def test_a_captured_frame_is_the_untouched_frame_of_a_source_without_one(qtbot, make_window):
     window = make_window()
-    tab = opened(qtbot, window, PressedGrid(reference=False), index=0)
+    tab = opened(qtbot, window, PressedGrid(untouched=False), index=0)
     assert tab.view.displacement_mm is None
     assert "Take as untouched" in tab.status.text()
     QTest.mouseClick(tab.capture, Qt.MouseButton.LeftButton)

@@ -73,5 +73,5 @@ def recording(tmp_path: Path) -> Path:
     """Two frames with everything that a recording can hold."""
     frames = [folder_scenes.make_frame(seed) for seed in (0, 1, 9)]
     path = tmp_path / "recording"
-    export_folder(folder_scenes.ListSource(frames[:2], reference=frames[2]), path)
+    export_folder(folder_scenes.ListSource(frames[:2], untouched=frames[2]), path)
     return path

@@ -80,7 +80,7 @@ def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
     assert {"contact_test", "membrane.gap_m"} < set(expected)
     assert "membrane.core" not in expected, "seldom changed; in the preset's file only"
     assert "alignment.rigid.T_proximity_tactile" in expected
-    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "reference"}
+    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "untouched"}
     assert {name for name, _ in SECTIONS} == tuned
 
 

@@ -48,7 +48,7 @@ from ...model.intrinsics import Intrinsics
 METADATA_NAME: Final = "tactune"
 RIG_NAME: Final = "rig.json"
 PRESET_NAME: Final = "preset.json"
-REFERENCE_NAME: Final = "reference.npz"
+UNTOUCHED_NAME: Final = "reference.npz"
 
 #: Version of the recording format. It grows when an older reader cannot read a newer recording.
 FORMAT_VERSION: Final = 1

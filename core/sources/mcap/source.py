@@ -15,7 +15,7 @@ from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
 from ...model.frames import GroundTruth, Rig, SensorFrame
 from ...model.rig_file import parse_rig
-from ...model.untouched_archive import parse_reference
+from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_from_text
 from ..base import Health, Progress, SeekableSource
@@ -25,9 +25,9 @@ from .messages import (
     IMAGE,
     METADATA_NAME,
     PRESET_NAME,
-    REFERENCE_NAME,
     RIG_NAME,
     TEXT,
+    UNTOUCHED_NAME,
     Topic,
     parse,
 )
@@ -124,10 +124,10 @@ class McapSource(SeekableSource):
         data = self._file.attachment(PRESET_NAME)
         return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
 
-    def reference(self) -> SensorFrame | None:
+    def untouched(self) -> SensorFrame | None:
         """Return the frame of the untouched membrane, or None where there is none."""
-        data = self._file.attachment(REFERENCE_NAME)
-        return None if data is None else parse_reference(data, str(self._path))
+        data = self._file.attachment(UNTOUCHED_NAME)
+        return None if data is None else parse_untouched(data, str(self._path))
 
     def health(self) -> Health:
         """Say what the recording lacks."""

@@ -63,9 +63,9 @@ class LiveLoop(FrameSource):
         time.sleep(max(0.0, min(due_in_s, timeout_s)))
         return due_in_s <= timeout_s
 
-    def reference(self) -> SensorFrame | None:
+    def untouched(self) -> SensorFrame | None:
         """Return a frame of the untouched membrane, or None where the recording has none."""
-        return self._source.reference()
+        return self._source.untouched()
 
     def health(self) -> Health:
         """Report how the recording is doing, and how many frames came too late."""

@@ -109,7 +109,7 @@ class ProcessSource(FrameSource):
         self._supervisor.call("set_option", camera, name, value)
         self._supervisor.remember_option(camera, name, value)
 
-    def reference(self) -> SensorFrame | None:
+    def untouched(self) -> SensorFrame | None:
         """Return a frame of the untouched membrane, or None where the source has none.
 
         Raises
@@ -117,8 +117,8 @@ class ProcessSource(FrameSource):
         SourceError
             The capture process does not answer in time, or the frame cannot be read.
         """
-        reference: SensorFrame | None = self._supervisor.call("reference")
-        return reference
+        untouched: SensorFrame | None = self._supervisor.call("untouched")
+        return untouched
 
     def close(self) -> None:
         """End the capture process. Closing twice is harmless."""

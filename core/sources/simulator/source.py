@@ -92,7 +92,7 @@ class SimulatorSource(SeekableSource):
         """Whether methods must not be developed on this scene, only judged."""
         return self.scene.pressed.held_out
 
-    def untouched(self, progress: Progress | None = None) -> SimulatorSource:
+    def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away; its noise is none that a frame of this source has."""
         scene, seed, noise, cells, variant, light = self._made_of
         away = Variant(press="none", object=variant.object, grid=variant.grid)

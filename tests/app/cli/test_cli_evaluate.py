@@ -85,12 +85,12 @@ def test_a_method_writes_its_points(tmp_path, monkeypatch, capsys):
     np.testing.assert_allclose(points.mean(axis=0, dtype=float), record["centroid_m"], rtol=1e-6)
 
 
-def test_a_recording_needs_a_reference_and_takes_one(make_recording, monkeypatch, capsys):
+def test_a_recording_needs_an_untouched_frame_and_takes_one(make_recording, monkeypatch, capsys):
     recording: Path = make_recording()
     words = ["run", "-s", recording, "--json", "--method", "proximity-only"]
     assert tactune(monkeypatch, *words) == 2
-    assert "give --reference" in capsys.readouterr().err
-    assert tactune(monkeypatch, *words, "--reference", recording) == 0
+    assert "give --untouched" in capsys.readouterr().err
+    assert tactune(monkeypatch, *words, "--untouched", recording) == 0
     assert {record["method"] for record in lines(capsys.readouterr().out)} == {"proximity-only"}
 
 
@@ -98,8 +98,8 @@ def test_a_recording_needs_a_reference_and_takes_one(make_recording, monkeypatch
     ("words", "said"),
     [
         (["--method", "magic"], "no method 'magic'; known are fusion, fusion-rigid"),
-        (["--method", "fusion", "--reference", "sim"], "leave --reference out"),
-        (["--method", "mechanics", "--reference", "nowhere"], "nowhere"),
+        (["--method", "fusion", "--untouched", "sim"], "leave --untouched out"),
+        (["--method", "mechanics", "--untouched", "nowhere"], "nowhere"),
     ],
 )
 def test_run_says_what_is_wrong_with_a_method(make_recording, monkeypatch, capsys, words, said):

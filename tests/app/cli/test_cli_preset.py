@@ -15,7 +15,7 @@ from tactune.core.preset import Preset
 from tactune.core.preset.file import json_schema, load_preset, preset_json, save_preset
 from tactune.core.preset.migrations import _MEMBRANE_4, _MEMBRANE_5
 from tactune.core.preset.notes import preset_notes
-from tactune.core.rig.untouched import load_reference, save_reference
+from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.registry import open_source
 
 Tactune = Callable[..., Any]
@@ -130,7 +130,7 @@ def test_without_a_rig_anywhere_or_with_nothing_to_start_from_is_one_sentence(ta
     assert not out.exists()
 
 
-def test_the_reference_goes_along_with_the_preset_that_new_starts_from(
+def test_the_untouched_frame_goes_along_with_the_preset_that_new_starts_from(
     tactune: Tactune, recording: Path, tmp_path: Path
 ) -> None:
     first, second = tmp_path / "first.json", tmp_path / "elsewhere" / "second.json"
@@ -138,14 +138,14 @@ def test_the_reference_goes_along_with_the_preset_that_new_starts_from(
     with open_source(str(recording)) as source:
         frame = source.next_frame()
     assert frame is not None
-    record = save_reference(frame, 1, first)
-    save_preset(Preset(rig=source.rig, reference=record), first)
+    record = save_untouched(frame, 1, first)
+    save_preset(Preset(rig=source.rig, untouched=record), first)
     assert tactune("preset", "new", "--from", first, "--out", second).status == 0
-    load_reference(record, second)
+    load_untouched(record, second)
 
     (first.parent / record.file).unlink()
     third = tmp_path / "third.json"
-    assert "reference" in tactune("preset", "new", "--from", first, "--out", third).sentence
+    assert "untouched" in tactune("preset", "new", "--from", first, "--out", third).sentence
     assert not third.exists()
 
 

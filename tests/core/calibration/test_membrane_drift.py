@@ -1,4 +1,4 @@
-"""What has changed since the reference: pressure, a camera, a touch, or nothing."""
+"""What has changed since the untouched frame: pressure, a camera, a touch, or nothing."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.preset.file import load_preset
-from tactune.core.rig.drift import LIMIT_M, compare_with_reference
+from tactune.core.rig.drift import LIMIT_M, compare_with_untouched
 from tactune.core.rig.untouched_source import untouched_frame
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator import scene as scene_module
@@ -53,11 +53,11 @@ def seen(tactile_m: np.ndarray, proximity_m: np.ndarray | None = None, seed: int
     )
 
 
-REFERENCE = seen(membrane(), seed=0)
+UNTOUCHED = seen(membrane(), seed=0)
 
 
 def test_the_same_membrane_is_fine_and_the_change_is_the_noise() -> None:
-    drift = compare_with_reference(Preset(), RIG, seen(membrane()), REFERENCE)
+    drift = compare_with_untouched(Preset(), RIG, seen(membrane()), UNTOUCHED)
     assert drift.verdict == "fine"
     assert drift.proximity is not None
     assert abs(drift.tactile.median_m) < 1e-4
@@ -68,7 +68,7 @@ def test_the_same_membrane_is_fine_and_the_change_is_the_noise() -> None:
 
 @pytest.mark.parametrize("more_m", [0.004, -0.003])
 def test_another_pressure_is_told_from_a_camera_that_moved(more_m: float) -> None:
-    drift = compare_with_reference(Preset(), RIG, seen(membrane(BULGE_M + more_m)), REFERENCE)
+    drift = compare_with_untouched(Preset(), RIG, seen(membrane(BULGE_M + more_m)), UNTOUCHED)
     assert drift.verdict == "inflation"
     assert drift.inflation_m == pytest.approx(more_m, rel=0.1)
     assert f"{1e3 * abs(drift.inflation_m):.1f} mm farther {'out' if more_m > 0 else 'in'}" in drift.sentence
@@ -81,7 +81,7 @@ def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back
     pose[2, 3] = back_m
     rig = RIG.model_copy(update={"T_proximity_tactile": tuple(map(tuple, pose.tolist()))})
     now, then = membrane(BULGE_M + 0.004), membrane()
-    drift = compare_with_reference(Preset(), rig, seen(now, now + back_m), seen(then, then + back_m, seed=0))
+    drift = compare_with_untouched(Preset(), rig, seen(now, now + back_m), seen(then, then + back_m, seed=0))
     assert drift.proximity is not None
     assert drift.verdict == "inflation", drift.sentence
 
@@ -97,7 +97,7 @@ def test_another_pressure_is_told_where_the_proximity_camera_stands_farther_back
 )
 def test_an_offset_up_to_the_rim_is_a_camera(tactile: np.ndarray, proximity: float, said: str) -> None:
     now = membrane()
-    drift = compare_with_reference(Preset(), RIG, seen(now + tactile, now + proximity), REFERENCE)
+    drift = compare_with_untouched(Preset(), RIG, seen(now + tactile, now + proximity), UNTOUCHED)
     assert drift.verdict == "camera"
     assert drift.sentence.startswith(said)
     assert abs(drift.inflation_m) < LIMIT_M / 2
@@ -105,14 +105,14 @@ def test_an_offset_up_to_the_rim_is_a_camera(tactile: np.ndarray, proximity: flo
 
 def test_a_dent_is_a_touch_and_no_drift() -> None:
     dent = 0.012 * np.exp(-((U - 60) ** 2 + (V - 50) ** 2) / (2 * 10**2))
-    drift = compare_with_reference(Preset(), RIG, seen(membrane() - dent, membrane()), REFERENCE)
+    drift = compare_with_untouched(Preset(), RIG, seen(membrane() - dent, membrane()), UNTOUCHED)
     assert drift.verdict == "touched"
     assert "take it away" in drift.sentence
 
 
 def test_without_prints_the_proximity_camera_is_not_judged() -> None:
-    plain = replace(REFERENCE, proximity_depth=np.full((HEIGHT, WIDTH), 2600, np.uint16))
-    drift = compare_with_reference(Preset(), RIG, seen(membrane()), plain)
+    plain = replace(UNTOUCHED, proximity_depth=np.full((HEIGHT, WIDTH), 2600, np.uint16))
+    drift = compare_with_untouched(Preset(), RIG, seen(membrane()), plain)
     assert drift.proximity is None
     assert drift.verdict == "fine"
     assert "sees too little" in drift.sentence
@@ -120,29 +120,29 @@ def test_without_prints_the_proximity_camera_is_not_judged() -> None:
 
 def test_frames_that_cannot_be_compared_are_refused() -> None:
     with pytest.raises(CalibrationError, match="only 0 pixels"):
-        compare_with_reference(
-            Preset(), RIG, replace(REFERENCE, tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16)), REFERENCE
+        compare_with_untouched(
+            Preset(), RIG, replace(UNTOUCHED, tactile_depth=np.zeros((HEIGHT, WIDTH), np.uint16)), UNTOUCHED
         )
-    half = replace(REFERENCE, tactile_depth=np.ones((60, 80), np.uint16))
+    half = replace(UNTOUCHED, tactile_depth=np.ones((60, 80), np.uint16))
     with pytest.raises(FrameError, match="80 x 60"):
-        compare_with_reference(Preset(), RIG, half, REFERENCE)
+        compare_with_untouched(Preset(), RIG, half, UNTOUCHED)
 
 
 def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
     preset = load_preset("simulator")
     with open_source("sim:cup?press=medium") as source:
-        reference, pressed = untouched_frame(source), source.read(0)
-        with source.untouched() as away:
+        untouched, pressed = untouched_frame(source), source.read(0)
+        with source.with_object_away() as away:
             now = away.read(20)
-    assert reference is not None
-    fine = compare_with_reference(preset, source.rig, now, reference)
+    assert untouched is not None
+    fine = compare_with_untouched(preset, source.rig, now, untouched)
     assert (fine.verdict, fine.proximity is not None) == ("fine", True), fine.sentence
-    assert compare_with_reference(preset, source.rig, pressed, reference).verdict == "touched"
+    assert compare_with_untouched(preset, source.rig, pressed, untouched).verdict == "touched"
 
 
 def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    reference = untouched_frame(open_source("sim:cup?press=none"))
-    assert reference is not None
+    untouched = untouched_frame(open_source("sim:cup?press=none"))
+    assert untouched is not None
     more_m = 0.004
 
     def inflated(*words: Any) -> Scene:
@@ -153,6 +153,6 @@ def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytes
     monkeypatch.setattr(source_module, "resolve_scene", inflated)
     monkeypatch.setattr(scene_module, "APEX_M", scene_module.APEX_M + more_m)  # the rim stays where it is
     now = open_source("sim:cup?press=none&seed=3")
-    drift = compare_with_reference(load_preset("simulator"), now.rig, now.next_frame(), reference)
+    drift = compare_with_untouched(load_preset("simulator"), now.rig, now.next_frame(), untouched)
     assert drift.verdict == "inflation"
     assert drift.inflation_m == pytest.approx(more_m, abs=0.0002)

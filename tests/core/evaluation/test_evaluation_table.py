@@ -75,7 +75,7 @@ class Bench:
         self.calls: list[str] = []
         self.opened: list[str] = []
 
-    def make(self, name, preset, rig, reference):
+    def make(self, name, preset, rig, untouched):
         if name == "proximity-only":
             raise TactuneError("it lacks a lens")
         return Shifted(name, {"fusion-rigid": 1.0}.get(name, 4.0), self.calls)
@@ -149,10 +149,10 @@ def test_a_preset_s_name_and_dates_change_no_result(tmp_path):
 
 def test_ctrl_c_in_a_method_keeps_what_was_done(tmp_path):
     class Interrupted(Bench):
-        def make(self, name, preset, rig, reference):
+        def make(self, name, preset, rig, untouched):
             if name == "mechanics":
                 raise KeyboardInterrupt
-            return super().make(name, preset, rig, reference)
+            return super().make(name, preset, rig, untouched)
 
     got = []
     with pytest.raises(KeyboardInterrupt):
@@ -182,9 +182,9 @@ def test_straight_is_the_papers_homography_and_tolerance(tmp_path):
     made = []
 
     class Noting(Bench):
-        def make(self, name, preset, rig, reference):
+        def make(self, name, preset, rig, untouched):
             made.append((name, preset.tolerance.t))
-            return super().make(name, preset, rig, reference)
+            return super().make(name, preset, rig, untouched)
 
     list(Noting().measure(plan(tmp_path, ["straight"], seeds=[0])))
     assert set(made) == {("fusion-homography", 0.03)}
@@ -276,7 +276,7 @@ def test_the_figure_shows_what_the_table_judges(tmp_path, monkeypatch):
             shown.setdefault(self.name, []).append(frame.sequence)
             return super().find(frame) if frame.sequence == 5 else failed((48, 64), "it has seen too little")
 
-    def make(name, preset, rig, reference):
+    def make(name, preset, rig, untouched):
         method = Remembering(name, 1.0, [])
         method.remembers = 4 if name == "fusion-averaged" else 1
         return method
@@ -288,10 +288,10 @@ def test_the_figure_shows_what_the_table_judges(tmp_path, monkeypatch):
     assert "Fail" not in words
 
 
-def test_the_simulators_reference_is_a_measured_untouched_membrane():
+def test_the_simulators_untouched_frame_is_a_measured_untouched_membrane():
     with open_source("sim:cup?press=medium") as source:
-        reference, pressed = untouched_frame(source), source.read(0)
-    assert reference is not None and not reference.truth
-    depth = 1e-4 * reference.tactile_depth[pressed.truth.contact].astype(float)
+        untouched, pressed = untouched_frame(source), source.read(0)
+    assert untouched is not None and not untouched.truth
+    depth = 1e-4 * untouched.tactile_depth[pressed.truth.contact].astype(float)
     moved = np.median(depth) - np.median(1e-4 * pressed.tactile_depth[pressed.truth.contact].astype(float))
     assert 0.010 < moved < 0.030, "a press of 24 mm moves the membrane towards the cameras"

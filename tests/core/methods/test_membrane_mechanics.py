@@ -146,8 +146,8 @@ def test_nothing_presses_on_the_untouched_membrane(bulged):
 
 
 def test_the_cup_is_found_by_its_pressure(cup_frames):
-    rig, reference, pressed = cup_frames
-    patch = MembraneMechanics(Preset(), rig, reference).find(pressed)
+    rig, untouched, pressed = cup_frames
+    patch = MembraneMechanics(Preset(), rig, untouched).find(pressed)
     scores = pixel_scores(patch.mask, pressed.truth.contact)
     assert scores.recall > 0.8
     assert scores.precision > 0.3
@@ -205,9 +205,9 @@ def test_parameters_out_of_range_are_refused(bulged, parameter, value):
         mechanics(bulged, **{parameter: value})
 
 
-def test_references_that_show_no_membrane_are_refused(bulged, cup_frames):
+def test_untouched_frames_that_show_no_membrane_are_refused(bulged, cup_frames):
     frame = bulged.frame(0.0)
-    with pytest.raises(TactuneError, match="take a new reference"):
+    with pytest.raises(TactuneError, match="take a new untouched frame"):
         MembraneMechanics(Preset(), bulged.rig, with_tactile(frame, np.zeros_like(frame.tactile_depth)))
     with pytest.raises(TactuneError, match="leave out less"):
         mechanics(bulged, crop_px=200)

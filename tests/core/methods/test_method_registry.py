@@ -5,7 +5,7 @@ import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import RigMismatchError, TactuneError
-from tactune.core.methods.registry import make_method, method_names, needs_reference, settings_of
+from tactune.core.methods.registry import make_method, method_names, needs_untouched, settings_of
 from tactune.core.preset import Preset
 from tactune.core.preset.file import load_preset
 
@@ -23,13 +23,13 @@ NAMES = (
 
 def test_names():
     assert method_names() == NAMES
-    assert [name for name in NAMES if not needs_reference(name)] == list(NAMES[:4])
+    assert [name for name in NAMES if not needs_untouched(name)] == list(NAMES[:4])
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_every_method_finds_the_cup(cup_frames, name):
-    rig, reference, pressed = cup_frames
-    method = make_method(name, load_preset("simulator"), rig, reference)
+    rig, untouched, pressed = cup_frames
+    method = make_method(name, load_preset("simulator"), rig, untouched)
     patch = method.find(pressed)
     assert method.name == name
     assert patch.failure == ""
@@ -56,8 +56,8 @@ def test_fusion_is_the_pipeline_with_that_model(cup_frames, model):
     np.testing.assert_array_equal(found.mask, expected.mask)
 
 
-@pytest.mark.parametrize("name", [name for name in NAMES if needs_reference(name)])
-def test_a_missing_reference_is_told(small_rig, name):
+@pytest.mark.parametrize("name", [name for name in NAMES if needs_untouched(name)])
+def test_a_missing_untouched_frame_is_told(small_rig, name):
     with pytest.raises(TactuneError, match=f"{name} compares with the untouched membrane.*capture one"):
         make_method(name, load_preset("simulator"), small_rig)
 
@@ -110,8 +110,8 @@ OTHERS = {
     "region.enabled": True,
     "region.rectangle": (100, 80, 60, 60),
 }
-#: Fields that decide nothing, or only what the rig and the reference are, which are given apart.
-OTHERWISE = ("name", "notes", "created", "modified", "rig", "cameras", "reference", "alignment.calibration")
+#: Fields that decide nothing, or only what the rig and the untouched frame are, which are given apart.
+OTHERWISE = ("name", "notes", "created", "modified", "rig", "cameras", "untouched", "alignment.calibration")
 
 
 def leaves(data: dict, before: str = "") -> set[str]:
@@ -129,16 +129,16 @@ def test_every_field_of_a_preset_is_looked_at():
 
 @pytest.mark.parametrize("name", [*NAMES[:4], "proximity-only", "tactile-threshold"])
 def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, name):
-    rig, reference, pressed = bulged.rig, bulged.frame(0.0), bulged.frame(0.05, 0.0003)
+    rig, untouched, pressed = bulged.rig, bulged.frame(0.0), bulged.frame(0.05, 0.0003)
     preset = Preset()
-    expected = make_method(name, preset, rig, reference).find(pressed)
+    expected = make_method(name, preset, rig, untouched).find(pressed)
     assert len(expected.points) > 500
     unconcerned = 0
     for path, value in OTHERS.items():
         other = preset.with_value(path, value)
         if settings_of(name, other) == settings_of(name, preset):
             unconcerned += 1
-            found = make_method(name, other, rig, reference).find(pressed)
+            found = make_method(name, other, rig, untouched).find(pressed)
             np.testing.assert_array_equal(found.points, expected.points, err_msg=path)
     assert unconcerned
 

@@ -88,11 +88,11 @@ class TestMembraneView:
 
 
 class TestProximityOnly:
-    def test_a_plate_through_the_reference_is_contact(self, bulged):
-        reference, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
-        patch = ProximityOnly(Preset(), bulged.rig, reference, margin_m=0.001).find(frame)
+    def test_a_plate_through_the_untouched_frame_is_contact(self, bulged):
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        patch = ProximityOnly(Preset(), bulged.rig, untouched, margin_m=0.001).find(frame)
         depth = frame.proximity_depth * bulged.rig.proximity.depth_unit_m
-        in_front = depth < reference.truth.depth_m - 0.001
+        in_front = depth < untouched.truth.depth_m - 0.001
         assert in_front.sum() > 5000
         assert pixel_scores(patch.mask, in_front).iou > 0.99
         np.testing.assert_array_equal(
@@ -100,18 +100,18 @@ class TestProximityOnly:
         )
         assert patch.failure == ""
 
-    def test_a_plate_behind_the_reference_is_not(self, bulged):
+    def test_a_plate_behind_the_untouched_frame_is_not(self, bulged):
         method = ProximityOnly(Preset(), bulged.rig, bulged.frame(0.0))
         assert len(method.find(bulged.frame(0.5 * bulged.radius_m, gap_m=0.002)).points) == 0
 
     def test_the_margin_is_how_much_nearer_a_point_must_be(self, bulged):
-        reference = bulged.frame(0.0)
-        nearer = reference.truth.depth_m - 0.004
+        untouched = bulged.frame(0.0)
+        nearer = untouched.truth.depth_m - 0.004
         counts = np.nan_to_num(nearer / bulged.rig.proximity.depth_unit_m).astype(np.uint16)
-        frame = replace(reference, proximity_depth=counts)
-        sure = inside(reference.truth.depth_m)
-        assert ProximityOnly(Preset(), bulged.rig, reference, margin_m=0.003).find(frame).mask[sure].all()
-        assert not ProximityOnly(Preset(), bulged.rig, reference, margin_m=0.005).find(frame).mask[sure].any()
+        frame = replace(untouched, proximity_depth=counts)
+        sure = inside(untouched.truth.depth_m)
+        assert ProximityOnly(Preset(), bulged.rig, untouched, margin_m=0.003).find(frame).mask[sure].all()
+        assert not ProximityOnly(Preset(), bulged.rig, untouched, margin_m=0.005).find(frame).mask[sure].any()
 
     def test_pixels_without_depth_are_no_contact(self, bulged):
         method = ProximityOnly(Preset(), bulged.rig, bulged.frame(0.0))
@@ -129,21 +129,21 @@ class TestProximityOnly:
 
 class TestTactileOnly:
     def test_the_share_of_the_most_deformed_points_is_contact(self, bulged):
-        reference, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
-        dent = reference.tactile_depth.astype(int) - frame.tactile_depth
-        seen = (reference.tactile_depth > 0) & (frame.tactile_depth > 0)
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        dent = untouched.tactile_depth.astype(int) - frame.tactile_depth
+        seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
         deformed = seen & (dent > 150)
         for share in (0.3, 0.6, 1.0):
-            method = TactileOnly(Preset(), bulged.rig, reference, share=share, noise_m=0.001505)
+            method = TactileOnly(Preset(), bulged.rig, untouched, share=share, noise_m=0.001505)
             contact = method.contact(frame.tactile_depth)
             assert contact.sum() == pytest.approx(share * deformed.sum(), rel=0.01)
             assert dent[contact].min() >= dent[seen & ~contact].max()
 
     def test_the_threshold_is_absolute(self, bulged):
-        reference, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
-        method = TactileOnly(Preset(), bulged.rig, reference, rule="threshold", threshold_m=0.006)
-        dent = (reference.tactile_depth.astype(int) - frame.tactile_depth) * bulged.rig.tactile.depth_unit_m
-        seen = (reference.tactile_depth > 0) & (frame.tactile_depth > 0)
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        method = TactileOnly(Preset(), bulged.rig, untouched, rule="threshold", threshold_m=0.006)
+        dent = (untouched.tactile_depth.astype(int) - frame.tactile_depth) * bulged.rig.tactile.depth_unit_m
+        seen = (untouched.tactile_depth > 0) & (frame.tactile_depth > 0)
         sure = seen & (np.abs(dent - 0.006) > 1e-6)
         contact = method.contact(frame.tactile_depth)
         np.testing.assert_array_equal(contact[sure], (dent > 0.006)[sure])
@@ -159,7 +159,7 @@ class TestTactileOnly:
         assert scores.precision > 0.95  # the most deformed are in the middle of the plate
         assert 0.5 < scores.recall < 0.8
 
-    def test_nothing_is_deformed_in_the_reference(self, bulged):
+    def test_nothing_is_deformed_in_the_untouched_frame(self, bulged):
         for rule in ("share", "threshold"):
             method = TactileOnly(Preset(), bulged.rig, bulged.frame(0.0), rule=rule)
             patch = method.find(bulged.frame(0.0, noise_m=0.0002, seed=3))
@@ -167,21 +167,21 @@ class TestTactileOnly:
             assert not patch.mask.any()
 
     def test_depth_scale_counts_for_the_deformation(self, bulged):
-        reference, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
-        plain = TactileOnly(Preset(), bulged.rig, reference, rule="threshold", threshold_m=0.006)
-        scaled = TactileOnly(corrected(1.2, 0.01), bulged.rig, reference, rule="threshold", threshold_m=0.0072)
+        untouched, frame = bulged.frame(0.0), bulged.frame(0.5 * bulged.radius_m)
+        plain = TactileOnly(Preset(), bulged.rig, untouched, rule="threshold", threshold_m=0.006)
+        scaled = TactileOnly(corrected(1.2, 0.01), bulged.rig, untouched, rule="threshold", threshold_m=0.0072)
         differ = plain.contact(frame.tactile_depth) != scaled.contact(frame.tactile_depth)
         assert differ.mean() < 1e-3
 
     def test_values_that_make_no_sense_are_refused(self, bulged):
-        reference = bulged.frame(0.0)
+        untouched = bulged.frame(0.0)
         for share in (0.0, 1.5, -1.0, float("nan")):
             with pytest.raises(TactuneError, match="share is"):
-                TactileOnly(Preset(), bulged.rig, reference, share=share)
+                TactileOnly(Preset(), bulged.rig, untouched, share=share)
         with pytest.raises(TactuneError, match="is no deformation"):
-            TactileOnly(Preset(), bulged.rig, reference, threshold_m=-0.001)
+            TactileOnly(Preset(), bulged.rig, untouched, threshold_m=-0.001)
         with pytest.raises(TactuneError, match="is no deformation"):
-            TactileOnly(Preset(), bulged.rig, reference, noise_m=-0.001)
+            TactileOnly(Preset(), bulged.rig, untouched, noise_m=-0.001)
 
 
 @pytest.fixture(scope="module")
@@ -193,24 +193,24 @@ def other_untouched() -> SensorFrame:
 
 class TestOnTheSimulator:
     def test_proximity_only(self, cup_frames, other_untouched):
-        rig, reference, pressed = cup_frames
-        method = ProximityOnly(Preset(), rig, reference)
+        rig, untouched, pressed = cup_frames
+        method = ProximityOnly(Preset(), rig, untouched)
         scores = pixel_scores(method.find(pressed).mask, pressed.truth.contact)
         assert scores.recall > 0.9
         assert scores.precision > 0.15
         assert method.find(other_untouched).mask.mean() < 0.03
 
     def test_tactile_only(self, cup_frames, other_untouched):
-        rig, reference, pressed = cup_frames
-        method = TactileOnly(Preset(), rig, reference)
+        rig, untouched, pressed = cup_frames
+        method = TactileOnly(Preset(), rig, untouched)
         scores = pixel_scores(method.find(pressed).mask, pressed.truth.contact)
         assert scores.recall > 0.9
         assert scores.precision > 0.15
-        threshold = TactileOnly(Preset(), rig, reference, rule="threshold")
+        threshold = TactileOnly(Preset(), rig, untouched, rule="threshold")
         assert threshold.find(other_untouched).mask.mean() < 0.003
 
 
-def test_the_synthetic_scene_is_its_own_reference():
+def test_the_synthetic_scene_is_its_own_untouched_frame():
     """The membrane of this scene never moves: only what the proximity camera sees may be contact."""
     scene = synthetic_scene(20_000)
     assert not TactileOnly(scene.preset, scene.rig, scene.frame).find(scene.frame).mask.any()

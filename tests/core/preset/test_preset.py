@@ -241,12 +241,12 @@ def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
 @pytest.mark.parametrize("found", [1, 2, 3])
 def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
     old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
-    for part in ("contact_test", "membrane", "reference"):
+    for part in ("contact_test", "membrane", "untouched"):
         del old[part]
     migrated = preset_migrations.migrate(old | {"schema_version": found}, "old.json")
     assert set(migrated["membrane"]) == set(MembraneSection.model_fields)
     read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
-    assert (read.contact_test, read.tolerance.t, read.reference) == ("tolerance", 0.0123, None)
+    assert (read.contact_test, read.tolerance.t, read.untouched) == ("tolerance", 0.0123, None)
     assert read.membrane == MembraneSection()
     kept = read.with_values({"contact_test": "membrane", "membrane.gap_m": 0.0011, "membrane.slope": False})
     assert preset_from_text(preset_json(kept), "new.json") == kept

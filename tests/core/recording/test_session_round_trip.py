@@ -75,13 +75,13 @@ def test_the_simulator_comes_back_and_gives_the_same_patches(tmp_path: Path, rec
     with open_source("sim:cup?seed=3") as live:
         live.seek(40)
         frames = [live.next_frame() for _ in range(6)]
-        record(tmp_path / "sim.mcap", live.rig, frames, preset=preset, reference=frames[0])
+        record(tmp_path / "sim.mcap", live.rig, frames, preset=preset, untouched=frames[0])
         pipeline = ContactPipeline(preset, live.rig)
         patches = [pipeline.process(frame) for frame in frames]
     with open_source(str(tmp_path / "sim.mcap")) as source:
         assert isinstance(source, McapSource)
         assert source.preset() == preset
-        assert same_frame(source.reference(), frames[0])
+        assert same_frame(source.untouched(), frames[0])
         pipeline = ContactPipeline(source.preset(), source.rig)
         for patch, frame, played in zip(patches, frames, source, strict=True):
             assert same_frame(played, frame)
@@ -113,7 +113,7 @@ def test_frames_without_what_is_optional(
     with McapSource(tmp_path / "a.mcap") as source:
         assert [frame.truth is None for frame in source] == [True, False, True]
         assert source.preset() is None
-        assert source.reference() is None
+        assert source.untouched() is None
         assert source.health().ok
 
 

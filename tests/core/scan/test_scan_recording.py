@@ -14,7 +14,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.distances import cloud_distances
 from tactune.core.evaluation.metrics import compare_with_truth, truth_cloud
-from tactune.core.methods.registry import make_method, method_names, needs_reference
+from tactune.core.methods.registry import make_method, method_names, needs_untouched
 from tactune.core.preset.file import load_preset
 from tactune.core.recording.writer import SessionWriter
 from tactune.core.scan.paint import PaintSettings, contact_points, painted_contact
@@ -159,7 +159,7 @@ def test_methods_frames_and_a_csv(tactune, scans, tmp_path):
 
 
 def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path):
-    recording = tmp_path / "no reference.mcap"
+    recording = tmp_path / "no untouched frame.mcap"
     with SessionWriter(recording, source.rig) as writer:
         writer.put(source.read(FRAME), wait=True)
     command = ["evaluate", "recording", "--source", recording, "--scan", scans["clean"][0], "--preset", "simulator"]
@@ -167,7 +167,7 @@ def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path
     status, out, err = tactune(*command, "all")
     assert status == 0
     found = {record["method"] for record in json.loads(out)["results"]}
-    left_out = {name for name in method_names() if needs_reference(name)}
+    left_out = {name for name in method_names() if needs_untouched(name)}
     assert found == {"fusion", *method_names()} - left_out
     assert err.count("left out: ") == len(left_out) and all(
         f"left out: {name} compares with" in err for name in left_out
@@ -205,7 +205,7 @@ def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scan
         (("--transform", "{pose}", "--frames", "5:2"), ("'5:2'", "0:9")),
         (("--transform", "{pose}", "--frame", "4000"), ("no frame 4000",)),
         (("--transform", "{pose}", "--frames", "0:4000"), ("no frame 4000",)),
-        (("--transform", "{pose}", "--reference", "sim"), ("leave --reference out",)),
+        (("--transform", "{pose}", "--untouched", "sim"), ("leave --untouched out",)),
         (("--transform", "{pose}", "--unit", "mm"), ("set the unit",)),
         (("--transform", "{away}"), ("behind the proximity camera",)),
     ],

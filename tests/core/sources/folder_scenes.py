@@ -49,16 +49,16 @@ def make_frame(seed: int, rig: Rig = RIG, **changes: object) -> SensorFrame:
 
 
 class ListSource(SeekableSource):
-    def __init__(self, frames: list[SensorFrame], rig: Rig = RIG, reference: SensorFrame | None = None) -> None:
+    def __init__(self, frames: list[SensorFrame], rig: Rig = RIG, untouched: SensorFrame | None = None) -> None:
         super().__init__("list", rig, len(frames))
         self.frames = frames
-        self.untouched = reference
+        self._untouched = untouched
 
     def read(self, index: int) -> SensorFrame:
         return self.frames[index]
 
-    def reference(self) -> SensorFrame | None:
-        return self.untouched
+    def untouched(self) -> SensorFrame | None:
+        return self._untouched
 
 
 class LiveSource(FrameSource):

@@ -174,10 +174,10 @@ def test_a_later_bad_frame_is_told_when_it_is_read(recording: Path) -> None:
         source.next_frame()
 
 
-def test_a_reference_needs_its_images(recording: Path) -> None:
-    (recording / "reference/tactile_depth.png").unlink()
-    with pytest.raises(SourceError, match=r"reference/tactile_depth\.png"):
-        FolderSource(recording).reference()
+def test_an_untouched_frame_needs_its_images(recording: Path) -> None:
+    (recording / "untouched/tactile_depth.png").unlink()
+    with pytest.raises(SourceError, match=r"untouched/tactile_depth\.png"):
+        FolderSource(recording).untouched()
 
 
 @pytest.mark.parametrize("name", ["missing", "file"])

@@ -28,17 +28,17 @@ def test_an_export_gives_back_every_bit(tmp_path: Path) -> None:
         make_frame(1, tactile_color=None, truth=None),
         make_frame(2, truth=GroundTruth(np.zeros((5, 7), bool))),
     ]
-    reference = make_frame(3, sequence=4, truth=None)
-    assert export_folder(ListSource(frames, reference=reference), tmp_path / "out") == 3
+    untouched = make_frame(3, sequence=4, truth=None)
+    assert export_folder(ListSource(frames, untouched=untouched), tmp_path / "out") == 3
     with FolderSource(tmp_path / "out") as source:
         assert source.rig == RIG
         assert source.length == 3
         read = list(source)
         for before, after in zip(frames, read, strict=True):
             assert_same(before, after)
-        untouched = source.reference()
-    assert untouched is not None
-    assert_same(reference, untouched)
+        stored = source.untouched()
+    assert stored is not None
+    assert_same(untouched, stored)
 
 
 def test_truth_on_whole_counts_needs_the_png_only(tmp_path: Path) -> None:
@@ -103,7 +103,7 @@ def test_one_frame_may_lie_beside_rig_json(recording: Path) -> None:
     source = FolderSource(single)
     assert source.length == 1
     assert source.frame_rate_hz == 30.0
-    assert source.reference() is None
+    assert source.untouched() is None
     assert_same(source.read(0), make_frame(1, sequence=0, proximity_time_s=0.0, tactile_time_s=0.0))
 
 

@@ -72,7 +72,7 @@ def test_still_presses_grow_and_only_their_noise_changes():
 
 
 def test_without_a_press_nothing_touches_the_same_membrane_and_the_noise_is_another():
-    with open_coarse("cube", noise=1.0, press="medium") as pressed, pressed.untouched() as away:
+    with open_coarse("cube", noise=1.0, press="medium") as pressed, pressed.with_object_away() as away:
         first, frame = pressed.read(0), away.read(0)
         assert "press=none" in away.name
         assert away.scene.design == pressed.scene.design

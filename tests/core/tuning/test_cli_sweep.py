@@ -11,7 +11,7 @@ from pyarrow import parquet
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset.file import load_preset, preset_json, save_preset
-from tactune.core.rig.untouched import load_reference, save_reference
+from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import FolderSource
 
 SETS = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
@@ -227,19 +227,19 @@ def test_the_best_preset_replaces_only_what_a_sweep_has_written(sweep, recording
         assert sweep("-s", recording, "-p", mine, "--best", "best.json").status == 0
 
 
-def test_the_best_preset_takes_the_reference_of_its_preset_along(sweep, recording, tmp_path):
+def test_the_best_preset_takes_the_untouched_frame_of_its_preset_along(sweep, recording, tmp_path):
     (tmp_path / "there").mkdir()
     begun, best = tmp_path / "there" / "begun.json", tmp_path / "best.json"
-    kept = save_reference(FolderSource(tmp_path / "rec").read(0), 1, begun)
-    save_preset(load_preset("default").model_copy(update={"reference": kept}), begun)
+    kept = save_untouched(FolderSource(tmp_path / "rec").read(0), 1, begun)
+    save_preset(load_preset("default").model_copy(update={"untouched": kept}), begun)
     assert sweep("-s", recording, "-p", begun, "--best", best).status == 0
-    assert load_reference(load_preset(best).reference, best).sequence == 0
+    assert load_untouched(load_preset(best).untouched, best).sequence == 0
 
 
-def test_other_methods_compare_with_the_presets_own_reference(sweep, recording, tmp_path):
+def test_other_methods_compare_with_the_presets_own_untouched_frame(sweep, recording, tmp_path):
     begun = tmp_path / "begun.json"
-    kept = save_reference(FolderSource(tmp_path / "rec").read(0), 1, begun)
-    save_preset(load_preset("default").model_copy(update={"reference": kept}), begun)
+    kept = save_untouched(FolderSource(tmp_path / "rec").read(0), 1, begun)
+    save_preset(load_preset("default").model_copy(update={"untouched": kept}), begun)
     for preset, failures in (("default", 1), (begun, 0)):
         words = ("-s", recording, "-p", preset, "--method", "tactile-threshold", "--json")
         document = json.loads(sweep(*words, "-o", f"{failures}.parquet").out)

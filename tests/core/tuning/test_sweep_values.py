@@ -69,7 +69,7 @@ def test_texts_become_the_values_that_a_preset_holds(text, expected):
         ("name=a,b", "no parameter"),
         ("alignment.calibration=null", "no parameter"),
         ("cameras.tactile_delay_s=0.1", "no parameter"),
-        ("reference=null", "no parameter"),
+        ("untouched=null", "no parameter"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(text, words):

@@ -88,7 +88,7 @@ class Recorded(Seekable):
     def read(self, index: int) -> SensorFrame:
         return self._frames[index]
 
-    def reference(self) -> SensorFrame:
+    def untouched(self) -> SensorFrame:
         return make_frame(self.rig, 999, truth=True, truth_depth=True)
 
 

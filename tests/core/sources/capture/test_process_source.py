@@ -113,7 +113,7 @@ def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_o
         assert numbers[1] - numbers[0] == 1
 
 
-def test_names_rate_reference_and_progress(nothing_left: None) -> None:
+def test_names_rate_untouched_frame_and_progress(nothing_left: None) -> None:
     rig = make_rig()
     told: list[tuple[float, str]] = []
     threads = set()
@@ -127,9 +127,9 @@ def test_names_rate_reference_and_progress(nothing_left: None) -> None:
         assert source.name == "recorded"
         assert source.length is None
         assert source.frame_rate_hz == 30.0
-        reference = source.reference()
-        assert reference is not None
-        assert same_frame(reference, make_frame(rig, 999, truth=True, truth_depth=True))
+        untouched = source.untouched()
+        assert untouched is not None
+        assert same_frame(untouched, make_frame(rig, 999, truth=True, truth_depth=True))
         with pytest.raises(SourceError, match="a live source cannot seek"):
             source.seek(0)
     assert (0.5, "half way") in told

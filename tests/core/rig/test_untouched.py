@@ -1,4 +1,4 @@
-"""The reference of a preset: captured, kept beside it, found again, and refused in words."""
+"""The untouched frame of a preset: captured, kept beside it, found again, and refused in words."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.model.untouched_archive import reference_bytes
-from tactune.core.preset import Preset, ReferenceRecord
+from tactune.core.model.untouched_archive import untouched_bytes
+from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import load_preset, save_preset
 from tactune.core.recording import SessionWriter
-from tactune.core.rig.untouched import average_untouched, find_reference, load_reference, save_reference
+from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, save_untouched
 from tactune.core.sources.base import FrameSource
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.registry import open_source
@@ -40,7 +40,7 @@ RIG = Rig(
 )
 
 
-def untouched(number: int, noise: float = 4.0) -> SensorFrame:
+def untouched_image(number: int, noise: float = 4.0) -> SensorFrame:
     rng = np.random.default_rng(number)
     return SensorFrame(
         sequence=number,
@@ -57,41 +57,41 @@ def dented(frame: SensorFrame, counts: int, size: int) -> SensorFrame:
 
 
 class Still(FrameSource):
-    """A source whose own reference can be chosen."""
+    """A source whose own untouched frame can be chosen."""
 
     name = "still"
     rig = RIG
 
-    def __init__(self, reference: SensorFrame | None = None) -> None:
-        self._reference = reference
+    def __init__(self, untouched: SensorFrame | None = None) -> None:
+        self._untouched = untouched
 
     def next_frame(self) -> SensorFrame | None:
-        return untouched(0)
+        return untouched_image(0)
 
-    def reference(self) -> SensorFrame | None:
-        return self._reference
+    def untouched(self) -> SensorFrame | None:
+        return self._untouched
 
 
 @pytest.fixture
 def kept(tmp_path: Path) -> tuple[Path, Preset, SensorFrame]:
-    """A preset with a reference beside it."""
-    captured = average_untouched(map(untouched, range(5)))
-    record = save_reference(captured.frame, captured.frames, tmp_path / "kept.json")
-    preset = Preset(name="kept", reference=record)
+    """A preset with an untouched frame beside it."""
+    captured = average_untouched(map(untouched_image, range(5)))
+    record = save_untouched(captured.frame, captured.frames, tmp_path / "kept.json")
+    preset = Preset(name="kept", untouched=record)
     save_preset(preset, tmp_path / "kept.json")
     return tmp_path / "kept.json", load_preset(tmp_path / "kept.json"), captured.frame
 
 
-def record_of(preset: Preset) -> ReferenceRecord:
-    assert preset.reference is not None
-    return preset.reference
+def record_of(preset: Preset) -> UntouchedRecord:
+    assert preset.untouched is not None
+    return preset.untouched
 
 
 # Capturing
 
 
 def test_averaging_takes_the_noise_away_and_says_how_much() -> None:
-    captured = average_untouched(map(untouched, range(15)))
+    captured = average_untouched(map(untouched_image, range(15)))
     assert captured.frames == 15
     before, after = captured.noise_counts
     assert before == pytest.approx(4.0, rel=0.1)
@@ -112,7 +112,7 @@ def test_many_frames_take_no_more_memory_than_sixty() -> None:
             alive -= 1
 
         for number in range(count):
-            frame = untouched(number % 37)
+            frame = untouched_image(number % 37)
             alive += 1
             most = max(most, alive)
             weakref.finalize(frame, gone)
@@ -127,12 +127,12 @@ def test_many_frames_take_no_more_memory_than_sixty() -> None:
 
 def test_too_many_frames_are_refused_before_they_take_minutes() -> None:
     with pytest.raises(CalibrationError, match="at most 1000 frames"):
-        average_untouched(itertools.repeat(untouched(0)))
+        average_untouched(itertools.repeat(untouched_image(0)))
 
 
 @pytest.mark.parametrize(("counts", "size", "refused"), [(60, 32, True), (6, 96, False), (60, 4, False)])
 def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, refused: bool) -> None:
-    frames = [*map(untouched, range(4)), dented(untouched(4), counts, size)]
+    frames = [*map(untouched_image, range(4)), dented(untouched_image(4), counts, size)]
     if not refused:
         assert average_untouched(frames).frames == 5
         return
@@ -142,13 +142,13 @@ def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, ref
 
 def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
     small = replace(
-        untouched(1),
+        untouched_image(1),
         tactile_depth=np.ones((4, 4), np.uint16),
         proximity_depth=np.ones((4, 4), np.uint16),
         proximity_color=np.ones((4, 4, 3), np.uint8),
     )
     with pytest.raises(CalibrationError, match="cannot be averaged"):
-        average_untouched([untouched(0), small])
+        average_untouched([untouched_image(0), small])
     with pytest.raises(CalibrationError, match="gave none"):
         average_untouched([])
 
@@ -156,20 +156,20 @@ def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
 # The file
 
 
-def test_a_reference_comes_back_bit_for_bit(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_an_untouched_frame_comes_back_bit_for_bit(kept: tuple[Path, Preset, SensorFrame]) -> None:
     path, preset, frame = kept
     record = record_of(preset)
     assert record.frames == 5
-    assert content_hash(load_reference(record, path)) == content_hash(frame) == record.sha256
+    assert content_hash(load_untouched(record, path)) == content_hash(frame) == record.sha256
 
 
 def test_until_the_preset_is_saved_the_old_pair_stays_whole(kept: tuple[Path, Preset, SensorFrame]) -> None:
     path, preset, frame = kept
-    newer = save_reference(untouched(9), 1, path)
-    assert newer != preset.reference
-    assert content_hash(load_reference(record_of(load_preset(path)), path)) == content_hash(frame)
-    save_preset(preset.model_copy(update={"reference": newer}), path)
-    assert content_hash(load_reference(newer, path)) == content_hash(untouched(9))
+    newer = save_untouched(untouched_image(9), 1, path)
+    assert newer != preset.untouched
+    assert content_hash(load_untouched(record_of(load_preset(path)), path)) == content_hash(frame)
+    save_preset(preset.model_copy(update={"untouched": newer}), path)
+    assert content_hash(load_untouched(newer, path)) == content_hash(untouched_image(9))
 
 
 def npz(**arrays: object) -> bytes:
@@ -214,8 +214,8 @@ def packed_badly() -> bytes:
         (bomb(), "unpacks to 210 MB"),
         (claims_terabytes(), "damaged"),
         (packed_badly(), "damaged"),
-        (reference_bytes(untouched(9)), "not the one that the preset was saved with"),
-        (reference_bytes(untouched(0))[:-40], "damaged"),
+        (untouched_bytes(untouched_image(9)), "not the one that the preset was saved with"),
+        (untouched_bytes(untouched_image(0))[:-40], "damaged"),
     ],
 )
 def test_a_file_that_is_none_is_refused_in_words(
@@ -225,7 +225,7 @@ def test_a_file_that_is_none_is_refused_in_words(
     record = record_of(preset)
     (path.parent / record.file).write_bytes(content)
     with pytest.raises(PresetError, match=said) as refused:
-        load_reference(record, path)
+        load_untouched(record, path)
     assert "\n" not in str(refused.value)
     assert str(path.parent / record.file) in str(refused.value)
 
@@ -240,7 +240,7 @@ def test_any_byte_may_be_wrong(kept: tuple[Path, Preset, SensorFrame]) -> None:
         damaged[place] ^= int(rng.integers(1, 256))
         file.write_bytes(damaged)
         try:
-            assert content_hash(load_reference(record, path)) == record.sha256
+            assert content_hash(load_untouched(record, path)) == record.sha256
         except PresetError:
             continue
 
@@ -249,61 +249,65 @@ def test_any_byte_may_be_wrong(kept: tuple[Path, Preset, SensorFrame]) -> None:
 def test_a_missing_file_is_named(kept: tuple[Path, Preset, SensorFrame], name: str) -> None:
     path, preset, _ = kept
     with pytest.raises(PresetError, match="missing"):
-        load_reference(record_of(preset).model_copy(update={"file": name}), path)
+        load_untouched(record_of(preset).model_copy(update={"file": name}), path)
 
 
 # Which one is used
 
 
-def test_the_presets_own_reference_comes_before_the_sources(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_the_presets_own_untouched_frame_comes_before_the_sources(kept: tuple[Path, Preset, SensorFrame]) -> None:
     path, preset, frame = kept
-    found = find_reference(preset, path, Still(untouched(7)))
+    found = find_untouched(preset, path, Still(untouched_image(7)))
     assert found.frame is not None
     assert content_hash(found.frame) == content_hash(frame)
     assert not found.warnings
 
 
-def test_a_missing_reference_is_a_warning_and_the_sources_is_taken(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(
+    kept: tuple[Path, Preset, SensorFrame],
+) -> None:
     path, preset, _ = kept
     (path.parent / record_of(preset).file).unlink()
-    others = untouched(7)
-    found = find_reference(preset, path, Still(others))
+    others = untouched_image(7)
+    found = find_untouched(preset, path, Still(others))
     assert found.frame is others
     (sentence,) = found.warnings
     assert "missing" in sentence
-    assert find_reference(preset, path, Still()).frame is None
+    assert find_untouched(preset, path, Still()).frame is None
 
 
-def test_a_reference_of_another_rig_is_not_used(kept: tuple[Path, Preset, SensorFrame]) -> None:
+def test_an_untouched_frame_of_another_rig_is_not_used(kept: tuple[Path, Preset, SensorFrame]) -> None:
     path, preset, _ = kept
     source = Still()
     wide = RIG.proximity.model_copy(update={"intrinsics": lens().model_copy(update={"width": 200})})
     source.rig = RIG.model_copy(update={"proximity": wide})  # type: ignore[misc]
-    found = find_reference(preset, path, source)
+    found = find_untouched(preset, path, source)
     assert found.frame is None
     assert "200 x 96" in found.warnings[0]
 
 
 def test_without_one_the_source_is_asked() -> None:
-    assert find_reference(Preset(), None, Still()).frame is None
+    assert find_untouched(Preset(), None, Still()).frame is None
     with open_source("sim:cup?press=medium") as source:
-        found = find_reference(Preset(), "simulator", source).frame
+        found = find_untouched(Preset(), "simulator", source).frame
         assert found is not None
         free = found.tactile_depth[200:280, 280:360].mean() - source.read(0).tactile_depth[200:280, 280:360].mean()
     assert free > 100, "the object is away"
 
 
-def test_a_recording_holds_the_reference_of_its_preset(kept: tuple[Path, Preset, SensorFrame], tmp_path: Path) -> None:
+def test_a_recording_holds_the_untouched_frame_of_its_preset(
+    kept: tuple[Path, Preset, SensorFrame], tmp_path: Path
+) -> None:
     _, preset, frame = kept
     path, bare = tmp_path / "both.mcap", tmp_path / "bare.mcap"
-    for file, reference in ((path, frame), (bare, None)):
-        with SessionWriter(file, RIG, preset=preset, reference=reference) as writer:
-            writer.put(untouched(3), wait=True)
-    assert content_hash(load_reference(record_of(load_preset(path)), path)) == content_hash(frame)
+    for file, untouched in ((path, frame), (bare, None)):
+        with SessionWriter(file, RIG, preset=preset, untouched=untouched) as writer:
+            writer.put(untouched_image(3), wait=True)
+    assert content_hash(load_untouched(record_of(load_preset(path)), path)) == content_hash(frame)
     with McapSource(path) as source:
         for origin in (path, None):
-            found = find_reference(preset, origin, source)
+            found = find_untouched(preset, origin, source)
             assert found.frame is not None
             assert not found.warnings
     with pytest.raises(PresetError, match="not the one"):
-        load_reference(record_of(preset), bare)
+        load_untouched(record_of(preset), bare)

@@ -1,4 +1,4 @@
-"""The reference of the window's preset: saved along, kept through a crash, recorded, taken from recordings."""
+"""The untouched frame of the window's preset: saved along, kept through a crash, recorded, taken from recordings."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from tactune.app.document.document import Document
-from tactune.app.document.reference_store import ReferenceStore
+from tactune.app.document.untouched_store import UntouchedStore
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset import Preset
 from tactune.core.preset.file import load_preset
 from tactune.core.recording import SessionWriter
-from tactune.core.rig.untouched import load_reference
+from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.mcap.source import McapSource
 
 from .conftest import tiny_frame, tiny_rig
@@ -28,34 +28,34 @@ RIG = tiny_rig()
 
 
 @pytest.fixture
-def store(tmp_path: Path) -> ReferenceStore:
-    return ReferenceStore(tmp_path / "store")
+def store(tmp_path: Path) -> UntouchedStore:
+    return UntouchedStore(tmp_path / "store")
 
 
 @pytest.fixture
-def document(qapp, store: ReferenceStore) -> Document:
-    """A new preset with a captured reference, not saved yet."""
+def document(qapp, store: UntouchedStore) -> Document:
+    """A new preset with a captured untouched frame, not saved yet."""
     made = Document(Preset(name="new"))
-    made.references = store
-    made.edit("reference", store.keep(tiny_frame(0, RIG), 15).model_dump())
+    made.untouched_store = store
+    made.edit("untouched", store.keep(tiny_frame(0, RIG), 15).model_dump())
     return made
 
 
 def kept_beside(path: Path) -> np.ndarray:
-    record = load_preset(path).reference
+    record = load_preset(path).untouched
     assert record is not None
-    return load_reference(record, path).tactile_depth
+    return load_untouched(record, path).tactile_depth
 
 
 # Saving
 
 
-def test_the_reference_goes_wherever_the_preset_is_saved(document: Document, tmp_path: Path) -> None:
+def test_the_untouched_frame_goes_wherever_the_preset_is_saved(document: Document, tmp_path: Path) -> None:
     first, renamed, elsewhere = (tmp_path / name for name in ("a/one.json", "a/two.json", "b/three.json"))
     for path in (first, renamed, elsewhere):
         document.save(path)
         assert (kept_beside(path) == tiny_frame(0, RIG).tactile_depth).all()
-        assert document.reference_home == path
+        assert document.untouched_home == path
     assert len(list(first.parent.glob("*.npz"))) == 1
     opened = Document()
     opened.open(first)
@@ -63,22 +63,24 @@ def test_the_reference_goes_wherever_the_preset_is_saved(document: Document, tmp
     assert kept_beside(tmp_path / "c" / "four.json").any()
 
 
-def test_undo_and_saving_again_bring_the_former_reference_back(
-    document: Document, store: ReferenceStore, tmp_path: Path
+def test_undo_and_saving_again_bring_the_former_untouched_frame_back(
+    document: Document, store: UntouchedStore, tmp_path: Path
 ) -> None:
     document.save(tmp_path / "p" / "mine.json")
-    former = document.preset.reference
-    document.edit("reference", store.keep(tiny_frame(5, RIG), 3).model_dump())
+    former = document.preset.untouched
+    document.edit("untouched", store.keep(tiny_frame(5, RIG), 3).model_dump())
     document.save(tmp_path / "p" / "mine.json")
-    assert load_preset(tmp_path / "p" / "mine.json").reference != former
+    assert load_preset(tmp_path / "p" / "mine.json").untouched != former
     document.undo_stack.undo()
     document.save(tmp_path / "p" / "mine.json")
-    assert load_preset(tmp_path / "p" / "mine.json").reference == former
+    assert load_preset(tmp_path / "p" / "mine.json").untouched == former
     assert kept_beside(tmp_path / "p" / "mine.json").any()
 
 
-def test_where_the_reference_cannot_be_written_the_preset_stays_unsaved(document: Document, tmp_path: Path) -> None:
-    record = document.preset.reference
+def test_where_the_untouched_frame_cannot_be_written_the_preset_stays_unsaved(
+    document: Document, tmp_path: Path
+) -> None:
+    record = document.preset.untouched
     assert record is not None
     (tmp_path / "p").mkdir()
     (tmp_path / "p" / record.file).write_bytes(b"another file")
@@ -88,19 +90,19 @@ def test_where_the_reference_cannot_be_written_the_preset_stays_unsaved(document
     assert not (tmp_path / "p" / "mine.json").exists()
 
 
-def test_a_lost_reference_is_a_warning_when_saving(document: Document, tmp_path: Path) -> None:
+def test_a_lost_untouched_frame_is_a_warning_when_saving(document: Document, tmp_path: Path) -> None:
     warnings: list[str] = []
     document.warned.connect(warnings.append)
     for file in (tmp_path / "store").glob("*.npz"):
         file.unlink()
     document.save(tmp_path / "mine.json")
-    assert load_preset(tmp_path / "mine.json").reference is not None
-    assert "mine.json was saved without its reference" in warnings[0]
+    assert load_preset(tmp_path / "mine.json").untouched is not None
+    assert "mine.json was saved without its untouched frame" in warnings[0]
     with pytest.raises(PresetError, match="missing"):
         kept_beside(tmp_path / "mine.json")
 
 
-def test_tidying_keeps_what_unsaved_work_names(store: ReferenceStore, tmp_path: Path) -> None:
+def test_tidying_keeps_what_unsaved_work_names(store: UntouchedStore, tmp_path: Path) -> None:
     records = [store.keep(tiny_frame(index, RIG), 1) for index in range(24)]
     for age, record in enumerate(records):
         os.utime(tmp_path / "store" / record.file, (age, age))
@@ -108,22 +110,22 @@ def test_tidying_keeps_what_unsaved_work_names(store: ReferenceStore, tmp_path: 
     store.tidy(tmp_path)
     left = {file.name for file in (tmp_path / "store").iterdir()}
     assert left == {record.file for record in [records[0], *records[4:]]}
-    ReferenceStore(tmp_path / "none").tidy(tmp_path)
+    UntouchedStore(tmp_path / "none").tidy(tmp_path)
 
 
 # The window
 
 
 def capture(qtbot, window) -> None:
-    window.actions_.capture_reference.trigger()
-    opened = window.analysis.reference.window
+    window.actions_.capture_untouched.trigger()
+    opened = window.analysis.untouched.window
     opened.frames.setValue(3)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: window.document.preset.reference is not None)
+    qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
     opened.close()
 
 
-def test_saved_from_the_window_the_reference_lies_beside_the_preset(qtbot, window, tmp_path):
+def test_saved_from_the_window_the_untouched_frame_lies_beside_the_preset(qtbot, window, tmp_path):
     capture(qtbot, window)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
@@ -133,53 +135,53 @@ def test_saved_from_the_window_the_reference_lies_beside_the_preset(qtbot, windo
     assert kept_beside(tmp_path / "saved" / "cup.json").any()
 
 
-def test_a_captured_reference_outlives_a_crash(qtbot, window, make_window, tmp_path):
+def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window, tmp_path):
     capture(qtbot, window)
-    record = window.document.preset.reference
+    record = window.document.preset.untouched
     window.autosave.flush()
     qtbot.waitUntil(window.autosave.file.exists)
     shutil.copy(window.autosave.file, window.data_folder / "unsaved-0.json")  # as of a window that has died
     after = make_window()
     after.offer_unsaved_work()
     press(after.messages.message("recovery"), "Restore")
-    assert after.document.preset.reference == record
+    assert after.document.preset.untouched == record
     after.document.save(tmp_path / "rescued.json")
     assert kept_beside(tmp_path / "rescued.json").any()
 
 
-def test_a_recording_holds_the_presets_reference(qtbot, window, tmp_path):
+def test_a_recording_holds_the_presets_untouched_frame(qtbot, window, tmp_path):
     capture(qtbot, window)
-    qtbot.waitUntil(lambda: window.analysis.reference.keeper.frame is not None)
+    qtbot.waitUntil(lambda: window.analysis.untouched.keeper.frame is not None)
     with qtbot.waitSignal(window.worker.recordingEnded):
         window.worker.start_recording(tmp_path / "with.mcap")
         window.worker.stop_recording()
     with McapSource(tmp_path / "with.mcap") as source:
-        assert content_hash(source.reference()) == window.document.preset.reference.sha256
+        assert content_hash(source.untouched()) == window.document.preset.untouched.sha256
 
 
-def test_the_reference_of_a_recorded_preset_is_saved_from_the_recording(qtbot, window, store, tmp_path):
+def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qtbot, window, store, tmp_path):
     frame = tiny_frame(1, RIG)
-    recorded = Preset(name="recorded", reference=store.keep(frame, 7))
+    recorded = Preset(name="recorded", untouched=store.keep(frame, 7))
     for file in (tmp_path / "store").iterdir():
         file.unlink()
-    with SessionWriter(tmp_path / "both.mcap", RIG, preset=recorded, reference=frame) as writer:
+    with SessionWriter(tmp_path / "both.mcap", RIG, preset=recorded, untouched=frame) as writer:
         writer.put(frame, wait=True)
     window.open_source(f"mcap:{tmp_path / 'both.mcap'}")
     qtbot.waitUntil(lambda: window.messages.message("recorded preset") is not None)
     press(window.messages.message("recorded preset"), "Use the recorded one")
-    qtbot.waitUntil(lambda: window.analysis.reference.keeper.frame is not None)
+    qtbot.waitUntil(lambda: window.analysis.untouched.keeper.frame is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()
 
 
-def test_a_reference_of_other_image_sizes_is_not_recorded(qtbot, window):
-    controls = window.analysis.reference
+def test_an_untouched_frame_of_other_image_sizes_is_not_recorded(qtbot, window):
+    controls = window.analysis.untouched
     record = controls.store.keep(tiny_frame(0, tiny_rig(32, 24)), 1)
-    window.document.edit("reference", record.model_dump())
+    window.document.edit("untouched", record.model_dump())
     qtbot.waitUntil(lambda: not controls.keeper.busy)
     assert controls.keeper.frame is None
     fitting = controls.store.keep(tiny_frame(0, RIG), 1)
-    window.document.edit("reference", fitting.model_dump())
-    window.document.edit("reference", record.model_dump())  # while the other one is being read
+    window.document.edit("untouched", fitting.model_dump())
+    window.document.edit("untouched", record.model_dump())  # while the other one is being read
     qtbot.waitUntil(lambda: not controls.keeper.busy)
     assert controls.keeper.frame is None

@@ -1,4 +1,4 @@
-"""Capturing the reference in the window, by mouse and keys."""
+"""Capturing the untouched frame in the window, by mouse and keys."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.model.frames import SensorFrame
-from tactune.core.rig.untouched import average_untouched, load_reference
+from tactune.core.rig.untouched import average_untouched, load_untouched
 
 from .conftest import LiveSource, TinySource, at_rest, tiny_frame
 
@@ -51,7 +51,7 @@ class Truncated(TinySource):
 
 def open_capture(qtbot, window):
     QTest.keyClick(window, Qt.Key.Key_R, CONTROL | SHIFT)
-    opened = window.analysis.reference.window
+    opened = window.analysis.untouched.window
     qtbot.waitUntil(opened.isActiveWindow)
     return opened
 
@@ -72,30 +72,30 @@ def open_source(qtbot, window, source):
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
 
 
-def test_the_next_frames_become_the_reference_as_one_step(qtbot, window):
+def test_the_next_frames_become_the_untouched_frame_as_one_step(qtbot, window):
     opened = capture(qtbot, window, 5)
-    record = window.document.preset.reference
+    record = window.document.preset.untouched
     assert record.frames == 5
     assert "Captured 5 frames" in opened.sentence.text()
     assert "mm after" in opened.sentence.text()
     qtbot.waitUntil(lambda: at_rest(window, 3))  # where it stood before
-    kept = load_reference(record, window.document.reference_home)
+    kept = load_untouched(record, window.document.untouched_home)
     assert np.array_equal(kept.tactile_depth, tiny_frame(3, window.result.source.rig).tactile_depth)
     assert kept.sequence == 3
     QTest.keyClick(opened, Qt.Key.Key_Z, CONTROL)
-    qtbot.waitUntil(lambda: window.document.preset.reference is None)
-    assert window.document.undo_stack.redoText() == "Capture reference"
+    qtbot.waitUntil(lambda: window.document.preset.untouched is None)
+    assert window.document.undo_stack.redoText() == "Capture untouched frame"
     window.document.undo_stack.redo()
-    assert window.document.preset.reference == record
+    assert window.document.preset.untouched == record
 
 
-def test_the_reference_is_shown_beside_the_present_frame(qtbot, window):
+def test_the_untouched_frame_is_shown_beside_the_present_frame(qtbot, window):
     opened = open_capture(qtbot, window)
     assert not opened.save.isEnabled()
     capture(qtbot, window)
-    keeper = window.analysis.reference.keeper
+    keeper = window.analysis.untouched.keeper
     qtbot.waitUntil(lambda: keeper.frame is not None)
-    assert content_hash(keeper.frame) == window.document.preset.reference.sha256
+    assert content_hash(keeper.frame) == window.document.preset.untouched.sha256
     assert opened.save.isEnabled()
 
 
@@ -108,8 +108,10 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
     qtbot.waitUntil(lambda: at_rest(window, 2))
     opened = capture(qtbot, window, 6)
     said = opened.sentence.text()
-    assert re.match(r"The membrane moved while the reference was captured: frame [5-8] differs from frame 3 ", said)
-    assert window.document.preset.reference is None
+    assert re.match(
+        r"The membrane moved while the untouched frame was captured: frame [5-8] differs from frame 3 ", said
+    )
+    assert window.document.preset.untouched is None
     qtbot.waitUntil(lambda: at_rest(window, 2))
 
 
@@ -117,7 +119,7 @@ def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     window.worker.set_loop(False)
     opened = capture(qtbot, window, 7)
     assert "because no more came" in opened.sentence.text()
-    assert 1 <= window.document.preset.reference.frames <= 5
+    assert 1 <= window.document.preset.untouched.frames <= 5
 
 
 def pause_capturing(qtbot, window, frames=6):
@@ -129,7 +131,7 @@ def pause_capturing(qtbot, window, frames=6):
     qtbot.waitUntil(lambda: opened.capture.taken >= 2)
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: "Paused after" in opened.sentence.text())
-    assert opened.capture.busy and window.document.preset.reference is None
+    assert opened.capture.busy and window.document.preset.untouched is None
     return opened
 
 
@@ -143,7 +145,7 @@ def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, by):
     qtbot.waitUntil(lambda: not opened.go_on.isVisible())
     assert "leave the membrane alone" in opened.sentence.text()
     qtbot.waitUntil(lambda: not opened.capture.busy)
-    assert window.document.preset.reference.frames == 6
+    assert window.document.preset.untouched.frames == 6
     qtbot.waitUntil(lambda: at_rest(window, 3))
 
 
@@ -153,7 +155,7 @@ def test_what_came_before_a_pause_can_be_used(qtbot, window):
     assert taken < 6
     QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: not opened.capture.busy)
-    assert window.document.preset.reference.frames == taken
+    assert window.document.preset.untouched.frames == taken
     assert not opened.make_do.isVisible()
 
 
@@ -163,7 +165,7 @@ def test_capturing_can_be_cancelled_in_a_pause(qtbot, window):
     assert "leave the membrane alone" not in opened.sentence.text()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert "cancelled" in opened.sentence.text() and not opened.go_on.isVisible()
-    assert window.document.preset.reference is None
+    assert window.document.preset.untouched is None
 
 
 def test_stepping_in_a_pause_takes_a_frame_and_says_so(qtbot, window):
@@ -215,7 +217,7 @@ def test_a_recording_shorter_than_it_states_ends_where_no_frame_comes(qtbot, win
         assert "Paused after 5 frames" in opened.sentence.text()
         QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
         qtbot.waitUntil(lambda: not opened.capture.busy)
-    assert window.document.preset.reference.frames == 5 - start
+    assert window.document.preset.untouched.frames == 5 - start
     assert "because no more came" in opened.sentence.text()
 
 
@@ -225,7 +227,7 @@ def test_a_short_recording_is_taken_once(qtbot, window, length):
     source.name = "short"
     open_source(qtbot, window, source)
     opened = capture(qtbot, window, 15)
-    assert window.document.preset.reference.frames == length
+    assert window.document.preset.untouched.frames == length
     assert f"Captured {length} frame" in opened.sentence.text()
 
 
@@ -239,10 +241,10 @@ def test_escape_stops_capturing_and_then_closes(qtbot, window):
     QTest.keyClick(opened, Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert "cancelled" in opened.sentence.text()
-    assert window.document.preset.reference is None
+    assert window.document.preset.untouched is None
     assert opened.take.isEnabled()
     QTest.keyClick(opened, Qt.Key.Key_Escape)
-    assert window.analysis.reference.window is None
+    assert window.analysis.untouched.window is None
 
 
 def test_another_source_ends_capturing(qtbot, window):
@@ -266,17 +268,17 @@ def test_every_control_says_what_it_does(qtbot, window, part):
     assert len(getattr(open_capture(qtbot, window), part).toolTip()) > 20
 
 
-def test_the_recheck_compares_the_membrane_with_the_reference(qtbot, window):
+def test_the_recheck_compares_the_membrane_with_the_untouched_frame(qtbot, window):
     capture(qtbot, window).close()
     qtbot.waitUntil(lambda: at_rest(window, 3))
     window.actions_.recheck.trigger()
     check = window.calibration.recheck
-    qtbot.waitUntil(lambda: "as in the reference" in check.membrane.text())
+    qtbot.waitUntil(lambda: "as in the untouched frame" in check.membrane.text())
     assert check.membrane_drift.verdict == "fine"
     assert check.sentence.text().startswith("Frame 4 has no tactile colour image")
     window.document.undo_stack.undo()
     QTest.mouseClick(check.again, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: "has no reference" in check.membrane.text())
+    qtbot.waitUntil(lambda: "has no untouched frame" in check.membrane.text())
 
 
 def test_the_simulator_takes_its_object_away(qtbot, make_window):
@@ -287,8 +289,8 @@ def test_the_simulator_takes_its_object_away(qtbot, make_window):
     opened = open_capture(qtbot, window)
     assert "simulator takes its object away" in opened.advice.text()
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: window.document.preset.reference is not None, timeout=300_000)
-    kept = load_reference(window.document.preset.reference, window.document.reference_home)
+    qtbot.waitUntil(lambda: window.document.preset.untouched is not None, timeout=300_000)
+    kept = load_untouched(window.document.preset.untouched, window.document.untouched_home)
     middle = (slice(200, 280), slice(280, 360))
     assert np.median(kept.tactile_depth[middle]) > np.median(pressed.tactile_depth[middle]) + 100
 
@@ -306,8 +308,8 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(begun.is_set)
     QTest.mouseClick(opened.leave, Qt.MouseButton.LeftButton)
-    assert window.analysis.reference.window is None
+    assert window.analysis.untouched.window is None
     assert not wait_for_left(0.0)
     go_on.set()
     assert wait_for_left(10.0)
-    assert window.document.preset.reference is None
+    assert window.document.preset.untouched is None

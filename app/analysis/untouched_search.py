@@ -8,20 +8,20 @@ from pathlib import Path
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.model.frames import SensorFrame
-from ...core.preset import Preset, ReferenceRecord
-from ...core.rig.untouched import FoundReference
+from ...core.preset import Preset, UntouchedRecord
+from ...core.rig.untouched import FoundUntouched
 from ..document.document import Document
 from ..worker.jobs import Job
 from ..worker.results import Result, SourceInfo
 
-CAPTURE = "Capture the reference while nothing touches the membrane: Ctrl+Shift+R"
+CAPTURE = "Capture the untouched frame while nothing touches the membrane: Ctrl+Shift+R"
 _SEARCHING = "Compares with the untouched membrane, which is being prepared…"
 _MISSING = f"Compares with the untouched membrane, which this source does not keep. {CAPTURE}"
 _CANCELLED = f"Compares with the untouched membrane; preparing it was cancelled. Try again above. {CAPTURE}"
 
 
-class Reference(QObject):
-    """Finds the reference of whatever is shown, on a thread of its own.
+class UntouchedSearch(QObject):
+    """Finds the untouched frame of whatever is shown, on a thread of its own.
 
     Parameters
     ----------
@@ -44,7 +44,7 @@ class Reference(QObject):
     def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
         self._document = document
-        self._key: tuple[SourceInfo, ReferenceRecord | None, Path | None] | None = None
+        self._key: tuple[SourceInfo, UntouchedRecord | None, Path | None] | None = None
         self._preset = Preset()
         self.frame: SensorFrame | None = None
         #: Why there is none, with the next step.
@@ -59,8 +59,8 @@ class Reference(QObject):
         self._job.progress.connect(lambda share, _words: self.progress.emit(share))
 
     def look(self, result: Result) -> None:
-        """Find the reference that belongs to a frame and the preset's file, unless that is known already."""
-        key = result.source, result.preset.reference, self._document.path
+        """Find the untouched frame that belongs to a frame and the preset's file, unless that is known already."""
+        key = result.source, result.preset.untouched, self._document.path
         if self._key is None or key[0] is not self._key[0] or key[1:] != self._key[1:]:
             self._key, self._preset = key, result.preset
             self.retry()
@@ -73,7 +73,7 @@ class Reference(QObject):
         self.frame, self.sentence, self.warning = None, _SEARCHING, ""
         self.searching, self.cancelled = True, False
         self._job.cancel()
-        self._job.start(partial(info.find_reference, self._preset, self._document.reference_home))
+        self._job.start(partial(info.find_untouched, self._preset, self._document.untouched_home))
         self.changed.emit()
 
     def cancel(self) -> None:
@@ -85,7 +85,7 @@ class Reference(QObject):
         """Stop, for good."""
         self._job.stop()
 
-    def _found(self, found: FoundReference) -> None:
+    def _found(self, found: FoundUntouched) -> None:
         self.searching = False
         self.frame, self.sentence = found.frame, "" if found.frame is not None else _MISSING
         self.warning = " ".join(found.warnings)

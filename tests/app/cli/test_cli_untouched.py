@@ -1,4 +1,4 @@
-"""``tactune preset capture-reference``, who uses the reference, and ``tactune recheck``."""
+"""``tactune preset capture-untouched``, who uses the untouched frame, and ``tactune recheck``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import pytest
 from tactune.core.errors import ExportError
 from tactune.core.preset import Preset
 from tactune.core.preset.file import load_preset, save_preset
-from tactune.core.rig.untouched import load_reference
+from tactune.core.rig.untouched import load_untouched
 
 Tactune = Callable[..., Any]
 LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
@@ -29,9 +29,9 @@ def mine(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def referenced(tactune: Tactune, recording: Path, mine: Path) -> Path:
-    """The preset with the recording's flat membrane, which its frames keep, as its reference."""
-    assert tactune("preset", "capture-reference", "--source", recording, "--preset", mine).status == 0
+def captured(tactune: Tactune, recording: Path, mine: Path) -> Path:
+    """The preset with the recording's flat membrane, which its frames keep, as its untouched frame."""
+    assert tactune("preset", "capture-untouched", "--source", recording, "--preset", mine).status == 0
     return mine
 
 
@@ -42,49 +42,49 @@ def set_tactile_depth(recording: Path, counts: int) -> None:
 
 
 def test_capturing_puts_a_file_beside_the_preset(tactune: Tactune, recording: Path, mine: Path) -> None:
-    finished = tactune("preset", "capture-reference", "--source", recording, "--preset", mine, "--frames", 3)
+    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine, "--frames", 3)
     assert finished.status == 0
     assert "averaged 3 frames" in finished.out
     preset = load_preset(mine)
-    assert preset.reference is not None
-    assert preset.reference.frames == 3
-    assert (load_reference(preset.reference, mine).tactile_depth == 3000).all()
+    assert preset.untouched is not None
+    assert preset.untouched.frames == 3
+    assert (load_untouched(preset.untouched, mine).tactile_depth == 3000).all()
     assert preset.created == LAST_YEAR < preset.modified
 
 
 def test_fewer_frames_than_asked_for_are_said(tactune: Tactune, recording: Path, mine: Path) -> None:
-    finished = tactune("preset", "capture-reference", "--source", recording, "--preset", mine)
+    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", mine)
     assert finished.status == 0
     assert "ended after 4 of the 15 frames" in finished.err
 
 
 @pytest.mark.parametrize("preset", ["default", "gone.json"])
 def test_only_a_preset_file_can_take_it(tactune: Tactune, recording: Path, preset: str) -> None:
-    sentence = tactune("preset", "capture-reference", "--source", recording, "--preset", preset).sentence
+    sentence = tactune("preset", "capture-untouched", "--source", recording, "--preset", preset).sentence
     assert f"{preset} is no preset file" in sentence
 
 
 def test_a_crash_before_the_preset_is_written_leaves_the_old_pair(
-    tactune: Tactune, recording: Path, referenced: Path, monkeypatch: pytest.MonkeyPatch
+    tactune: Tactune, recording: Path, captured: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    before = load_preset(referenced)
+    before = load_preset(captured)
     set_tactile_depth(recording, 2900)
 
     def fail(*_: object) -> None:
         raise ExportError("the disk is full")
 
     monkeypatch.setattr("tactune.core.preset.file.save_preset", fail)
-    words = ("preset", "capture-reference", "--source", recording, "--preset", referenced)
+    words = ("preset", "capture-untouched", "--source", recording, "--preset", captured)
     assert tactune(*words).status == 2
-    assert load_preset(referenced) == before
-    assert before.reference is not None
-    assert (load_reference(before.reference, referenced).tactile_depth == 3000).all()
+    assert load_preset(captured) == before
+    assert before.untouched is not None
+    assert (load_untouched(before.untouched, captured).tactile_depth == 3000).all()
 
 
-def test_a_touched_membrane_is_no_reference_where_the_mask_hides_the_prints(
+def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_prints(
     tactune: Tactune, recording: Path, mine: Path
 ) -> None:
-    words = ("preset", "capture-reference", "--source", recording, "--preset", mine)
+    words = ("preset", "capture-untouched", "--source", recording, "--preset", mine)
     told = tactune(*words)
     assert told.status == 0
     assert "may be its prints, since the mask is off" in told.err
@@ -96,61 +96,63 @@ def test_a_touched_membrane_is_no_reference_where_the_mask_hides_the_prints(
     forced = tactune(*words, "--force")
     assert forced.status == 0
     assert "finds a contact patch of" in forced.err
-    assert load_preset(mine).reference is not None
+    assert load_preset(mine).untouched is not None
 
 
-def test_a_membrane_that_differs_in_one_place_from_the_present_reference_is_told(
-    tactune: Tactune, recording: Path, referenced: Path
+def test_a_membrane_that_differs_in_one_place_from_the_present_untouched_frame_is_told(
+    tactune: Tactune, recording: Path, captured: Path
 ) -> None:
     for image in recording.glob("**/tactile_depth.png"):
         depth = cv2.imread(str(image), cv2.IMREAD_UNCHANGED)
         depth[:16, :16] -= 100
         cv2.imwrite(str(image), depth)
-    finished = tactune("preset", "capture-reference", "--source", recording, "--preset", referenced)
+    finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", captured)
     assert finished.status == 0
-    assert "over 3 mm from where the preset's present reference has it" in finished.err
+    assert "over 3 mm from where the preset's present untouched frame has it" in finished.err
 
 
-def test_run_takes_the_presets_own_reference(tactune: Tactune, recording: Path, mine: Path) -> None:
+def test_run_takes_the_presets_own_untouched_frame(tactune: Tactune, recording: Path, mine: Path) -> None:
     words = ("run", "--source", recording, "--preset", mine, "--method", "proximity-only", "--json")
     assert "neither the preset nor" in tactune(*words).sentence
-    assert tactune("preset", "capture-reference", "--source", recording, "--preset", mine).status == 0
+    assert tactune("preset", "capture-untouched", "--source", recording, "--preset", mine).status == 0
     finished = tactune(*words)
     assert finished.status == 0
     assert len(finished.out.splitlines()) == 4
 
 
-def test_a_lost_reference_is_told_and_another_can_be_given(tactune: Tactune, recording: Path, referenced: Path) -> None:
-    for file in referenced.parent.glob("*.npz"):
+def test_a_lost_untouched_frame_is_told_and_another_can_be_given(
+    tactune: Tactune, recording: Path, captured: Path
+) -> None:
+    for file in captured.parent.glob("*.npz"):
         file.unlink()
-    words = ("run", "--source", recording, "--preset", referenced, "--method", "proximity-only", "--json")
+    words = ("run", "--source", recording, "--preset", captured, "--method", "proximity-only", "--json")
     finished = tactune(*words)
     assert finished.status == 2
     warning, refusal = finished.err.splitlines()
     assert "missing" in warning
-    assert "capture-reference" in refusal
-    given = tactune(*words, "--reference", recording)
+    assert "capture-untouched" in refusal
+    given = tactune(*words, "--untouched", recording)
     assert (given.status, given.err) == (0, "")
 
 
-def test_recordings_hold_the_presets_reference(
-    tactune: Tactune, recording: Path, referenced: Path, tmp_path: Path
+def test_recordings_hold_the_presets_untouched_frame(
+    tactune: Tactune, recording: Path, captured: Path, tmp_path: Path
 ) -> None:
-    record = load_preset(referenced).reference
+    record = load_preset(captured).untouched
     assert record is not None
     recorded, converted, folder = (tmp_path / name for name in ("a.mcap", "b.mcap", "c"))
-    words = ("--source", recording, "--preset", referenced, "--out", recorded)
+    words = ("--source", recording, "--preset", captured, "--out", recorded)
     assert tactune("record", *words).status == 0
-    assert tactune("convert", recording, converted, "--preset", referenced).status == 0
+    assert tactune("convert", recording, converted, "--preset", captured).status == 0
     for file in (recorded, converted):
-        assert (load_reference(record, file).tactile_depth == 3000).all()
+        assert (load_untouched(record, file).tactile_depth == 3000).all()
         assert tactune("run", "--source", file, "--method", "proximity-only", "--json").status == 0
     assert tactune("convert", recorded, folder).status == 0
-    assert (folder / "reference").is_dir()
+    assert (folder / "untouched").is_dir()
 
 
-def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, referenced: Path) -> None:
-    finished = tactune("recheck", "--source", recording, "--preset", referenced, "--json")
+def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, captured: Path) -> None:
+    finished = tactune("recheck", "--source", recording, "--preset", captured, "--json")
     assert finished.status == 0
     assert "alignment was not checked" in finished.err, "the recording has no tactile colour"
     found = json.loads(finished.out)
@@ -158,11 +160,13 @@ def test_recheck_says_that_all_holds(tactune: Tactune, recording: Path, referenc
     assert found["membrane"]["tactile"]["median_m"] == 0.0
 
 
-def test_recheck_needs_the_reference_that_the_preset_names(tactune: Tactune, recording: Path, referenced: Path) -> None:
-    for file in referenced.parent.glob("*.npz"):
+def test_recheck_needs_the_untouched_frame_that_the_preset_names(
+    tactune: Tactune, recording: Path, captured: Path
+) -> None:
+    for file in captured.parent.glob("*.npz"):
         file.unlink()
-    sentence = tactune("recheck", "--source", recording, "--preset", referenced).sentence
-    assert "is missing; put it there, or capture the reference anew" in sentence
+    sentence = tactune("recheck", "--source", recording, "--preset", captured).sentence
+    assert "is missing; put it there, or capture the untouched frame anew" in sentence
 
 
 def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune) -> None:
@@ -171,9 +175,9 @@ def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune)
     assert "is simulated: its object is taken away" in finished.err
 
 
-def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, referenced: Path) -> None:
+def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, captured: Path) -> None:
     set_tactile_depth(recording, 3025)
-    finished = tactune("recheck", "--source", recording, "--preset", referenced)
+    finished = tactune("recheck", "--source", recording, "--preset", captured)
     assert finished.status == 1
     assert "The tactile camera has moved" in finished.out
     assert "2.5 mm" in finished.out
@@ -182,5 +186,5 @@ def test_recheck_ends_with_1_after_a_drift(tactune: Tactune, recording: Path, re
 def test_recheck_without_anything_to_check_is_refused(tactune: Tactune, recording: Path, mine: Path) -> None:
     finished = tactune("recheck", "--source", recording, "--preset", mine)
     assert finished.status == 2
-    assert "capture-reference" in finished.err
+    assert "capture-untouched" in finished.err
     assert "nothing of" in finished.err.splitlines()[-1]
