@@ -16,7 +16,7 @@ from PyQt6.QtWidgets import QApplication
 from ..core.errors import ExportError, TactuneError
 from ..core.model.files import atomic_path
 from ..core.preset import Preset
-from ..core.preset.file import load_preset
+from ..core.sources.presets import load_preset
 from ..widgets.basics.theme import ThemeChoice
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow

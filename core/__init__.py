@@ -11,22 +11,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from .contact.pipeline import ContactPatch, ContactPipeline
-    from .contact.provenance import Provenance
     from .errors import TactuneError
     from .model.frames import Rig, SensorFrame
+    from .model.provenance import Provenance
     from .preset import Preset
-    from .preset.file import load_preset, save_preset
+    from .preset.file import save_preset
+    from .sources.presets import load_preset
     from .sources.registry import open_source
 
 _HOME = {
     "ContactPatch": ".contact.patch",
     "ContactPipeline": ".contact.pipeline",
     "Preset": ".preset",
-    "Provenance": ".contact.provenance",
+    "Provenance": ".model.provenance",
     "Rig": ".model.frames",
     "SensorFrame": ".model.frames",
     "TactuneError": ".errors",
-    "load_preset": ".preset.file",
+    "load_preset": ".sources.presets",
     "open_source": ".sources.registry",
     "save_preset": ".preset.file",
 }

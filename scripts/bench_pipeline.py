@@ -20,9 +20,9 @@ from tactune.core import ContactPipeline
 from tactune.core.bench.scenes import BenchScene, make_scene
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.candidates import CandidateBuffers, CandidateFinder, drop_small_clusters
+from tactune.core.contact.flat import flat
 from tactune.core.contact.kernels.threads import available_threads, set_threads
 from tactune.core.contact.outliers.statistical import statistical_inliers
-from tactune.core.model.clouds import flat
 
 SCENES = ("empty", "untouched", "light-touch", "cup-medium", "octopus-high", "noisy-51k", "full-contact")
 

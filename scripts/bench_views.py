@@ -19,8 +19,8 @@ from PyQt6.QtOpenGLWidgets import QOpenGLWidget
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QHBoxLayout, QWidget
 
-from tactune.core.contact.provenance import Provenance
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import depth_lut, difference_index, difference_lut, provenance_lut
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras

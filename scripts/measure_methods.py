@@ -26,7 +26,7 @@ from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, trut
 from tactune.core.methods.method import ContactMethod, MethodPatch
 from tactune.core.methods.registry import Fusion, make_method, method_names
 from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 

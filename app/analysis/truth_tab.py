@@ -26,8 +26,9 @@ from PyQt6.QtWidgets import (
 
 from ...core.errors import TactuneError
 from ...core.preset import Preset
-from ...core.preset.file import load_preset, shipped_presets
+from ...core.preset.file import shipped_presets
 from ...core.scan.scan import SUFFIXES, UNITS_M
+from ...core.sources.presets import load_preset
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..rig.parts import make_verdict

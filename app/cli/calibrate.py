@@ -51,7 +51,8 @@ def calibrate(
     from ...core.calibration import calibrate as fit
     from ...core.calibration import read_points
     from ...core.preset import Preset
-    from ...core.preset.file import load_preset, save_preset
+    from ...core.preset.file import save_preset
+    from ...core.sources.presets import load_preset
 
     pairs = read_points(points)
     cameras = find_rig(rig)
@@ -83,9 +84,9 @@ def recheck(
     frame that the preset names must exist. The simulator removes its object, so only its noise differs.
     """
     from ...core.calibration.recheck import recheck as recheck_alignment
-    from ...core.preset.file import load_preset
     from ...core.rig.drift import compare_with_untouched
     from ...core.rig.untouched import load_untouched
+    from ...core.sources.presets import load_preset
 
     checked = load_preset(preset)
     untouched = None if checked.untouched is None else load_untouched(checked.untouched, Path(preset))

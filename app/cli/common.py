@@ -76,7 +76,7 @@ def default_preset(source: str) -> str:
     plain = source.removeprefix("live:")
     path = user_path(plain.removeprefix("mcap:"))
     if path.suffix == ".mcap" and path.is_file():
-        from ...core.preset.file import load_preset
+        from ...core.sources.presets import load_preset
 
         with suppress(TactuneError):  # opening the source reports what is wrong with it
             load_preset(path)
@@ -210,7 +210,7 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
     """Add ``section.enabled``, or the contact test, for each section with a value, unless the person set it."""
-    from ...core.preset.file import preset_paths
+    from ...core.preset.preset import preset_paths
 
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
@@ -248,7 +248,7 @@ def warn_of_lost_frames(source: FrameSource, before: int) -> None:
 def find_rig(name: str) -> Rig:
     """Return the rig of a rig file, of a preset or of a source of frames."""
     from ...core.model.rig_file import load_rig, read_json_object
-    from ...core.preset.file import load_preset
+    from ...core.sources.presets import load_preset
 
     path = Path(name)
     if path.is_file() and path.suffix == ".json":

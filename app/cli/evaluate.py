@@ -128,7 +128,7 @@ def _plan(
     from ...core.evaluation.cells import check_methods, table_methods
     from ...core.evaluation.scene_plan import FIRST_HELD_OUT_SEED, OBJECTS, plan_scenes
     from ...core.evaluation.table import TablePlan, seeds_from
-    from ...core.preset.file import load_preset
+    from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import HELD_OUT
 
     names = table_methods() if methods == "all" else _listed("--methods", methods)

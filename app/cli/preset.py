@@ -65,8 +65,9 @@ def new(
 ) -> None:
     """Write a new preset: the paper's values or another preset's, changed as you say."""
     from ...core.preset import Preset, now
-    from ...core.preset.file import load_preset, save_preset
+    from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
+    from ...core.sources.presets import load_preset
 
     if out.exists() and not force:
         raise PresetError(f"{out} is already there; choose another name or add --force to replace it")
@@ -95,7 +96,8 @@ def new(
 @preset_commands.command()
 def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file or a shipped preset.")]) -> None:
     """Print a preset as JSON, brought to the present schema version."""
-    from ...core.preset.file import load_preset, preset_json
+    from ...core.preset.file import preset_json
+    from ...core.sources.presets import load_preset
 
     typer.echo(preset_json(load_preset(preset)), nl=False)
 
@@ -103,7 +105,7 @@ def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file
 @preset_commands.command()
 def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -> None:
     """Check preset files; the exit status is 2 if one of them cannot be used."""
-    from ...core.preset.file import load_preset_and_note
+    from ...core.sources.presets import load_preset_and_note
 
     bad = 0
     for origin in presets:
@@ -138,7 +140,7 @@ def capture_untouched(
 @preset_commands.command()
 def schema() -> None:
     """Print the JSON Schema of preset files."""
-    from ...core.preset.file import json_schema
+    from ...core.preset.preset import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))
 
@@ -169,9 +171,10 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
         The preset's own pipeline finds a contact patch on the membrane, unless ``force``.
     """
     from ...core.preset import now
-    from ...core.preset.file import load_preset, save_preset
+    from ...core.preset.file import save_preset
     from ...core.preset.rig_check import check_rig
     from ...core.rig.untouched import save_untouched
+    from ...core.sources.presets import load_preset
 
     if not path.is_file() or path.suffix == ".mcap":
         raise PresetError(

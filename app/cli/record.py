@@ -55,8 +55,8 @@ def record(
     A recording or the simulator is written completely, however long that takes; a live source does
     not wait, and what the disk was too slow for is counted and said.
     """
-    from ...core.preset.file import load_preset
     from ...core.recording import SessionWriter
+    from ...core.sources.presets import load_preset
 
     if out.suffix != ".mcap":
         raise ExportError(f"--out is {out}, but a recording is a .mcap file; name it so")
@@ -85,10 +85,10 @@ def convert(
     force: _Force = False,
 ) -> None:
     """Write any recording as MCAP, or as a folder of PNG images. Nothing is lost either way."""
-    from ...core.preset.file import load_preset
     from ...core.recording.convert import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
+    from ...core.sources.presets import load_preset
 
     if target.suffix in _READ_ONLY_SUFFIXES:
         raise ExportError(f"cannot write {target}: {target.suffix} is read only; name a .mcap or a folder")

@@ -151,8 +151,8 @@ def export_folder(
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
     from ...core.contact.warmup import warm_up_if_needed
-    from ...core.preset.file import load_preset
     from ...core.preset.rig_check import check_rig
+    from ...core.sources.presets import load_preset
     from .methods import make_step, read_untouched
 
     preset = load_preset(options.preset).with_values(parse_settings(options.settings))

@@ -114,10 +114,10 @@ def evaluate_recording(
 
     Refining hides an error that all patch points share; a transform that knows nothing of the patch is fairer.
     """
-    from ...core.preset.file import load_preset
     from ...core.scan.pose import save_transform as write_transform
     from ...core.scan.scan import UNITS_M, load_scan
     from ...core.scan.scores import scan_truth
+    from ...core.sources.presets import load_preset
     from .methods import frame_range, frames_between, remembered_frames
 
     unit_m = UNITS_M[unit]

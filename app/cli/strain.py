@@ -89,8 +89,8 @@ def strain(
     Where the simulator's solver knows the strain it stands beside: between dots that the camera sees, in brackets
     between all.
     """
-    from ...core.preset.file import load_preset
     from ...core.rig.untouched import kept_untouched
+    from ...core.sources.presets import load_preset
     from ...core.strain.average import average_still
     from ...core.strain.strain import StrainError, check_spacing, indentation_m, measure_strain
 

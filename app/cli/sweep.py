@@ -180,8 +180,8 @@ def _options(
 ) -> _Options:
     """Join the sweep file and the options, which win."""
     from ...core.methods.registry import needs_untouched
-    from ...core.preset.file import load_preset
     from ...core.rig.untouched import load_untouched
+    from ...core.sources.presets import load_preset
     from ...core.tuning.clips import FrameRange, parse_frames
     from ...core.tuning.plan import FUSION, Request
     from ...core.tuning.sweep_file import SweepFile, load_sweep_file

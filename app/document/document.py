@@ -10,8 +10,9 @@ from PyQt6.QtGui import QUndoStack
 
 from ...core.errors import PresetError
 from ...core.preset import Preset, now
-from ...core.preset.file import load_preset, save_preset
+from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
+from ...core.sources.presets import load_preset
 from .commands import EditPreset
 from .untouched_store import UntouchedStore
 

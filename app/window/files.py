@@ -14,8 +14,8 @@ from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 from ...core.errors import TactuneError
 from ...core.model.frames import Rig
 from ...core.preset import Preset, now
-from ...core.preset.file import load_preset
 from ...core.recording.cloud_files import patch_cloud, write_cloud
+from ...core.sources.presets import load_preset
 from ...core.sources.registry import source_kinds
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.message_bar import MessageBar, Severity

@@ -7,7 +7,7 @@ import time
 
 from PyQt6.QtCore import QObject, QTimer
 
-from ...core.contact.provenance import Provenance
+from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.basics.theme import theme_name

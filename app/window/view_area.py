@@ -9,7 +9,7 @@ from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
 
-from ...core.contact.provenance import Provenance
+from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import Legend, Theme, depth_legend, difference_legend, patch_legend, provenance_legend
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut

@@ -6,8 +6,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...core.contact.provenance import Provenance
 from ...core.model.arrays import Uint8Array
+from ...core.model.provenance import Provenance
 
 #: By contact test: what drops points that are near the object, and what to change where it drops too many.
 _DROPPED = {

@@ -9,10 +9,10 @@ from enum import StrEnum
 from typing import TYPE_CHECKING
 
 from ...core.contact.pipeline import ContactPatch
-from ...core.contact.provenance import Provenance
 from ...core.errors import PresetError
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
+from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.sources.base import FrameSource, Health
 from .playback import PlaybackState

@@ -16,10 +16,10 @@ from scipy.ndimage import label
 from scipy.spatial import cKDTree
 
 from ..contact.alignment import tactile_homography, tactile_pose
-from ..contact.provenance import Provenance
 from ..model.arrays import AnyArray, BoolArray, Uint8Array
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Distortion, Intrinsics
+from ..model.provenance import Provenance
 from ..preset import MaskSection, Preset
 
 

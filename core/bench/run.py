@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from ..contact.provenance import Provenance
 from ..errors import TactuneError
 from ..evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
 from ..model.arrays import BoolArray, Float64Array
 from ..model.clouds import ray_table
+from ..model.provenance import Provenance
 from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
 from .reference_pipeline import inliers, reference_patch

@@ -13,7 +13,7 @@ from ..model.arrays import Float64Array, Uint16Array
 from ..model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..preset import Preset
-from ..preset.file import load_preset
+from ..sources.presets import load_preset
 
 #: Depths of the simulated presses, metres past first touch.
 LIGHT_M, MEDIUM_M = 0.003, 0.024

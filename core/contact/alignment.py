@@ -14,9 +14,10 @@ import numpy.typing as npt
 
 from ..errors import RigMismatchError
 from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Int64Array, Uint16Array
-from ..model.clouds import flat, planes_of, ray_table
+from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..preset import AlignmentSection
+from .flat import flat, planes_of
 from .kernels import chain as kernels
 from .kernels.lenses import lens_parameters
 from .kernels.threads import by_rows

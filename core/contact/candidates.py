@@ -9,11 +9,12 @@ from typing import Any, Final
 import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, IndexArray, Int64Array, Uint8Array
-from ..model.clouds import flat, ray_planes
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
+from ..model.provenance import Provenance
 from ..preset import OutlierSection, Preset
 from .alignment import AlignedDepth, AlignmentModel
+from .flat import flat, ray_planes
 from .fusion import depth_limits, region_bounds
 from .kernels import chain as kernels
 from .kernels.coarse import CoarseTest
@@ -24,7 +25,6 @@ from .kernels.threads import by_rows
 from .masking import color_model
 from .outliers.clusters import in_large_cluster
 from .outliers.statistical import NeighbourMemory
-from .provenance import Provenance
 
 #: Tells which points are no outliers, as `outliers.statistical.statistical_inliers` does.
 Inliers = Callable[[Float32Array, IndexArray, Intrinsics, int, float, NeighbourMemory], BoolArray]

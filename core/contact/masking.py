@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
-from ..model.clouds import flat
 from ..model.frames import Rig
 from ..preset import MaskSection
+from .flat import flat
 from .kernels.colors import color_lookup, colors_in_range, hsv_limits
 from .kernels.lenses import lens_parameters
 from .kernels.simd import LANES

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..model.arrays import BoolArray, Float32Array, Uint8Array
 from ..model.frames import Rig
+from ..model.provenance import Provenance
 from .alignment import AlignedDepth
 from .outliers.clusters import pixel_areas_m2
-from .provenance import Provenance
 
 T = TypeVar("T")
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any, ParamSpec, TypeVar
 
-from ..model.clouds import flat
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from ..preset.rig_check import check_rig
@@ -22,6 +21,7 @@ from .candidates import (
     drop_small_clusters,
     full_provenance,
 )
+from .flat import flat
 from .kernels import chain as kernels
 from .membrane import stages as membrane_stages
 from .membrane.average import SteadyDepth

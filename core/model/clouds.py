@@ -9,9 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import SourceError
-from ..preset import Preset
-from .arrays import AnyArray, BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
-from .frames import NO_DEPTH_COUNTS, DepthCamera, Rig, SensorFrame
+from .arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from .frames import NO_DEPTH_COUNTS, DepthCamera
 from .intrinsics import Intrinsics
 
 
@@ -56,27 +55,6 @@ def ray_table(intrinsics: Intrinsics) -> Float32Array:
     return table
 
 
-@lru_cache(maxsize=8)
-def ray_planes(intrinsics: Intrinsics) -> Float32Array:
-    """Return `ray_table` as the kernels take it: all x / z, then all y / z, flat."""
-    return planes_of(ray_table(intrinsics))
-
-
-def planes_of(table: Float32Array) -> Float32Array:
-    """Return a table (H, W, n) as n planes of its pixels, one after another, each with room for a vector."""
-    return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
-
-
-def flat(image: AnyArray, least: int | None = None) -> AnyArray:
-    """Return an image's elements in a row, filled up with zeros to ``least``, or else to a vector of the kernels."""
-    if least is None:
-        from ..contact.kernels.simd import LANES  # not above: whoever only reads depth needs no compiler
-
-        least = LANES
-    pixels = np.ascontiguousarray(image).reshape(-1)
-    return pixels if len(pixels) >= least else np.pad(pixels, (0, least - len(pixels)))
-
-
 def valid_depth(counts: Uint16Array) -> BoolArray:
     """Return where raw counts are a depth: neither 0 nor 65535."""
     no_depth, saturated = NO_DEPTH_COUNTS
@@ -104,28 +82,3 @@ def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> F
     np.multiply(ray_table(camera.intrinsics).reshape(-1, 2)[pixels], depth[:, None], out=points[:, :2])
     points[:, 2] = depth
     return points
-
-
-def proximity_cloud(frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return every proximity point, in the proximity depth frame."""
-    pixels = np.flatnonzero(valid_depth(frame.proximity_depth))
-    return PointCloud(deproject(frame.proximity_depth, rig.proximity, pixels))
-
-
-def tactile_cloud(frame: SensorFrame, rig: Rig, preset: Preset) -> PointCloud:
-    """Return every tactile point brought to the proximity depth frame, depth correction included.
-
-    Raises
-    ------
-    RigMismatchError
-        Neither the preset nor the rig knows the tactile camera's pose.
-    """
-    from ..contact.alignment import tactile_pose
-
-    pixels = np.flatnonzero(valid_depth(frame.tactile_depth))
-    points = deproject(frame.tactile_depth, rig.tactile, pixels).astype(np.float64)
-    depth = points[:, 2] * preset.alignment.depth_scale + preset.alignment.depth_offset_m
-    points *= (depth / points[:, 2])[:, None]
-    pose = tactile_pose(preset.alignment, rig)
-    colors = frame.tactile_color.reshape(-1, 3)[pixels] if frame.tactile_color is not None else None
-    return PointCloud((points @ pose[:3, :3].T + pose[:3, 3]).astype(np.float32), colors)

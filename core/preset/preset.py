@@ -6,16 +6,28 @@ JSON Schema and the messages for bad values are all made from these.
 
 from __future__ import annotations
 
+import difflib
+import json
+import re
+from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field
+import numpy as np
+from pydantic import Field, ValidationError
 
+from ..errors import PresetError
 from ..model.frames import Rig
 from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
 from .cameras import CameraSection, CamerasSection
 from .contact import MaskSection, MembraneSection, OutlierSection, RangeSection, RegionSection, ToleranceSection
 from .fields import Section, described
+from .migrations import SCHEMA_VERSION, Document
+
+SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
+
+#: A message names at most this many bad fields.
+_MAX_ERRORS: Final = 9
 
 __all__ = [
     "AlignmentSection",
@@ -113,8 +125,6 @@ class Preset(Section):
 
     def with_values(self, values: dict[str, Any]) -> Preset:
         """Return a copy with several fields changed at once; see `with_value`."""
-        from .file import parse_preset, set_path
-
         data = self.model_dump(mode="python")
         for path, value in values.items():
             set_path(data, path, value)
@@ -126,3 +136,131 @@ class Preset(Section):
         for part in path.split("."):
             target = getattr(target, part)
         return target
+
+
+class PresetDocument(Preset):
+    """A preset as it stands in a file: the preset and what identifies the format."""
+
+    schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
+    schema_version: Literal[1] = SCHEMA_VERSION
+    tool_version: str = ""
+
+
+def parse_preset(document: Document, origin: str) -> Preset:
+    """Validate plain data as a preset.
+
+    Raises
+    ------
+    PresetError
+        Names the first bad fields, each with its path, its value and what is allowed.
+    """
+    text = json.dumps(document, default=_plain)
+    try:
+        parsed = PresetDocument.model_validate_json(text, strict=True, by_alias=True)
+    except ValidationError as error:
+        details = error.errors(include_url=False)
+        sentences = list(dict.fromkeys(_explain(detail) for detail in details[:_MAX_ERRORS]))
+        if len(details) > _MAX_ERRORS:
+            sentences.append(f"and {len(details) - _MAX_ERRORS} more")
+        raise PresetError(f"{origin}: " + "; ".join(sentences)) from error
+    return Preset.model_construct(**{name: getattr(parsed, name) for name in Preset.model_fields})
+
+
+def json_schema() -> Document:
+    """Return the JSON Schema of preset files (draft 2020-12)."""
+    schema = PresetDocument.model_json_schema(by_alias=True, mode="validation")
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **schema,
+        "title": "Tactune preset",
+        "required": ["schema", "schema_version"],
+    }
+
+
+def set_path(document: Document, path: str, value: Any) -> None:
+    """Set the value at a dotted path in plain preset data.
+
+    Raises
+    ------
+    PresetError
+        No such field; the message suggests the nearest.
+    """
+    known = preset_paths()
+    if path not in known:
+        hint = difflib.get_close_matches(path, known, n=1)
+        remedy = f"did you mean {hint[0]}?" if hint else f"fields are {', '.join(known)}"
+        raise PresetError(f"a preset has no field {path!r}; {remedy}")
+    *parents, last = path.split(".")
+    for parent in parents:
+        document = document[parent]
+    document[last] = value
+
+
+def preset_paths() -> list[str]:
+    """Return the dotted path of every field that can be set by itself."""
+
+    def walk(model: Any, prefix: str) -> list[str]:
+        paths = []
+        for name, field in model.model_fields.items():
+            inner = field.annotation
+            if isinstance(inner, type) and hasattr(inner, "model_fields"):
+                paths += walk(inner, f"{prefix}{name}.")
+            else:
+                paths.append(prefix + name)
+        return paths
+
+    return walk(Preset, "")
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if hasattr(value, "isoformat"):
+        return value.isoformat()
+    raise PresetError(f"a preset cannot hold {value!r} of type {type(value).__name__}; use numbers, texts and lists")
+
+
+def _explain(error: Any) -> str:
+    """Turn one pydantic error into words: path, value, what is allowed."""
+    location: Sequence[str | int] = error["loc"]
+    path = (
+        "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "the preset"
+    )
+    if error["type"] == "extra_forbidden":
+        hint = difflib.get_close_matches(path, preset_paths(), n=1)
+        return f"{path} is not a field of a preset" + (f" (did you mean {hint[0]}?)" if hint else "; remove it")
+    if error["type"] == "missing":
+        return f"{path} is missing"
+    if error["type"] == "json_invalid":  # valid to Python's parser, so only texts and depth can be wrong
+        return f"a text is no valid Unicode or something is nested too deep ({error['msg']}); write it again"
+    shown = repr(error["input"])
+    shown = shown if len(shown) <= 80 else shown[:77] + "..."
+    message = error["msg"].removeprefix("Value error, ").removesuffix(" after validation")
+    if error["type"] in {"bool_type", "bool_parsing"}:
+        message = "it should be true or false"
+    message = re.sub(r"^(Input|String|Tuple) should", "it should", message)
+    return f"{path} is {shown}: {message}{_allowed(location)}"
+
+
+def _allowed(location: Sequence[str | int]) -> str:
+    """Say the allowed range of the field at a location, from the JSON Schema."""
+    schema = json_schema()
+    node: Any = schema
+    for part in location:
+        node = _resolve(node, schema)
+        if isinstance(part, int):
+            node = node["prefixItems"][part] if part < len(node.get("prefixItems", ())) else {}
+        else:
+            node = node.get("properties", {}).get(part, {})
+    node = _resolve(node, schema)
+    low = node.get("minimum", node.get("exclusiveMinimum"))
+    high = node.get("maximum", node.get("exclusiveMaximum"))
+    if low is None or high is None:
+        return ""
+    return f" (allowed: {'above ' if 'exclusiveMinimum' in node else ''}{low:g} to {high:g})"
+
+
+def _resolve(node: Any, schema: Any) -> Any:
+    while "$ref" in node or "anyOf" in node:
+        node = schema["$defs"][node["$ref"].rsplit("/", 1)[-1]] if "$ref" in node else node["anyOf"][0]
+    return node

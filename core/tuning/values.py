@@ -15,7 +15,7 @@ import numpy as np
 from ..errors import TactuneError
 from ..methods.registry import FUSION_FIELDS
 from ..preset import Preset
-from ..preset.file import preset_paths, set_path
+from ..preset.preset import preset_paths, set_path
 
 #: Fields that say who, when and where, and change no result.
 _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration")

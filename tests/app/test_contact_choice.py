@@ -10,7 +10,7 @@ from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
 from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline
-from tactune.core.contact.provenance import Provenance
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import provenance_legend
 

@@ -5,7 +5,7 @@ import pytest
 from tactune.app.document.document import Document
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 
 
 @pytest.fixture

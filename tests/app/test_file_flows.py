@@ -12,7 +12,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog
 
 from tactune.app.document.recovery import Autosave
-from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.preset.file import save_preset
+from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.message_bar import Message
 
 from .conftest import TinySource, at_rest, tiny_rig

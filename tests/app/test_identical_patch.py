@@ -10,9 +10,9 @@ import pytest
 from tactune.app.cli.main import main
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.preset.file import load_preset
 from tactune.core.sources.base import SeekableSource
 from tactune.core.sources.folder import export_folder
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -15,8 +15,8 @@ from tactune.app.worker import rendering
 from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.contact.provenance import Provenance
 from tactune.core.errors import SourceError
+from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_name
 

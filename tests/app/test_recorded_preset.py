@@ -10,9 +10,9 @@ from tactune.app.cli.common import default_preset
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
-from tactune.core.preset.file import load_preset
 from tactune.core.recording import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.presets import load_preset
 
 
 def record(path: Path, preset: bool = True) -> Path:

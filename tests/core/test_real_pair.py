@@ -11,7 +11,7 @@ import pytest
 from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 ROOT = Path(__file__).resolve().parents[2]

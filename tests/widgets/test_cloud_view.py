@@ -11,8 +11,8 @@ from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QLabel
 from pytestqt.qtbot import QtBot
 
-from tactune.core.contact.provenance import Provenance
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
 from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_header import CloudHeader, short_count

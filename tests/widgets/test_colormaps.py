@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tactune.core.contact.provenance import Provenance
+from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics.colormaps import Theme
 

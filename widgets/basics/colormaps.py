@@ -13,8 +13,8 @@ import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtGui import QColor, QPalette
 
-from ...core.contact.provenance import Provenance
 from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+from ...core.model.provenance import Provenance
 
 Theme = Literal["light", "dark"]
 Legend = list[tuple[str, QColor]]

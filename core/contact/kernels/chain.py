@@ -24,7 +24,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..provenance import Provenance
+from ...model.provenance import Provenance
 from .colors import lanes_in_range
 from .compiling import inline, kernel
 from .lenses import project_lanes

@@ -7,16 +7,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
-from ...model.clouds import flat
 from ...model.frames import Rig, SensorFrame
+from ...model.provenance import Provenance
 from ...preset import Preset
 from ..alignment import AlignmentModel
 from ..candidates import PixelTests
+from ..flat import flat
 from ..kernels import membrane as kernels
 from ..kernels.chain import TILE_ROWS
 from ..kernels.simd import LANES
 from ..kernels.threads import by_rows
-from ..provenance import Provenance
 from .steps import print_bias_m, surroundings, window_reach
 
 #: So few tiles are not worth waking other threads for.

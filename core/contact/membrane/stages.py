@@ -9,12 +9,12 @@ import numpy as np
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.clouds import ray_table
 from ...model.frames import Rig
+from ...model.provenance import Provenance
 from ...preset import MembraneSection
 from ..candidates import CandidateBuffers, Candidates
 from ..kernels import membrane as kernels
 from ..kernels.simd import LANES
 from ..outliers.clusters import in_large_cluster
-from ..provenance import Provenance
 from .differences import Differences
 from .steps import EDGE_MARGIN_PX, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
 

@@ -14,7 +14,7 @@ from tactune.app.calibration.averaging import take_snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.contact.alignment import tactile_pose
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 
 pytestmark = pytest.mark.usefixtures("qapp")
 

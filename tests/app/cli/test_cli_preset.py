@@ -12,10 +12,12 @@ import pytest
 
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
-from tactune.core.preset.file import json_schema, load_preset, preset_json, save_preset
-from tactune.core.preset.migrations import _MEMBRANE_4, _MEMBRANE_5
+from tactune.core.preset import file as preset_file
+from tactune.core.preset.file import preset_json, save_preset
 from tactune.core.preset.notes import preset_notes
+from tactune.core.preset.preset import json_schema
 from tactune.core.rig.untouched import load_untouched, save_untouched
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 Tactune = Callable[..., Any]
@@ -251,51 +253,18 @@ def test_validate_names_the_good_and_the_bad(tactune: Tactune, tmp_path: Path) -
     assert "missing.json" in finished.err
 
 
-_NO_CURVATURE = "the membrane test goes on without the curvature (membrane.curvature is 0)"
-_NO_BALANCE = "the balanced edge stays off (membrane.balance is false)"
-
-
-@pytest.mark.parametrize(
-    ("found", "test", "membrane", "said"),
-    [
-        (6, "membrane", {}, ""),
-        (5, "tolerance", _MEMBRANE_5, ", written as schema 5, read as 6"),
-        (5, "membrane", _MEMBRANE_5, f", written as schema 5, read as 6: {_NO_BALANCE}"),
-        (5, "tolerance", {"gap_m": 0.001}, f", written as schema 5, read as 6: {_NO_BALANCE}"),
-        (5, "membrane", {"balance": True}, ", written as schema 5, read as 6"),
-        (4, "tolerance", _MEMBRANE_4, ", written as schema 4, read as 6"),
-        (4, "membrane", _MEMBRANE_4, f", written as schema 4, read as 6: {_NO_CURVATURE}; {_NO_BALANCE}"),
-        (3, None, None, ", written as schema 3, read as 6"),
-        (1, None, None, ", written as schema 1, read as 6"),
-    ],
-)
-def test_validate_says_what_reading_an_older_file_leaves_different(
-    tactune: Tactune, tmp_path: Path, found: int, test: str | None, membrane: dict[str, Any] | None, said: str
-) -> None:
-    file = tmp_path / "old.json"
-    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": found}
-    document |= {"contact_test": test, "membrane": membrane}
-    file.write_text(json.dumps({key: value for key, value in document.items() if value is not None}))
-    finished = tactune("preset", "validate", file)
-    assert finished.status == 0
-    assert finished.out == f"{file}: good, preset 'old' for any rig{said}\n"
-
-
-def test_validate_says_the_same_of_a_preset_within_a_recording(
+def test_validate_names_the_older_schema_version_of_files_and_recordings(
     tactune: Tactune, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    old, new = tmp_path / "old.mcap", tmp_path / "new.mcap"
-    record = ("record", "--source", recording, "--preset", "default", "--out")
-    assert tactune(*record, new).status == 0
-    document = json.loads(preset_json(Preset(name="old"))) | {"schema_version": 5, "contact_test": "membrane"}
-    text = json.dumps(document | {"membrane": _MEMBRANE_5})
-    monkeypatch.setattr("tactune.core.recording.bag.preset_json", lambda preset: text)
-    assert tactune(*record, old).status == 0
-    finished = tactune("preset", "validate", old, new)
+    old, file = tmp_path / "old.mcap", tmp_path / "old.json"
+    assert tactune("record", "--source", recording, "--preset", "default", "--out", old).status == 0
+    save_preset(Preset(name="old"), file)
+    monkeypatch.setattr(preset_file, "migration_note", lambda document: "written as schema 1, read as 2")
+    finished = tactune("preset", "validate", file, old)
     assert finished.status == 0
     assert finished.out.splitlines() == [
-        f"{old}: good, preset 'old' for any rig, written as schema 5, read as 6: {_NO_BALANCE}",
-        f"{new}: good, preset 'default' for any rig",
+        f"{file}: good, preset 'old' for any rig, written as schema 1, read as 2",
+        f"{old}: good, preset 'default' for any rig, written as schema 1, read as 2",
     ]
 
 

@@ -21,7 +21,8 @@ from mcap.reader import make_reader
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.preset.file import save_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 Tactune = Callable[..., Any]

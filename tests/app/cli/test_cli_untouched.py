@@ -14,8 +14,9 @@ import pytest
 
 from tactune.core.errors import ExportError
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.preset.file import save_preset
 from tactune.core.rig.untouched import load_untouched
+from tactune.core.sources.presets import load_preset
 
 Tactune = Callable[..., Any]
 LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)

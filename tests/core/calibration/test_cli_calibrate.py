@@ -10,7 +10,8 @@ from tactune.core.calibration import write_points
 from tactune.core.calibration.synthetic import ClickNoise, make_clicks
 from tactune.core.model.rig_file import save_rig
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.preset.file import save_preset
+from tactune.core.sources.presets import load_preset
 
 
 @pytest.fixture

@@ -14,9 +14,9 @@ from tactune.core.contact.kernels import balance as balance_kernels
 from tactune.core.contact.membrane import balance
 from tactune.core.contact.membrane.balance import Cells, balanced_contact, left_cells, lowest
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.provenance import Provenance
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset.contact import MembraneSection
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 

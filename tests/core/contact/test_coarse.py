@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.candidates import CandidateFinder
+from tactune.core.contact.flat import flat
 from tactune.core.contact.fusion import depth_limits
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import CoarseTest, tile_grid
 from tactune.core.contact.kernels.simd import LANES
-from tactune.core.contact.provenance import Provenance
-from tactune.core.model.clouds import flat
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 

@@ -15,10 +15,10 @@ from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
 from tactune.core.contact.membrane.differences import DifferenceFinder
 from tactune.core.contact.pipeline import MEMBRANE_STAGES, STAGES, ContactPipeline, Still
-from tactune.core.contact.provenance import Provenance
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 WIDTH, HEIGHT = 200, 120

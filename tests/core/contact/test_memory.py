@@ -14,7 +14,7 @@ from numba.core.runtime import _nrt_python, rtsys
 from tactune.core.contact.kernels.compiling import kernel
 from tactune.core.contact.outliers.statistical import NeighbourMemory, statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.provenance import Provenance
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 FRAMES = 50

@@ -13,11 +13,11 @@ from tactune.core.contact.candidates import CandidateFinder
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
 from tactune.core.contact.pipeline import STAGES, ContactPipeline, Still
-from tactune.core.contact.provenance import Provenance
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
-from tactune.core.model.clouds import proximity_cloud, tactile_cloud
+from tactune.core.model.clouds import deproject, valid_depth
 from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 settings_of_all_kinds = st.fixed_dictionaries(
@@ -213,9 +213,11 @@ def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):
     assert verdicts == {Provenance.CONTACT, Provenance.NO_TACTILE_DEPTH}
     assert np.nanmax(np.abs(patch.relative_difference)) < 0.003
 
-    tactile = tactile_cloud(frame, rig, preset).points @ normal
-    assert tactile == pytest.approx(distance, abs=2e-4)
-    assert proximity_cloud(frame, rig).points @ normal == pytest.approx(distance, abs=2e-4)
+    pose = np.asarray(rig.T_proximity_tactile)
+    tactile = deproject(frame.tactile_depth, rig.tactile, np.flatnonzero(valid_depth(frame.tactile_depth)))
+    proximity = deproject(frame.proximity_depth, rig.proximity, np.flatnonzero(valid_depth(frame.proximity_depth)))
+    assert (tactile @ pose[:3, :3].T + pose[:3, 3]) @ normal == pytest.approx(distance, abs=2e-4)
+    assert proximity @ normal == pytest.approx(distance, abs=2e-4)
 
 
 def test_the_induced_homography_is_exact_on_its_plane(make_rig):

@@ -8,9 +8,9 @@ import pytest
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.membrane.press import bulge_per_m, with_light_contact
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.contact.provenance import Provenance
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 WIDTH, HEIGHT, UNIT_M = 320, 240, 1e-5

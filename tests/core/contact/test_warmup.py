@@ -76,7 +76,7 @@ def test_the_command_says_what_it_did():
 def test_no_frame_of_the_membrane_test_waits_for_a_compiler(values):
     program = f"""
 from tactune.core.compiling import compiled_so_far
-from tactune.core.preset_file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 source = SimulatorSource("cup", seed=3, variant=Variant(press="low"))

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from tactune.core.contact.alignment import AlignedDepth
 from tactune.core.contact.pipeline import ContactPatch
-from tactune.core.contact.provenance import Provenance
 from tactune.core.evaluation.metrics import PixelScores, compare_with_truth, pixel_scores, symmetric_rmse_m, truth_cloud
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
 from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.model.provenance import Provenance
 
 LENS = Intrinsics(
     width=6,

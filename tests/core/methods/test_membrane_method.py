@@ -10,7 +10,7 @@ from tactune.core.evaluation.distances import separate_contacts
 from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
 from tactune.core.methods.registry import make_method
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -7,7 +7,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import RigMismatchError, TactuneError
 from tactune.core.methods.registry import make_method, method_names, needs_untouched, settings_of
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 
 NAMES = (
     "fusion-rigid",

@@ -11,18 +11,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactune.core.errors import ExportError, PresetError
-from tactune.core.preset import CamerasSection, MembraneSection, Preset
+from tactune.core.preset import CamerasSection, Preset
 from tactune.core.preset import file as preset_file
 from tactune.core.preset import migrations as preset_migrations
-from tactune.core.preset.file import (
-    json_schema,
-    load_preset,
-    preset_from_text,
-    preset_json,
-    preset_paths,
-    save_preset,
-    shipped_presets,
-)
+from tactune.core.preset.file import preset_from_text, preset_json, save_preset, shipped_presets
+from tactune.core.preset.preset import json_schema, preset_paths
+from tactune.core.sources.presets import load_preset
 
 byte_range = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: tuple(sorted(pair)))
 presets = st.fixed_dictionaries(
@@ -126,12 +120,12 @@ def test_a_bad_value_is_refused_with_path_value_and_remedy(path, value, words):
         ('{"schema": "tactune.preset"}', "schema_version is None"),
         ('{"schema": "tactune.preset", "schema_version": true}', "schema_version is True"),
         ('{"schema": "tactune.preset", "schema_version": 99, "tool_version": "7.1"}', "update Tactune .*7.1"),
-        ('{"schema": "tactune.preset", "schema_version": 3, "toleranc": {}}', "toleranc is not a field.*tolerance"),
-        ('{"schema": "tactune.preset", "schema_version": 3, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
+        ('{"schema": "tactune.preset", "schema_version": 1, "toleranc": {}}', "toleranc is not a field.*tolerance"),
+        ('{"schema": "tactune.preset", "schema_version": 1, "tolerance": {"t": 0.1, "u": 1}}', "tolerance.u is not"),
         ("[" * 100_000, "JSON"),
         ('{"schema": "tactune.preset", "schema_version": ' + "1" * 5000 + "}", "too many digits"),
         ('{"schema": "tactune.preset", "schema_version": ' + "1" * 4000 + "}", "update Tactune"),
-        (json.dumps({"schema": "tactune.preset", "schema_version": 3} | {f"x{i}": 0 for i in range(99)}), "90 more"),
+        (json.dumps({"schema": "tactune.preset", "schema_version": 1} | {f"x{i}": 0 for i in range(99)}), "90 more"),
     ],
 )
 def test_a_file_that_is_no_preset_is_refused_in_words(text, words, tmp_path):
@@ -167,89 +161,22 @@ def test_older_files_are_migrated_in_order_and_kept_on_save(tmp_path, monkeypatc
     migrated = preset_migrations.migrate(old, "cup.json")
     assert migrated["schema_version"] == 3
     assert migrated["tolerance"] == {"t": 0.02}
+    assert preset_migrations.migration_note(old) == "written as schema 1, read as 3"
 
     save_preset(Preset(name="new"), path)
     assert json.loads((tmp_path / "cup.schema-1.json").read_text()) == old
     assert json.loads(path.read_text())["name"] == "new"
 
 
-def test_a_file_of_version_1_gets_an_alignment_without_calibration():
-    old = json.loads(preset_json(Preset(name="old")))
-    del old["alignment"]["calibration"]
-    read = preset_from_text(json.dumps(old | {"schema_version": 1}), "old.json")
-    assert read.alignment.calibration is None
-    assert read.name == "old"
-    with pytest.raises(PresetError, match="alignment is 3"):
-        preset_from_text(json.dumps(old | {"schema_version": 1, "alignment": 3}), "old.json")
-
-
-def test_a_file_of_version_2_gets_cameras_that_are_not_chosen_yet():
-    old = json.loads(preset_json(Preset(name="old")))
-    del old["cameras"]
-    read = preset_from_text(json.dumps(old | {"schema_version": 2}), "old.json")
+def test_cameras_are_kept_and_checked():
+    read = Preset()
     assert read.cameras == CamerasSection()
-    assert read.cameras.proximity.serial == ""
     kept = read.with_values({"cameras.tactile.serial": "1234", "cameras.proximity.options": {"laser_power": 40.0}})
     assert preset_from_text(preset_json(kept), "new.json").cameras == kept.cameras
     with pytest.raises(PresetError, match=r"cameras.proximity.options.laser_power is 'much'"):
         read.with_value("cameras.proximity.options", {"laser_power": "much"})
     with pytest.raises(PresetError, match=r"cameras.tactile_delay_s is 3.0.*allowed: -2 to 2"):
         read.with_value("cameras.tactile_delay_s", 3.0)
-
-
-def test_a_membrane_test_of_version_4_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_migrations._MEMBRANE_4)
-    tuned = untouched | {"gap_m": 0.0015}
-    sections = []
-    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("membrane", untouched)):
-        old = json.loads(preset_json(Preset())) | {"schema_version": 4, "contact_test": test, "membrane": section}
-        sections.append(preset_from_text(json.dumps(old), "old.json").membrane)
-    assert sections[0] == Preset().membrane
-    before = {"curvature": 0.0, "frames": 1, "curvature_px": 11.0, "balance": False}
-    assert sections[1].model_dump() == tuned | before
-    assert sections[2].model_dump() == untouched | before
-
-
-def test_a_membrane_test_of_version_5_goes_on_as_it_was_tuned_or_takes_the_new_values():
-    untouched = dict(preset_migrations._MEMBRANE_5)
-    tuned = untouched | {"gap_m": 0.0015}
-    sections = []
-    for test, section in (("tolerance", untouched), ("tolerance", tuned), ("membrane", untouched)):
-        old = json.loads(preset_json(Preset())) | {"schema_version": 5, "contact_test": test, "membrane": section}
-        sections.append(preset_from_text(json.dumps(old), "old.json").membrane)
-    assert sections[0] == Preset().membrane
-    assert sections[1].model_dump() == tuned | {"balance": False}
-    assert sections[2].model_dump() == untouched | {"balance": False}
-
-
-def test_what_a_file_of_version_5_leaves_out_is_what_it_was():
-    old = {key: value for key, value in json.loads(preset_json(Preset())).items() if key != "membrane"}
-    old |= {"schema_version": 5}
-    before = MembraneSection.model_validate(preset_migrations._MEMBRANE_5 | {"balance": False})
-    for left_out in ({"contact_test": "membrane"}, {"contact_test": "membrane", "membrane": {}}):
-        assert preset_from_text(json.dumps(old | left_out), "old.json").membrane == before
-    tuned = preset_from_text(json.dumps(old | {"membrane": {"gap_m": 0.001}}), "old.json").membrane
-    assert tuned == before.model_copy(update={"gap_m": 0.001})
-    asked = preset_from_text(json.dumps(old | {"contact_test": "membrane", "membrane": {"balance": True}}), "old.json")
-    assert asked.membrane == before.model_copy(update={"balance": True})
-    with pytest.raises(PresetError, match=r"membrane\.balance is 'maybe': it should be true or false"):
-        preset_from_text(json.dumps(old | {"membrane": {"balance": "maybe"}}), "old.json")
-    for unused in ({}, {"membrane": {}}):
-        assert preset_from_text(json.dumps(old | unused), "old.json").membrane == MembraneSection()
-
-
-@pytest.mark.parametrize("found", [1, 2, 3])
-def test_files_up_to_version_3_go_on_with_the_tolerance_test(found):
-    old = json.loads(preset_json(Preset(name="old").with_value("tolerance.t", 0.0123)))
-    for part in ("contact_test", "membrane", "untouched"):
-        del old[part]
-    migrated = preset_migrations.migrate(old | {"schema_version": found}, "old.json")
-    assert set(migrated["membrane"]) == set(MembraneSection.model_fields)
-    read = preset_from_text(json.dumps(old | {"schema_version": found}), "old.json")
-    assert (read.contact_test, read.tolerance.t, read.untouched) == ("tolerance", 0.0123, None)
-    assert read.membrane == MembraneSection()
-    kept = read.with_values({"contact_test": "membrane", "membrane.gap_m": 0.0011, "membrane.slope": False})
-    assert preset_from_text(preset_json(kept), "new.json") == kept
 
 
 def test_a_preset_of_a_newer_version_is_not_overwritten(tmp_path):

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from tactune.core.preset import Preset
-from tactune.core.preset.file import load_preset, shipped_presets
+from tactune.core.preset.file import shipped_presets
 from tactune.core.preset.notes import homography_notes, mask_notes, preset_notes
 from tactune.core.preset.rig_check import check_rig
+from tactune.core.sources.presets import load_preset
 
 
 def test_shipped_presets_and_the_tolerance_test_give_no_notes():

@@ -18,11 +18,12 @@ from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.untouched_archive import untouched_bytes
 from tactune.core.preset import Preset, UntouchedRecord
-from tactune.core.preset.file import load_preset, save_preset
+from tactune.core.preset.file import save_preset
 from tactune.core.recording import SessionWriter
 from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, save_untouched
 from tactune.core.sources.base import FrameSource
 from tactune.core.sources.mcap.source import McapSource
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 HEIGHT, WIDTH = 96, 128

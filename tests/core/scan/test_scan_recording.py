@@ -15,7 +15,6 @@ from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.distances import cloud_distances
 from tactune.core.evaluation.metrics import compare_with_truth, truth_cloud
 from tactune.core.methods.registry import make_method, method_names, needs_untouched
-from tactune.core.preset.file import load_preset
 from tactune.core.recording.writer import SessionWriter
 from tactune.core.scan.paint import PaintSettings, contact_points, painted_contact
 from tactune.core.scan.pairs import HEADER
@@ -23,6 +22,7 @@ from tactune.core.scan.pose import load_transform, pose_from_pairs, transformed
 from tactune.core.scan.scan import load_scan
 from tactune.core.scan.scores import scan_truth
 from tactune.core.scan.simulated import PaintFlaws, export_painted_scan
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
 pytest.importorskip("trimesh")

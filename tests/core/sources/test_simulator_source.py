@@ -11,7 +11,7 @@ import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
-from tactune.core.preset.file import load_preset
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator import cache, source
 from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG, REFLECTIVE_FLAG

@@ -10,9 +10,10 @@ import pytest
 from pyarrow import parquet
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.preset.file import load_preset, preset_json, save_preset
+from tactune.core.preset.file import preset_json, save_preset
 from tactune.core.rig.untouched import load_untouched, save_untouched
 from tactune.core.sources.folder import FolderSource
+from tactune.core.sources.presets import load_preset
 
 SETS = ("--set", "tolerance.t=0.002,0.007,0.03", "--set", "outliers.k=5,20")
 
