@@ -1,12 +1,11 @@
 """Compare strain measured from the simulated dots with the solver's, in percent.
 
-    python scripts/measure_strain.py [--seeds 0,1,2,3,4] [--frames N] [--alone] [SCENE...]
+    python scripts/measure_strain.py [--seeds 0,1,2,3,4] [--frames N] [SCENE...]
 
-Three numbers each along length and width: the largest measured, the solver's largest between neighbours of which
-the tactile camera sees both dots whole (at least 90 % of each), and its largest of all, hidden dots included; then
-measured less whole, in points. N frames at rest (30) are averaged; with ``--alone`` the proximity camera does not
-help. The last lines tell where strain is largest, and whether all differences are within 2 points; if not, the exit
-code is 1.
+Each line gives, along length and width: the largest strain measured from the dots; the solver's largest between
+neighbouring dots that the tactile camera sees whole (at least 90 % of each dot's area); the solver's largest of all,
+hidden dots included; and measured minus whole, in percentage points. The N frames at rest (default 30) are averaged.
+The last lines name the largest strain and say whether all differences are within 2 points; the exit code is 1 if not.
 """
 
 from __future__ import annotations
@@ -29,7 +28,7 @@ _WITHIN_POINTS = 2.0
 
 _COLUMNS = "dots, whole, all, off"
 _HEAD = f"""Largest strain between neighbouring dots, percent. dots: measured. whole: the solver's, where the tactile
-camera sees both dots whole. all: the solver's, hidden dots included. off: dots less whole, points.
+camera sees both dots whole. all: the solver's, hidden dots included. off: dots minus whole, points.
 {"scene":23s}{"seed":>4s}{"dots":>6s} | {"length: " + _COLUMNS:^31s} | {"width: " + _COLUMNS:^31s}"""
 
 
@@ -38,7 +37,6 @@ def main() -> int:
     parser = argparse.ArgumentParser(description="Compare measured strain with the solver's.")
     parser.add_argument("--seeds", default="0,1,2,3,4", help="of the cameras' noise, with commas")
     parser.add_argument("--frames", type=int, default=30, help="frames at rest that are averaged")
-    parser.add_argument("--alone", action="store_true", help="without the proximity camera")
     parser.add_argument("scene", nargs="*", default=[], help="'cup high right', ...; all by default")
     words = parser.parse_args()
     if missing := set(words.scene) - set(_SCENES):
@@ -47,7 +45,7 @@ def main() -> int:
     results = []
     for name in words.scene or _SCENES:
         for seed in map(int, words.seeds.split(",")):
-            results += [(*line, name, seed) for line in _compare(name, seed, words.frames, words.alone)]
+            results += [(*line, name, seed) for line in _compare(name, seed, words.frames)]
     whole, axis, name = max((whole, axis, name) for _, whole, axis, name, _ in results)
     print(f"largest strain over whole dots: {whole:.1f} %, {axis} of {name}")
     off, _, axis, name, seed = max(results, key=lambda result: abs(result[0]))
@@ -60,12 +58,11 @@ def main() -> int:
     return int(within < len(results))
 
 
-def _compare(name: str, seed: int, frames: int, alone: bool) -> list[tuple[float, float, str]]:
+def _compare(name: str, seed: int, frames: int) -> list[tuple[float, float, str]]:
     """Print the line of a scene; return how far measured is off, points, the solver's percent, and the direction."""
     with open_source(f"{_SCENES[name]}&seed={seed}") as source:
         frame, _ = average_still(list(islice(source, frames)), source.rig)
-        rig = source.rig.model_copy(update={"T_proximity_tactile": None}) if alone else source.rig
-        measured = measure_strain(frame, rig)
+        measured = measure_strain(frame, source.rig)
     assert frame.truth is not None and frame.truth.strain is not None
     known, words, results = frame.truth.strain, [f"{name:23s}{seed:4d}{measured.dots:6d}"], []
     for axis, found, whole, every in (

@@ -192,8 +192,7 @@ class StrainTab(MeasuringTab):
         frames = list(self._frames)[-self.average.value() :]
         untouched = self._captured or self.untouched.frame
         result, spacing_m = self._result, self.spacing.value() / 1e3
-        pose = result.preset.alignment.rigid.T_proximity_tactile
-        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, untouched, pose)
+        task = StrainTask(frames, result.frame_number, result.source.rig, spacing_m, untouched)
         self._job.start(lambda _: examine(task))
 
     def _show(self, view: StrainView) -> None:

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ...core.model.arrays import Float64Array, Uint8Array
-from ...core.model.frames import Matrix4, Rig, SensorFrame, TrueStrain
+from ...core.model.frames import Rig, SensorFrame, TrueStrain
 from ...core.strain.average import average_still
 from ...core.strain.grid_cells import StrainCells, strain_cells
 from ...core.strain.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
@@ -44,8 +44,6 @@ class StrainTask:
         The newest one's, as windows show it: from 1.
     untouched : SensorFrame or None
         The untouched membrane.
-    T_proximity_tactile : 4 x 4 or None
-        The preset's calibrated pose; None takes the rig's.
     """
 
     frames: Sequence[SensorFrame]
@@ -53,7 +51,6 @@ class StrainTask:
     rig: Rig
     spacing_m: float
     untouched: SensorFrame | None
-    T_proximity_tactile: Matrix4 | None = None
 
     @property
     def frame(self) -> SensorFrame:
@@ -101,7 +98,7 @@ def examine(task: StrainTask) -> StrainView:
     try:
         if task.untouched is not None:
             displacement_mm = 1e3 * indentation_m(frame, task.untouched, task.rig)
-        measured = measure_strain(frame, task.rig, task.spacing_m, task.T_proximity_tactile)
+        measured = measure_strain(frame, task.rig, task.spacing_m)
     except StrainError as error:
         return StrainView(
             task, averaged, frame.tactile_color, displacement_mm=displacement_mm, truth=truth, problem=str(error)

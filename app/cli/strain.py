@@ -58,7 +58,7 @@ def strain(
     preset: Annotated[
         str | None,
         typer.Option(
-            "--preset", "-p", metavar="FILE|NAME", help="Its calibrated pose is used, and its cameras for live sources."
+            "--preset", "-p", metavar="FILE|NAME", help="Its untouched frame is used, and its cameras for live sources."
         ),
     ] = None,
     spacing_mm: Annotated[
@@ -107,7 +107,7 @@ def strain(
         CliProgress(quiet=json_lines and sys.stdout.isatty()) as bar,
     ):
         total, kept = number_of_frames(opened, frames), kept_untouched(chosen, origin, opened)
-        untouched, pose = kept.frame, chosen.alignment.rigid.T_proximity_tactile
+        untouched = kept.frame
         for sentence in kept.warnings:
             warn(sentence)
         for frame in itertools.islice(opened, total):
@@ -116,7 +116,7 @@ def strain(
             quiet, averaged = average_still(list(latest), opened.rig)
             try:
                 displacement = 1e3 * indentation_m(quiet, untouched, opened.rig)
-                measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3, pose)
+                measured = measure_strain(quiet, opened.rig, spacing_mm / 1e3)
                 record = _record(quiet, displacement, measured, averaged)
             except StrainError as error:
                 record = StrainRecord(frame.sequence, None, None, None, None, None, 0, str(error))

@@ -24,6 +24,9 @@ _SAME_SIDE: Final = 0.04
 #: A spot at a step is a whole dot where its area, over that of the square of the grid around it, is within these
 #: multiples of what it is elsewhere; below, a part is hidden, and beyond, more than a dot is in it.
 _WHOLE_AREA: Final = (0.75, 1.8)
+#: Standard deviation of a centroid, pixels: elsewhere, and within so many pixels of a step of depth.
+_CENTROID_SIGMA_PX, _EDGE_SIGMA_PX = 0.07, 0.12
+_EDGE_NEAR_PX: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +152,41 @@ def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Arra
     share = area_m2 / square
     low, high = np.array(_WHOLE_AREA) * np.nanmedian(share)
     return np.asarray(~at_step | ((share >= low) & (share <= high)))
+
+
+def dot_covariance(
+    surface: SeenSurface, pixels: Float64Array, points_m: Float64Array, depth_sigma_m: Float64Array
+) -> Float64Array:
+    """Return the covariance of each dot's place in space, from the errors of its centroid and of its depth.
+
+    A centroid that is off by a pixel moves the dot along the surface, farther where the surface is steeper.
+
+    Parameters
+    ----------
+    surface : SeenSurface
+    pixels : float64, shape (N, 2)
+        Centroids in the tactile image, ``(u, v)``.
+    points_m : float64, shape (N, 3)
+        Dots in the tactile camera's frame; nan where there is no depth.
+    depth_sigma_m : float64, shape (N,)
+        Standard deviation of each depth.
+
+    Returns
+    -------
+    float64, shape (N, 3, 3)
+        Square metres.
+    """
+    height, width = surface.depth_m.shape
+    u, v = np.rint(pixels).astype(np.intp).T
+    at_edge = surface.near_step(_EDGE_NEAR_PX)[v.clip(0, height - 1), u.clip(0, width - 1)]
+    centroid_sigma = np.where(at_edge, _EDGE_SIGMA_PX, _CENTROID_SIGMA_PX)
+    depth = points_m[:, 2:]
+    rays = points_m / depth
+    across = np.zeros((len(pixels), 3, 2))
+    across[:, 0, 0], across[:, 1, 1] = points_m[:, 2] / surface.intrinsics.fx, points_m[:, 2] / surface.intrinsics.fy
+    along = (across + rays[:, :, None] * surface.slopes(pixels)[:, None, :]) * centroid_sigma[:, None, None]
+    away = rays * depth_sigma_m[:, None]
+    return np.asarray(along @ along.transpose(0, 2, 1) + away[:, :, None] * away[:, None, :])
 
 
 def _steps(depth_m: Float64Array, axis: int, focal_px: float) -> BoolArray:

@@ -53,13 +53,13 @@ def dot_points(counts: Uint16Array, camera: DepthCamera, pixels: Float64Array) -
     inverse[valid] = 1.0 / (counts[valid] * camera.depth_unit_m)
     fits = np.empty((len(pixels), 2))
     scratch, nearest = np.empty(SCRATCH_SHAPE), np.empty((2, NEAREST))
-    fit_inverse_depths(inverse, pixels, inverse_noise(inverse, pixels), _RADII_PX, scratch, nearest, fits)
+    fit_inverse_depths(inverse, pixels, _inverse_noise(inverse, pixels), _RADII_PX, scratch, nearest, fits)
     depth = 1.0 / fits[:, 0]
     rays = camera.intrinsics.normalise(pixels)
     return np.column_stack([rays * depth[:, None], depth]), fits[:, 1] * depth**2
 
 
-def inverse_noise(inverse: Float64Array, pixels: Float64Array) -> float:
+def _inverse_noise(inverse: Float64Array, pixels: Float64Array) -> float:
     """Return the standard deviation of one over the depth, 1/m: the scatter about local fits around pixels, (N, 2)."""
     scatter = []
     for u, v in pixels[:: max(len(pixels) // 100, 1)]:
@@ -93,14 +93,14 @@ def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
         As if seen straight on where there is no depth.
     """
     known = np.isfinite(depth_m)
-    depth = smooth_depth(depth_m)
+    depth = _smooth_depth(depth_m)
     rows, columns = np.indices(depth.shape)
     rays = intrinsics.normalise(np.column_stack([columns.ravel(), rows.ravel()]).astype(np.float64))
     slopes = np.stack([np.where(known, _slope(depth, axis), 0.0) for axis in (1, 0)], axis=2)
     return area_of_slopes(depth, rays.reshape(*depth.shape, 2), slopes, intrinsics, STEEPEST)
 
 
-def smooth_depth(depth_m: Float64Array) -> Float64Array:
+def _smooth_depth(depth_m: Float64Array) -> Float64Array:
     """Return depth, metres, averaged over some pixels but not over edges; the median where there is none.
 
     Parameters

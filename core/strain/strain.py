@@ -17,14 +17,12 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from ..errors import TactuneError
-from ..model.arrays import AnyArray, Float64Array, Int64Array, Uint16Array
+from ..model.arrays import Float64Array, Int64Array, Uint16Array
 from ..model.clouds import valid_depth
-from ..model.frames import DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
-from .dot_edges import SeenSurface, whole_dots
+from ..model.frames import DepthCamera, Rig, SensorFrame
+from .dot_edges import SeenSurface, dot_covariance, whole_dots
 from .dot_lattice import DotLattice, order_dots
-from .dot_proximity import TouchedPlaces
-from .dot_surface import dot_points, inverse_noise, surface_between
-from .dot_triangulation import Finder, PlacedDots, SecondView
+from .dot_surface import dot_points, surface_between
 from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .field import AxisStrain, axis_strain, crossed
 
@@ -91,12 +89,8 @@ class StrainMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Dots in order, where they are in space, and the neighbours along length and width that are believed.
+    """Dots in order, where they are in space, and the neighbours along length and width that are believed."""
 
-    ``find`` is how they were found in an image.
-    """
-
-    find: Finder
     surface: SeenSurface
     pixels: Float64Array
     points_m: Float64Array
@@ -105,12 +99,8 @@ class _Grid:
     sides: tuple[Int64Array, Int64Array]
 
 
-def measure_strain(
-    frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M, T_proximity_tactile: Matrix4 | None = None
-) -> StrainMeasurement:
-    """Measure strain from the grid of dots in a frame.
-
-    Where the cameras' pose is known, the proximity camera's depth and colour place the dots better.
+def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -> StrainMeasurement:
+    """Measure strain from the grid of dots in a frame, as the tactile camera sees it.
 
     Parameters
     ----------
@@ -119,8 +109,6 @@ def measure_strain(
     rig : Rig
     spacing_m : float
         Distance of neighbouring dots on the flat sheet.
-    T_proximity_tactile : 4 x 4, optional
-        The calibrated pose of the tactile camera in the proximity depth frame, metres; by default the rig's.
 
     Raises
     ------
@@ -128,8 +116,6 @@ def measure_strain(
         The frame has no tactile colour, or no grid is found, or there is no depth where it is.
     FrameError
         The frame belongs to another rig.
-    ValueError
-        The pose is no rigid transform.
     """
     check_spacing(spacing_m)
     frame.check_against(rig)
@@ -143,25 +129,24 @@ def measure_strain(
             f"frame {frame.sequence}: the tactile colour image is {width} x {height} pixels, the depth image "
             f"{frame.tactile_depth.shape[1]} x {frame.tactile_depth.shape[0]}; align colour to depth"
         )
-    if T_proximity_tactile is not None:
-        rig = rig.model_copy(update={"T_proximity_tactile": rigid_transform(T_proximity_tactile)})
     camera = rig.tactile
     depth_m = _depth_m(frame.tactile_depth, camera)
     if not np.isfinite(depth_m).any():
         raise StrainError(f"frame {frame.sequence} has no tactile depth at all; check the tactile camera and its range")
     grid = _find_grid(frame, depth_m, camera)
-    dots, lattice = _sharpened(grid, frame, rig), grid.lattice
+    lattice = grid.lattice
+    covariance_m2 = dot_covariance(grid.surface, grid.pixels, grid.points_m, grid.depth_sigma_m)
     places = np.column_stack([lattice.piece, lattice.cells])
     axes = []
     for pairs, name in zip(grid.sides, ("length", "width"), strict=True):
-        strain = axis_strain(pairs, dots.points_m, dots.covariance_m2, spacing_m, places)
+        strain = axis_strain(pairs, grid.points_m, covariance_m2, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
-                f"frame {frame.sequence}: {len(dots.pixels)} dots are seen, but no neighbours along the {name} have "
+                f"frame {frame.sequence}: {len(grid.pixels)} dots are seen, but no neighbours along the {name} have "
                 "depth; see that the tactile camera's depth covers the membrane"
             )
         axes.append(strain)
-    return StrainMeasurement(dots.pixels, dots.points_m, lattice, *axes)
+    return StrainMeasurement(grid.pixels, grid.points_m, lattice, *axes)
 
 
 def check_spacing(spacing_m: float) -> None:
@@ -266,20 +251,15 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
     """Return the dots in order, from the dot size, or all together, that gives most neighbours to believe."""
     assert frame.tactile_color is not None
     surface = SeenSurface.of(depth_m, camera.intrinsics)
-    sizes: list[Finder] = [partial(find_dots, width_px=width_px, surface=surface) for width_px in DOT_WIDTHS_PX]
-    found = [find(frame.tactile_color) for find in sizes]
-
-    def find_all(image: AnyArray) -> Spots:
-        return _merged([find(image) for find in sizes])
-
+    found = [find_dots(frame.tactile_color, width_px, surface) for width_px in DOT_WIDTHS_PX]
     grids = []
-    for find, spots in zip([*sizes, find_all], [*found, _merged(found)], strict=True):
+    for spots in [*found, _merged(found)]:
         lattice = order_dots(spots.pixels, partial(_linked, depth_m, camera.intrinsics.fx, spots.pixels))
         ordered = lattice.piece >= 0
         if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(spots)):
             kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
             tree = cKDTree(spots.pixels)
-            grids.append(_in_space(find, spots.some(ordered), tree, kept, frame.tactile_depth, surface, camera))
+            grids.append(_in_space(spots.some(ordered), tree, kept, frame.tactile_depth, surface, camera))
     if not grids:
         most = max(map(len, found))
         raise StrainError(
@@ -291,7 +271,6 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
 
 
 def _in_space(
-    find: Finder,
     spots: Spots,
     all_spots: cKDTree,
     lattice: DotLattice,
@@ -308,21 +287,7 @@ def _in_space(
     whole = whole_dots(lattice, points, spots.area_m2, spots.at_step)
     sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     along, across = (pairs[whole[pairs].all(axis=1)] for pairs in sides)
-    return _Grid(find, surface, pixels, points, sigma, lattice, (along, across))
-
-
-def _sharpened(grid: _Grid, frame: SensorFrame, rig: Rig) -> PlacedDots:
-    """Return where the dots are, by all that both cameras see of them."""
-    points, sigma, depth_m = grid.points_m, grid.depth_sigma_m, grid.surface.depth_m
-    dots = PlacedDots.of(grid.surface, grid.pixels, points, sigma)
-    view = SecondView.of(dots, frame, rig, grid.surface, grid.find)
-    if view is None:
-        return dots
-    noise = inverse_noise(1.0 / depth_m, grid.pixels)
-    touched = TouchedPlaces.of(frame, view.rig(rig), depth_m, noise)
-    if touched is not None:
-        points, sigma = touched.sharpen(grid.pixels, points, sigma, rig.tactile.intrinsics)
-    return view.sharpen(PlacedDots.of(grid.surface, grid.pixels, points, sigma))
+    return _Grid(surface, pixels, points, sigma, lattice, (along, across))
 
 
 def _merged(found: list[Spots]) -> Spots:

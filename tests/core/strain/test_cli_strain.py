@@ -47,19 +47,6 @@ def test_frames_at_rest_are_averaged_and_the_solver_stands_beside(tactune):
     assert line.endswith(")")
 
 
-def test_the_presets_pose_counts(tactune, tmp_path):
-    """Cameras that stand a metre apart see nothing in common, so the proximity camera no longer helps."""
-    path = tmp_path / "apart.json"
-    pose = "alignment.rigid.T_proximity_tactile=[[1,0,0,1],[0,1,0,0],[0,0,1,0],[0,0,0,1]]"
-    assert tactune("preset", "new", "--out", path, "--from", "simulator", "--set", pose)[0] == 0
-    source = "sim:cup?press=high&grid=dots"
-    lines = [
-        tactune("strain", "--source", source, "--frames", 1, "--json", *preset) for preset in ((), ("--preset", path))
-    ]
-    helped, alone = (json.loads(out)["strain_length_percent"] for _, out, _ in lines)
-    assert helped != alone
-
-
 def test_the_spacing_counts_and_table_csv_and_figure_are_written(tactune, tmp_path, monkeypatch):
     figures = pytest.importorskip("matplotlib.figure").Figure
     save, drawn = figures.savefig, {}

@@ -149,30 +149,19 @@ def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape,
 @pytest.mark.parametrize(
     "scene",
     [
-        "cup?press=high&side=left&seed=3",
-        "cup?press=high&side=right&seed=8",
-        "cube?press=high&side=left&seed=5",
-        "stiff?press=high&object=cube&seed=8",
+        "cup?press=high&side=left",
+        "cup?press=high&side=right&seed=3",
+        pytest.param("stiff?press=high&object=cube&seed=8", marks=pytest.mark.long),
     ],
 )
 def test_strain_from_frames_at_rest_is_measured_within_two_points(scene):
-    """Up to 112 %: dots on a lip, in the shade of a wall, and rows that meet one row apart."""
+    """Up to 112 %: dots on a lip, dots in the shade of a wall, and pieces of the grid shifted by one row."""
     with open_source(f"sim:{scene}&grid=dots") as source:
         frame, averaged = average_still(list(islice(source, 30)), source.rig)
         measured, known = measure_strain(frame, source.rig), frame.truth.strain
     assert averaged == 30
     assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
     assert measured.width.largest == pytest.approx(known.width_seen, abs=0.02)
-
-
-def test_a_calibrated_pose_counts_instead_of_the_rigs():
-    with open_source("sim:cup?press=high&grid=dots") as source:
-        frame, rig = source.next_frame(), source.rig
-    blind = rig.model_copy(update={"T_proximity_tactile": None})
-    by_rig, alone = measure_strain(frame, rig), measure_strain(frame, blind)
-    membrane = measure_strain(frame, blind, T_proximity_tactile=rig.T_proximity_tactile)
-    assert np.array_equal(membrane.points_m, by_rig.points_m)
-    assert not np.array_equal(membrane.points_m, alone.points_m)
 
 
 def test_no_pair_skips_a_dot_that_is_seen_between():
