@@ -18,7 +18,7 @@ _DROPPED = {
     },
     "membrane": {
         Provenance.MASKED: ("the mask", "right while nothing touches; else narrow its colour ranges"),
-        Provenance.RIM: ("the retreat from the edge", "right while nothing touches; else lower it"),
+        Provenance.RIM: ("the erosion of the rim", "lower the erosion if something touches"),
         Provenance.NOT_PRESSED: ("the membrane's curvature", "right while nothing presses; else raise the largest one"),
         Provenance.SMALL_CLUSTER: ("the limit on small contacts", "lower the smallest contact"),
     },

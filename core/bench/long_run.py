@@ -81,7 +81,7 @@ def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
         "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
         "contact_test": lambda: str(random.choice(("tolerance", "membrane"))),
         "membrane.gap_m": lambda: float(random.uniform(0.0, 0.005)),
-        "membrane.retreat": lambda: float(random.choice((0.0, 0.9, 2.0))),
+        "membrane.erosion": lambda: float(random.choice((0.0, 0.9, 2.0))),
         "membrane.balance": lambda: not preset.membrane.balance,
         "membrane.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
     }

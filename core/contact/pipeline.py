@@ -193,7 +193,7 @@ class ContactPipeline:
                 (NO_CANDIDATES,),
             )
         within = stage(
-            "edge", (section.gap_m, section.retreat, section.core, section.most_px),
+            "edge", (section.gap_m, section.erosion, section.core_share, section.max_erosion_px),
             membrane_stages.within_edge, gaps, section,
         )  # fmt: skip
         pressed = stage(
@@ -202,7 +202,7 @@ class ContactPipeline:
         )  # fmt: skip
         balanced = stage("balance", section.balance, balanced_contact, pressed, gaps, section, self.rig)
         large = stage(
-            "clusters", section.least_area_mm2,
+            "clusters", section.min_area_mm2,
             membrane_stages.large_contacts, balanced, gaps, section, self.rig,
         )  # fmt: skip
         contact = stage(

@@ -110,20 +110,21 @@ class MembraneSection(Section):
         float,
         described(
             "Largest gap",
-            "Where the local mean of the gap between membrane and object is smaller, they are near; contact lies "
-            "within. Smaller than about 1 mm it is lost in the sensors' noise.",
+            "Pixels whose local mean gap between membrane and object is smaller are near; contact lies within them. "
+            "A limit below about 1 mm is lost in the sensors' noise.",
             unit="m",
             slider=(0.0002, 0.003),
             step=0.0001,
         ),
         Field(ge=0.0, le=0.02),
     ] = 0.0014
-    retreat: Annotated[
+    erosion: Annotated[
         float,
         described(
-            "Retreat",
-            "A membrane leaves the object at a tangent, so a rim around contact is near without touching. How wide "
-            "it is follows from how fast the gap grows there; this share of it is taken away, 0 for none.",
+            "Erosion",
+            "Share of the estimated non-touching rim that is eroded. The membrane leaves the object at a tangent, so "
+            "a rim around contact is near without touching; its width is estimated from how fast the gap grows "
+            "there. 0 keeps the rim.",
             slider=(0.0, 1.5),
             step=0.05,
         ),
@@ -133,8 +134,8 @@ class MembraneSection(Section):
         float,
         described(
             "Averaging",
-            "Sigma of the window over which gaps are averaged. A wider one tells smaller gaps apart and blurs the "
-            "edge; 0 takes each pixel by itself.",
+            "Sigma of the Gaussian window over which gaps are averaged. A wider window resolves smaller gaps but "
+            "blurs the edge. 0 averages nothing.",
             unit="px",
             slider=(0.0, 8.0),
             step=0.5,
@@ -145,15 +146,15 @@ class MembraneSection(Section):
         float,
         described(
             "Largest bias",
-            "The sensors' common bias is read from the mask's prints and from the most frequent gap, and taken off. "
-            "No larger one than this is believed to come from contact; 0 corrects none at all, neither by prints.",
+            "Upper limit of the estimated bias between both cameras. The bias is estimated from the masked prints "
+            "and from the most frequent gap, and subtracted. 0 disables the correction.",
             unit="m",
             slider=(0.0, 0.005),
             step=0.0001,
         ),
         Field(ge=0.0, le=0.02),
     ] = 0.0012
-    least_area_mm2: Annotated[
+    min_area_mm2: Annotated[
         float,
         described(
             "Smallest contact",
@@ -168,9 +169,9 @@ class MembraneSection(Section):
         float,
         described(
             "Largest curvature",
-            "Where an object presses, the membrane bulges less than where it is free. Contact is only where its "
-            "curvature is below this share of the free membrane's, and in lightly touching parts with a gap that is no "
-            "larger than there; 0 does not ask. It tells touching from hovering.",
+            "Contact needs a membrane curvature below this share of the free membrane's, because a pressing object "
+            "flattens the membrane. Lightly touching regions are kept if their gap is no larger than in firm contact. "
+            "It separates touching from hovering. 0 disables the test.",
             slider=(0.0, 1.5),
             step=0.05,
         ),
@@ -180,16 +181,17 @@ class MembraneSection(Section):
         bool,
         described(
             "Balanced edge",
-            "End contact where the membrane, drawn by its tension and pushed by the pressure, leaves an object of the "
-            "shape seen; narrows light contacts, which else come out too wide.",
+            "End contact where a membrane in equilibrium of tension and pressure leaves the measured object. This "
+            "narrows light contacts, which are otherwise too wide.",
         ),
     ] = True
     frames: Annotated[
         int,
         described(
             "Averaged frames",
-            "Depth is averaged over so many frames while the membrane keeps still, which brings out small contacts; "
-            "where it moves, averaging begins anew. With 1 each frame stands for itself; more count once frames run.",
+            "Number of frames over which depth is averaged while the membrane is still, which reveals small contacts. "
+            "Averaging restarts where the membrane moves. 1 averages nothing; larger values take effect during "
+            "playback only.",
             slider=(1, 30),
         ),
         Field(ge=1, le=300),
@@ -198,7 +200,7 @@ class MembraneSection(Section):
         float,
         described(
             "Largest difference",
-            "Pixels whose two depths differ by more take no part in the means: backdrop, flying pixels.",
+            "Pixels whose two depths differ by more are excluded from the means: background, flying pixels.",
             unit="m",
             hidden=True,
         ),
@@ -206,27 +208,29 @@ class MembraneSection(Section):
     ] = 0.008
     slope: Annotated[
         bool,
-        described("Along the normal", "Take gaps along the surface's normal, not along the optical axis.", hidden=True),
+        described(
+            "Along the normal", "Measure gaps along the surface normal, not along the optical axis.", hidden=True
+        ),
     ] = True
-    core: Annotated[
+    core_share: Annotated[
         float,
         described(
             "Protected core",
-            "Beyond this share of the way from the border of a near region to its middle nothing is taken away.",
+            "Pixels farther from the border of a near region than this share of its depth are never eroded.",
             hidden=True,
         ),
         Field(ge=0.0, le=1.0),
     ] = 0.5
-    most_px: Annotated[
+    max_erosion_px: Annotated[
         float,
-        described("Longest retreat", "No wider rim than this is taken away.", unit="px", hidden=True),
+        described("Widest erosion", "Upper limit of the eroded rim's width.", unit="px", hidden=True),
         Field(ge=0.0, le=100.0),
     ] = 16.0
     curvature_px: Annotated[
         float,
         described(
             "Window of the curvature",
-            "Sigma of the window over which the membrane's curvature is averaged, tactile pixels.",
+            "Sigma of the Gaussian window over which the membrane's curvature is averaged, in tactile pixels.",
             unit="px",
             hidden=True,
         ),
@@ -236,7 +240,7 @@ class MembraneSection(Section):
         float,
         described(
             "Smoothing of points",
-            "Sigma of the window over which the depth of the points is averaged; 0 for none.",
+            "Sigma of the Gaussian window over which the depth of the points is averaged. 0 averages nothing.",
             unit="px",
             hidden=True,
         ),
@@ -246,7 +250,7 @@ class MembraneSection(Section):
         float,
         described(
             "Weight of the tactile depth",
-            "Share of the tactile depth in the points; the rest is the proximity depth's.",
+            "Weight of the tactile depth in the contact points; the proximity depth has the rest.",
             hidden=True,
         ),
         Field(ge=0.0, le=1.0),

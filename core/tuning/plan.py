@@ -46,10 +46,10 @@ _BATCHES_A_WORKER: Final = 4
 #: In which stage of the pipeline, after the first, a field is used; later ones vary faster.
 STAGE_OF: Final = {
     **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "membrane.bias_m", "membrane.slope"), 1),
-    **dict.fromkeys(("membrane.gap_m", "membrane.retreat", "membrane.core", "membrane.most_px"), 2),
+    **dict.fromkeys(("membrane.gap_m", "membrane.erosion", "membrane.core_share", "membrane.max_erosion_px"), 2),
     **dict.fromkeys(("membrane.curvature", "membrane.curvature_px"), 3),
     "membrane.balance": 4,
-    **dict.fromkeys(("outliers.min_cluster_area_mm2", "membrane.least_area_mm2"), 5),
+    **dict.fromkeys(("outliers.min_cluster_area_mm2", "membrane.min_area_mm2"), 5),
     **dict.fromkeys(("membrane.smooth_px", "membrane.tactile_weight"), 6),
 }
 

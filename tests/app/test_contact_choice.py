@@ -88,7 +88,7 @@ def test_an_empty_patch_says_what_the_membrane_test_has_dropped():
     provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
     assert "largest gap" in why_no_contact(provenance, "membrane")
     provenance[0] = Provenance.RIM
-    assert "the retreat from the edge dropped all" in why_no_contact(provenance, "membrane")
+    assert "the erosion of the rim dropped all" in why_no_contact(provenance, "membrane")
     provenance[:2] = Provenance.NOT_PRESSED
     assert "the membrane's curvature dropped all" in why_no_contact(provenance, "membrane")
     provenance[0] = Provenance.RIM

@@ -16,7 +16,7 @@ from ..kernels import membrane as kernels
 from ..kernels.simd import LANES
 from ..outliers.clusters import in_large_cluster
 from .differences import Differences
-from .steps import EDGE_MARGIN_PX, LocalMean, contact_bias_m, retreat, surroundings, turn_to_normal, window_reach
+from .steps import EDGE_MARGIN_PX, LocalMean, contact_bias_m, erode_rim, surroundings, turn_to_normal, window_reach
 
 #: Share of a pixel's surroundings that must be usable for a gap, and of contact for a point.
 _LEAST_SHARE, _LEAST_SHARE_OF_POINT = np.float32(0.4), np.float32(0.05)
@@ -76,10 +76,10 @@ def within_edge(gaps: Gaps, section: MembraneSection) -> BoolArray:
     """Return the pixels that are near the object, without the rim where the membrane only leaves it."""
     near = near_pixels(gaps, section)
     far = min(_FAR, _FARTHEST_SHARE * section.difference_m / section.gap_m) if section.gap_m > 0 else _FAR
-    if section.retreat == 0 or far < _LEAST_FAR:
+    if section.erosion == 0 or far < _LEAST_FAR:
         return near
     wide = gaps.known & (gaps.gap_m < np.float32(far * section.gap_m))
-    return retreat(near, wide, far, section.retreat, section.core, section.most_px)
+    return erode_rim(near, wide, far, section.erosion, section.core_share, section.max_erosion_px)
 
 
 def near_pixels(gaps: Gaps, section: MembraneSection) -> BoolArray:
@@ -92,7 +92,7 @@ def large_contacts(contact: BoolArray, gaps: Gaps, section: MembraneSection, rig
     camera, (top, left), depth_m = rig.proximity.intrinsics, gaps.differences.corner, gaps.differences.depth_m
     rows, columns = np.nonzero(contact)
     pixels = (rows + top) * camera.width + columns + left
-    large = in_large_cluster(depth_m[rows, columns], pixels, camera, section.least_area_mm2)
+    large = in_large_cluster(depth_m[rows, columns], pixels, camera, section.min_area_mm2)
     if large.all():
         return contact
     kept = np.zeros_like(contact)

@@ -147,13 +147,13 @@ def turn_to_normal(
     kernels.turn_to_normal(gap_m, depth_m, along_x, along_y, rays, *corner, _LEAST_FACING)
 
 
-def retreat(
+def erode_rim(
     near: BoolArray,
     wide: BoolArray,
     far: float,
     share: float,
     core: float,
-    most_px: float,
+    max_erosion_px: float,
 ) -> BoolArray:
     """Take away the rim where a membrane that leaves tangentially is still near the object.
 
@@ -170,9 +170,9 @@ def retreat(
     share : float
         Which share of s is taken.
     core : float
-        Pixels that are at least this share as far from the border as the farthest one within 0.65 ``most_px``
+        Pixels that are at least this share as far from the border as the farthest one within 0.65 ``max_erosion_px``
         stay: noise bends the lines about narrow contacts.
-    most_px : float
+    max_erosion_px : float
         The largest s.
     """
     import cv2
@@ -184,9 +184,9 @@ def retreat(
     inside, labels = cv2.distanceTransformWithLabels(padded, cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     between = cv2.distanceTransform(padded_wide, cv2.DIST_L2, 5)
     of_label, ways = scratch("ways", padded.size + 1, np.float32), np.empty(padded.shape, np.float32)
-    kernels.spread_ways(padded, labels, between, factor, np.float32(most_px), of_label, ways)
+    kernels.spread_ways(padded, labels, between, factor, np.float32(max_erosion_px), of_label, ways)
     taken = cv2.GaussianBlur(ways, (0, 0), _ALONG_EDGE_PX)
-    window = 2 * int(np.ceil(0.65 * most_px)) + 1
+    window = 2 * int(np.ceil(0.65 * max_erosion_px)) + 1
     middle = cv2.dilate(inside, np.ones((window, window), np.uint8))
     deep = (inside > np.float32(share) * taken) | (inside > np.float32(core) * middle)
     return np.asarray(near & _unpadded(deep))

@@ -72,9 +72,9 @@ def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: P
         "--set",
         "contact_test=membrane",
         "--set",
-        "membrane.retreat=0",
+        "membrane.erosion=0",
         "--set",
-        "membrane.least_area_mm2=0",
+        "membrane.min_area_mm2=0",
     ]
     assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", file, *words).status == 0
     finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")

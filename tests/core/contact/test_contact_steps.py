@@ -9,8 +9,8 @@ from tactune.core.contact.kernels.membrane import count_gaps
 from tactune.core.contact.membrane.steps import (
     LocalMean,
     contact_bias_m,
+    erode_rim,
     print_bias_m,
-    retreat,
     surroundings,
     turn_to_normal,
 )
@@ -85,7 +85,7 @@ def test_a_tangential_rim_is_taken_away_and_an_end_is_not():
     gap = np.tile(np.where(u > 60, 2e-5 * (u - 60) ** 2 / 2, 0), (80, 1)).astype(np.float32)
     known = np.tile(u >= 20, (80, 1))
     near = known & (gap < 0.0018)
-    left = retreat(near, known & (gap < 2.5 * 0.0018), 2.5, 1.0, 1.0, 20.0)[40]
+    left = erode_rim(near, known & (gap < 2.5 * 0.0018), 2.5, 1.0, 1.0, 20.0)[40]
     assert np.flatnonzero(near[40])[-1] == 73
     assert abs(int(np.flatnonzero(left)[-1]) - 60) <= 2
     assert np.flatnonzero(left)[0] == 20

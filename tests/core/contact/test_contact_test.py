@@ -72,7 +72,7 @@ def same_patch(one, other) -> bool:
 
 def test_every_pixel_has_the_reason_why_it_was_kept_or_dropped(rig, scene):
     # a window whose means the four small pixels pass, and a lone one does not
-    preset = masked(MEMBRANE).with_values({"membrane.window_px": 1.0, "membrane.least_area_mm2": 50.0})
+    preset = masked(MEMBRANE).with_values({"membrane.window_px": 1.0, "membrane.min_area_mm2": 50.0})
     limits = {"region.enabled": True, "region.rectangle": (0, 0, 196, HEIGHT), "range.enabled": True,
               "range.limits_m": (0.1, 0.35)}  # fmt: skip
     patch = ContactPipeline(preset.with_values(limits), rig).process(scene)
@@ -124,10 +124,10 @@ def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
     ("path", "value", "repeated"),
     [
         ("membrane.tactile_weight", 0.2, {"points"}),
-        ("membrane.least_area_mm2", 9.0, {"clusters", "points"}),
+        ("membrane.min_area_mm2", 9.0, {"clusters", "points"}),
         ("membrane.balance", False, {"balance", "clusters", "points"}),
         ("membrane.gap_m", 0.001, {"edge", "press", "balance", "clusters", "points"}),
-        ("membrane.retreat", 0.0, {"edge", "press", "balance", "clusters", "points"}),
+        ("membrane.erosion", 0.0, {"edge", "press", "balance", "clusters", "points"}),
         ("membrane.curvature", 0.5, {"press", "balance", "clusters", "points"}),
         ("membrane.curvature_px", 5.0, {"press", "balance", "clusters", "points"}),
         ("membrane.bias_m", 0.001, {"gaps", "edge", "press", "balance", "clusters", "points"}),
@@ -171,14 +171,14 @@ choices = st.fixed_dictionaries(
         "mask.saturation": st.sampled_from([(0, 120), (60, 255)]),
         "membrane.gap_m": st.sampled_from([0.0, 0.0018, 0.005]),
         "membrane.window_px": st.sampled_from([0.0, 0.5, 2.5]),
-        "membrane.retreat": st.sampled_from([0.0, 0.9]),
+        "membrane.erosion": st.sampled_from([0.0, 0.9]),
         "membrane.curvature": st.sampled_from([0.0, 0.5, 0.9]),
         "membrane.balance": st.booleans(),
         "membrane.curvature_px": st.sampled_from([2.0, 10.0]),
         "membrane.bias_m": st.sampled_from([0.0, 0.0012]),
         "membrane.smooth_px": st.sampled_from([0.0, 2.0]),
         "membrane.slope": st.booleans(),
-        "membrane.least_area_mm2": st.sampled_from([0.0, 25.0, 1e5]),
+        "membrane.min_area_mm2": st.sampled_from([0.0, 25.0, 1e5]),
         "region.enabled": st.booleans(),
         "region.rectangle": st.tuples(st.integers(0, 60), st.integers(0, 50), st.integers(1, 99), st.integers(1, 99)),
     }

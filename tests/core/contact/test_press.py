@@ -205,7 +205,7 @@ def test_images_of_any_size_and_content_are_judged(width, height, kind):
     if kind == "random":
         image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)
     frame = SensorFrame(0, image, image, np.zeros((height, width, 3), np.uint8))
-    loose = MEMBRANE.with_values({"membrane.least_area_mm2": 0.0, "membrane.frames": 3})
+    loose = MEMBRANE.with_values({"membrane.min_area_mm2": 0.0, "membrane.frames": 3})
     patch = ContactPipeline(loose, rig).process(frame)
     assert patch.mask.shape == (height, width)
     assert np.isfinite(patch.points).all()

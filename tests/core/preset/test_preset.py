@@ -37,7 +37,7 @@ presets = st.fixed_dictionaries(
         "contact_test": st.sampled_from(["tolerance", "membrane"]),
         "membrane.gap_m": st.floats(0, 0.02),
         "membrane.window_px": st.floats(0, 20),
-        "membrane.core": st.floats(0, 1),
+        "membrane.core_share": st.floats(0, 1),
     }
 ).map(lambda values: Preset().with_values(values))
 
