@@ -99,10 +99,7 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
 
     def stop(number: int) -> None:
         window.autosave.flush()
-        window.live.close()
-        window.analysis.close()
-        window.calibration.close()
-        window.worker.shut_down()
+        window.shut_down()
         application.exit(128 + number)  # as shells expect
 
     ends = (signal.SIGINT, signal.SIGTERM)
@@ -162,7 +159,7 @@ class _Screenshot(QObject):
         self._patience.setSingleShot(True)
         self._patience.setInterval(PATIENCE_MS)
         self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames came within {PATIENCE_MS // 1000} s"))
-        window.frameShown.connect(self._frame_shown)
+        window.context.frameShown.connect(self._frame_shown)
         window.worker.opened.connect(lambda _: self._patience.start())
         window.worker.openFailed.connect(lambda _, sentence: self._give_up(sentence))
         window.worker.failed.connect(self._give_up)
@@ -174,7 +171,7 @@ class _Screenshot(QObject):
             return
         still = not result.playback.playing
         if result.processed >= self._after or still:
-            self._window.frameShown.disconnect(self._frame_shown)
+            self._window.context.frameShown.disconnect(self._frame_shown)
             self._patience.stop()
             self._window.worker.pause()
             QTimer.singleShot(300, self._take)

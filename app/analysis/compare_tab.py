@@ -3,22 +3,20 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSplitter
 
 from ...core.methods.registry import method_names
 from ...widgets.basics.theme import theme_name
-from ..worker.results import CloudName, Result
+from ..context import Context
+from ..worker.results import Result
 from .compare_grid import TileGrid
 from .compare_table import CompareTable, comparison_csv
 from .comparer import CompareThread, Comparison, Task
 from .measuring_tab import MeasuringTab
 from .method_looks import TRUTH
-
-if TYPE_CHECKING:
-    from ..window.main_window import MainWindow
+from .tab import TabKind
 
 _CHOSEN = "compare/methods"
 _AT_FIRST = ("fusion-rigid", "fusion-membrane", "proximity-only", "tactile-only", "mechanics")
@@ -37,14 +35,13 @@ class CompareTab(MeasuringTab):
 
     shown = pyqtSignal(object)
 
-    def __init__(self, window: MainWindow) -> None:
-        super().__init__(window, _WAITING)
+    def __init__(self, context: Context) -> None:
+        super().__init__(context, _WAITING)
         self.comparison: Comparison | None = None
         self._setting_up = ""
         methods = method_names()
         remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
-        view = window.views.views[CloudName.PATCH]
-        self.grid = TileGrid("opengl" if view.backend_name == "opengl" else "software")
+        self.grid = TileGrid(context.cloud_backend)
         self.table = CompareTable(methods, remembered)
         self.thread_ = CompareThread(self)
         self._late = QTimer(self)
@@ -219,3 +216,11 @@ class CompareTab(MeasuringTab):
         if comparison is not None:
             what = f"Frame {comparison.task.result.frame_number} was"
             self._write(self.sheet.grab().toImage(), comparison_csv(comparison), path, what)
+
+
+TAB = TabKind(
+    title="&Compare methods",
+    tip="Run several contact methods side by side on the present frame",
+    shortcut="F7",
+    make=CompareTab,
+)

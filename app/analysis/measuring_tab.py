@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PyQt6.QtGui import QImage
 from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QSplitter, QVBoxLayout
@@ -12,6 +11,7 @@ from ...core.errors import ExportError
 from ...core.model.files import atomic_path
 from ...widgets.basics.elided_label import ElidedLabel
 from ...widgets.basics.message_bar import MessageBar, Severity
+from ..context import Context
 from ..worker.jobs import Job
 from ..worker.results import RateMeter, Result
 from .tab import AnalysisTab
@@ -48,9 +48,6 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
     return f"{what} written to {path} and {beside.name}."
 
 
-if TYPE_CHECKING:
-    from ..window.main_window import MainWindow
-
 _FOLDER = "folder/export"
 
 
@@ -59,18 +56,18 @@ class MeasuringTab(AnalysisTab):
 
     Parameters
     ----------
-    window : MainWindow
+    context : Context
     waiting : str
         The status before there is a frame.
     """
 
-    def __init__(self, window: MainWindow, waiting: str) -> None:
+    def __init__(self, context: Context, waiting: str) -> None:
         super().__init__()
-        self._settings = window.settings
-        self._dialogs = window.dialogs.over(self)
+        self._settings = context.settings
+        self._dialogs = context.dialogs.over(self)
         self._result: Result | None = None
         self._rate = RateMeter()
-        self.untouched = UntouchedSearch(window.document, self)
+        self.untouched = UntouchedSearch(context.document, self)
         self._writing = Job(self)
         self.status = ElidedLabel(waiting)
         self.messages = MessageBar()

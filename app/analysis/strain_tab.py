@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import deque
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import (
@@ -23,14 +22,13 @@ from PyQt6.QtWidgets import (
 from ...core.model.frames import SensorFrame
 from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...widgets.basics.message_bar import Severity
+from ..context import Context
 from ..worker.jobs import Job
 from ..worker.results import Result, SourceInfo
 from .measuring_tab import MeasuringTab
 from .strain_views import StrainCurve, StrainMap, StrainNumbers
 from .strain_work import MapOf, StrainTask, StrainView, examine
-
-if TYPE_CHECKING:
-    from ..window.main_window import MainWindow
+from .tab import TabKind
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MOST_AVERAGED = 30
@@ -51,8 +49,8 @@ class StrainTab(MeasuringTab):
 
     shown = pyqtSignal(object)
 
-    def __init__(self, window: MainWindow) -> None:
-        super().__init__(window, _WAITING)
+    def __init__(self, context: Context) -> None:
+        super().__init__(context, _WAITING)
         self._source: SourceInfo | None = None
         self._frames: deque[SensorFrame] = deque(maxlen=_MOST_AVERAGED)
         self._captured: SensorFrame | None = None
@@ -295,3 +293,11 @@ class StrainTab(MeasuringTab):
         if not self.untouched.searching:
             self.progress.hide()
             self._measure()
+
+
+TAB = TabKind(
+    title="Membrane &strain",
+    tip="Membrane strain from a printed dot grid, on the present frame",
+    shortcut="Ctrl+T",
+    make=StrainTab,
+)

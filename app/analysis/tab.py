@@ -1,17 +1,47 @@
-"""What the analysis window asks of its tabs."""
+"""What an analysis tab is, and how another package adds one."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
 from PyQt6.QtWidgets import QWidget
 
+from ..context import Context
 from ..worker.results import Result
+
+#: The entry-point group: each entry names a `TabKind`.
+TABS: Final = "tactune.tabs"
 
 
 class AnalysisTab(QWidget):
-    """One way to judge the frames of the main window; work goes to threads of its own."""
+    """One way to judge the frames of the main window. Long work belongs on a thread of the tab's own."""
 
     def show_result(self, result: Result) -> None:
         """Take a frame of the main window while this tab is visible; must return at once."""
 
     def shut_down(self) -> None:
         """Stop all threads, for good."""
+
+
+@dataclass(frozen=True)
+class TabKind:
+    """An analysis tab before it is opened; the Analysis menu and window list these.
+
+    Attributes
+    ----------
+    title : str
+        The tab's title and menu entry; an ampersand marks the key.
+    tip : str
+        One sentence that says what the tab is for.
+    make : callable
+        Makes the tab when it is first looked at.
+    shortcut : str
+        Such as ``"F7"``; empty for none.
+    """
+
+    title: str
+    tip: str
+    make: Callable[[Context], AnalysisTab]
+    shortcut: str = ""

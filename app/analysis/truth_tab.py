@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 from PyQt6.QtCore import Qt
@@ -31,9 +30,10 @@ from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
+from ..context import Context
 from ..rig.parts import make_verdict
-from ..worker.results import CloudName, Result
-from .tab import AnalysisTab
+from ..worker.results import Result
+from .tab import AnalysisTab, TabKind
 from .truth_align_panel import AlignPanel
 from .truth_flow import TruthFlow
 from .truth_guide import next_step
@@ -41,9 +41,6 @@ from .truth_paint_panel import PaintPanel
 from .truth_result_panel import ResultPanel
 from .truth_state import TruthState
 from .truth_views import TruthViews
-
-if TYPE_CHECKING:
-    from ..window.main_window import MainWindow
 
 _SCAN_FILTER = f"Painted scans ({' '.join(f'*{suffix}' for suffix in SUFFIXES)})"
 _TRANSFORM_FILTERS = ["Transforms (*.json)"]
@@ -62,14 +59,13 @@ _DROP = 25
 class TruthTab(AnalysisTab):
     """Both views, the panels, and who hears whom; `TruthFlow` does the work."""
 
-    def __init__(self, window: MainWindow) -> None:
+    def __init__(self, context: Context) -> None:
         super().__init__()
-        self._document, self._settings, self._dialogs = window.document, window.settings, window.dialogs
+        self._document, self._settings, self._dialogs = context.document, context.settings, context.dialogs
         self._asked: Path | None = None
         self._named: tuple[Preset | None, str] = None, ""
-        self.flow = TruthFlow(window.data_folder / "scans", self._preset_name, self)
-        painted = window.views.views[CloudName.PATCH].backend_name
-        self.views = TruthViews(self.flow, "opengl" if painted == "opengl" else "software")
+        self.flow = TruthFlow(context.data_folder / "scans", self._preset_name, self)
+        self.views = TruthViews(self.flow, context.cloud_backend)
         self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
         self.messages = MessageBar()
         self.open_button, self.recent, self.unit = QPushButton("&Open scan…"), QToolButton(), QComboBox()
@@ -392,3 +388,11 @@ def _note(flow: TruthFlow) -> str:
 
 def _is_scan(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
+
+
+TAB = TabKind(
+    title="&Ground truth from a scan",
+    tip="Contact from a painted scan, aligned with the patch",
+    shortcut="F8",
+    make=TruthTab,
+)

@@ -1,105 +1,159 @@
-"""The window of the Analysis menu: tabs that are made when they are first looked at."""
+"""The window of the Analysis menu: its tabs, the actions that open them, and the frames they get."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import sys
+from collections.abc import Mapping, Sequence
+from functools import partial
 
-from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QAction, QKeyEvent, QShowEvent
-from PyQt6.QtWidgets import QDialog, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
+from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
 
-from ..settings import Settings
-from ..worker.results import Result
-from .tab import AnalysisTab
+from ...core.model.plugins import load_plugins
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
+from ..worker.errors import explain, guarded
+from .tab import TABS, AnalysisTab, TabKind
 
 _GEOMETRY = "analysis/geometry"
 
 
-class AnalysisWindow(QDialog):
-    """Stays open beside the main window; hands each frame to the tab that is visible.
-
-    Closed, it takes no frames and keeps what was entered.
+class AnalysisLauncher(QObject):
+    """Finds the tabs, opens the window on one of them, and feeds it.
 
     Parameters
     ----------
-    tabs : mapping of str to (str, callable)
-        Key, title and what makes the tab.
-    tips : mapping of str to str
-        What each tab is for.
-    newest : callable
-        Returns the frame that is shown now, or None.
-    settings : Settings
-        Where the window's place is remembered.
+    context : Context
     play : QAction
         What the space bar does.
-    parent : QWidget
-        The main window.
+    shared : sequence of QAction
+        Actions of the main window whose shortcuts also work in this window.
+
+    Attributes
+    ----------
+    actions : dict of str to QAction
+        One action for each tab, by entry-point name and in the order of the titles.
+    window : AnalysisWindow or None
     """
 
-    def __init__(
-        self,
-        tabs: Mapping[str, tuple[str, Callable[[], AnalysisTab]]],
-        tips: Mapping[str, str],
-        newest: Callable[[], Result | None],
-        settings: Settings,
-        play: QAction,
-        parent: QWidget | None = None,
-    ) -> None:
-        super().__init__(parent)
+    def __init__(self, context: Context, play: QAction, shared: Sequence[QAction]) -> None:
+        super().__init__(context)
+        self._context, self._play, self._shared = context, play, shared
+        self.window: AnalysisWindow | None = None
+        plugins = load_plugins(TABS, TabKind)
+        self._kinds = dict(sorted(plugins.found.items(), key=lambda item: item[1].title.replace("&", "")))
+        for number, problem in enumerate(plugins.problems):
+            sentence = f"An analysis tab is missing: {problem}."
+            context.messages.show_message(f"tab {number}", Severity.WARNING, sentence)
+        self.actions = {name: self._action(name, kind) for name, kind in self._kinds.items()}
+        context.frameShown.connect(self._frame_shown)
+
+    def open(self, name: str, _checked: bool = False) -> None:
+        """Open the window on a tab, or bring it to the front."""
+        if self.window is None:
+            self.window = AnalysisWindow(self._kinds, self._context, self._play)
+            self.window.addActions([*self.actions.values(), *self._shared])
+        self.window.open_on(name)
+
+    def close(self) -> None:
+        """Stop the tabs and close the window."""
+        if self.window is not None:
+            self.window.shut_down()
+
+    def _action(self, name: str, kind: TabKind) -> QAction:
+        made = QAction(f"{kind.title}…", self)
+        keys = kind.shortcut
+        if keys in {action.shortcut().toString() for action in self._context.window.findChildren(QAction)} - {""}:
+            sentence = f"The analysis tab {name!r} has no shortcut: {keys} belongs to another action."
+            self._context.messages.show_message(f"shortcut of {name}", Severity.WARNING, sentence)
+            keys = ""
+        made.setShortcut(QKeySequence(keys))
+        made.setToolTip(f"{kind.tip} ({keys})" if keys else kind.tip)
+        made.triggered.connect(partial(self.open, name))
+        return made
+
+    def _frame_shown(self) -> None:
+        if self.window is not None:
+            self.window.show_newest()
+
+
+class AnalysisWindow(QDialog):
+    """Stays open beside the main window; passes each frame to the visible tab.
+
+    While closed it takes no frames and keeps what was entered. A tab is made when it is first visible.
+
+    Parameters
+    ----------
+    kinds : mapping of str to TabKind
+    context : Context
+    play : QAction
+        What the space bar does.
+    """
+
+    def __init__(self, kinds: Mapping[str, TabKind], context: Context, play: QAction) -> None:
+        super().__init__(context.window)
         self.setWindowTitle("Analysis – Tactune")
         self.setWindowFlags(Qt.WindowType.Window)
-        self._factories = {key: make for key, (_, make) in tabs.items()}
-        self._keys = list(tabs)
-        self._newest, self._settings, self._play = newest, settings, play
+        self._kinds, self._context, self._play = kinds, context, play
+        self._names = list(kinds)
         self.made: dict[str, AnalysisTab] = {}
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
-        for key, (title, _) in tabs.items():
-            place = QWidget()
-            QVBoxLayout(place).setContentsMargins(6, 6, 6, 6)
-            self.tabs.setTabToolTip(self.tabs.addTab(place, title), tips[key])
+        for kind in kinds.values():
+            page = QWidget()
+            QVBoxLayout(page).setContentsMargins(6, 6, 6, 6)
+            self.tabs.setTabToolTip(self.tabs.addTab(page, kind.title), kind.tip)
         self.tabs.currentChanged.connect(self._tab_changed)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 4, 0, 0)
         layout.addWidget(self.tabs)
         self.resize(1200, 780)
-        self.restoreGeometry(settings.blob(_GEOMETRY))
+        self.restoreGeometry(context.settings.blob(_GEOMETRY))
 
-    def take_actions(self, actions: Sequence[QAction]) -> None:
-        """Let shortcuts of the main window work here, too."""
-        self.addActions(list(actions))
-
-    def open_on(self, key: str) -> None:
+    def open_on(self, name: str) -> None:
         """Come to the front with one of the tabs."""
-        self.tabs.setCurrentIndex(self._keys.index(key))
+        self.tabs.setCurrentIndex(self._names.index(name))
         self.show()
         self.raise_()
         self.activateWindow()
 
     def show_newest(self) -> None:
-        """Hand the frame of the main window to the tab that is visible."""
-        result = self._newest()
+        """Pass the main window's frame to the visible tab."""
+        result = self._context.result
         if result is not None and self.isVisible() and not self.isMinimized():
-            self._current().show_result(result)
+            guarded(partial(self._current().show_result, result))
 
     def shut_down(self) -> None:
         """Close for good."""
-        self._settings.set(_GEOMETRY, self.saveGeometry())
+        self._context.settings.set(_GEOMETRY, self.saveGeometry())
         for tab in self.made.values():
-            tab.shut_down()
+            guarded(tab.shut_down)
         self.close()
 
     def _current(self) -> AnalysisTab:
-        """Return the tab in front; make it where it is looked at for the first time."""
-        key = self._keys[self.tabs.currentIndex()]
-        if key not in self.made:
-            self.made[key] = self._factories[key]()
-            place = self.tabs.currentWidget()
-            assert place is not None
-            layout = place.layout()
+        """Return the tab in front; make it when it is first looked at."""
+        name = self._names[self.tabs.currentIndex()]
+        if name not in self.made:
+            page = self.tabs.currentWidget()
+            assert page is not None
+            layout = page.layout()
             assert layout is not None
-            layout.addWidget(self.made[key])
-        return self.made[key]
+            self.made[name] = self._make(name)
+            layout.addWidget(self.made[name])
+        return self.made[name]
+
+    def _make(self, name: str) -> AnalysisTab:
+        """Make a tab; if that fails, report the error and return a tab that says so."""
+        try:
+            return self._kinds[name].make(self._context)
+        except Exception as error:  # another package's tab may raise anything
+            sys.excepthook(type(error), error, error.__traceback__)
+            broken = AnalysisTab()
+            label = QLabel(explain(error, f"the tab {name} cannot be opened"))
+            label.setWordWrap(True)
+            QVBoxLayout(broken).addWidget(label)
+            return broken
 
     def _tab_changed(self) -> None:
         if self.isVisible():
@@ -113,7 +167,7 @@ class AnalysisWindow(QDialog):
         self.show_newest()
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Play or pause on a space bar that nothing else wanted, as in the main window."""
+        """Play or pause when nothing else takes the space bar, as in the main window."""
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self._play.trigger()
             return

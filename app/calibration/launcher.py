@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QWidget
 
-from ...widgets.basics.message_bar import MessageBar, Severity
-from ...widgets.clouds.cloud_view import BackendChoice
-from ..document.document import Document
-from ..worker.playback import PlaybackState
-from ..worker.results import Result
-from ..worker.worker import Worker
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
 from .feed import WorkerFeed
 from .recheck_window import RecheckWindow
 from .wizard import CalibrationWizard
@@ -24,44 +18,29 @@ _NO_FRAME = "There is no frame to calibrate on yet: open a source first."
 class CalibrationLauncher(QObject):
     """Keeps at most one wizard and one check window, and feeds them."""
 
-    def __init__(
-        self,
-        worker: Worker,
-        document: Document,
-        messages: MessageBar,
-        folder: Path,
-        window: QWidget,
-        native_dialogs: bool = True,
-        backend: BackendChoice = "auto",
-    ) -> None:
-        super().__init__(window)
-        self._worker, self._document, self._messages = worker, document, messages
-        self._folder, self._window = folder, window
-        self._native, self._backend = native_dialogs, backend
-        self._result: Result | None = None
-        self._playback: PlaybackState | None = None
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
         self._feed: WorkerFeed | None = None
         self.wizard: CalibrationWizard | None = None
         self.recheck: RecheckWindow | None = None
-        worker.playbackChanged.connect(self._playback_changed)
-
-    def show_result(self, result: Result | None) -> None:
-        """Take the newest frame of the main window."""
-        if result is None:
-            return
-        self._result = result
-        if self._feed is not None:
-            self._feed.show_result(result)
+        context.frameShown.connect(self._frame_shown)
 
     def open_wizard(self) -> None:
         """Open the wizard on the present source, or bring it to the front."""
-        if self._result is None:
-            self._messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
             return
         if self.wizard is None:
-            self._feed = WorkerFeed(self._worker, self._result, self._playback, self)
+            self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
             self.wizard = CalibrationWizard(
-                self._feed, self._document, self._folder, self._native, self._backend, self._window
+                self._feed,
+                context.document,
+                context.data_folder / "calibration",
+                context.dialogs.native,
+                context.cloud_backend,
+                context.window,
             )
             self.wizard.finished.connect(self._wizard_closed)
         self.wizard.show()
@@ -70,11 +49,12 @@ class CalibrationLauncher(QObject):
 
     def open_recheck(self) -> None:
         """Check the preset's alignment on the present frame."""
-        if self._result is None:
-            self._messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
             return
         if self.recheck is None:
-            self.recheck = RecheckWindow(self._window)
+            self.recheck = RecheckWindow(context.window)
             self.recheck.againRequested.connect(self._check)
             self.recheck.calibrateRequested.connect(self.open_wizard)
         self.recheck.show()
@@ -87,12 +67,13 @@ class CalibrationLauncher(QObject):
             if opened is not None:
                 opened.close()
 
-    def _playback_changed(self, state: PlaybackState) -> None:
-        self._playback = state
+    def _frame_shown(self) -> None:
+        if self._feed is not None and self._context.result is not None:
+            self._feed.show_result(self._context.result)
 
     def _check(self) -> None:
-        if self.recheck is not None and self._result is not None:
-            document, result = self._document, self._result
+        document, result = self._context.document, self._context.result
+        if self.recheck is not None and result is not None:
             frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
             self.recheck.check(document.preset, result.source.rig, frame, document.untouched_home)
 

@@ -6,14 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QWidget
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
-from ...widgets.basics.message_bar import MessageBar, Severity
-from ..document.document import Document
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
 from ..worker.results import SourceInfo, SourceState
-from ..worker.worker import Worker
 from .chooser import CameraChooser
 from .panel import DELAY_PATH, CameraPanel
 from .search import CameraSearch
@@ -27,39 +25,28 @@ class CameraControl(QObject):
     What is set goes into the preset, as a step that can be undone; from the preset it goes to the
     cameras, whoever changed it.
 
-    Parameters
-    ----------
-    open_cameras : callable
-        Opens the preset's cameras as the source.
     """
 
-    def __init__(
-        self,
-        worker: Worker,
-        document: Document,
-        messages: MessageBar,
-        open_cameras: Callable[[], None],
-        window: QWidget,
-    ) -> None:
-        super().__init__(window)
-        self._worker, self._document, self._messages = worker, document, messages
-        self._open_cameras, self._window = open_cameras, window
-        self._cameras = document.preset.cameras
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self._worker, self._document, self._messages = context.worker, context.document, context.messages
+        self._cameras = self._document.preset.cameras
         self._options: tuple[CameraOption, ...] = ()
         self._source = ""
         self._make_search: Callable[[], CameraSearch] = lambda: CameraSearch(self)
         self.chooser: CameraChooser | None = None
-        self.panel = CameraPanel(window)
+        self.panel = CameraPanel(context.window)
         self.panel.set_cameras(self._cameras)
         self.panel.optionEdited.connect(self._option_edited)
-        self.panel.delayEdited.connect(lambda value, gesture: document.edit(DELAY_PATH, value, gesture))
-        document.presetChanged.connect(self._preset_changed)
-        worker.opened.connect(self._opened)
-        worker.optionsChanged.connect(self._options_changed)
-        worker.optionRefused.connect(
-            lambda sentence: messages.show_message("camera option", Severity.WARNING, sentence)
+        self.panel.delayEdited.connect(lambda value, gesture: self._document.edit(DELAY_PATH, value, gesture))
+        self._document.presetChanged.connect(self._preset_changed)
+        self._worker.opened.connect(self._opened)
+        self._worker.optionsChanged.connect(self._options_changed)
+        self._worker.optionRefused.connect(
+            lambda sentence: self._messages.show_message("camera option", Severity.WARNING, sentence)
         )
-        worker.stateChanged.connect(self._state_changed)
+        self._worker.stateChanged.connect(self._state_changed)
 
     def search_with(self, make: Callable[[], CameraSearch]) -> None:
         """Look for cameras in another way."""
@@ -67,7 +54,7 @@ class CameraControl(QObject):
 
     def choose(self) -> None:
         """Ask which cameras to open."""
-        chooser = CameraChooser(self._document.preset.cameras, self._make_search(), self._window)
+        chooser = CameraChooser(self._document.preset.cameras, self._make_search(), self._context.window)
         chooser.chosen.connect(self._chosen)
         chooser.finished.connect(lambda _: self._chooser_closed(chooser))
         self.chooser = chooser
@@ -88,6 +75,9 @@ class CameraControl(QObject):
     def _chosen(self, proximity: str, tactile: str) -> None:
         self._document.edit_many({"cameras.proximity.serial": proximity, "cameras.tactile.serial": tactile})
         self._open_cameras()
+
+    def _open_cameras(self) -> None:
+        self._context.sourceRequested.emit(CAMERAS)
 
     def _chooser_closed(self, chooser: CameraChooser) -> None:
         self.chooser = None

@@ -3,35 +3,31 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from PyQt6.QtCore import QObject
 
 from ...core.sources.base import CameraOption
+from ..context import Context
 from .check_window import CheckWindow
-
-if TYPE_CHECKING:
-    from ..window.main_window import MainWindow
 
 
 class CameraChecks(QObject):
     """Keeps at most one window and feeds it."""
 
-    def __init__(self, window: MainWindow) -> None:
-        super().__init__(window)
-        self._main = window
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
         self._options: tuple[CameraOption, ...] = ()
         self.window: CheckWindow | None = None
-        window.worker.optionsChanged.connect(self._options_changed)
-        window.frameShown.connect(self._frame_shown)
-        window.actions_.check_cameras.triggered.connect(self.open)
+        context.worker.optionsChanged.connect(self._options_changed)
+        context.frameShown.connect(self._frame_shown)
 
     def open(self) -> None:
         """Open the window on the present source, or bring it to the front."""
         if self.window is None:
-            main = self._main
-            folder = Path(main.settings.text("folder/export") or Path.home())
-            self.window = CheckWindow(main.worker, main.document, main.dialogs, folder, main)
+            context = self._context
+            folder = Path(context.settings.text("folder/export") or Path.home())
+            self.window = CheckWindow(context.worker, context.document, context.dialogs, folder, context.window)
             self.window.set_options(self._options)
         self.window.show()
         self.window.raise_()
@@ -49,6 +45,6 @@ class CameraChecks(QObject):
             self.window.set_options(options)
 
     def _frame_shown(self) -> None:
-        result = self._main.result
+        result = self._context.result
         if self.window is not None and result is not None:
             self.window.show_result(result)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from html import escape
 from importlib.metadata import version
@@ -46,9 +47,6 @@ class Actions:
     recheck: QAction
     check_cameras: QAction
     capture_untouched: QAction
-    compare: QAction
-    scan_truth: QAction
-    strain: QAction
     open_folder: QAction
     open_recording: QAction
     cameras: QAction
@@ -123,9 +121,6 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         capture_untouched=action(
             "Capture re&ference…", "Keep the untouched membrane, with which some methods compare", "Ctrl+Shift+R"
         ),
-        compare=action("&Compare methods…", "Every way to find the patch, side by side on the present frame", "F7"),
-        scan_truth=action("&Ground truth from a scan…", "Contact from a painted scan, laid over the patch", "F8"),
-        strain=action("Membrane &strain…", "Strain from a printed dot grid, on the present frame", "Ctrl+T"),
         cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
         camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
         record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
@@ -170,8 +165,8 @@ class Menus:
     speeds: QActionGroup
 
 
-def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
-    """Fill the menu bar, and build the two menus of the toolbar from the same actions."""
+def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menus:
+    """Fill the menu bar, and build the two menus of the toolbar from the same actions; ``tabs`` open analysis tabs."""
     parent = bar
     source = QMenu("Source", parent)
     source.addActions([actions.cameras, actions.camera_settings])
@@ -226,7 +221,7 @@ def make_menus(bar: QMenuBar, actions: Actions) -> Menus:
     speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
     _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
-    _menu(bar, "&Analysis").addActions([actions.compare, actions.scan_truth, actions.strain, actions.capture_untouched])
+    _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 
@@ -265,9 +260,9 @@ _MOUSE = (
 )
 
 
-def show_shortcuts(parent: QWidget, actions: Actions) -> None:
+def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
     """Show every key and what the mouse does."""
-    rows = [(_keys(action), action.text()) for action in actions.all()]
+    rows = [(_keys(action), action.text()) for action in actions]
     keys = "".join(_row(key, _plain(text)) for key, text in rows if key)
     mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)
     dialog = QDialog(parent)

@@ -8,14 +8,13 @@ import numpy as np
 from PyQt6.QtCore import QObject
 
 from ...core.model.clouds import valid_depth
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.message_bar import Severity
 from ...widgets.images.eyedropper import EyedropperError, HsvRanges, Mode, pick
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.gestures import new_gesture
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ..document.document import Document
+from ..context import Context
 from ..worker.rendering import aligned_color
-from ..worker.results import Result
 
 
 class Eyedropper(QObject):
@@ -24,14 +23,12 @@ class Eyedropper(QObject):
     The eyedropper stays in hand until it is put away, so that several clicks can refine a mask.
     """
 
-    def __init__(self, document: Document, panel: ParameterPanel, strip: ImageStrip, messages: MessageBar) -> None:
-        super().__init__(document)
-        self._document = document
+    def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
+        super().__init__(context)
+        self._context, self._document, self._messages = context, context.document, context.messages
         self._panel = panel
         self._strip = strip
-        self._messages = messages
         self._mode = "off"
-        self._result: Result | None = None
         panel.eyedropperRequested.connect(self.take_up)
         strip.clicked.connect(self._clicked)
 
@@ -47,14 +44,10 @@ class Eyedropper(QObject):
         self._strip.set_picking(mode != "off")
         self._messages.clear("eyedropper")
 
-    def show_result(self, result: Result) -> None:
-        """Note the frame that a click refers to."""
-        self._result = result
-
     def _clicked(self, pane: str, u: int, v: int, _modifiers: object) -> None:
-        if self._mode == "off" or pane != "color" or self._result is None:
+        result, mask = self._context.result, self._document.preset.mask
+        if self._mode == "off" or pane != "color" or result is None:
             return
-        result, mask = self._result, self._document.preset.mask
         counts = result.frame.proximity_depth
         depth_m = counts * np.float32(result.source.rig.proximity.depth_unit_m)
         typical_m = sum(result.rendered.depth_range_m) / 2

@@ -12,16 +12,13 @@ from typing import Any
 from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 
 from ...core.errors import TactuneError
-from ...core.model.frames import Rig
 from ...core.preset import Preset, now
 from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.presets import load_preset
 from ...core.sources.registry import source_kinds
-from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.message_bar import MessageBar, Severity
-from ..document.document import Document
+from ..context import Context
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
-from ..settings import Settings
 from ..worker.results import Result
 from .actions import Actions
 
@@ -36,30 +33,16 @@ class FileFlows(QObject):
 
     Parameters
     ----------
-    open_source : callable
-        Opens a source by its name.
-    rig : callable
-        Returns the rig of the source that is open, or None.
+    context : Context
+    autosave : Autosave
+        Takes over unsaved work that is restored.
     """
 
-    def __init__(
-        self,
-        document: Document,
-        dialogs: Dialogs,
-        settings: Settings,
-        messages: MessageBar,
-        autosave: Autosave,
-        open_source: Callable[[str], None],
-        rig: Callable[[], Rig | None],
-    ) -> None:
-        super().__init__(document)
-        self._document = document
-        self._dialogs = dialogs
-        self._settings = settings
-        self._messages = messages
-        self._autosave = autosave
-        self._open_source = open_source
-        self._rig = rig
+    def __init__(self, context: Context, autosave: Autosave) -> None:
+        super().__init__(context)
+        self._context, self._autosave = context, autosave
+        self._document, self._dialogs = context.document, context.dialogs
+        self._settings, self._messages = context.settings, context.messages
 
     def connect_actions(self, actions: Actions) -> None:
         """Do what these actions ask for."""
@@ -70,6 +53,7 @@ class FileFlows(QObject):
         actions.details.triggered.connect(self.details)
         actions.open_folder.triggered.connect(self.open_folder_dialog)
         actions.open_recording.triggered.connect(self.open_recording_dialog)
+        actions.export_patch.triggered.connect(self.export_dialog)
 
     # Presets
 
@@ -180,21 +164,24 @@ class FileFlows(QObject):
 
     # Export
 
-    def export_dialog(self, sequence: int, export: Callable[[Path], None]) -> None:
-        """Ask where to save the patch of a frame."""
-        suggestion = self._folder("export") / f"patch_{sequence:06d}.ply"
+    def export_dialog(self) -> None:
+        """Ask where to save the patch of the present frame."""
+        result = self._context.result
+        if result is None or result.patch is None:
+            return
+        suggestion = self._folder("export") / f"patch_{result.patch.sequence:06d}.ply"
 
         def chosen(path: Path) -> None:
             self._settings.set("folder/export", str(path.parent))
-            export(path)
+            export_patch(result, path, self._messages)
 
         self._dialogs.save_file("Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
     # Unsaved work of a window that died
 
-    def offer_unsaved_work(self, folder: Path) -> None:
-        """Offer what the last crash left, one piece after the other."""
-        pieces = unsaved_work(folder)
+    def offer_unsaved_work(self) -> None:
+        """Offer the unsaved work of a window that crashed, newest first, one piece after the other."""
+        pieces = unsaved_work(self._context.data_folder)
         if not pieces:
             return
         newest = pieces[0]
@@ -202,7 +189,7 @@ class FileFlows(QObject):
 
         def discard() -> None:
             newest.file.unlink(missing_ok=True)
-            self.offer_unsaved_work(folder)
+            self.offer_unsaved_work()
 
         self._messages.show_message(
             "recovery",
@@ -237,12 +224,12 @@ class FileFlows(QObject):
 
     def _complete(self, path: Path) -> None:
         """Before it is saved, give a preset what it still lacks: a name, and the rig it was tuned on."""
-        preset, rig = self._document.preset, self._rig()
+        preset, result = self._document.preset, self._context.result
         missing: dict[str, Any] = {}
         if preset.name == "untitled":
             missing["name"] = path.stem[:120] or "untitled"
-        if preset.rig is None and rig is not None:
-            missing["rig"] = rig.model_dump(mode="json")
+        if preset.rig is None and result is not None:
+            missing["rig"] = result.source.rig.model_dump(mode="json")
         if missing:
             self._document.edit_many(missing)
 
@@ -251,7 +238,7 @@ class FileFlows(QObject):
 
     def _open_recording(self, name: str, path: Path) -> None:
         self._settings.set("folder/source", str(path.parent))
-        self._open_source(name)
+        self._context.sourceRequested.emit(name)
 
     def _told(self, action: Callable[[], None]) -> bool:
         """Do something with a file; an error becomes a message. Returns whether it succeeded."""

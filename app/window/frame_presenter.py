@@ -9,11 +9,11 @@ from PyQt6.QtCore import QObject, QTimer
 
 from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.message_bar import Severity
 from ...widgets.basics.theme import theme_name
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ..document.document import Document
+from ..context import Context
 from ..worker.results import CloudName, Result, SourceState
 from .status import FrameStatus
 from .toolbar import Transport
@@ -116,20 +116,18 @@ class FramePresenter(QObject):
 
     def __init__(
         self,
-        document: Document,
+        context: Context,
         *,
         views: ViewArea,
         strip: ImageStrip,
         panel: ParameterPanel,
         transport: Transport,
         status: FrameStatus,
-        messages: MessageBar,
     ) -> None:
-        super().__init__(document)
-        self._document = document
+        super().__init__(context)
+        self._context = context
         self._views, self._strip, self._panel = views, strip, panel
-        self._transport, self._status, self._messages = transport, status, messages
-        self._result: Result | None = None
+        self._transport, self._status, self._messages = transport, status, context.messages
         self._pixel = (-1, -1)
         self._read_s = 0.0
         self._said: tuple[str, ...] = ()
@@ -139,14 +137,9 @@ class FramePresenter(QObject):
         self._ages.timeout.connect(self._show_badges)
         strip.hovered.connect(self._hovered)
 
-    @property
-    def result(self) -> Result | None:
-        """What is shown now; None before the first frame of a source."""
-        return self._result
-
     def forget(self) -> None:
         """Begin with another source."""
-        self._result = None
+        self._context.result = None
         self._said = ()
         for key in ("problem", "rig"):
             self._messages.clear(key)
@@ -164,13 +157,13 @@ class FramePresenter(QObject):
             self._ages.stop()
 
     def _show_badges(self) -> None:
-        now_s, shown = time.monotonic(), self._result is not None
+        now_s, shown = time.monotonic(), self._context.result is not None
         self._views.show_badges({name: badge(self._state, roles, now_s, shown) for name, roles in _CAMERAS.items()})
         self._strip.set_badge(short_badge(self._state, now_s) if shown else "")
 
     def show(self, result: Result) -> None:
         """Show a result; what was not drawn for it stays as it is."""
-        self._result = result
+        self._context.result = result
         self._views.show_result(result, theme_name())
         if result.rendered.strip is not None:
             self._strip.set_images(result.rendered.strip)
@@ -186,7 +179,7 @@ class FramePresenter(QObject):
     def _show_readings(self, result: Result) -> None:
         histogram = result.rendered.histogram
         if histogram is not None:
-            self._panel.set_histogram(histogram.counts, histogram.edges, self._document.preset.tolerance.t)
+            self._panel.set_histogram(histogram.counts, histogram.edges, self._context.document.preset.tolerance.t)
         self._panel.set_median_distance_m(result.rendered.median_distance_m)
         self._show_readout()
 
@@ -204,4 +197,4 @@ class FramePresenter(QObject):
         self._show_readout()
 
     def _show_readout(self) -> None:
-        self._strip.set_readout(readout(self._result, *self._pixel) if self._result is not None else "")
+        self._strip.set_readout(readout(self._context.result, *self._pixel) if self._context.result is not None else "")

@@ -1,15 +1,15 @@
-"""The main window: what stands where, and who hears whom."""
+"""The main window: its layout, and the connections between its parts."""
 
 from __future__ import annotations
 
 from functools import partial
 from pathlib import Path
+from typing import cast
 
-from PyQt6.QtCore import QEvent, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QEvent, QSignalBlocker, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
 
-from ...core.model.frames import Rig
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
@@ -19,56 +19,56 @@ from ...widgets.basics.theme import ThemeChoice, apply_theme, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
+from ..analysis.window import AnalysisLauncher
 from ..calibration.launcher import CalibrationLauncher
-from ..cameras.control import CAMERAS
+from ..cameras.control import CAMERAS, CameraControl
+from ..context import Context
 from ..document.document import Document
 from ..document.recovery import Autosave
+from ..rig.check_launcher import CameraChecks
+from ..rig.untouched_launcher import UntouchedControls
 from ..settings import Settings
 from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import make_actions, make_menus, show_about, show_shortcuts
-from .analysis_controls import AnalysisControls
+from .actions import THEMES, make_actions, make_menus, show_about, show_shortcuts
 from .eyedropper import Eyedropper
-from .files import FileFlows, export_patch
+from .files import FileFlows
 from .frame_presenter import FramePresenter
-from .layout_memory import remember_layout, restore_layout
-from .live_controls import LiveControls
-from .recording import RecordingBar
+from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus, OpeningBar
 from .toolbar import ToolBar, Transport
 from .view_area import StripSplitter, ViewArea
 
+DEFAULT_SIZE = (1280, 800)
+
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
+#: The actions whose state is remembered between starts.
+_TOGGLES = ("show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
+_COLLAPSED_AT_FIRST = "range,region"
 
 
 class MainWindow(QMainWindow):
     """Shows both sensors and the patch live, and lets a person tune the preset.
 
-    The window computes nothing: the `Worker` does, and hands over what is to be seen.
+    The window computes nothing: the `Worker` does, and passes on what is visible. Everything that other
+    windows need stands in `context`.
 
     Parameters
     ----------
     preset : Preset
-        To begin with; `file_flows` opens files.
+        The first preset; `file_flows` opens files.
     settings : Settings
-        What was remembered.
+        Values remembered from earlier starts.
     data_folder : Path
-        Where unsaved work is kept.
+        Folder for unsaved work.
     native_dialogs : bool
         Use the operating system's file dialogs.
     backend : "auto", "opengl" or "software"
-        Of the 3D views.
-
-    Signals
-    -------
-    frameShown()
-        `result` is on the screen.
+        How the 3D views are drawn.
     """
-
-    frameShown = pyqtSignal()
 
     def __init__(
         self,
@@ -80,10 +80,10 @@ class MainWindow(QMainWindow):
     ) -> None:
         super().__init__()
         self.settings = settings
-        self.data_folder = data_folder
         self.document = Document(preset, self)
         self.worker = Worker(preset, self)
         self.autosave = Autosave(self.document, data_folder, self)
+        self.error_hook = ErrorHook(self)
         self.actions_ = make_actions(self, self.document.undo_stack)
         self.messages = MessageBar()
         self.opening = OpeningBar()
@@ -93,30 +93,37 @@ class MainWindow(QMainWindow):
         self.panel = ParameterPanel()
         self.transport = Transport(self.actions_)
         self.status = FrameStatus()
-        self.error_hook = ErrorHook(self)
         self.dialogs = Dialogs(self, native_dialogs)
-        self.file_flows = FileFlows(
-            self.document, self.dialogs, settings, self.messages, self.autosave, self.open_source, self._rig
-        )
-        self.presenter = FramePresenter(
+        self.context = Context(
             self.document,
+            self.worker,
+            self.messages,
+            self.dialogs,
+            settings,
+            data_folder,
+            self,
+            lambda: self.views.backend,
+        )
+        self.file_flows = FileFlows(self.context, self.autosave)
+        self.presenter = FramePresenter(
+            self.context,
             views=self.views,
             strip=self.strip,
             panel=self.panel,
             transport=self.transport,
             status=self.status,
-            messages=self.messages,
         )
-        self.eyedropper = Eyedropper(self.document, self.panel, self.strip, self.messages)
-        self.calibration = CalibrationLauncher(
-            self.worker, self.document, self.messages, data_folder / "calibration", self, native_dialogs, backend
-        )
-        self.live = LiveControls(self)
-        self.analysis = AnalysisControls(self)
+        self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
+        self.recording = RecordingControl(self.context, self.actions_.record, self.recording_bar)
+        self.calibration = CalibrationLauncher(self.context)
+        self.cameras = CameraControl(self.context)
+        self.checks = CameraChecks(self.context)
+        self.untouched = UntouchedControls(self.context)
+        self.analysis = self._make_analysis()
         self._closing = False
         self._lay_out()
         self._connect()
-        restore_layout(self, settings)
+        self._restore_layout()
         self._show_document()
         self.panel.set_preset(preset)
         self.panel.set_baseline(preset)
@@ -128,15 +135,20 @@ class MainWindow(QMainWindow):
 
     @property
     def result(self) -> Result | None:
-        """The frame that is shown; None before the first one of a source."""
-        return self.presenter.result
+        """The frame on the screen; None before the first one of a source."""
+        return self.context.result
 
     # Building
+
+    def _make_analysis(self) -> AnalysisLauncher:
+        actions = self.actions_
+        playback = (actions.previous, actions.next, actions.first, actions.loop, actions.freeze)
+        return AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
 
     def _lay_out(self) -> None:
         bar = self.menuBar()
         assert bar is not None
-        self.menus = make_menus(bar, self.actions_)
+        self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
         self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
         self.addToolBar(self.toolbar)
         self.left = StripSplitter(self.views, self.strip)
@@ -206,16 +218,25 @@ class MainWindow(QMainWindow):
         actions.loop.triggered.connect(worker.set_loop)
         actions.freeze.triggered.connect(worker.set_frozen)
         flows.connect_actions(actions)
-        actions.export_patch.triggered.connect(self._export)
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
-        self.frameShown.connect(lambda: self.calibration.show_result(self.result))
+        actions.check_cameras.triggered.connect(self.checks.open)
+        actions.cameras.triggered.connect(self.cameras.choose)
+        actions.camera_settings.triggered.connect(self.cameras.show_panel)
+        actions.capture_untouched.triggered.connect(self.untouched.open)
+        actions.recordings_folder.triggered.connect(
+            lambda: flows.recordings_folder_dialog(self.recording.folder, self.recording.use_folder)
+        )
+        self.untouched.saveRequested.connect(actions.save.trigger)
+        self.context.sourceRequested.connect(self.open_source)
         actions.quit.triggered.connect(self.close)
         actions.show_strip.toggled.connect(self.strip.setVisible)
         actions.show_strip.toggled.connect(self._send_wanted)
         actions.show_panel.toggled.connect(self.panel.setVisible)
         actions.show_panel.toggled.connect(self._send_wanted)
-        actions.shortcuts.triggered.connect(lambda: show_shortcuts(self, actions))
+        actions.shortcuts.triggered.connect(
+            lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
+        )
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus
         menus.source.triggered.connect(lambda entry: self.open_source(entry.data()) if entry.data() else None)
@@ -233,13 +254,13 @@ class MainWindow(QMainWindow):
         )
 
     def offer_unsaved_work(self) -> None:
-        """Offer what a window that died left unsaved."""
-        self.file_flows.offer_unsaved_work(self.data_folder)
+        """Offer the unsaved work of a window that crashed."""
+        self.file_flows.offer_unsaved_work()
 
     # Sources
 
     def open_source(self, name: str) -> None:
-        """Open a source by its name; the present one goes on until that has succeeded."""
+        """Open a source by its name; the present one stays open until that has succeeded."""
         cameras = self.document.preset.cameras
         self.open_request(
             SourceRequest(
@@ -248,14 +269,11 @@ class MainWindow(QMainWindow):
         )
 
     def open_request(self, request: SourceRequest) -> None:
-        """Open a source that somebody else makes."""
+        """Open a source that the request makes."""
         self.messages.clear("source")
         if self.result is None:
             self.views.show_message(_OPENING)
         self.worker.open(request)
-
-    def _rig(self) -> Rig | None:
-        return self.result.source.rig if self.result is not None else None
 
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()
@@ -285,12 +303,11 @@ class MainWindow(QMainWindow):
         if result is None:
             return
         self.presenter.show(result)
-        self.eyedropper.show_result(result)
         self.actions_.export_patch.setEnabled(result.patch is not None)
-        self.frameShown.emit()
+        self.context.frameShown.emit()
 
     def _send_wanted(self) -> None:
-        """Tell the worker what can be seen; the rest is not drawn."""
+        """Tell the worker what is visible; nothing else is drawn."""
         panel = not self.panel.isHidden()
         self.worker.set_wanted(
             Wanted(
@@ -305,12 +322,6 @@ class MainWindow(QMainWindow):
 
     def _play_or_pause(self) -> None:
         (self.worker.pause if self.transport.state.running else self.worker.play)()
-
-    def _export(self) -> None:
-        result = self.result
-        if result is None or result.patch is None:
-            return
-        self.file_flows.export_dialog(result.patch.sequence, lambda path: export_patch(result, path, self.messages))
 
     # Document
 
@@ -327,10 +338,10 @@ class MainWindow(QMainWindow):
         else:
             self.messages.show_message("refused", Severity.ERROR, sentence)
 
-    # Looks
+    # Theme and layout
 
     def set_theme(self, choice: ThemeChoice, remember: bool = True) -> None:
-        """Put a theme on the application and, if asked, remember it."""
+        """Apply a theme to the application and, if asked, remember it."""
         application = QApplication.instance()
         assert isinstance(application, QApplication)
         apply_theme(application, choice)
@@ -342,22 +353,52 @@ class MainWindow(QMainWindow):
         self._send_wanted()
 
     def changeEvent(self, event: QEvent | None) -> None:
-        """Have frames drawn again for another theme, also when the desktop's changes."""
+        """Redraw frames after a change of theme, including the desktop's."""
         super().changeEvent(event)
         if event is not None and event.type() == QEvent.Type.PaletteChange and hasattr(self, "panel"):
             self._send_wanted()
 
+    def _restore_layout(self) -> None:
+        """Restore the layout of the last start; missing or unusable values take their defaults."""
+        settings = self.settings
+        if not self.restoreGeometry(settings.blob("window/geometry")):
+            self.resize(*DEFAULT_SIZE)
+        if not self.across.restoreState(settings.blob("window/across")):
+            self.across.setSizes([DEFAULT_SIZE[0] - 360, 360])
+        self.left.restoreState(settings.blob("window/left"))
+        self.views.splitter.restoreState(settings.blob("window/views"))
+        self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
+        self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
+        hidden = settings.text("window/hidden").split(",")
+        for name in _TOGGLES:
+            getattr(self.actions_, name).setChecked(name not in hidden)
+        theme = settings.text("theme", "system")
+        self.set_theme(cast(ThemeChoice, theme if theme in THEMES else "system"), remember=False)
+
+    def _remember_layout(self) -> None:
+        settings = self.settings
+        settings.set("window/geometry", self.saveGeometry())
+        settings.set("window/across", self.across.saveState())
+        settings.set("window/left", self.left.saved_state())
+        settings.set("window/views", self.views.splitter.saveState())
+        settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
+        settings.set("view/point_size", self.views.point_size.value())
+        settings.set("view/color_by", self.views.chosen_colors().value)
+        hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]
+        settings.set("window/hidden", ",".join(hidden))
+        settings.sync()
+
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Play or pause on a space bar that nothing else wanted."""
+        """Play or pause when nothing else takes the space bar."""
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self.actions_.play.trigger()
             return
         super().keyPressEvent(event)
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
-        """Take files; what they are is said when they are dropped."""
+        """Accept local files; `dropEvent` decides what they are."""
         if event is not None and local_files(event.mimeData()):
             event.acceptProposedAction()
 
@@ -376,18 +417,21 @@ class MainWindow(QMainWindow):
             event.ignore()
             self.file_flows.guarded(self.close_without_asking)
             return
-        if self.live.recording.running:
+        if self.recording.running:
             event.ignore()
-            self.live.recording.finish(self.close_without_asking)
+            self.recording.finish(self.close_without_asking)
             return
-        remember_layout(self, self.settings)
-        self.live.close()
-        self.analysis.close()
-        self.calibration.close()
-        self.worker.shut_down()
+        self._remember_layout()
+        self.shut_down()
         self.autosave.close()
         self.error_hook.remove()
         event.accept()
+
+    def shut_down(self) -> None:
+        """Close the other windows and stop the worker."""
+        for part in (self.checks, self.cameras, self.analysis, self.untouched, self.calibration):
+            part.close()
+        self.worker.shut_down()
 
     def close_without_asking(self) -> None:
         """Close, whatever is unsaved."""

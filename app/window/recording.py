@@ -16,13 +16,13 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QWidget
 
 from ...core.recording.writer import RecordingStatus
 from ...widgets.basics.elided_label import ElidedLabel
-from ...widgets.basics.message_bar import MessageBar, Offer, Severity
+from ...widgets.basics.message_bar import Offer, Severity
 from ...widgets.basics.theme import theme_colors
-from ..settings import Settings, default_recordings_folder
+from ..context import Context
+from ..settings import default_recordings_folder
 from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState
-from ..worker.worker import Worker
 
 #: Bytes per second; below that the head of the file is most of it.
 _WORTH_RATING = 1e5
@@ -158,22 +158,16 @@ class RecordingControl(QObject):
 
     Parameters
     ----------
-    open_recording : callable
-        Opens a finished file as the source.
+    context : Context
+    action : QAction
+        Starts and stops a recording.
+    bar : RecordingBar
     """
 
-    def __init__(
-        self,
-        worker: Worker,
-        settings: Settings,
-        messages: MessageBar,
-        action: QAction,
-        bar: RecordingBar,
-        open_recording: Callable[[Path], None],
-    ) -> None:
-        super().__init__(worker)
-        self._worker, self._settings, self._messages = worker, settings, messages
-        self._action, self._bar, self._open_recording = action, bar, open_recording
+    def __init__(self, context: Context, action: QAction, bar: RecordingBar) -> None:
+        super().__init__(context)
+        self._context, self._action, self._bar = context, action, bar
+        self._worker, self._settings, self._messages = context.worker, context.settings, context.messages
         self._path: Path | None = None
         self._started_s = 0.0
         self._hint = ""
@@ -182,6 +176,7 @@ class RecordingControl(QObject):
         self._refresh = QTimer(self)
         self._refresh.setInterval(REFRESH_MS)
         self._refresh.timeout.connect(self._show_progress)
+        worker = self._worker
         action.triggered.connect(self._toggle)
         bar.stopRequested.connect(self.stop)
         worker.recordingStarted.connect(self._started)
@@ -288,7 +283,7 @@ class RecordingControl(QObject):
             count = f"{status.frames} frame{'' if status.frames == 1 else 's'}"
             sentence = f"Recorded {status.path.name}: {duration(status.seconds)}, {count}, {size(status.bytes)}."
             offers = [
-                ("Open recording", lambda: self._open_recording(status.path)),
+                ("Open recording", lambda: self._context.sourceRequested.emit(f"mcap:{status.path}")),
                 ("Show in folder", lambda: show_in_folder(status.path)),
             ]
         else:

@@ -135,6 +135,11 @@ class ViewArea(QWidget):
         actions.side_view.triggered.connect(lambda: self._any_view().look_from("side"))
         self._resize_points(self.point_size.value())
 
+    @property
+    def backend(self) -> BackendChoice:
+        """How the views are drawn now: "opengl" or "software"."""
+        return "opengl" if self.views[CloudName.PATCH].backend_name == "opengl" else "software"
+
     def chosen_colors(self) -> ColorBy:
         """Return what the colour of a point means."""
         return ColorBy(self.color_by.currentData())

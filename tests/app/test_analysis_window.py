@@ -5,18 +5,19 @@ from __future__ import annotations
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QLabel
 
-from tactune.app.analysis import launcher
-from tactune.app.analysis.tab import AnalysisTab
+from tactune.app.analysis import window as analysis_window
+from tactune.app.analysis.tab import AnalysisTab, TabKind
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import Result
+from tactune.core.model.plugins import Plugins
 
 
 class NotingTab(AnalysisTab):
     """Remembers what it was told."""
 
-    def __init__(self) -> None:
+    def __init__(self, _context) -> None:
         super().__init__()
         self.sequences: list[int] = []
         self.ended = False
@@ -28,20 +29,26 @@ class NotingTab(AnalysisTab):
         self.ended = True
 
 
+def broken_tab(_context) -> AnalysisTab:
+    raise RuntimeError("no such sensor")
+
+
 @pytest.fixture(autouse=True)
 def tabs(monkeypatch) -> None:
-    made = {
-        "compare": ("&Compare", lambda window: NotingTab()),
-        "strain": ("&Strain", lambda window: NotingTab()),
+    kinds = {
+        "strain": TabKind("&Strain", "Measures strain", NotingTab, "Ctrl+T"),
+        "compare": TabKind("&Compare", "Compares", NotingTab, "F7"),
+        "clash": TabKind("&Xclash", "Wants a key that is taken", broken_tab, "F7"),
     }
-    monkeypatch.setattr(launcher, "TABS", made)
+    plugins = Plugins(kinds, ("the entry point 'worn' of the package worn cannot be loaded",))
+    monkeypatch.setattr(analysis_window, "load_plugins", lambda group, kind: plugins)
 
 
 def opened(qtbot, window: MainWindow):
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)
-    analysis = window.analysis.launcher.window
+    analysis = window.analysis.window
     assert analysis is not None
     qtbot.waitExposed(analysis)
     return analysis
@@ -97,3 +104,31 @@ def test_the_main_window_closes_it_and_ends_its_tabs(qtbot, window):
     assert analysis.made["compare"].ended
     assert not analysis.isVisible()
     QApplication.processEvents()
+
+
+def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(window):
+    texts = [(action.text(), action.toolTip()) for action in window.analysis.actions.values()]
+    assert texts == [
+        ("&Compare…", "Compares (F7)"),
+        ("&Strain…", "Measures strain (Ctrl+T)"),
+        ("&Xclash…", "Wants a key that is taken"),
+    ]
+    listed = [action.text() for menu in window.menuBar().actions() for action in menu.menu().actions()]
+    assert {text for text, _ in texts} <= set(listed)
+    assert "F7 belongs to another action" in window.messages.message("shortcut of clash").sentence
+
+
+def test_a_tab_that_cannot_be_loaded_is_one_sentence(window):
+    assert window.messages.message("tab 0").sentence == (
+        "An analysis tab is missing: the entry point 'worn' of the package worn cannot be loaded."
+    )
+
+
+def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot, window):
+    with qtbot.captureExceptions() as raised:
+        window.analysis.open("clash")
+    analysis = window.analysis.window
+    label = analysis.made["clash"].findChild(QLabel)
+    assert "no such sensor" in label.text() and len(raised) == 1
+    analysis.open_on("compare")
+    assert analysis.made["compare"].sequences[-1] == 3

@@ -65,7 +65,7 @@ def open_on(qtbot, window, make):
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)
-    tab = window.analysis.launcher.window.made["compare"]
+    tab = window.analysis.window.made["compare"]
     settle(qtbot, window, tab)
     return tab
 
@@ -293,8 +293,8 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
     monkeypatch.setattr(comparer, "make_method", lambda *args: Slow(make_method(*args)))
     window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
     qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
-    window.actions_.compare.trigger()
-    tab = window.analysis.launcher.window.made["compare"]
+    window.analysis.actions["compare"].trigger()
+    tab = window.analysis.window.made["compare"]
     started = window.result.processed
     qtbot.waitUntil(lambda: window.result.processed > started + 10)
     assert tab.comparison is None
@@ -390,8 +390,8 @@ def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monke
 
     monkeypatch.setattr(comparer, "make_method", stuck)
     window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
-    window.actions_.compare.trigger()
-    thread = window.analysis.launcher.window.made["compare"].thread_
+    window.analysis.actions["compare"].trigger()
+    thread = window.analysis.window.made["compare"].thread_
     qtbot.waitUntil(begun.is_set, timeout=20_000)
     window.close_without_asking()
     assert not window.isVisible() and thread.isRunning()

@@ -27,7 +27,7 @@ D405_TOO = {**D405, "serial": "d003"}
 
 def answering(window, text):
     """Let the search for cameras answer with this program."""
-    window.live.cameras.search_with(lambda: CameraSearch(window, ["-c", text]))
+    window.cameras.search_with(lambda: CameraSearch(window, ["-c", text]))
 
 
 def finding(window, *devices):
@@ -38,14 +38,14 @@ def finding(window, *devices):
 def window(make_window):
     made = make_window()
     made.opened_names = []
-    made.live.cameras._open_cameras = lambda: made.opened_names.append("realsense:")
+    made.cameras._open_cameras = lambda: made.opened_names.append("realsense:")
     return made
 
 
 def chooser(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F3)
-    qtbot.waitUntil(lambda: window.live.cameras.chooser is not None)
-    made = window.live.cameras.chooser
+    qtbot.waitUntil(lambda: window.cameras.chooser is not None)
+    made = window.cameras.chooser
     qtbot.waitUntil(made.refresh.isEnabled)
     return made
 
@@ -176,7 +176,7 @@ def cameras(window, qtbot):
 @pytest.fixture
 def panel(window, cameras, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
-    made = window.live.cameras.panel
+    made = window.cameras.panel
     qtbot.waitUntil(lambda: made.isVisible() and len(made.rows) == 5)
     return made
 
@@ -271,7 +271,7 @@ def test_the_delay_is_entered_in_milliseconds(window, panel):
 
 
 def test_changed_cameras_are_offered_to_be_opened_again(window, cameras, panel, qtbot):
-    window.live.cameras._source = "realsense:f001,d002"
+    window.cameras._source = "realsense:f001,d002"
     window.document.edit("cameras.tactile_delay_s", 0.1)
     message = window.messages.message("cameras")
     assert message is not None
@@ -282,7 +282,7 @@ def test_changed_cameras_are_offered_to_be_opened_again(window, cameras, panel, 
 
 def test_without_cameras_the_panel_says_so(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
-    panel = window.live.cameras.panel
+    panel = window.cameras.panel
     qtbot.waitUntil(panel.isVisible)
     assert "no cameras to set: it is a recording or the simulator" in panel._bodies["proximity"].text()
     panel.close()
@@ -297,7 +297,7 @@ def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
 
 
 def test_a_camera_that_is_not_connected_is_no_recording(window, qtbot):
-    panel = window.live.cameras.panel
+    panel = window.cameras.panel
     panel.set_health((CameraHealth("proximity", "missing", "L515", "f001"),))
     assert "This camera is not connected" in panel._bodies["proximity"].text()
     assert "no cameras to set" in panel._bodies["tactile"].text()

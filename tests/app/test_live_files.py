@@ -51,7 +51,7 @@ def test_a_session_that_is_dropped_plays_seeks_steps_and_loops(make_window, qtbo
     qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
     assert window.result.source.length == 5
     shown = set()
-    window.frameShown.connect(lambda: shown.add(window.result.frame.sequence))
+    window.context.frameShown.connect(lambda: shown.add(window.result.frame.sequence))
     qtbot.waitUntil(lambda: shown == {0, 1, 2, 3, 4})
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not window.transport.state.playing)

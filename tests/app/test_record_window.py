@@ -48,12 +48,12 @@ def press_record(window):
 
 def begin(window, qtbot):
     press_record(window)
-    qtbot.waitUntil(lambda: window.live.recording.running)
+    qtbot.waitUntil(lambda: window.recording.running)
 
 
 def end(window, qtbot):
     press_record(window)
-    qtbot.waitUntil(lambda: not window.live.recording.running)
+    qtbot.waitUntil(lambda: not window.recording.running)
 
 
 def told(window):
@@ -138,7 +138,7 @@ def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtb
     cameras.release(2)
     qtbot.waitUntil(lambda: len(cameras.given) == 3)
     window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
-    qtbot.waitUntil(lambda: not window.live.recording.running)
+    qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because tiny was opened." in told(window)
     [path] = folder.iterdir()
     assert len(frames_of(path)) == 2
@@ -152,7 +152,7 @@ def test_cameras_that_come_back_are_recorded_on(window, cameras, qtbot, folder):
     cameras.faults.clear()
     cameras.release(2)
     qtbot.waitUntil(lambda: len(cameras.given) == 4)
-    assert window.live.recording.running
+    assert window.recording.running
     end(window, qtbot)
     [path] = folder.iterdir()
     assert len(frames_of(path)) == 3
@@ -188,9 +188,9 @@ def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras
 
     monkeypatch.setattr(container.McapWriter, "write_chunk", refuse)
     press_record(window)
-    qtbot.waitUntil(lambda: window.live.recording.running)
+    qtbot.waitUntil(lambda: window.recording.running)
     cameras.release()
-    qtbot.waitUntil(lambda: not window.live.recording.running)
+    qtbot.waitUntil(lambda: not window.recording.running)
     assert "Nothing was recorded: cannot write" in told(window)
     assert "No space left on device" in told(window)
 
@@ -200,7 +200,7 @@ def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
     press_record(window)
     assert "There are only 300 MB left" in told(window)
     assert "make room, or choose another folder" in told(window)
-    assert not window.live.recording.running
+    assert not window.recording.running
 
 
 def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot, monkeypatch, folder):
@@ -208,7 +208,7 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     cameras.release(4)
     qtbot.waitUntil(lambda: len(cameras.given) == 5)
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 1_000_000)
-    qtbot.waitUntil(lambda: not window.live.recording.running)
+    qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because only 1.0 MB are left on the disk" in told(window)
     [path] = folder.iterdir()
     assert len(frames_of(path)) == 4
@@ -219,7 +219,7 @@ def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
     window.settings.set("folder/recordings", str(tmp_path / "file" / "below"))
     press_record(window)
     assert "Nothing can be recorded in" in told(window)
-    assert not window.live.recording.running
+    assert not window.recording.running
 
 
 def test_drops_are_red(window, cameras, qtbot):
@@ -237,7 +237,7 @@ def test_drops_are_red(window, cameras, qtbot):
 
 def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot):
     cameras.dropped = 5
-    qtbot.waitUntil(lambda: window.live.recording._lost == 5)
+    qtbot.waitUntil(lambda: window.recording._lost == 5)
     begin(window, qtbot)
     cameras.release(3)
     cameras.dropped = 8

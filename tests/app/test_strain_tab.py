@@ -69,7 +69,7 @@ def opened(qtbot, window, source=None, index=3):
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
-    analysis = window.analysis.launcher.window
+    analysis = window.analysis.window
     qtbot.waitExposed(analysis)
     tab = analysis.made["strain"]
     settled(qtbot, tab, index)

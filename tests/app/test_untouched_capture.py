@@ -51,7 +51,7 @@ class Truncated(TinySource):
 
 def open_capture(qtbot, window):
     QTest.keyClick(window, Qt.Key.Key_R, CONTROL | SHIFT)
-    opened = window.analysis.untouched.window
+    opened = window.untouched.window
     qtbot.waitUntil(opened.isActiveWindow)
     return opened
 
@@ -93,7 +93,7 @@ def test_the_untouched_frame_is_shown_beside_the_present_frame(qtbot, window):
     opened = open_capture(qtbot, window)
     assert not opened.save.isEnabled()
     capture(qtbot, window)
-    keeper = window.analysis.untouched.keeper
+    keeper = window.untouched.keeper
     qtbot.waitUntil(lambda: keeper.frame is not None)
     assert content_hash(keeper.frame) == window.document.preset.untouched.sha256
     assert opened.save.isEnabled()
@@ -244,7 +244,7 @@ def test_escape_stops_capturing_and_then_closes(qtbot, window):
     assert window.document.preset.untouched is None
     assert opened.take.isEnabled()
     QTest.keyClick(opened, Qt.Key.Key_Escape)
-    assert window.analysis.untouched.window is None
+    assert window.untouched.window is None
 
 
 def test_another_source_ends_capturing(qtbot, window):
@@ -308,7 +308,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(begun.is_set)
     QTest.mouseClick(opened.leave, Qt.MouseButton.LeftButton)
-    assert window.analysis.untouched.window is None
+    assert window.untouched.window is None
     assert not wait_for_left(0.0)
     go_on.set()
     assert wait_for_left(10.0)

@@ -118,7 +118,7 @@ def test_tidying_keeps_what_unsaved_work_names(store: UntouchedStore, tmp_path: 
 
 def capture(qtbot, window) -> None:
     window.actions_.capture_untouched.trigger()
-    opened = window.analysis.untouched.window
+    opened = window.untouched.window
     opened.frames.setValue(3)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None)
@@ -140,7 +140,7 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
     record = window.document.preset.untouched
     window.autosave.flush()
     qtbot.waitUntil(window.autosave.file.exists)
-    shutil.copy(window.autosave.file, window.data_folder / "unsaved-0.json")  # as of a window that has died
+    shutil.copy(window.autosave.file, window.context.data_folder / "unsaved-0.json")  # as of a window that has died
     after = make_window()
     after.offer_unsaved_work()
     press(after.messages.message("recovery"), "Restore")
@@ -151,7 +151,7 @@ def test_a_captured_untouched_frame_outlives_a_crash(qtbot, window, make_window,
 
 def test_a_recording_holds_the_presets_untouched_frame(qtbot, window, tmp_path):
     capture(qtbot, window)
-    qtbot.waitUntil(lambda: window.analysis.untouched.keeper.frame is not None)
+    qtbot.waitUntil(lambda: window.untouched.keeper.frame is not None)
     with qtbot.waitSignal(window.worker.recordingEnded):
         window.worker.start_recording(tmp_path / "with.mcap")
         window.worker.stop_recording()
@@ -169,13 +169,13 @@ def test_the_untouched_frame_of_a_recorded_preset_is_saved_from_the_recording(qt
     window.open_source(f"mcap:{tmp_path / 'both.mcap'}")
     qtbot.waitUntil(lambda: window.messages.message("recorded preset") is not None)
     press(window.messages.message("recorded preset"), "Use the recorded one")
-    qtbot.waitUntil(lambda: window.analysis.untouched.keeper.frame is not None)
+    qtbot.waitUntil(lambda: window.untouched.keeper.frame is not None)
     window.document.save(tmp_path / "saved" / "mine.json")
     assert (kept_beside(tmp_path / "saved" / "mine.json") == frame.tactile_depth).all()
 
 
 def test_an_untouched_frame_of_other_image_sizes_is_not_recorded(qtbot, window):
-    controls = window.analysis.untouched
+    controls = window.untouched
     record = controls.store.keep(tiny_frame(0, tiny_rig(32, 24)), 1)
     window.document.edit("untouched", record.model_dump())
     qtbot.waitUntil(lambda: not controls.keeper.busy)

@@ -61,12 +61,12 @@ def open_tab(qtbot, window: MainWindow) -> TruthTab:
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F8)
-    analysis = window.analysis.launcher.window
+    analysis = window.analysis.window
     assert analysis is not None
     qtbot.waitExposed(analysis)
     analysis.activateWindow()
     qtbot.waitUntil(analysis.isActiveWindow)
-    tab = analysis.made["scan_truth"]
+    tab = analysis.made["truth"]
     assert isinstance(tab, TruthTab)
     return tab
 

@@ -27,11 +27,11 @@ class Dialogs:
 
     def __init__(self, parent: QWidget, native: bool = True) -> None:
         self._parent = parent
-        self._native = native
+        self.native = native
 
     def over(self, parent: QWidget) -> Dialogs:
         """Return the same for another window."""
-        return Dialogs(parent, self._native)
+        return Dialogs(parent, self.native)
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
         """Ask before losing changes; nothing happens on Cancel."""
@@ -121,7 +121,7 @@ class Dialogs:
 
     def _dialog(self, title: str, folder: Path) -> QFileDialog:
         dialog = QFileDialog(self._parent, title, str(folder))
-        dialog.setOption(QFileDialog.Option.DontUseNativeDialog, not self._native)
+        dialog.setOption(QFileDialog.Option.DontUseNativeDialog, not self.native)
         return dialog
 
     def _run(self, dialog: QFileDialog, use: Callable[[Path], None]) -> None:

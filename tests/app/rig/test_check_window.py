@@ -141,7 +141,7 @@ def open_checks(qtbot, tmp_path) -> Iterator[Open]:
         main.open_request(SourceRequest(source.name, lambda _: source))
         qtbot.waitUntil(lambda: main.result is not None, timeout=15000)
         main.actions_.check_cameras.trigger()
-        qtbot.waitUntil(main.live.checks.window.isVisible)
+        qtbot.waitUntil(main.checks.window.isVisible)
         return main
 
     yield make
@@ -158,7 +158,7 @@ def wait(qtbot, condition):
 
 def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot, tmp_path):
     main = open_checks(Wall(rig))
-    tab = main.live.checks.window.quality
+    tab = main.checks.window.quality
     wait(qtbot, lambda: tab.quality is not None and tab.quality.proximity.frames == 40)
     quality = tab.quality
     assert quality.proximity.fill_rate == 1.0
@@ -181,7 +181,7 @@ def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot, tmp_p
 
 
 def test_a_bias_that_says_nothing_is_not_printed_bold(open_checks, rig, qtbot):
-    tab = open_checks(Stairs(rig)).live.checks.window.quality
+    tab = open_checks(Stairs(rig)).checks.window.quality
     wait(qtbot, lambda: tab.quality is not None)
     text = tab.lines["bias"].text()
     assert "mm" in text and "not known" in text
@@ -191,7 +191,7 @@ def test_a_bias_that_says_nothing_is_not_printed_bold(open_checks, rig, qtbot):
 
 def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(open_checks, rig, qtbot):
     main = open_checks(Wall(rig))
-    tab = main.live.checks.window.quality
+    tab = main.checks.window.quality
     wait(qtbot, lambda: tab.quality is not None)
     tab.entries["Left"].setValue(60)
     tab.entries["Width"].setValue(500)
@@ -205,7 +205,7 @@ def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(ope
 
 def test_a_closed_window_takes_no_frames(open_checks, rig, qtbot):
     main = open_checks(Wall(rig))
-    checks = main.live.checks.window
+    checks = main.checks.window
     wait(qtbot, lambda: checks.quality.quality is not None)
     checks.close()
     before = main.result.frame
@@ -217,7 +217,7 @@ def test_a_closed_window_takes_no_frames(open_checks, rig, qtbot):
 
 def test_the_delay_is_measured_shown_and_compensated_with_undo(open_checks, rig, qtbot):
     main = open_checks(Press(rig))
-    tab = main.live.checks.window.skew
+    tab = main.checks.window.skew
     tab.seconds.setValue(5)
     tab.start.click()
     assert not tab.start.isEnabled()
@@ -234,7 +234,7 @@ def test_the_delay_is_measured_shown_and_compensated_with_undo(open_checks, rig,
 
 def test_a_still_scene_and_a_cancelled_measurement_leave_everything(open_checks, rig, qtbot):
     main = open_checks(Wall(rig))
-    tab = main.live.checks.window.skew
+    tab = main.checks.window.skew
     tab.start.click()
     tab.cancel.click()
     assert tab.start.isEnabled()
@@ -250,7 +250,7 @@ def test_a_still_scene_and_a_cancelled_measurement_leave_everything(open_checks,
 def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monkeypatch):
     monkeypatch.setattr(skew_tab, "PATIENCE_S", 0.5)
     cameras = Cameras(rig)
-    tab = open_checks(cameras).live.checks.window.skew
+    tab = open_checks(cameras).checks.window.skew
     tab.start.click()
     cameras.silent.set()
     wait(qtbot, lambda: not tab.busy)
@@ -259,7 +259,7 @@ def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monke
 
 def test_a_frame_that_cannot_be_used_ends_the_measurement_and_the_cameras_go_on(open_checks, rig, qtbot, monkeypatch):
     main = open_checks(Cameras(rig))
-    tab = main.live.checks.window.skew
+    tab = main.checks.window.skew
 
     def refuse(_):
         raise FrameError("this frame has no depth")
@@ -275,7 +275,7 @@ def test_a_frame_that_cannot_be_used_ends_the_measurement_and_the_cameras_go_on(
 def test_interference_is_found_and_the_laser_is_put_back(open_checks, rig, qtbot, monkeypatch):
     cameras = Cameras(rig)
     main = open_checks(cameras)
-    tab = main.live.checks.window.interference
+    tab = main.checks.window.interference
     tab.flow._settle_s = 0.1
     tab.start.click()
     wait(qtbot, lambda: not tab.flow.busy)
@@ -299,12 +299,12 @@ def test_whatever_ends_the_test_the_laser_is_put_back(open_checks, rig, qtbot, m
     monkeypatch.setattr(interference_flow, "PATIENCE_S", 1.0)
     cameras = Cameras(rig)
     main = open_checks(cameras)
-    tab = main.live.checks.window.interference
+    tab = main.checks.window.interference
     reach_the_dark(tab, cameras, qtbot)
     if way_out == "cancel":
         tab.cancel.click()
     elif way_out == "close the checks":
-        main.live.checks.window.close()
+        main.checks.window.close()
     elif way_out == "close everything":
         main.close_without_asking()
         assert cameras.closed
@@ -317,16 +317,16 @@ def test_whatever_ends_the_test_the_laser_is_put_back(open_checks, rig, qtbot, m
 
 
 def test_a_camera_that_refuses_or_has_no_switch_is_said_in_words(open_checks, rig, qtbot):
-    stubborn = open_checks(Cameras(rig, obeys=False)).live.checks.window.interference
+    stubborn = open_checks(Cameras(rig, obeys=False)).checks.window.interference
     stubborn.start.click()
     wait(qtbot, lambda: "refuses emitter_enabled" in stubborn.sentence.text())
     assert stubborn.start.isEnabled()
-    plain = open_checks(Cameras(rig, names=("gain",))).live.checks.window.interference
+    plain = open_checks(Cameras(rig, names=("gain",))).checks.window.interference
     plain.start.click()
     assert "neither the option emitter_enabled nor a laser_power" in plain.sentence.text()
     plain.set_options(())  # as the simulator played as if live: there is nothing to cover by hand
     plain.start.click()
     assert "it is a recording or the simulator" in plain.sentence.text()
-    recording = open_checks(Wall(rig)).live.checks.window.interference
+    recording = open_checks(Wall(rig)).checks.window.interference
     recording.start.click()
     assert "it is a recording or the simulator" in recording.sentence.text()

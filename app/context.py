@@ -1,0 +1,83 @@
+"""What the main window offers to the windows and tabs that it opens."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtCore import QObject, pyqtSignal
+from PyQt6.QtWidgets import QWidget
+
+from ..widgets.basics.dialogs import Dialogs
+from ..widgets.basics.message_bar import MessageBar
+from ..widgets.clouds.cloud_view import BackendChoice
+from .document.document import Document
+from .settings import Settings
+from .worker.playback import PlaybackState
+from .worker.results import Result
+from .worker.worker import Worker
+
+
+class Context(QObject):
+    """The preset, the newest frame and the services that all windows share.
+
+    Windows and tabs get a context instead of the main window, so they depend on nothing above them.
+
+    Attributes
+    ----------
+    document : Document
+        The preset being edited, its file and its undo history.
+    worker : Worker
+        Playback, camera settings and recording. `result` is its newest frame.
+    messages : MessageBar
+        The messages above the main window's views.
+    dialogs : Dialogs
+        File dialogs and questions over the main window.
+    settings : Settings
+        Values remembered between starts.
+    data_folder : Path
+        Folder for unsaved work.
+    window : QWidget
+        The parent of other windows.
+    result : Result or None
+        The frame on the screen; None before the first frame of a source.
+    playback : PlaybackState or None
+        The newest state of playback; None before the first source.
+
+    Signals
+    -------
+    frameShown()
+        `result` is on the screen.
+    sourceRequested(name: str)
+        Emit it to open another source, named as `tactune.core.sources.registry.open_source` takes it.
+    """
+
+    frameShown = pyqtSignal()
+    sourceRequested = pyqtSignal(str)
+
+    def __init__(
+        self,
+        document: Document,
+        worker: Worker,
+        messages: MessageBar,
+        dialogs: Dialogs,
+        settings: Settings,
+        data_folder: Path,
+        window: QWidget,
+        cloud_backend: Callable[[], BackendChoice],
+    ) -> None:
+        super().__init__(window)
+        self.document, self.worker, self.messages, self.dialogs = document, worker, messages, dialogs
+        self.settings, self.data_folder, self.window = settings, data_folder, window
+        self._cloud_backend = cloud_backend
+        self.result: Result | None = None
+        self.playback: PlaybackState | None = None
+        worker.playbackChanged.connect(self._note_playback)
+
+    @property
+    def cloud_backend(self) -> BackendChoice:
+        """How the main window draws its 3D views: "opengl" or "software"."""
+        return self._cloud_backend()
+
+    def _note_playback(self, state: PlaybackState) -> None:
+        self.playback = state
