@@ -27,8 +27,7 @@ from tactune.core.methods.registry import make_method, method_names
 from tactune.core.model.frames import GroundTruth, SensorFrame
 from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.base import SeekableSource
-
-from .conftest import at_rest, tiny_frame, tiny_rig
+from tiny_sensor import at_rest, tiny_frame, tiny_rig
 
 
 class KnowingSource(SeekableSource):

@@ -16,8 +16,7 @@ from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.core.contact.membrane.average import SteadyDepth
 from tactune.core.methods.registry import Fusion, make_method
 from tactune.core.preset import Preset
-
-from .conftest import tiny_frame, tiny_rig
+from tiny_sensor import tiny_frame, tiny_rig
 
 METHODS = ("fusion-rigid", "fusion-homography", "fusion-membrane", "proximity-only", "tactile-only")
 RIG = tiny_rig()

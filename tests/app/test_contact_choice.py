@@ -6,6 +6,7 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from hands import CONTROL, shows_preset_of_document
 from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
@@ -13,9 +14,7 @@ from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import provenance_legend
-
-from .conftest import tiny_frame, tiny_rig
-from .hands import CONTROL, shows_preset_of_document
+from tiny_sensor import tiny_frame, tiny_rig
 
 
 def choose_by_keyboard(window, qtbot, key):

@@ -11,13 +11,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog
 
-from tactune.app.document.recovery import Autosave
-from tactune.core.preset.file import save_preset
-from tactune.core.sources.presets import load_preset
-from tactune.widgets.basics.message_bar import Message
-
-from .conftest import TinySource, at_rest, tiny_rig
-from .hands import (
+from hands import (
     CONTROL,
     CONTROL_SHIFT,
     answer_question,
@@ -28,6 +22,11 @@ from .hands import (
     tolerance_slider,
     type_path,
 )
+from tactune.app.document.recovery import Autosave
+from tactune.core.preset.file import save_preset
+from tactune.core.sources.presets import load_preset
+from tactune.widgets.basics.message_bar import Message
+from tiny_sensor import TinySource, at_rest, tiny_rig
 
 
 def test_save_reopen_same_values(window, qtbot, tmp_path, make_window):

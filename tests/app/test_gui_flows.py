@@ -7,11 +7,10 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLineEdit
 
+from hands import CONTROL, CONTROL_SHIFT, LEFT, drag_slider, shows_preset_of_document, tolerance_slider
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
-
-from .conftest import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest, tiny_frame, tiny_rig
-from .hands import CONTROL, CONTROL_SHIFT, LEFT, drag_slider, shows_preset_of_document, tolerance_slider
+from tiny_sensor import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest, tiny_frame, tiny_rig
 
 
 def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):

@@ -15,8 +15,7 @@ from tactune.app.gui import run_gui, start_with
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
-
-from .conftest import TinySource
+from tiny_sensor import TinySource
 
 
 @pytest.fixture

@@ -15,8 +15,7 @@ from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.source import SimulatorSource
-
-from .conftest import at_rest
+from tiny_sensor import at_rest
 
 ROOT = Path(__file__).resolve().parents[2]
 REAL_PAIR = ROOT.parent / "shared" / "data" / "real_pair"

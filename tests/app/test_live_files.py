@@ -10,8 +10,7 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from tactune.app.window.files import recording_filters, recording_scheme
 from tactune.core.recording.writer import SessionWriter
-
-from .conftest import TinySource
+from tiny_sensor import TinySource
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 

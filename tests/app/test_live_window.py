@@ -10,6 +10,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
+from fake_cameras import FakeCameras
 from tactune.app.window.frame_presenter import badge, source_sentence
 from tactune.app.worker import reading
 from tactune.app.worker.results import CloudName, SourceState
@@ -17,9 +18,7 @@ from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tactune.widgets.basics.theme import contrast_ratio
-
-from .conftest import TinySource
-from .fake_cameras import FakeCameras
+from tiny_sensor import TinySource
 
 
 def opened(window, source, qtbot):

@@ -6,11 +6,10 @@ import time
 
 import pytest
 
+from fake_cameras import FakeCameras
 from tactune.app.worker import reading
 from tactune.app.worker.worker import SourceRequest, Worker
-
-from .conftest import LiveSource, TinySource
-from .fake_cameras import FakeCameras
+from tiny_sensor import LiveSource, TinySource
 
 
 class Watched:

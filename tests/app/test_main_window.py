@@ -19,8 +19,7 @@ from tactune.core.errors import SourceError
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_name
-
-from .conftest import TinySource, at_rest, tiny_frame, tiny_rig
+from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier

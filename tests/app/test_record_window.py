@@ -8,15 +8,14 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QPushButton
 
+from fake_cameras import FakeCameras
 from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.mcap import container
 from tactune.core.sources.registry import open_source
-
-from .conftest import HangingSource, TinySource, tiny_frame, tiny_rig
-from .fake_cameras import FakeCameras
+from tiny_sensor import HangingSource, TinySource, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
 

@@ -11,8 +11,7 @@ from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.preset import Preset
 from tactune.core.recording.writer import RecordingStatus
-
-from .conftest import tiny_frame, tiny_rig
+from tiny_sensor import tiny_frame, tiny_rig
 
 
 class FakeWriter:

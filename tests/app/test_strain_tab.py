@@ -21,8 +21,7 @@ from tactune.core.errors import FrameError
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.base import SeekableSource
-
-from .conftest import at_rest
+from tiny_sensor import at_rest
 
 LENS = Intrinsics(width=320, height=240, fx=193.0, fy=193.0, cx=159.5, cy=119.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-5)

@@ -14,13 +14,12 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import CONTROL, LEFT, type_path
 from tactune.app.analysis import truth_flow, truth_work
 from tactune.app.cli.scan import parse_paint
 from tactune.core.scan.pose import load_transform
 from tactune.widgets.clouds.pick_view import STEP_M
-
-from .hands import CONTROL, LEFT, type_path
-from .truth_scene import (
+from truth_scene import (
     DISC_CENTRE_BESIDE,
     click_pair,
     click_three_pairs,

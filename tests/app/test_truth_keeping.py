@@ -13,8 +13,7 @@ from tactune.app.analysis.truth_patch import FrozenPatch
 from tactune.app.analysis.truth_state import PickedPair, TruthSession, TruthState
 from tactune.core.scan.paint import PaintSettings
 from tactune.core.scan.pose import load_transform
-
-from .truth_scene import click_pair, click_three_pairs, corners, open_plate, open_tab, settle, write_plate
+from truth_scene import click_pair, click_three_pairs, corners, open_plate, open_tab, settle, write_plate
 
 POSE = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 

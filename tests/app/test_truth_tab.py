@@ -10,10 +10,9 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
+from hands import CONTROL, CONTROL_SHIFT, LEFT, drop, type_path
 from tactune.app.analysis import truth_flow
-
-from .hands import CONTROL, CONTROL_SHIFT, LEFT, drop, type_path
-from .truth_scene import (
+from truth_scene import (
     DISC_M,
     HALF_M,
     click_at,

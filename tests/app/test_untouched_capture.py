@@ -17,8 +17,7 @@ from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.model.frames import SensorFrame
 from tactune.core.rig.untouched import average_untouched, load_untouched
-
-from .conftest import LiveSource, TinySource, at_rest, tiny_frame
+from tiny_sensor import LiveSource, TinySource, at_rest, tiny_frame
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 SHIFT = Qt.KeyboardModifier.ShiftModifier

@@ -11,6 +11,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from hands import CONTROL, press, type_path
 from tactune.app.document.document import Document
 from tactune.app.document.untouched_store import UntouchedStore
 from tactune.core.calibration.snapshots import content_hash
@@ -20,9 +21,7 @@ from tactune.core.recording import SessionWriter
 from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
-
-from .conftest import tiny_frame, tiny_rig
-from .hands import CONTROL, press, type_path
+from tiny_sensor import tiny_frame, tiny_rig
 
 RIG = tiny_rig()
 

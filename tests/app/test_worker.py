@@ -11,8 +11,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError
 from tactune.core.preset import Preset
 from tactune.core.sources.registry import open_source
-
-from .conftest import HangingSource, LiveSource, TinySource, tiny_frame, tiny_rig
+from tiny_sensor import HangingSource, LiveSource, TinySource, tiny_frame, tiny_rig
 
 
 class Watched:

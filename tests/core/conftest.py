@@ -6,11 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+import folder_scenes
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.folder import export_folder
-
-from .sources import folder_scenes
 
 
 def _pose(baseline_m: float, turn_deg: float) -> list[list[float]]:

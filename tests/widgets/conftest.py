@@ -7,12 +7,11 @@ from PyQt6.QtWidgets import QApplication
 from pyqtgraph import setConfigOptions
 from pytestqt.qtbot import QtBot
 
+from panel_steering import Recorder
+from seen_clouds import shown
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
-
-from .panel_steering import Recorder
-from .seen_clouds import shown
 
 
 @pytest.fixture

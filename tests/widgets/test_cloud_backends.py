@@ -7,11 +7,10 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 from pytestqt.qtbot import QtBot
 
+from seen_clouds import FRONT, RED, canvas_of, drag, picture, pixels_of, red_wall, shown
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
 from tactune.widgets.clouds.gl_backend import GLCanvas, GLError, GLProbe, GLRenderer
-
-from .seen_clouds import FRONT, RED, canvas_of, drag, picture, pixels_of, red_wall, shown
 
 
 @pytest.mark.parametrize("choice", ["auto", "opengl"])

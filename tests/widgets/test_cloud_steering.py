@@ -11,10 +11,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
+from seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
-
-from .seen_clouds import FRONT, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, shown, three_linked, wall
 
 
 def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot, backend: BackendChoice) -> None:

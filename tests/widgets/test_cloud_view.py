@@ -11,6 +11,7 @@ from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import QLabel
 from pytestqt.qtbot import QtBot
 
+from seen_clouds import BLUE, FRONT, GREEN, RAYS, RED, cloud_of, colored, picture, pixels_of, shown, wall
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
@@ -19,8 +20,6 @@ from tactune.widgets.clouds.cloud_header import CloudHeader, short_count
 from tactune.widgets.clouds.cloud_legend import LegendLine
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
-
-from .seen_clouds import BLUE, FRONT, GREEN, RAYS, RED, cloud_of, colored, picture, pixels_of, shown, wall
 
 
 @dataclass

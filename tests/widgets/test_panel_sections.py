@@ -6,10 +6,9 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QComboBox
 
+from panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
 from tactune.core.preset import AlignmentSection, HomographyAlignment, MaskSection, Preset, RigidAlignment
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
-
-from .panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
 
 
 def test_a_folded_section_unfolds_for_an_error(panel: ParameterPanel) -> None:

@@ -11,6 +11,7 @@ from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 
+from panel_steering import EYE3, EYE4, LEFT, Recorder, drag, type_into
 from tactune.core.preset import (
     AlignmentSection,
     HomographyAlignment,
@@ -24,8 +25,6 @@ from tactune.core.preset import (
     ToleranceSection,
 )
 from tactune.widgets.parameters.parameter_panel import SECTIONS, ParameterPanel, fields_of
-
-from .panel_steering import EYE3, EYE4, LEFT, Recorder, drag, type_into
 
 hues = st.tuples(st.integers(0, 179), st.integers(0, 179))
 spans = st.tuples(st.integers(0, 255), st.integers(0, 255)).map(lambda pair: (min(pair), max(pair)))

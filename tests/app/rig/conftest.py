@@ -13,15 +13,8 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from side_by_side import BASELINE_M, HEIGHT, WIDTH, counts, lens
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
-
-WIDTH, HEIGHT = 160, 120
-BASELINE_M = 0.040
-
-
-def lens(f: float, cx: float, cy: float) -> Intrinsics:
-    return Intrinsics(width=WIDTH, height=HEIGHT, fx=f, fy=f, cx=cx, cy=cy)
 
 
 @pytest.fixture(scope="session")
@@ -33,17 +26,6 @@ def rig() -> Rig:
         tactile=DepthCamera(model="D405", serial="t", intrinsics=lens(97.0, 78.0, 60.0), depth_unit_m=1e-5),
         T_proximity_tactile=pose.tolist(),
     )
-
-
-def plane_depth(camera: DepthCamera, normal: npt.ArrayLike, distance_m: float) -> npt.NDArray[np.float64]:
-    """Depth at which each ray meets the plane normal . p = distance."""
-    rays = camera.intrinsics.rays().astype(np.float64)
-    homogeneous = np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2)
-    return distance_m / (homogeneous @ (np.asarray(normal) / np.linalg.norm(normal)))
-
-
-def counts(depth_m: npt.ArrayLike, camera: DepthCamera) -> npt.NDArray[np.uint16]:
-    return np.rint(np.asarray(depth_m) / camera.depth_unit_m).astype(np.uint16)
 
 
 MakeFrame = Callable[..., SensorFrame]

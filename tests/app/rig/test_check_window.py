@@ -14,6 +14,7 @@ from PyQt6.QtCore import QEvent
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QApplication
 
+from side_by_side import HEIGHT, WIDTH, counts
 from tactune.app.rig import interference_flow, skew_tab
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
@@ -22,8 +23,6 @@ from tactune.core.errors import FrameError, SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.sources.base import CameraOption, FrameSource, Health, SeekableSource
-
-from .conftest import HEIGHT, WIDTH, counts
 
 DELAY_S = 0.120
 

@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pytest
 
+from side_by_side import BASELINE_M, HEIGHT, WIDTH, counts, plane_depth
 from tactune.core.errors import FrameError
 from tactune.core.preset import AlignmentSection, Preset
 from tactune.core.rig.depth_quality import (
@@ -20,8 +21,6 @@ from tactune.core.rig.depth_quality import (
 )
 from tactune.core.rig.judgement import Verdict, judge_bias, judge_camera
 from tactune.core.rig.plane import clip_depths, fit_plane
-
-from .conftest import BASELINE_M, HEIGHT, WIDTH, counts, plane_depth
 
 REGION = (40, 30, 80, 60)
 WINDOW = np.s_[30:90, 40:120]

@@ -7,11 +7,10 @@ import json
 import numpy as np
 import pytest
 
+from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError
 from tactune.core.rig.interference import emitter_switch, measure_interference, on_value
 from tactune.core.sources.base import CameraOption
-
-from .conftest import HEIGHT, WIDTH, counts
 
 
 def recorded(rig, noise_m, missing, frames=40, seed=0):

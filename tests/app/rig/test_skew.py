@@ -7,13 +7,12 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.preset import AlignmentSection
 from tactune.core.rig.motion import STEP, Sample, pressed_depths
 from tactune.core.rig.skew import SkewError, measure_skew
 from tactune.core.sources.registry import open_source
-
-from .conftest import HEIGHT, WIDTH, counts
 
 RATE_HZ = 30.0
 REST_M = 0.30

@@ -9,11 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from folder_scenes import RIG, ListSource, LiveSource, lens, make_frame
 from tactune.core.errors import ExportError, FrameError, SourceError
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.sources.folder import FolderSource, export_folder
-
-from .folder_scenes import RIG, ListSource, LiveSource, lens, make_frame
 
 
 def test_export_starts_at_the_position_and_stops_after_so_many_frames(tmp_path: Path) -> None:

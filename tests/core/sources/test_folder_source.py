@@ -10,11 +10,10 @@ import cv2
 import numpy as np
 import pytest
 
+from folder_scenes import RIG, UNIT_M, ListSource, assert_same, make_frame
 from tactune.core.model.frames import GroundTruth, Rig
 from tactune.core.model.rig_file import load_rig, save_rig
 from tactune.core.sources.folder import FolderSource, export_folder
-
-from .folder_scenes import RIG, UNIT_M, ListSource, assert_same, make_frame
 
 DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[3].parent / "shared/data"))
 

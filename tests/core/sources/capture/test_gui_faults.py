@@ -14,10 +14,10 @@ if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYL
 
 import numpy as np
 import pytest
-from capture_sources import open_troubled
 from PyQt6.QtCore import QObject, Qt, QTimer
 from PyQt6.QtWidgets import QApplication
 
+from capture_sources import open_troubled
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest

@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from capture_sources import Recorded, Troubled, make_frame, make_rig
 
+from capture_sources import Recorded, Troubled, make_frame, make_rig
 from tactune.core.errors import SourceError
 from tactune.core.sources.process import live
 from tactune.core.sources.process.live import LiveLoop

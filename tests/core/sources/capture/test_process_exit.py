@@ -11,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
-HERE = Path(__file__).parent
+import capture_sources
+
 OPEN = f"""
 import signal, sys, time
 signal.signal(signal.SIGHUP, signal.SIG_DFL)  # whoever runs the tests may ignore it, as nohup does
-sys.path.append({str(HERE)!r})
+sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled

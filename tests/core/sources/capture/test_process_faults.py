@@ -14,8 +14,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from capture_sources import make_frame, make_rig, open_recorded, open_troubled
 
+import capture_sources
+from capture_sources import make_frame, make_rig, open_recorded, open_troubled
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
@@ -188,7 +189,7 @@ def test_a_lossless_source_passes_an_error_on(nothing_left: None, tmp_path: Path
 def test_a_parent_that_was_stopped_itself_takes_no_process_for_dead(tmp_path: Path) -> None:
     program = f"""
 import sys, time
-sys.path.append({str(Path(__file__).parent)!r})
+sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled

@@ -11,6 +11,9 @@ from functools import partial
 from pathlib import Path
 
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
 from capture_sources import (
     make_frame,
     make_rig,
@@ -20,9 +23,6 @@ from capture_sources import (
     open_troubled,
     same_frame,
 )
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.process import ProcessSource

@@ -15,7 +15,6 @@ import pytest
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
 from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
-
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.recording.writer import SessionWriter

@@ -7,7 +7,6 @@ import pytest
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
 from software_rig import Command, image_number
-
 from tactune.core.sources.base import Health
 from tactune.core.sources.realsense.clock import SETTLING
 

@@ -15,7 +15,6 @@ pytest.importorskip("pyrealsense2", reason="the camera driver is not installed",
 
 import software_rig
 from software_rig import SoftwareCamera, SoftwareRig, open_software_rig
-
 from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import CameraSection, CamerasSection

@@ -1,16 +1,11 @@
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
 
 from tactune.core.sources.bag import BagSource
-
-# The makers of recordings are imported by their plain names, also by child processes.
-sys.path.insert(0, str(Path(__file__).parent))
 
 
 @pytest.fixture

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
 from scipy.spatial.transform import Rotation
 
+from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
 from tactune.core.sources.bag import BagSource
 from tactune.core.sources.folder import FolderSource, export_folder
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_maker import D405, Device, color_images, depth_images, make_bag
 
+from bag_maker import D405, Device, color_images, depth_images, make_bag
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.sources.bag import BagSource
 

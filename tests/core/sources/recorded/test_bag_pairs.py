@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 import pytest
-from bag_maker import D405, L515, depth_images, make_bag
 
+from bag_maker import D405, L515, depth_images, make_bag
 from tactune.core.errors import SourceError
 from tactune.core.sources.bag import BagSource
 from tactune.core.sources.registry import open_source

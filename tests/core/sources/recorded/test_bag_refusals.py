@@ -8,8 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
 
+from bag_maker import D405, L515, Device, color_images, depth_images, make_bag
 from tactune.core.errors import SourceError
 from tactune.core.sources.bag import BagSource
 

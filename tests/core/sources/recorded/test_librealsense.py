@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from record_cameras import RATE_HZ, START_S, UNITS_M, images, lens_values, run
 
+from record_cameras import RATE_HZ, START_S, UNITS_M, images, lens_values, run
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources.bag import BagSource
 

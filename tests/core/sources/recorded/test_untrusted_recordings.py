@@ -13,8 +13,9 @@ from pathlib import Path
 import lz4.frame
 import numpy as np
 import pytest
-from bag_maker import D405, L515, make_bag
 
+import bag_maker
+from bag_maker import D405, L515, make_bag
 from tactune.core.errors import SourceError
 from tactune.core.sources.bag import BagSource
 
@@ -25,7 +26,7 @@ else:
 
 DATA = Path(__file__).parents[3] / "data"
 BAG, ZSTD_DB3, PNG_DB3 = (DATA / name for name in ("l515_2.54.2.bag", "d405_2.58.4.db3", "d405_2.59.1.db3"))
-SCRIPT = Path(__file__).with_name("fuzz_recordings.py")
+SCRIPT = Path(bag_maker.__file__).with_name("fuzz_recordings.py")
 
 
 def test_random_damage_gives_frames_or_a_sentence(tmp_path: Path) -> None:

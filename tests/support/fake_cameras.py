@@ -8,8 +8,7 @@ from threading import Condition, Event, Thread
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health
-
-from .conftest import tiny_frame, tiny_rig
+from tiny_sensor import tiny_frame, tiny_rig
 
 OPTIONS = (
     CameraOption("proximity", "laser_power", "Power of the infrared laser.", 0, 100, 1, 70, 70, "%"),

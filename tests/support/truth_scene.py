@@ -9,11 +9,10 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QWidget
 
+from hands import LEFT
 from tactune.app.analysis.truth_tab import TruthTab
 from tactune.app.window.main_window import MainWindow
 from tactune.widgets.clouds.pick_view import PickView
-
-from .hands import LEFT
 
 PINK, PURPLE = (235, 80, 160), (90, 60, 150)
 SIDE, HALF_M = 61, 0.06

@@ -5,14 +5,10 @@ from __future__ import annotations
 import json
 import queue
 import signal
-import sys
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-sys.path.append(str(Path(__file__).parents[3] / "realsense"))
-
 from software_rig import Command, open_software_rig
-
 from tactune.core.preset import CamerasSection
 from tactune.core.sources.base import FrameSource, Progress
 
