@@ -8,14 +8,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import QObject, pyqtSignal
-from PyQt6.QtGui import QUndoStack
 
 from ...core.errors import CalibrationError
 from ...core.model.arrays import Float64Array
 from ...core.model.frames import Matrix4, rigid_transform
 from ...core.scan.paint import PaintSettings
 from ...core.scan.pose import pose_from_pairs
-from ..document.state_step import StateStep
+from ..document.history import History
 from .truth_patch import FrozenPatch
 
 Place = tuple[float, float, float]
@@ -74,47 +73,19 @@ class TruthState:
         return self.pairs[-1] if self.pairs and not self.pairs[-1].complete else None
 
 
-class TruthSession(QObject):
-    """The present state and the undo stack of everything done to it.
+class TruthSession(History[TruthState]):
+    """What the ground-truth tab edits; every edit is one undoable step.
 
     Signals
     -------
-    changed(TruthState)
     refused(sentence: str)
         An edit was made, yet no pose came of it; empty once one does.
     """
 
-    changed = pyqtSignal(object)
     refused = pyqtSignal(str)
 
     def __init__(self, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self.undo_stack = QUndoStack(self)
-        self._state = TruthState()
-
-    @property
-    def state(self) -> TruthState:
-        """The state as it is now."""
-        return self._state
-
-    def edit(self, text: str, after: TruthState, gesture: int = 0) -> None:
-        """Make a state the present one, as one step; steps of one gesture become one."""
-        if after != self._state:
-            self.undo_stack.push(StateStep(text, self.show, self._state, after, gesture))
-
-    def show(self, state: TruthState) -> None:
-        """Make a state the present one without a step."""
-        self._state = state
-        self.changed.emit(state)
-
-    def start(self, state: TruthState) -> None:
-        """Begin with another scan."""
-        self.undo_stack.clear()
-        self.show(state)
-
-    def close(self) -> None:
-        """Fall silent: a stack that is destroyed would tell widgets that are half gone."""
-        self.undo_stack.blockSignals(True)
+        super().__init__(TruthState(), parent)
 
     def set_paint(self, paint: PaintSettings, gesture: int = 0) -> None:
         """Take other colours or another clean-up."""

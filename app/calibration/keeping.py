@@ -1,117 +1,109 @@
-"""Work on a calibration outlives closing, cancelling and crashing: it is kept on disk and offered again."""
+"""A calibration outlives closing and crashing: it is kept on disk, one file per rig, and restored next time."""
 
 from __future__ import annotations
 
 import json
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
+from PyQt6.QtCore import QLockFile, QObject
 
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.model.files import atomic_path
-from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import now
+from ...core.model.frames import SensorFrame
+from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
 from .session import Session
 from .state import Choices, PointPair, SessionState, Snapshot, rig_key
 
-DELAY_MS = 600
 _VERSION = 1
 _SLOTS = 8
 _IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
 
 
-class Keeper(QObject):
-    """Keeps a session's state in a folder, one file per rig; snapshots lie beside it under their digest.
+class Keeper(KeptState[SessionState]):
+    """Keeps a session's state in a folder; snapshots lie beside it under their digest.
 
-    A lock keeps two windows on the same rig apart. The disk is touched on a thread of its own, in order.
-
-    Signals
-    -------
-    failed(sentence: str)
-        The state could not be kept; said once.
+    A lock keeps two windows on the same rig apart: each has a file of its own.
     """
 
-    failed = pyqtSignal(str)
+    file: Path
 
     def __init__(self, session: Session, folder: Path, parent: QObject | None = None) -> None:
-        super().__init__(parent)
-        self._session, self._folder = session, folder
+        self._session = session
+        super().__init__(folder, "calibration", parent)
         self._stored: set[str] = set()
-        self._kept = session.state
-        self._said = False
-        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix="calibration")
+        self._missing: list[str] = []
         folder.mkdir(parents=True, exist_ok=True)
-        self.file, self._lock = _free_slot(folder, rig_key(session.rig))
-        self._timer = QTimer(self)
-        self._timer.setSingleShot(True)
-        self._timer.setInterval(DELAY_MS)
-        self._timer.timeout.connect(self.flush)
-        session.changed.connect(self._timer.start)
+        file, self._lock = _free_slot(folder, rig_key(session.rig))
+        self.follow(file, session.state)
+        session.changed.connect(self.schedule)
+
+    def present(self) -> SessionState:
+        """Return the session's state."""
+        return self._session.state
 
     def restore(self) -> datetime | None:
-        """Show what was kept of this rig's last session; returns when that was, None where there is nothing."""
-        try:
-            content = json.loads(self.file.read_text(encoding="utf-8"))
-            state, missing = _state_of(content, self._folder, self._session.rig)
-            kept_at = datetime.fromisoformat(content["kept"])
-        except FileNotFoundError:
+        """Show what was kept of this rig's last session; return when that was, None where there is nothing."""
+        found = self.read(self.file)
+        if found is None or found[0].empty:
             return None
-        except (OSError, ValueError, KeyError, TypeError, TactuneError) as error:
-            with suppress(OSError):
-                self.file.replace(self.file.with_suffix(".damaged"))
-            self.failed.emit(f"The kept calibration in {self.file.parent} cannot be read ({error}); it was set aside.")
-            return None
-        if state.empty:
-            return None
+        state, kept_at = found
         self._stored = {snapshot.digest for snapshot in state.snapshots}
-        self._kept = state
+        self.follow(self.file, state)
         self._session.show(state)
-        if missing:
-            self.failed.emit(f"Images of {len(missing)} snapshots are gone; their points are kept without them.")
+        if self._missing:
+            self.failed.emit(f"Images of {len(self._missing)} snapshots are gone; their points are kept without them.")
         return kept_at
 
-    def flush(self) -> None:
-        """Have the file brought up to date, soon and in order."""
-        self._timer.stop()
-        state = self._session.state
-        if state == self._kept:
-            return
-        self._kept = state
-        fresh = [snapshot for snapshot in state.snapshots if snapshot.digest not in self._stored]
-        self._stored |= {snapshot.digest for snapshot in fresh}
-        self._disk.submit(self._write, state, fresh)
-
     def close(self) -> None:
-        """Write the last state, tidy up, and let go of the file."""
+        """Write the last state, remove unused snapshots, and release the file."""
         self.flush()
-        self._disk.submit(_tidy, self._folder)
-        self._disk.shutdown(wait=True)
+        self.on_disk(
+            remove_unnamed,
+            self.folder,
+            "calibration-*.json",
+            lambda content: [_images_file(self.folder, entry["digest"]).name for entry in content["snapshots"]],
+            "snapshot-*.npz",
+        )
+        self.finish()
         self._lock.unlock()
 
-    def _write(self, state: SessionState, fresh: list[Snapshot]) -> None:
-        try:
-            for snapshot in fresh:
-                _write_images(_images_file(self._folder, snapshot.digest), snapshot.frame)
-            with atomic_path(self.file) as temporary:
-                temporary.write_text(json.dumps(_content(state)), encoding="utf-8")
-        except (OSError, TactuneError) as error:
-            if not self._said:
-                self._said = True
-                self.failed.emit(f"The calibration cannot be kept safe in {self._folder} ({error}).")
+    def write(self, state: SessionState, file: Path) -> None:
+        """Write new snapshots, then the state that names them."""
+        for snapshot in state.snapshots:
+            if snapshot.digest not in self._stored:
+                _write_images(_images_file(self.folder, snapshot.digest), snapshot.frame)
+                self._stored.add(snapshot.digest)
+        write_json(file, _content(state))
+
+    def parse(self, content: dict[str, Any]) -> SessionState:
+        """Return the kept state without the snapshots whose images are gone."""
+        check_version(content, _VERSION)
+        snapshots = []
+        self._missing = []
+        for entry in content["snapshots"]:
+            try:
+                frame = _read_images(_images_file(self.folder, entry["digest"]), entry["sequence"])
+                frame.check_against(self._session.rig)
+            except (OSError, ValueError, KeyError, TactuneError):
+                self._missing.append(entry["name"])
+                continue
+            snapshots.append(Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"]))
+        pairs = tuple(PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"])
+        state = SessionState(tuple(snapshots), pairs, Choices.model_validate_json(json.dumps(content["choices"])))
+        if state.snapshot is None:
+            state = state.with_choices(snapshot=snapshots[-1].digest if snapshots else "")
+        return state
 
 
 def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
     """Return the first file of a rig that no living window holds, locked."""
     for slot in range(1, _SLOTS + 1):
         file = folder / f"calibration-{key}{'' if slot == 1 else f'-{slot}'}.json"
-        lock = QLockFile(str(file.with_suffix(".lock")))
-        lock.setStaleLockTime(0)
+        lock = lock_of(file)
         if lock.tryLock(0) or slot == _SLOTS:
             break
     return file, lock
@@ -120,7 +112,6 @@ def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
 def _content(state: SessionState) -> dict[str, Any]:
     return {
         "version": _VERSION,
-        "kept": now().isoformat(),
         "snapshots": [
             {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "moved_m": snap.moved_m,
              "sequence": snap.frame.sequence}
@@ -129,25 +120,6 @@ def _content(state: SessionState) -> dict[str, Any]:
         "pairs": [pair.model_dump(mode="json") for pair in state.pairs],
         "choices": state.choices.model_dump(mode="json"),
     }  # fmt: skip
-
-
-def _state_of(content: dict[str, Any], folder: Path, rig: Rig) -> tuple[SessionState, list[str]]:
-    if content["version"] != _VERSION:
-        raise ValueError(f"version {content['version']} is not known here")
-    snapshots, missing = [], []
-    for entry in content["snapshots"]:
-        try:
-            frame = _read_images(_images_file(folder, entry["digest"]), entry["sequence"])
-            frame.check_against(rig)
-        except (OSError, ValueError, KeyError, TactuneError):
-            missing.append(entry["name"])
-            continue
-        snapshots.append(Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"]))
-    pairs = tuple(PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"])
-    state = SessionState(tuple(snapshots), pairs, Choices.model_validate_json(json.dumps(content["choices"])))
-    if state.snapshot is None:
-        state = state.with_choices(snapshot=snapshots[-1].digest if snapshots else "")
-    return state, missing
 
 
 def _images_file(folder: Path, digest: str) -> Path:
@@ -167,15 +139,3 @@ def _read_images(path: Path, sequence: int) -> SensorFrame:
     if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")
     return frame
-
-
-def _tidy(folder: Path) -> None:
-    """Remove images that no kept session mentions."""
-    with suppress(OSError, ValueError, KeyError, TypeError):
-        wanted = set()
-        for file in folder.glob("calibration-*.json"):
-            for entry in json.loads(file.read_text(encoding="utf-8"))["snapshots"]:
-                wanted.add(_images_file(folder, entry["digest"]).name)
-        for file in folder.glob("snapshot-*.npz"):
-            if file.name not in wanted:
-                file.unlink()

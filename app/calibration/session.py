@@ -7,17 +7,16 @@ from dataclasses import replace
 from typing import Any
 
 from PyQt6.QtCore import QObject, pyqtSignal
-from PyQt6.QtGui import QUndoStack
 
 from ...core.model.frames import Rig
-from ..document.state_step import StateStep
+from ..document.history import History
 from .state import PointPair, SessionState, Side, Snapshot
 
 DepthReader = Callable[[Snapshot, float, float], float | None]
 
 
-class Session(QObject):
-    """What the wizard's pages edit. State is immutable; every edit is one undoable step.
+class Session(History[SessionState]):
+    """What the wizard's pages edit; every edit is one undoable step.
 
     Parameters
     ----------
@@ -27,26 +26,17 @@ class Session(QObject):
 
     Signals
     -------
-    changed(SessionState)
     selectionChanged(tuple of int)
         Other pairs are selected; selecting is no step.
     """
 
-    changed = pyqtSignal(object)
     selectionChanged = pyqtSignal(object)
 
     def __init__(self, rig: Rig, read_depth: DepthReader, parent: QObject | None = None) -> None:
-        super().__init__(parent)
+        super().__init__(SessionState(), parent)
         self.rig = rig
-        self.undo_stack = QUndoStack(self)
         self._read_depth = read_depth
-        self._state = SessionState()
         self._selected: tuple[int, ...] = ()
-
-    @property
-    def state(self) -> SessionState:
-        """The state as it is now."""
-        return self._state
 
     @property
     def selected(self) -> tuple[int, ...]:
@@ -57,15 +47,9 @@ class Session(QObject):
         """Return a pair by its key."""
         return next(pair for pair in self._state.pairs if pair.key == key)
 
-    def edit(self, text: str, after: SessionState, gesture: int = 0) -> None:
-        """Make a state the present one, as one step; steps of one gesture become one."""
-        if after != self._state:
-            self.undo_stack.push(StateStep(text, self.show, self._state, after, gesture))
-
     def show(self, state: SessionState) -> None:
-        """Make a state the present one without a step: for undo, and for taking up kept work."""
-        self._state = state
-        self.changed.emit(state)
+        """Change the state without a step; pairs that are gone are no longer selected."""
+        super().show(state)
         present = {pair.key for pair in state.pairs}
         self.select(key for key in self._selected if key in present)
 
@@ -85,10 +69,6 @@ class Session(QObject):
         after = self._state.with_choices(**values)
         if after != self._state:
             self.show(after)
-
-    def close(self) -> None:
-        """Fall silent: a stack that is destroyed would tell widgets that are half gone."""
-        self.undo_stack.blockSignals(True)
 
     # Snapshots
 

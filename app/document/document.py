@@ -1,19 +1,19 @@
-"""The document: the preset being edited, the file that it belongs to, and its history."""
+"""The document: the preset being edited, the file that it belongs to, and its undo history."""
 
 from __future__ import annotations
 
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
-from PyQt6.QtGui import QUndoStack
 
 from ...core.errors import PresetError
 from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
 from ...core.sources.presets import load_preset
-from .commands import EditPreset
+from .history import History
 from .untouched_store import UntouchedStore
 
 
@@ -44,18 +44,19 @@ class Document(QObject):
 
     def __init__(self, preset: Preset | None = None, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._preset = preset or Preset()
+        self._history = History(preset or Preset(), self)
         self._path: Path | None = None
         #: Keeps untouched frames until the preset has a file.
         self.untouched_store: UntouchedStore | None = None
-        self.undo_stack = QUndoStack(self)
+        self.undo_stack = self._history.undo_stack
         self.undo_stack.setUndoLimit(1000)
         self.undo_stack.cleanChanged.connect(self._clean_changed)
+        self._history.changed.connect(self.presetChanged)
 
     @property
     def preset(self) -> Preset:
         """The preset as it is now."""
-        return self._preset
+        return self._history.state
 
     @property
     def path(self) -> Path | None:
@@ -66,9 +67,7 @@ class Document(QObject):
     def untouched_home(self) -> Path | None:
         """Beside which file the preset's untouched frame lies, as `load_untouched` takes it; None: nowhere yet."""
         return (
-            self._path
-            if self.untouched_store is None
-            else self.untouched_store.home(self._preset.untouched, self._path)
+            self._path if self.untouched_store is None else self.untouched_store.home(self.preset.untouched, self._path)
         )
 
     @property
@@ -79,7 +78,7 @@ class Document(QObject):
     @property
     def title(self) -> str:
         """The preset's name with the unsaved mark."""
-        return f"{self._preset.name} *" if self.dirty else self._preset.name
+        return f"{self.preset.name} *" if self.dirty else self.preset.name
 
     def edit(self, path: str, value: Any, gesture: int = 0) -> bool:
         """Change one field as one undoable step.
@@ -102,18 +101,13 @@ class Document(QObject):
     def edit_many(self, values: dict[str, Any], gesture: int = 0) -> bool:
         """Change several fields as one undoable step; see `edit`."""
         try:
-            after = self._preset.with_values(values)
+            after = self.preset.with_values(values)
         except PresetError as error:
             self.refused.emit(next(iter(values)), str(error))
             return False
-        if after != self._preset:
-            self.undo_stack.push(EditPreset(self, self._preset, after, tuple(sorted(values)), gesture))
+        paths = tuple(sorted(values))
+        self._history.edit(describe_edit(after, paths), after, gesture, target=paths)
         return True
-
-    def show_preset(self, preset: Preset) -> None:
-        """Make a preset the present one without a step; for undo commands."""
-        self._preset = preset
-        self.presetChanged.emit(preset)
 
     def new(self, preset: Preset) -> None:
         """Begin with a preset that has no file yet."""
@@ -144,17 +138,17 @@ class Document(QObject):
             A file cannot be written; the document stays unsaved.
         """
         lost = self._bring_untouched(path)
-        save_preset(self._preset.model_copy(update={"modified": now()}), path)
+        save_preset(self.preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()
-        self.baselineChanged.emit(self._preset)
+        self.baselineChanged.emit(self.preset)
         self.fileChanged.emit()
         if lost:
             self.warned.emit(lost)
 
     def _bring_untouched(self, to: Path) -> str:
         """Put the untouched frame beside the file to be, and return why it could not be read, if so."""
-        record, home = self._preset.untouched, self.untouched_home
+        record, home = self.preset.untouched, self.untouched_home
         if record is None or (home is not None and home.parent == to.parent):
             return ""
         try:
@@ -165,12 +159,50 @@ class Document(QObject):
 
     def _replace(self, preset: Preset, path: Path | None) -> None:
         self._path = path
-        self._preset = preset
-        self.undo_stack.clear()
-        self.undo_stack.setClean()
-        self.presetChanged.emit(preset)
+        self._history.start(preset)
         self.baselineChanged.emit(preset)
         self.fileChanged.emit()
 
     def _clean_changed(self, _: bool) -> None:
         self.fileChanged.emit()
+
+
+def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
+    """Say what an edit did, such as ``"Tolerance t 0.012"``, for the Edit menu."""
+    if paths == ("untouched",):
+        return "Capture untouched frame"
+    if len(paths) == 1:
+        return f"{field_title(paths[0])} {format_value(preset.value(paths[0]))}"
+    if len(paths) == 2:
+        return " and ".join(field_title(path) for path in paths).capitalize()
+    sections = sorted({path.split(".")[0] for path in paths})
+    return f"{', '.join(sections)} ({len(paths)} values)"
+
+
+def field_title(path: str) -> str:
+    """Return the title of a preset field for people, such as ``"Tolerance t"``."""
+    model: Any = Preset
+    title = path
+    for part in path.split("."):
+        field = model.model_fields[part]
+        title = field.title or part.replace("_", " ").capitalize()
+        model = field.annotation
+        if not (isinstance(model, type) and issubclass(model, BaseModel)):
+            break
+    return title
+
+
+def format_value(value: Any) -> str:
+    """Write a preset value short enough for a menu."""
+    if isinstance(value, bool):
+        return "on" if value else "off"
+    if isinstance(value, float):
+        return f"{value:.4g}"
+    if isinstance(value, tuple):
+        if any(isinstance(item, tuple) for item in value):
+            return "matrix"
+        return " - ".join(format_value(item) for item in value)
+    if value is None:
+        return "from the rig"
+    text = ", ".join(f"{name} {item:g}" for name, item in value.items()) if isinstance(value, dict) else str(value)
+    return text if len(text) <= 24 else text[:23] + "…"

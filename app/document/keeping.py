@@ -1,0 +1,168 @@
+"""State that outlives a crash: saved to disk soon after each change, by a thread, and read back later."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
+from datetime import datetime
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from PyQt6.QtCore import QLockFile, QObject, QTimer, pyqtSignal
+
+from ...core.errors import TactuneError
+from ...core.model.files import atomic_path
+from ...core.preset import now
+
+T = TypeVar("T")
+
+#: What reading a damaged JSON file, or one of another program, can raise.
+DAMAGE = (OSError, ValueError, KeyError, TypeError, TactuneError)
+
+
+class KeptState(QObject, Generic[T]):
+    """Keeps a file up to date with a state that changes.
+
+    Writing starts ``delay_ms`` after the last change. It happens on a thread of its own and in order, so a slow disk
+    never stalls the window. A subclass says what the state is (`present`), how it is written (`write`) and, if it is
+    read back, how (`parse`).
+
+    Parameters
+    ----------
+    folder : Path
+        Where the files lie.
+    noun : str
+        Name of the state in messages, such as ``"calibration"``.
+    delay_ms : int
+
+    Signals
+    -------
+    failed(sentence: str)
+        The state cannot be written, which is reported once, or a saved state cannot be read.
+    """
+
+    failed = pyqtSignal(str)
+    #: Advice at the end of the sentence that writing failed.
+    advice = ""
+
+    def __init__(self, folder: Path, noun: str, parent: QObject | None = None, delay_ms: int = 600) -> None:
+        super().__init__(parent)
+        self.folder = folder
+        #: The file to keep up to date; None writes nothing.
+        self.file: Path | None = None
+        self._noun = noun
+        self._written = self.present()
+        self._reported = False
+        self._disk = ThreadPoolExecutor(max_workers=1, thread_name_prefix=f"keep {noun}")
+        self._timer = QTimer(self)
+        self._timer.setSingleShot(True)
+        self._timer.setInterval(delay_ms)
+        self._timer.timeout.connect(self.flush)
+
+    def present(self) -> T:
+        """Return the present state, immutable and comparable."""
+        raise NotImplementedError
+
+    def write(self, state: T, file: Path) -> None:
+        """Write a state; called on the disk's thread. Raise `OSError` or `TactuneError` where that fails."""
+        raise NotImplementedError
+
+    def parse(self, content: dict[str, Any]) -> T:
+        """Return the state in a JSON file's content. Raise one of `DAMAGE` where there is none."""
+        raise NotImplementedError
+
+    def schedule(self, *_: object) -> None:
+        """Write soon; connect the signals of changes to it."""
+        self._timer.start()
+
+    def follow(self, file: Path | None, written: T) -> None:
+        """Keep another file up to date from now on, which holds the state ``written`` already."""
+        self.file, self._written = file, written
+
+    def flush(self) -> None:
+        """Start writing the present state now, unless the file holds it already."""
+        self._timer.stop()
+        state = self.present()
+        if self.file is not None and state != self._written:
+            self._written = state
+            self.on_disk(self._write, state, self.file)
+
+    def on_disk(self, work: Callable[..., object], *arguments: object) -> None:
+        """Do something on the disk's thread, after everything that was scheduled before."""
+        self._disk.submit(work, *arguments)
+
+    def close(self) -> None:
+        """Write the last state and wait for the disk."""
+        self.flush()
+        self.finish()
+
+    def finish(self) -> None:
+        """Wait for the disk; nothing is written afterwards."""
+        self._timer.stop()
+        self._disk.shutdown(wait=True)
+
+    def read(self, file: Path) -> tuple[T, datetime] | None:
+        """Return the state that `write_json` saved, and when; None without a file. A damaged file is renamed."""
+        try:
+            content = json.loads(file.read_text(encoding="utf-8"))
+            kept_at = datetime.fromisoformat(content["kept"])
+            return self.parse(content), kept_at
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except DAMAGE as error:
+            aside = file.with_suffix(".damaged")
+            with suppress(OSError):
+                file.replace(aside)
+            self.failed.emit(
+                f"The saved {self._noun} {file} cannot be read ({error}); it was set aside as {aside.name}."
+            )
+            return None
+
+    def _write(self, state: T, file: Path) -> None:
+        try:
+            self.write(state, file)
+        except (OSError, TactuneError) as error:
+            if not self._reported:
+                self._reported = True
+                self.failed.emit(f"The {self._noun} cannot be kept safe in {file.parent} ({error}){self.advice}.")
+
+
+def write_json(file: Path, content: dict[str, Any]) -> None:
+    """Write a JSON file as a whole or not at all, with the time for `KeptState.read`."""
+    with atomic_path(file) as temporary:
+        temporary.write_text(json.dumps({"kept": now().isoformat(), **content}), encoding="utf-8")
+
+
+def check_version(content: dict[str, Any], version: int) -> None:
+    """Raise `ValueError` where a saved state is of another version."""
+    if content["version"] != version:
+        raise ValueError(f"version {content['version']} is not supported")
+
+
+def lock_of(file: Path) -> QLockFile:
+    """Return the lock beside a file, which tells a window that is running from one that has died."""
+    lock = QLockFile(str(file.with_suffix(".lock")))
+    lock.setStaleLockTime(0)
+    return lock
+
+
+def remove_unnamed(
+    folder: Path, states: str, names: Callable[[dict[str, Any]], Iterable[str]], attachments: str
+) -> None:
+    """Remove attached files that no saved state names; remove none where a state cannot be read.
+
+    Parameters
+    ----------
+    folder : Path
+    states, attachments : str
+        Glob patterns of the JSON files and of what they name.
+    names : callable
+        Returns the file names in the content of one JSON file.
+    """
+    with suppress(*DAMAGE):
+        wanted = {name for file in folder.glob(states) for name in names(json.loads(file.read_text(encoding="utf-8")))}
+        for file in folder.glob(attachments):
+            if file.name not in wanted:
+                file.unlink()
