@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import RigMismatchError
-from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Int64Array, Uint16Array
+from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Uint16Array
 from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..preset import AlignmentSection
@@ -51,24 +51,23 @@ class AlignmentModel:
 
     Attributes
     ----------
-    size : tuple of int
-        Width and height of the proximity image, then of the tactile image.
-    tables : tuple
-        See ``model`` in `tactune.core.contact.kernels.chain`.
+    tables : kernels.Alignment
     """
 
-    size: tuple[int, int, int, int]
-    tables: tuple[bool, Float32Array, Float32Array, Int32Array, int, Float32Array]
+    tables: kernels.Alignment
 
-    def align(self, proximity: Uint16Array, tactile: Uint16Array, region: Int64Array) -> AlignedDepth:
-        """Return both depths for every proximity pixel of a region (left, top, right, bottom)."""
+    @property
+    def size(self) -> kernels.ImageSizes:
+        """Sizes of both depth images."""
+        return self.tables.size
+
+    def align(self, proximity: Uint16Array, tactile: Uint16Array, region: kernels.Region) -> AlignedDepth:
+        """Return both depths for every proximity pixel of a region."""
         aligned = AlignedDepth.empty(proximity.shape)
-        images = flat(proximity), flat(tactile)
+        images = kernels.DepthImages(flat(proximity), flat(tactile))
         expected, measured = aligned.expected_m.reshape(-1), aligned.measured_m.reshape(-1)
         by_rows(
-            lambda first, last: kernels.align_rows(
-                *images, self.size, self.tables, region, first, last, expected, measured
-            ),
+            lambda first, last: kernels.align_rows(images, self.tables, region, first, last, expected, measured),
             len(proximity),
         )
         return aligned
@@ -78,14 +77,15 @@ class AlignmentModel:
 
         nan where there is none, as behind the camera; they may lie outside the image.
         """
-        rigid, units, planes, table, *_ = self.tables
-        if not rigid:
-            partners = table[pixels]
-            width = self.size[2]
+        tables = self.tables
+        if not tables.rigid:
+            partners = tables.table[pixels]
+            width = tables.size.tactile_width
             u, v = (np.where(partners >= 0, part, np.nan) for part in (partners % width, partners // width))
             return u.astype(np.float32), v.astype(np.float32)
-        count = self.size[0] * self.size[1]
-        points = np.stack([planes[axis * count + pixels] * depth_m + units[3 + axis] for axis in range(3)], axis=1)
+        count = tables.size.width * tables.size.height
+        planes, translation = tables.planes, tables.translation_m
+        points = np.stack([planes[axis * count + pixels] * depth_m + translation[axis] for axis in range(3)], axis=1)
         points[points[:, 2] <= 0] = np.nan
         u, v = rig.tactile.intrinsics.project(points).astype(np.float32).T
         return u, v
@@ -111,9 +111,21 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     else:
         shapes = (height, width), (tactile_height, tactile_width)
         table = flat(homography_table(tactile_homography(section, rig), *shapes))
-    units = np.array([rig.proximity.depth_unit_m, factor, offset, *translation], np.float32)
     lens, camera = lens_parameters(rig.tactile.intrinsics)
-    return AlignmentModel((width, height, tactile_width, tactile_height), (rigid, units, planes, table, lens, camera))
+    return AlignmentModel(
+        kernels.Alignment(
+            rigid,
+            kernels.ImageSizes(width, height, tactile_width, tactile_height),
+            np.float32(rig.proximity.depth_unit_m),
+            np.float32(factor),
+            np.float32(offset),
+            translation.astype(np.float32),
+            planes,
+            table,
+            lens,
+            camera,
+        )
+    )
 
 
 def tactile_pose(section: AlignmentSection, rig: Rig) -> Float64Array:

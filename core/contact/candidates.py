@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from ..model.arrays import BoolArray, Float32Array, IndexArray, Int64Array, Uint8Array
+from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ..model.frames import Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..model.provenance import Provenance
@@ -22,7 +22,7 @@ from .kernels.colors import hsv_limits
 from .kernels.compiling import kernel
 from .kernels.simd import LANES
 from .kernels.threads import by_rows
-from .masking import color_model
+from .masking import color_lookup_of
 from .outliers.clusters import in_large_cluster
 from .outliers.statistical import NeighbourMemory
 
@@ -78,39 +78,48 @@ def _compact(which: Any, pixels: Any, points: Any, pixels_out: Any, points_out: 
             count += 1
 
 
+def depth_images(frame: SensorFrame) -> kernels.DepthImages:
+    """Return the depth images of a frame as the kernels take them."""
+    return kernels.DepthImages(flat(frame.proximity_depth), flat(frame.tactile_depth))
+
+
 class PixelTests:
     """What a preset and rig say of single pixels, with tables and buffers. For one thread at a time.
 
     Attributes
     ----------
-    limits : float32
-        Nearest and farthest depth and the tolerance, as `kernels.classify_rows` takes them.
+    test : kernels.PixelTest
     """
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
         self.alignment = alignment
-        self.coarse = CoarseTest(alignment)
-        self.region: Int64Array = region_bounds(preset.region, rig.proximity.intrinsics.shape)
-        self.limits = depth_limits(preset.range, preset.tolerance)
-        self._rays = ray_planes(rig.proximity.intrinsics)
-        self._color = color_model(rig)
+        self.coarse = CoarseTest(alignment.tables)
+        camera = rig.proximity.intrinsics
+        self.test = kernels.PixelTest(
+            alignment.tables,
+            region_bounds(preset.region, camera.shape),
+            depth_limits(preset.range, preset.tolerance),
+            ray_planes(camera),
+        )
+        self._lookup = color_lookup_of(rig)
         self._hsv = hsv_limits(preset.mask) if preset.mask.enabled else _NO_LIMITS
 
     def aligned(self, frame: SensorFrame) -> AlignedDepth:
         """Return both sides of the tolerance test."""
-        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.region)
+        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.test.region)
+
+    def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
+        """Return the colour mask of a frame."""
+        return kernels.ColorTest(self._lookup, flat(frame.proximity_color, 3 * LANES), self._hsv)
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range and tolerance; candidates have CONTACT."""
         provenance = np.empty(frame.proximity_depth.shape, np.uint8)
-        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
+        images, verdicts = depth_images(frame), provenance.reshape(-1)
         by_rows(
-            lambda first, last: kernels.classify_rows(
-                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, first, last,
-                provenance.reshape(-1),
-            ),
+            lambda first, last: kernels.classify_rows(images, self.test, first, last, verdicts),
             len(provenance),
-        )  # fmt: skip
+        )
         return provenance
 
 
@@ -120,18 +129,16 @@ class CandidateFinder(PixelTests):
     def find(self, frame: SensorFrame, buffers: CandidateBuffers) -> Candidates:
         """Return the pixels that pass the tolerance test and the colour mask."""
         height, width = frame.proximity_depth.shape
-        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-        tiles, possible = self.coarse.tiles(*images, self.limits)
+        images = depth_images(frame)
+        tiles, possible = self.coarse.tiles(images, self.test.limits)
         if possible == 0:
             return NO_CANDIDATES
-        image = flat(frame.proximity_color, 3 * LANES)
+        color = self.color_test(frame)
+        out = kernels.CandidateArrays(buffers.pixels, buffers.points.reshape(-1))
         counts: dict[int, int] = {}
 
         def find_rows(first: int, last: int) -> None:
-            counts[first * width] = kernels.find_candidates(
-                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, self._rays,
-                image, self._color, self._hsv, tiles, first, last, buffers.pixels, buffers.points.reshape(-1),
-            )  # fmt: skip
+            counts[first * width] = kernels.find_candidates(images, self.test, color, tiles, first, last, out)
 
         if possible <= _TILES_ALONE:
             find_rows(0, height)

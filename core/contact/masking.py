@@ -8,6 +8,7 @@ from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ..model.frames import Rig
 from ..preset import MaskSection
 from .flat import flat
+from .kernels.chain import ColorLookup
 from .kernels.colors import color_lookup, colors_in_range, hsv_limits
 from .kernels.lenses import lens_parameters
 from .kernels.simd import LANES
@@ -63,12 +64,12 @@ def colors_at(points: Float32Array, pixels: IndexArray, image: Uint8Array, rig: 
     return colors, seen
 
 
-def color_model(rig: Rig) -> tuple[bool, Float32Array, int, Float32Array, int, int]:
-    """Return the colour camera as `kernels.find_candidates` takes it."""
+def color_lookup_of(rig: Rig) -> ColorLookup:
+    """Return where the colour of a proximity point is looked up."""
     if rig.proximity_color is None:
         lens = rig.proximity.intrinsics
-        return False, np.zeros(12, np.float32), 0, np.zeros(9, np.float32), lens.width, lens.height
+        return ColorLookup(False, np.zeros(12, np.float32), 0, np.zeros(9, np.float32), lens.width, lens.height)
     T_c_d = np.asarray(rig.proximity_color.T_color_depth, dtype=np.float32)
     transform = np.concatenate([T_c_d[:3, :3].ravel(), T_c_d[:3, 3]])
     camera = rig.proximity_color.intrinsics
-    return True, transform, *lens_parameters(camera), camera.width, camera.height
+    return ColorLookup(True, transform, *lens_parameters(camera), camera.width, camera.height)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from ..contact.alignment import make_alignment, tactile_homography, tactile_pose
+from ..contact.kernels.chain import Region
 from ..errors import FrameError, RigMismatchError
 from ..model.arrays import BoolArray, Float32Array, Int64Array, Uint16Array
 from ..model.clouds import ray_table, valid_depth
@@ -248,11 +249,11 @@ def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSecti
     """
     _window(region, rig.proximity, "proximity")
     left, top, width, height = region
-    ends = np.array([left, top, left + width, top + height], np.int64)
+    pixels = Region(left, top, left + width, top + height)
     model = make_alignment(section, rig)
     differences, depths = [], []
     for frame in frames:
-        aligned = model.align(frame.proximity_depth, frame.tactile_depth, ends)
+        aligned = model.align(frame.proximity_depth, frame.tactile_depth, pixels)
         expected = aligned.expected_m[top : top + height, left : left + width].astype(np.float64)
         difference = expected - aligned.measured_m[top : top + height, left : left + width]
         both = np.isfinite(difference)

@@ -15,6 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..contact.alignment import make_alignment, tactile_homography
+from ..contact.kernels.chain import Region
 from ..errors import FrameError
 from ..model.arrays import AnyArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import valid_depth
@@ -109,7 +110,7 @@ def pressed_depths(
     membrane = np.where(seen & often, rest.astype(np.float32) - tactile, np.float32(np.nan)) * np.float32(unit)
     object_ = np.empty((len(samples), *samples[0].proximity_depth.shape), np.float32)
     coarse = make_alignment(_coarse_section(section, rig), _coarse_rig(rig))
-    everywhere = np.array([0, 0, object_.shape[2], object_.shape[1]], np.int64)
+    everywhere = Region(0, 0, object_.shape[2], object_.shape[1])
     for index, sample in enumerate(samples):
         aligned = coarse.align(sample.proximity_depth, rest, everywhere)
         object_[index] = np.maximum(aligned.measured_m - aligned.expected_m, np.float32(0.0))

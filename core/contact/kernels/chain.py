@@ -1,29 +1,18 @@
 """The per-pixel chain, compiled: sixteen pixels at once, in float32 with one fixed order of operations.
 
-`tactune.core.bench.reference_pipeline` repeats that order in NumPy, so both give the same bits on every input: nothing
-here uses fast-math, and threads only ever split rows.
+`tactune.core.bench.reference_pipeline` repeats that order in NumPy, so both give the same bits on every input. Nothing
+here uses fast-math, and threads split the work by rows only.
 
-All kernels take the same first arguments:
-
-counts, tactile : uint16, flat
-    Proximity and tactile counts; these and all other flat arrays have at least `LANES` elements (a plane).
-size : tuple of int
-    Width and height of the proximity image, then of the tactile image.
-model : tuple
-    Of an alignment model: ``(rigid, units, planes, table, lens, camera)``. ``units`` (float32) holds metres
-    a proximity count, factor and offset from tactile counts to metres, and the translation (3).
-    ``planes`` (float32, flat) holds x, y and z of each proximity ray rotated into the tactile frame;
-    ``table`` (int32, flat) the tactile pixel of each proximity pixel, -1 for none. A model has one of both.
-region : int64, (4,)
-    Left, top, right, bottom; right and bottom exclusive.
+The arguments of the kernels are grouped in the tuples below. Flat arrays of pixels have at least `LANES` elements.
 """
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from ...model.arrays import Float32Array, Int32Array, Int64Array, Uint8Array, Uint16Array
 from ...model.provenance import Provenance
 from .colors import lanes_in_range
 from .compiling import inline, kernel
@@ -35,22 +24,28 @@ from .simd import (
     count_ones,
     count_trailing_zeros,
     flags,
+    float_scratch,
     floats,
     floor,
+    gather,
+    gather_colors,
+    int_scratch,
     ints,
     lane_numbers,
     load,
+    load_colors,
     store,
+    store_numbers,
+    store_points,
     to_floats,
     to_ints,
     where,
 )
-from .simd_memory import float_scratch, gather, gather_colors, int_scratch, load_colors, store_numbers, store_points
 
-_two_vectors, _three_vectors = float_scratch(2 * LANES), float_scratch(3 * LANES)
+_float_vector, _three_vectors = float_scratch(LANES), float_scratch(3 * LANES)
 _int_vector = int_scratch(LANES)
 
-#: Rows of a tile; it is `LANES` columns wide.
+#: Rows of an image tile; it is `LANES` columns wide.
 TILE_ROWS: Final = 8
 
 _HALF = np.float32(0.5)
@@ -68,11 +63,158 @@ _OUTSIDE_TOLERANCE = np.int32(Provenance.OUTSIDE_TOLERANCE)
 _CONTACT = np.int32(Provenance.CONTACT)
 
 
+class DepthImages(NamedTuple):
+    """Raw depth images of one frame.
+
+    Attributes
+    ----------
+    proximity, tactile : uint16, flat
+        Counts; 0 and 65535 are no depth.
+    """
+
+    proximity: Uint16Array
+    tactile: Uint16Array
+
+
+class ImageSizes(NamedTuple):
+    """Width and height of the proximity and of the tactile depth image, pixels."""
+
+    width: int
+    height: int
+    tactile_width: int
+    tactile_height: int
+
+
+class Alignment(NamedTuple):
+    """An alignment model: the tactile pixel and the expected tactile depth of each proximity pixel.
+
+    Attributes
+    ----------
+    rigid : bool
+        Whether the rigid model applies, which uses ``planes``, ``lens`` and ``camera``; otherwise ``table`` applies.
+    size : ImageSizes
+    proximity_unit_m : float32
+        Metres of one proximity count.
+    tactile_unit_m, tactile_offset_m : float32
+        Metres of one tactile count, and the offset added to it, both after depth correction.
+    translation_m : float32, shape (3,)
+        Of ``T_t_p``, metres.
+    planes : float32, flat
+        x, then y, then z of each proximity ray rotated into the tactile frame. Empty for a homography.
+    table : int32, flat
+        Tactile pixel of each proximity pixel, -1 for none. Empty for the rigid model.
+    lens : int
+        Lens model of the tactile camera, as in `lenses`.
+    camera : float32, shape (9,)
+        Its parameters, from `lenses.lens_parameters`.
+    """
+
+    rigid: bool
+    size: ImageSizes
+    proximity_unit_m: np.float32
+    tactile_unit_m: np.float32
+    tactile_offset_m: np.float32
+    translation_m: Float32Array
+    planes: Float32Array
+    table: Int32Array
+    lens: int
+    camera: Float32Array
+
+
+class Region(NamedTuple):
+    """A rectangle of proximity pixels; ``right`` and ``bottom`` are exclusive."""
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+
+
+class DepthLimits(NamedTuple):
+    """Nearest and farthest proximity depth considered (metres, float32), and the tolerance t (float32)."""
+
+    nearest_m: np.float32
+    farthest_m: np.float32
+    tolerance: np.float32
+
+
+class PixelTest(NamedTuple):
+    """Everything but the colour that decides about a pixel.
+
+    Attributes
+    ----------
+    alignment : Alignment
+    region : Region
+    limits : DepthLimits
+    rays : float32, flat
+        x / z, then y / z of each proximity ray.
+    """
+
+    alignment: Alignment
+    region: Region
+    limits: DepthLimits
+    rays: Float32Array
+
+
+class ColorLookup(NamedTuple):
+    """Where the colour of a proximity point is looked up.
+
+    Attributes
+    ----------
+    separate : bool
+        Whether the colour camera stands apart from the depth camera. Otherwise both images share their pixels, and
+        the other fields are not used.
+    transform : float32, shape (12,)
+        Rotation (row by row) and translation (metres) from the depth to the colour frame.
+    lens, camera
+        Lens model of the colour camera, as in `Alignment`.
+    width, height : int
+        Of the colour image.
+    """
+
+    separate: bool
+    transform: Float32Array
+    lens: int
+    camera: Float32Array
+    width: int
+    height: int
+
+
+class ColorTest(NamedTuple):
+    """The colour mask of one frame.
+
+    Attributes
+    ----------
+    lookup : ColorLookup
+    image : uint8, flat
+        Proximity colours, RGB.
+    hsv : int64, shape (6,) or (0,)
+        Range of colours that are masked, from `colors.hsv_limits`; empty for no mask.
+    """
+
+    lookup: ColorLookup
+    image: Uint8Array
+    hsv: Int64Array
+
+
+class CandidateArrays(NamedTuple):
+    """Where `find_candidates` writes: flat pixels (int64) and their points (float32, flat, x, y, z), metres."""
+
+    pixels: Int64Array
+    points: Float32Array
+
+
+@inline
+def plane_size(size: Any) -> Any:
+    """Return the number of elements of a plane of proximity pixels."""
+    return max(size.width * size.height, LANES)
+
+
 @inline
 def vector_place(v: Any, u: Any, width: Any, size: Any) -> Any:
     """Return where to load the pixels from (v, u) on, and how many lanes lie before u.
 
-    At the very end of an image the vector begins a few pixels earlier, so as not to reach beyond.
+    At the very end of an image the vector begins a few pixels earlier, so that it does not reach beyond the end.
     """
     start = v * width + u
     place = min(start, size - LANES)
@@ -81,7 +223,7 @@ def vector_place(v: Any, u: Any, width: Any, size: Any) -> Any:
 
 @inline
 def lane_columns(u: Any, before: Any) -> Any:
-    """Return each lane's column; of lanes before ``u`` it is below ``u``."""
+    """Return each lane's column; lanes before ``u`` have a column below ``u``."""
     return lane_numbers() + ints(np.int32(u - before))
 
 
@@ -98,6 +240,20 @@ def is_depth(counts: Any) -> Any:
 
 
 @inline
+def store_lanes(out: Any, start: Any, count: Any, lanes: Any, before: Any, buffer: Any) -> None:
+    """Write lanes ``before`` onwards to elements ``start`` to ``start + count - 1``, at most `LANES` of them.
+
+    ``buffer`` holds one vector. With ``count`` >= `LANES`, ``before`` must be 0.
+    """
+    if count >= LANES:
+        store(out, start, lanes)
+    else:
+        store(buffer, 0, lanes)
+        for i in range(count):
+            out[start + i] = buffer[before + i]
+
+
+@inline
 def nearest_pixel(u: Any, v: Any, width: Any, height: Any) -> Any:
     """Return whether pixel coordinates lie in an image, and the flat pixel; 0 where they do not."""
     half = floats(_HALF)
@@ -109,127 +265,123 @@ def nearest_pixel(u: Any, v: Any, width: Any, height: Any) -> Any:
 
 
 @inline
-def both_depths(place: Any, pixels: Any, depth: Any, valid: Any, tactile: Any, size: Any, model: Any) -> Any:
-    """Return dp and dt of the tolerance test, and in which lanes there is each; ``pixels`` is the image's size."""
-    rigid, units, planes, table, lens, camera = model
-    if rigid:
-        z = load(planes, 2 * pixels + place) * depth + floats(units[5])
+def both_depths(place: Any, depth: Any, valid: Any, tactile: Any, alignment: Any) -> Any:
+    """Return dp and dt of the tolerance test, each followed by the lanes that have it.
+
+    ``place`` is the first lane's proximity pixel, ``depth`` the proximity depth (metres) of the ``valid`` lanes.
+    """
+    size = alignment.size
+    if alignment.rigid:
+        planes, translation = alignment.planes, alignment.translation_m
+        z = load(planes, 2 * plane_size(size) + place) * depth + floats(translation[2])
         has_expected = valid & (z > floats(_ZERO))
-        x = load(planes, place) * depth + floats(units[3])
-        y = load(planes, pixels + place) * depth + floats(units[4])
-        u, v = project_lanes(x, y, z, lens, camera)
-        inside, partner = nearest_pixel(u, v, size[2], size[3])
+        x = load(planes, place) * depth + floats(translation[0])
+        y = load(planes, plane_size(size) + place) * depth + floats(translation[1])
+        u, v = project_lanes(x, y, z, alignment.lens, alignment.camera)
+        inside, partner = nearest_pixel(u, v, size.tactile_width, size.tactile_height)
         inside = inside & has_expected
         expected = z
     else:
-        partner = load(table, place)
+        partner = load(alignment.table, place)
         inside = valid & (partner >= ints(_NONE))
         has_expected = valid
         expected = depth
     seen = gather(tactile, where(inside, partner, ints(_NONE)))
-    measured = to_floats(seen) * floats(units[1]) + floats(units[2])
+    measured = to_floats(seen) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
     return expected, has_expected, measured, inside & is_depth(seen)
 
 
 @inline
-def colors_seen(x: Any, y: Any, depth: Any, place: Any, image: Any, color: Any) -> Any:
-    """Return red, green and blue at which the colour camera sees points, and in which lanes it does.
+def colors_seen(x: Any, y: Any, depth: Any, place: Any, color: Any) -> Any:
+    """Return red, green and blue of points (metres, depth frame), and the lanes that the colour camera sees.
 
-    ``place`` is the first lane's depth pixel; ``image`` and ``color`` are those of `find_candidates`.
+    ``place`` is the first lane's depth pixel, ``color`` a `ColorTest`.
     """
-    own, transform, lens, camera, width, height = color
-    if own:
+    lookup = color.lookup
+    if lookup.separate:
+        transform = lookup.transform
         cx = floats(transform[0]) * x + floats(transform[1]) * y
         cx = cx + floats(transform[2]) * depth + floats(transform[9])
         cy = floats(transform[3]) * x + floats(transform[4]) * y
         cy = cy + floats(transform[5]) * depth + floats(transform[10])
         cz = floats(transform[6]) * x + floats(transform[7]) * y
         cz = cz + floats(transform[8]) * depth + floats(transform[11])
-        cu, cv = project_lanes(cx, cy, cz, lens, camera)
-        inside, there = nearest_pixel(cu, cv, width, height)
-        red, green, blue = gather_colors(image, where(inside, there, ints(_NONE)))
+        cu, cv = project_lanes(cx, cy, cz, lookup.lens, lookup.camera)
+        inside, there = nearest_pixel(cu, cv, lookup.width, lookup.height)
+        red, green, blue = gather_colors(color.image, where(inside, there, ints(_NONE)))
         seen = inside & (cz > floats(_ZERO))
     else:
-        red, green, blue = load_colors(image, place)
+        red, green, blue = load_colors(color.image, place)
         seen = flags(_ALL_LANES)
     return red, green, blue, seen
 
 
+@inline
+def is_masked(x: Any, y: Any, depth: Any, place: Any, color: Any) -> Any:
+    """Return in which lanes the colour of points is known and lies in the mask's range."""
+    red, green, blue, seen = colors_seen(x, y, depth, place, color)
+    return lanes_in_range(red, green, blue, color.hsv) & seen
+
+
 @kernel
-def align_rows(
-    counts: Any, tactile: Any, size: Any, model: Any, region: Any, first: Any, last: Any, expected: Any, measured: Any
-) -> None:
+def align_rows(images: Any, alignment: Any, region: Any, first: Any, last: Any, expected: Any, measured: Any) -> None:
     """Write both sides of the tolerance test for rows ``first`` to ``last - 1``; nan where there is none.
 
-    ``expected`` and ``measured`` are float32, flat.
+    ``images`` are `DepthImages`, ``alignment`` is an `Alignment`, ``region`` a `Region`; ``expected`` and
+    ``measured`` (metres) are float32, flat.
     """
-    width, height = size[0], size[1]
-    pixels = max(width * height, LANES)
-    buffer = _two_vectors()
+    width, pixels = alignment.size.width, plane_size(alignment.size)
+    buffer = _float_vector()
     for v in range(first, last):
         for u in range(0, width, LANES):
             place, before = vector_place(v, u, width, pixels)
-            count = load(counts, place)
-            depth = to_floats(count) * floats(model[1][0])
+            count = load(images.proximity, place)
+            depth = to_floats(count) * floats(alignment.proximity_unit_m)
             column = lane_columns(u, before)
-            valid = is_depth(count) & within(column, max(u, region[0]), region[2])
-            if v < region[1] or v >= region[3]:
+            valid = is_depth(count) & within(column, max(u, region.left), region.right)
+            if v < region.top or v >= region.bottom:
                 valid = valid & (column < ints(_NONE))
-            dp, has_dp, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
-            dp, dt = where(has_dp, dp, floats(_NAN)), where(has_dt, dt, floats(_NAN))
-            if u + LANES <= width:
-                store(expected, place, dp)
-                store(measured, place, dt)
-                continue
-            store(buffer, 0, dp)
-            store(buffer, LANES, dt)
-            for i in range(min(LANES, width - u)):
-                expected[v * width + u + i] = buffer[before + i]
-                measured[v * width + u + i] = buffer[LANES + before + i]
+            dp, has_dp, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
+            start = v * width + u
+            store_lanes(expected, start, width - u, where(has_dp, dp, floats(_NAN)), before, buffer)
+            store_lanes(measured, start, width - u, where(has_dt, dt, floats(_NAN)), before, buffer)
 
 
 @kernel
-def classify_rows(
-    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, first: Any, last: Any, provenance: Any
-) -> None:
-    """Write the verdict of depth, region, range and tolerance for some rows; candidates get CONTACT.
+def classify_rows(images: Any, test: Any, first: Any, last: Any, provenance: Any) -> None:
+    """Write the verdict of depth, region, range and tolerance for rows ``first`` to ``last - 1``.
 
-    ``limits`` (float32) holds nearest and farthest depth and the tolerance; ``provenance`` is uint8, flat.
+    Candidates get CONTACT. ``images`` are `DepthImages`, ``test`` is a `PixelTest`, ``provenance`` is uint8, flat.
     """
-    width, height = size[0], size[1]
-    pixels = max(width * height, LANES)
+    alignment, region, limits = test.alignment, test.region, test.limits
+    width, pixels = alignment.size.width, plane_size(alignment.size)
     buffer = _int_vector()
     for v in range(first, last):
-        row_in_region = v >= region[1] and v < region[3]
+        row_in_region = v >= region.top and v < region.bottom
         for u in range(0, width, LANES):
             place, before = vector_place(v, u, width, pixels)
-            count = load(counts, place)
-            depth = to_floats(count) * floats(model[1][0])
+            count = load(images.proximity, place)
+            depth = to_floats(count) * floats(alignment.proximity_unit_m)
             column = lane_columns(u, before)
             has_depth = is_depth(count)
-            in_region = within(column, region[0], region[2])
+            in_region = within(column, region.left, region.right)
             if not row_in_region:
                 in_region = column < ints(_NONE)
             valid = has_depth & in_region & (column >= ints(np.int32(u)))
-            dp, has_dp, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
-            agrees = absolute(dp - dt) <= floats(limits[2]) * absolute(dp)
+            dp, has_dp, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
+            agrees = absolute(dp - dt) <= floats(limits.tolerance) * absolute(dp)
             verdict = where(agrees, ints(_CONTACT), ints(_OUTSIDE_TOLERANCE))
             verdict = where(has_dp & has_dt, verdict, ints(_NO_TACTILE_DEPTH))
-            out_of_range = (depth < floats(limits[0])) | (depth > floats(limits[1]))
+            out_of_range = (depth < floats(limits.nearest_m)) | (depth > floats(limits.farthest_m))
             verdict = where(out_of_range, ints(_OUTSIDE_RANGE), verdict)
             verdict = where(in_region, verdict, ints(_OUTSIDE_REGION))
             verdict = where(has_depth, verdict, ints(_NO_PROXIMITY_DEPTH))
-            if u + LANES <= width:
-                store(provenance, place, verdict)
-                continue
-            store(buffer, 0, verdict)
-            for i in range(min(LANES, width - u)):
-                provenance[v * width + u + i] = np.uint8(buffer[before + i])
+            store_lanes(provenance, v * width + u, width - u, verdict, before, buffer)
 
 
 @kernel
 def count_changed(before: Any, after: Any, noise: Any) -> Any:
-    """Return how many of two depth images' pixels differ by more than ``noise`` counts, or in having a depth."""
+    """Return the number of pixels of two depth images that differ by more than ``noise`` counts or in having depth."""
     changed = 0
     low, high = ints(np.int32(-noise)), ints(np.int32(noise))
     last = before.shape[0] - LANES
@@ -243,76 +395,73 @@ def count_changed(before: Any, after: Any, noise: Any) -> Any:
     return changed
 
 
+@inline
+def _append_points(x: Any, y: Any, depth: Any, place: Any, chosen: Any, kept: Any, buffer: Any, out: Any) -> Any:
+    """Append the pixels and points of the lanes in the bits ``chosen``; return the new number of points.
+
+    ``place`` is the first lane's pixel, ``kept`` the number of points so far; ``buffer`` holds three vectors.
+    """
+    if chosen == _ALL_LANES:
+        store_points(out.points, 3 * kept, x, y, depth)
+        store_numbers(out.pixels, kept, place)
+        kept += LANES
+    else:
+        store(buffer, 0, x)
+        store(buffer, LANES, y)
+        store(buffer, 2 * LANES, depth)
+        while chosen != 0:
+            lane = count_trailing_zeros(chosen)
+            out.pixels[kept] = place + lane
+            out.points[3 * kept] = buffer[lane]
+            out.points[3 * kept + 1] = buffer[LANES + lane]
+            out.points[3 * kept + 2] = buffer[2 * LANES + lane]
+            kept += 1
+            chosen &= chosen - 1
+    return kept
+
+
 @kernel
-def find_candidates(
-    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, rays: Any, image: Any, color: Any,
-    hsv: Any, tiles: Any, first: Any, last: Any, pixels_out: Any, points_out: Any
-) -> Any:  # fmt: skip
+def find_candidates(images: Any, test: Any, color: Any, tiles: Any, first: Any, last: Any, out: Any) -> Any:
     """Find the pixels of rows ``first`` to ``last - 1`` that pass the tolerance test and the colour mask.
 
     Parameters
     ----------
-    rays : float32, flat
-        x / z, then y / z of each proximity ray.
-    image : uint8, flat
-        Proximity colours.
-    color : tuple
-        ``(own, transform, lens, camera, width, height)``; ``own`` tells whether the colour camera stands apart,
-        ``transform`` (float32, (12,)) holds rotation and translation from depth to colour, and the last two
-        are the colour image's size.
-    hsv : int64, (6,) or (0,)
-        Range of colours to leave out, from `colors.hsv_limits`; empty for no mask.
-    tiles : bool, (rows of tiles, tiles in a row)
+    images : DepthImages
+    test : PixelTest
+    color : ColorTest
+    tiles : bool, shape (rows of image tiles, tiles in a row)
         False where `coarse` has shown that a tile of `TILE_ROWS` x `LANES` pixels has no candidate.
-    pixels_out, points_out : int64 and float32 (flat, three a point), written from point ``first * width`` on
-        Those pixels and their points, in order.
+    out : CandidateArrays
+        Written from element ``first * width`` on, in the order of the pixels.
 
     Returns
     -------
     int
-        How many.
+        Number of candidates.
     """
-    width, height = size[0], size[1]
-    pixels = max(width * height, LANES)
-    point = _three_vectors()
-    has_mask = hsv.shape[0] > 0
+    alignment, region, limits, rays = test.alignment, test.region, test.limits, test.rays
+    width, pixels = alignment.size.width, plane_size(alignment.size)
+    buffer = _three_vectors()
     kept = first * width
-    for v in range(max(first, region[1]), min(last, region[3])):
-        for u in range(region[0] // LANES * LANES, region[2], LANES):
+    for v in range(max(first, region.top), min(last, region.bottom)):
+        for u in range(region.left // LANES * LANES, region.right, LANES):
             if not tiles[v // TILE_ROWS, u // LANES]:
                 continue
             place, before = vector_place(v, u, width, pixels)
-            count = load(counts, place)
-            depth = to_floats(count) * floats(model[1][0])
+            count = load(images.proximity, place)
+            depth = to_floats(count) * floats(alignment.proximity_unit_m)
             column = lane_columns(u, before)
-            valid = is_depth(count) & within(column, max(u, region[0]), region[2])
-            valid = valid & (depth >= floats(limits[0])) & (depth <= floats(limits[1]))
+            valid = is_depth(count) & within(column, max(u, region.left), region.right)
+            valid = valid & (depth >= floats(limits.nearest_m)) & (depth <= floats(limits.farthest_m))
             if bits(valid) == 0:
                 continue
-            dp, _, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
-            passes = has_dt & (absolute(dp - dt) <= floats(limits[2]) * absolute(dp))
+            dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, alignment)
+            passes = has_dt & (absolute(dp - dt) <= floats(limits.tolerance) * absolute(dp))
             if bits(passes) == 0:
                 continue
             x = load(rays, place) * depth
             y = load(rays, pixels + place) * depth
-            if has_mask:
-                red, green, blue, seen = colors_seen(x, y, depth, place, image, color)
-                passes = passes & ~(lanes_in_range(red, green, blue, hsv) & seen)
-            remaining = bits(passes)
-            if remaining == _ALL_LANES:
-                store_points(points_out, 3 * kept, x, y, depth)
-                store_numbers(pixels_out, kept, place)
-                kept += LANES
-                continue
-            store(point, 0, x)
-            store(point, LANES, y)
-            store(point, 2 * LANES, depth)
-            while remaining != 0:
-                lane = count_trailing_zeros(remaining)
-                pixels_out[kept] = place + lane
-                points_out[3 * kept] = point[lane]
-                points_out[3 * kept + 1] = point[LANES + lane]
-                points_out[3 * kept + 2] = point[2 * LANES + lane]
-                kept += 1
-                remaining &= remaining - 1
+            if color.hsv.shape[0] > 0:
+                passes = passes & ~is_masked(x, y, depth, place, color)
+            kept = _append_points(x, y, depth, place, bits(passes), kept, buffer, out)
     return kept - first * width

@@ -1,19 +1,18 @@
-"""Finds the tiles of an image that cannot hold contact, from the ranges of depth in tiles of both images.
+"""Finds the image tiles that cannot hold contact, from the ranges of depth in the tiles of both images.
 
-The answer is certain: every bound is widened by more than float32 can be wrong. A proximity tile sees,
-over all its rays and its range of depth, a rectangle of the tactile image; if no tactile depth in
-there comes within the tolerance of any depth expected there, no pixel of the tile passes the test.
+The answer is certain: every bound is widened by more than the rounding error of float32. A proximity tile sees, over
+all its rays and its range of depth, a rectangle of the tactile image. If no tactile depth in that rectangle comes
+within the tolerance of any depth expected there, no pixel of the tile passes the test.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import AnyArray, BoolArray, Float32Array, Int32Array, Uint16Array
-from ..alignment import AlignmentModel
-from .chain import TILE_ROWS
+from ...model.arrays import AnyArray, BoolArray, Float32Array, Int32Array
+from .chain import TILE_ROWS, Alignment, DepthImages, DepthLimits
 from .compiling import inline, kernel
 from .lenses import PINHOLE
 from .simd import (
@@ -23,10 +22,13 @@ from .simd import (
     count_trailing_zeros,
     counts,
     flags,
+    float_scratch,
     floats,
     floor,
+    gather,
     greater,
     greater_counts,
+    int_scratch,
     ints,
     largest_count,
     least_count,
@@ -39,90 +41,112 @@ from .simd import (
     to_ints,
     where,
 )
-from .simd_memory import float_scratch, gather, int_scratch
 
-#: So many neighbouring tiles are looked at together at first; a rectangle rarely spans more.
+#: A rectangle of at most this many tiles in each direction is tested at once first; a larger one is rare.
 _SPAN = 3
 
 _ZERO = np.float32(0.0)
 _HALF = np.float32(0.5)
 _ONE_COUNT = np.uint16(1)
 _NO_COUNT, _ALL_COUNTS = np.uint16(0), np.uint16(65535)
-#: Wider than rounding by a factor of ten at least: pixels, and shares of the terms of a sum.
+#: At least ten times the rounding error: in pixels, and as a share of the terms of a sum.
 _PIXEL_SLACK = np.float32(0.05)
 _SLACK = np.float32(1e-5)
-#: A tile with points nearer to the tactile camera's own plane is never ruled out, metres.
+#: A tile with points nearer to the plane of the tactile camera is never ruled out, metres.
 _LEAST_Z = np.float32(1e-6)
 _FARTHEST_PIXEL = np.float32(1e6)
-_box, _least, _most = int_scratch(4 * LANES), float_scratch(LANES), float_scratch(LANES)
+_corners, _lowest, _highest = int_scratch(4 * LANES), float_scratch(LANES), float_scratch(LANES)
 _NOTHING, _ONE = np.int32(0), np.int32(1)
 
 
+class TileBuffers(NamedTuple):
+    """Ranges of raw counts by tile: least, then largest; the least is larger where there is no depth.
+
+    Attributes
+    ----------
+    proximity : int32, shape (2, N)
+        N is the number of proximity tiles, filled up to whole vectors.
+    tactile : int32, shape (2, M)
+        M is the number of tactile tiles and a margin without depth.
+    spread : int32, shape (4, M)
+        Least and largest over `_SPAN` tiles to the right, then over a square of `_SPAN` x `_SPAN` tiles.
+    """
+
+    proximity: Int32Array
+    tactile: Int32Array
+    spread: Int32Array
+
+
+@inline
+def tile_rows(height: Any) -> Any:
+    """Return the number of rows of tiles that cover an image height."""
+    return (height + TILE_ROWS - 1) // TILE_ROWS
+
+
+@inline
+def tile_columns(width: Any) -> Any:
+    """Return the number of columns of tiles that cover an image width."""
+    return (width + LANES - 1) // LANES
+
+
 def tile_grid(width: int, height: int) -> tuple[int, int]:
-    """Return how many rows and columns of tiles cover an image."""
-    return -(-height // TILE_ROWS), -(-width // LANES)
+    """Return the number of rows and columns of tiles that cover an image."""
+    return tile_rows.py_func(height), tile_columns.py_func(width)
 
 
 class CoarseTest:
-    """The test for one alignment model, with its tables and buffers. For one thread at a time."""
+    """The coarse test of one alignment model, with its tables and buffers. For one thread at a time."""
 
-    def __init__(self, model: AlignmentModel) -> None:
-        width, height, tactile_width, tactile_height = model.size
-        rigid, _, planes, table, lens, _ = model.tables
+    def __init__(self, alignment: Alignment) -> None:
+        width, height, tactile_width, tactile_height = alignment.size
         self.shape = tile_grid(width, height)
         self._all = np.ones(self.shape, np.bool_)
-        # What a distorted lens makes of a rectangle is not enclosed by its corners.
-        self.possible = not rigid or lens == PINHOLE
+        # With a distorted lens the corners of a rectangle do not bound its projection.
+        self.possible = not alignment.rigid or alignment.lens == PINHOLE
         if not self.possible:
             return
-        self._model = model
-        if rigid:
-            parts = np.split(planes, 3)
+        self._alignment = alignment
+        if alignment.rigid:
+            parts = np.split(alignment.planes, 3)
             self._tables = np.concatenate([bound for part in parts for bound in _bounds(part, width, height)])
         else:
-            rectangles = _rectangles(table, width, height, tactile_width)
+            rectangles = _rectangles(alignment.table, width, height, tactile_width)
             self._tables = np.concatenate([_filled(bound.astype(np.float32)) for bound in rectangles])
-        cell_rows, cell_columns = tile_grid(tactile_width, tactile_height)
-        room = (cell_rows + 2 * _SPAN) * cell_columns + 2 * LANES
-        self._ranges = np.empty((2, _room(self.shape)), np.int32)
-        # Beyond the last tile there is no depth.
-        self._cells = np.full((2, room), [[1 << 16], [-1]], np.int32)
-        self._wide = np.full((4, room), [[1 << 16], [-1]] * 2, np.int32)
+        rows, columns = tile_grid(tactile_width, tactile_height)
+        count = (rows + 2 * _SPAN) * columns + 2 * LANES
+        self._buffers = TileBuffers(
+            np.empty((2, _vector_elements(self.shape)), np.int32),
+            np.full((2, count), [[1 << 16], [-1]], np.int32),
+            np.full((4, count), [[1 << 16], [-1]] * 2, np.int32),
+        )
         self._tiles = np.empty(self.shape, np.bool_)
 
-    def tiles(
-        self,
-        proximity: Uint16Array,
-        tactile: Uint16Array,
-        limits: Float32Array,
-        margin_m: float = 0.0,
-    ) -> tuple[BoolArray, int]:
-        """Return which tiles may hold contact, and how many; the array is used again next time.
+    def tiles(self, images: DepthImages, limits: DepthLimits, margin_m: float = 0.0) -> tuple[BoolArray, int]:
+        """Return which tiles may hold contact, and their number; the next call overwrites the array.
 
         Parameters
         ----------
-        proximity, tactile : uint16, flat
-        limits : float32
-            As in `kernels.classify_rows`.
+        images : DepthImages
+        limits : DepthLimits
         margin_m : float
-            By how much both depths may differ beyond the tolerance.
+            Metres that both depths may differ beyond the tolerance.
         """
         if not self.possible:
             return self._all, self._all.size
         count = _mark_tiles(
-            proximity, tactile, self._model.size, self._model.tables, self._tables, limits, np.float32(margin_m),
-            self._ranges, self._cells, self._wide, self._tiles,
-        )  # fmt: skip
+            images, self._alignment, self._tables, limits, np.float32(margin_m), self._buffers, self._tiles
+        )
         return self._tiles, count
 
 
-def _room(shape: tuple[int, int]) -> int:
+def _vector_elements(shape: tuple[int, int]) -> int:
+    """Return the number of tiles, rounded up to whole vectors."""
     return -(-shape[0] * shape[1] // LANES) * LANES
 
 
 def _filled(tiles: AnyArray) -> AnyArray:
-    """Return values by tile in a row, filled up to whole vectors."""
-    return np.pad(tiles.ravel(), (0, _room(tiles.shape) - tiles.size), mode="edge")
+    """Return values by tile as a flat array, filled up to whole vectors."""
+    return np.pad(tiles.ravel(), (0, _vector_elements(tiles.shape) - tiles.size), mode="edge")
 
 
 def _blocks(image: AnyArray, filling: Any) -> AnyArray:
@@ -135,6 +159,7 @@ def _blocks(image: AnyArray, filling: Any) -> AnyArray:
 
 
 def _bounds(plane: Float32Array, width: int, height: int) -> list[Float32Array]:
+    """Return the least and largest value of a plane of pixels by tile."""
     image = plane[: width * height].reshape(height, width)
     return [_filled(_blocks(image, np.inf).min(axis=2)), _filled(_blocks(image, -np.inf).max(axis=2))]
 
@@ -151,16 +176,16 @@ def _rectangles(table: Int32Array, width: int, height: int, tactile_width: int) 
 
 
 @inline
-def _take_in(low: Any, high: Any, count: Any) -> Any:
-    """Take counts into ranges that are off by one: wrapping takes both invalid counts out of the way."""
+def _extend(low: Any, high: Any, count: Any) -> Any:
+    """Extend ranges by counts. Both ends are off by one, so that the invalid counts 0 and 65535 wrap around."""
     return lesser_counts(low, count - counts(_ONE_COUNT)), greater_counts(high, count + counts(_ONE_COUNT))
 
 
 @kernel
 def _ranges_of_tiles(image: Any, width: Any, height: Any, lows: Any, highs: Any) -> None:
-    """Write least and largest valid count of each tile; the first is the larger where there is none.
+    """Write the least and largest valid count of each tile; the least is larger where there is none.
 
-    Two tiles at once are a cache line. Near the image's end vectors begin earlier and take neighbours in.
+    Two tiles at once fill a cache line. Near the end of the image vectors begin earlier and include neighbours.
     """
     last_place = image.shape[0] - LANES
     tile = 0
@@ -171,14 +196,14 @@ def _ranges_of_tiles(image: Any, width: Any, height: Any, lows: Any, highs: Any)
             next_low, next_high = low, high
             if first + TILE_ROWS <= height and column + 2 * LANES <= width:
                 for _ in range(TILE_ROWS):
-                    low, high = _take_in(low, high, load_counts(image, place))
-                    next_low, next_high = _take_in(next_low, next_high, load_counts(image, place + LANES))
+                    low, high = _extend(low, high, load_counts(image, place))
+                    next_low, next_high = _extend(next_low, next_high, load_counts(image, place + LANES))
                     place += width
             else:
                 for _ in range(first, min(first + TILE_ROWS, height)):
-                    low, high = _take_in(low, high, load_counts(image, min(place, last_place)))
+                    low, high = _extend(low, high, load_counts(image, min(place, last_place)))
                     beside = load_counts(image, min(place + LANES, last_place))
-                    next_low, next_high = _take_in(next_low, next_high, beside)
+                    next_low, next_high = _extend(next_low, next_high, beside)
                     place += width
             lows[tile] = np.int32(least_count(low)) + _ONE
             highs[tile] = np.int32(largest_count(high)) - _ONE
@@ -191,10 +216,19 @@ def _ranges_of_tiles(image: Any, width: Any, height: Any, lows: Any, highs: Any)
 
 @inline
 def _widen(low: Any, high: Any, a: Any, b: Any) -> Any:
-    """Take a sum of two terms into a range, with its rounding."""
+    """Extend a range by the sum of two terms and its rounding error."""
     both = a + b
     slack = floats(_SLACK) * (absolute(a) + absolute(b))
     return lesser(low, both - slack), greater(high, both + slack)
+
+
+@inline
+def _transformed(low: Any, high: Any, depth: Any, translation: Any) -> Any:
+    """Return the range of one coordinate, in the tactile frame, of points at a depth on rays from low to high."""
+    huge = floats(np.float32(np.inf))
+    shift = floats(translation)
+    first, last = _widen(huge, floats(_ZERO) - huge, low * depth, shift)
+    return _widen(first, last, high * depth, shift)
 
 
 @inline
@@ -207,150 +241,173 @@ def _pixel_range(low: Any, high: Any, near_z: Any, far_z: Any, focal: Any, centr
 
 
 @inline
-def _cell(pixel: Any, step: Any, count: Any) -> Any:
-    """Return the tile of a pixel coordinate, cut to the image."""
+def _rectangle_at(depth: Any, tables: Any, start: Any, alignment: Any) -> Any:
+    """Return left, right, top, bottom (tactile pixels) and the range of z that tiles see at one depth, metres."""
+    plane, camera, translation = tables.shape[0] // 6, alignment.camera, alignment.translation_m
+    z_low, z_high = _transformed(
+        load(tables, 4 * plane + start), load(tables, 5 * plane + start), depth, translation[2]
+    )  # fmt: skip
+    x_low, x_high = _transformed(load(tables, start), load(tables, plane + start), depth, translation[0])
+    y_low, y_high = _transformed(
+        load(tables, 2 * plane + start), load(tables, 3 * plane + start), depth, translation[1]
+    )  # fmt: skip
+    left, right = _pixel_range(x_low, x_high, z_low, z_high, camera[0], camera[2])
+    top, bottom = _pixel_range(y_low, y_high, z_low, z_high, camera[1], camera[3])
+    return left, right, top, bottom, z_low, z_high
+
+
+@inline
+def _accepted_range(low: Any, high: Any, tolerance: Any, margin: Any) -> Any:
+    """Return the range of tactile depths that pass the tolerance test for expected depths from low to high."""
+    share = floats(tolerance)
+    slack = floats(_SLACK) * greater(absolute(low), absolute(high)) + floats(margin)
+    lowest = lesser(low - share * absolute(low), high - share * absolute(high)) - slack
+    highest = greater(low + share * absolute(low), high + share * absolute(high)) + slack
+    return lowest, highest
+
+
+@inline
+def _tile_of(pixel: Any, step: Any, count: Any) -> Any:
+    """Return the tile (row or column) of a pixel coordinate, clipped to the image."""
     limited = lesser(greater(pixel, floats(_ZERO)), floats(_FARTHEST_PIXEL))
-    cell = to_ints(floor((limited + floats(_HALF)) * floats(np.float32(1.0 / step))))
-    return where(cell > ints(np.int32(count - 1)), ints(np.int32(count - 1)), cell)
+    tile = to_ints(floor((limited + floats(_HALF)) * floats(np.float32(1.0 / step))))
+    return where(tile > ints(np.int32(count - 1)), ints(np.int32(count - 1)), tile)
+
+
+@inline
+def _measured_within(low_count: Any, high_count: Any, lowest: Any, highest: Any, alignment: Any) -> Any:
+    """Tell for one tactile tile (scalars) whether its range of counts reaches into a range of depths."""
+    a = np.float32(low_count) * alignment.tactile_unit_m + alignment.tactile_offset_m
+    b = np.float32(high_count) * alignment.tactile_unit_m + alignment.tactile_offset_m
+    return low_count <= high_count and min(a, b) <= highest and max(a, b) >= lowest
+
+
+@inline
+def _any_reaches(corners: Any, lane: Any, lowest: Any, highest: Any, tactile: Any, columns: Any, alignment: Any) -> Any:
+    """Tell whether any tactile tile of a lane's rectangle has a depth from ``lowest`` to ``highest``."""
+    found = False
+    for row in range(corners[2 * LANES + lane], corners[3 * LANES + lane] + 1):
+        if found:
+            break
+        for column in range(corners[lane], corners[LANES + lane] + 1):
+            tile = row * columns + column
+            if _measured_within(tactile[0, tile], tactile[1, tile], lowest, highest, alignment):
+                found = True
+                break
+    return found
+
+
+@inline
+def _measure_ranges(images: Any, size: Any, tiles: Any, buffers: Any) -> None:
+    """Fill the buffers with the ranges of counts of all tiles of both images."""
+    lows, highs = buffers.proximity[0], buffers.proximity[1]
+    _ranges_of_tiles(images.proximity, size.width, size.height, lows, highs)
+    for i in range(tiles.size, lows.shape[0]):
+        lows[i] = 1
+        highs[i] = 0
+    rows, columns = tile_rows(size.tactile_height), tile_columns(size.tactile_width)
+    _ranges_of_tiles(
+        images.tactile, size.tactile_width, size.tactile_height, buffers.tactile[0], buffers.tactile[1]
+    )  # fmt: skip
+    _spread(buffers.tactile, buffers.spread, rows * columns, columns)
 
 
 @kernel
-def _mark_tiles(
-    proximity: Any, tactile: Any, size: Any, model: Any, tables: Any, limits: Any, margin: Any, ranges: Any,
-    cells: Any, wide: Any, tiles: Any
-) -> Any:  # fmt: skip
-    width, height, tactile_width, tactile_height = size
-    rigid, units, _, _, _, camera = model
-    rows, columns = tiles.shape
-    cell_rows = (tactile_height + TILE_ROWS - 1) // TILE_ROWS
-    cell_columns = (tactile_width + LANES - 1) // LANES
-    lows, highs = ranges[0], ranges[1]
-    _ranges_of_tiles(proximity, width, height, lows, highs)
-    for i in range(rows * columns, lows.shape[0]):
-        lows[i] = 1
-        highs[i] = 0
-    _ranges_of_tiles(tactile, tactile_width, tactile_height, cells[0], cells[1])
-    _spread(cells, wide, cell_rows * cell_columns, cell_columns)
-    wide_low, wide_high = wide[2], wide[3]
+def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: Any, buffers: Any, tiles: Any) -> Any:
+    """Write which tiles may hold contact, `LANES` tiles at once; return their number.
 
-    flat_tiles = tiles.reshape(tiles.size)
-    room = lows.shape[0]
-    box, least, most = _box(), _least(), _most()
+    Parameters
+    ----------
+    images : chain.DepthImages
+    alignment : chain.Alignment
+    tables : float32, flat
+        As `CoarseTest` makes them: for the rigid model least and largest x, y and z of the rotated rays of each tile;
+        for a homography left, right, top and bottom of the tactile pixels that each tile looks up.
+    limits : chain.DepthLimits
+    margin : float32
+        Metres that both depths may differ beyond the tolerance.
+    buffers : TileBuffers
+    tiles : bool, shape (rows, columns)
+    """
+    size = alignment.size
+    tactile_rows, tactile_columns = tile_rows(size.tactile_height), tile_columns(size.tactile_width)
+    _measure_ranges(images, size, tiles, buffers)
+    flat_tiles, plane = tiles.reshape(tiles.size), buffers.proximity.shape[1]
+    corners, lowest_of, highest_of = _corners(), _lowest(), _highest()
     active = 0
-    for start in range(0, room, LANES):
-        low = load(lows, start)
-        high = load(highs, start)
-        near = greater(to_floats(low) * floats(units[0]), floats(limits[0]))
-        far = lesser(to_floats(high) * floats(units[0]), floats(limits[1]))
-        open_tiles = (low <= high) & (near <= far)
-        if bits(open_tiles) == 0:
-            for i in range(start, min(start + LANES, flat_tiles.shape[0])):
-                flat_tiles[i] = False
+    for start in range(0, plane, LANES):
+        for i in range(start, min(start + LANES, flat_tiles.shape[0])):
+            flat_tiles[i] = False
+        low, high = load(buffers.proximity[0], start), load(buffers.proximity[1], start)
+        near = greater(to_floats(low) * floats(alignment.proximity_unit_m), floats(limits.nearest_m))
+        far = lesser(to_floats(high) * floats(alignment.proximity_unit_m), floats(limits.farthest_m))
+        has_depth = (low <= high) & (near <= far)
+        if bits(has_depth) == 0:
             continue
-        always = flags(0)
-        if rigid:
-            huge = floats(np.float32(np.inf))
-            dx_low, dx_high = load(tables, start), load(tables, room + start)
-            dy_low, dy_high = load(tables, 2 * room + start), load(tables, 3 * room + start)
-            dz_low, dz_high = load(tables, 4 * room + start), load(tables, 5 * room + start)
-            tx, ty, tz = floats(units[3]), floats(units[4]), floats(units[5])
-            z_low, z_high = _widen(huge, floats(_ZERO) - huge, dz_low * near, tz)
-            z_low, z_high = _widen(z_low, z_high, dz_high * near, tz)
-            far_low, far_high = _widen(huge, floats(_ZERO) - huge, dz_low * far, tz)
-            far_low, far_high = _widen(far_low, far_high, dz_high * far, tz)
-            always = open_tiles & (lesser(z_low, far_low) < floats(_LEAST_Z))
-            x_low, x_high = _widen(huge, floats(_ZERO) - huge, dx_low * near, tx)
-            x_low, x_high = _widen(x_low, x_high, dx_high * near, tx)
-            y_low, y_high = _widen(huge, floats(_ZERO) - huge, dy_low * near, ty)
-            y_low, y_high = _widen(y_low, y_high, dy_high * near, ty)
-            left, right = _pixel_range(x_low, x_high, z_low, z_high, camera[0], camera[2])
-            top, bottom = _pixel_range(y_low, y_high, z_low, z_high, camera[1], camera[3])
-            x_low, x_high = _widen(huge, floats(_ZERO) - huge, dx_low * far, tx)
-            x_low, x_high = _widen(x_low, x_high, dx_high * far, tx)
-            y_low, y_high = _widen(huge, floats(_ZERO) - huge, dy_low * far, ty)
-            y_low, y_high = _widen(y_low, y_high, dy_high * far, ty)
-            far_left, far_right = _pixel_range(x_low, x_high, far_low, far_high, camera[0], camera[2])
-            far_top, far_bottom = _pixel_range(y_low, y_high, far_low, far_high, camera[1], camera[3])
+        too_near = flags(0)
+        if alignment.rigid:
+            left, right, top, bottom, z_low, z_high = _rectangle_at(near, tables, start, alignment)
+            far_left, far_right, far_top, far_bottom, far_low, far_high = _rectangle_at(far, tables, start, alignment)
             left, right = lesser(left, far_left), greater(right, far_right)
             top, bottom = lesser(top, far_top), greater(bottom, far_bottom)
             expected_low, expected_high = lesser(z_low, far_low), greater(z_high, far_high)
+            too_near = has_depth & (expected_low < floats(_LEAST_Z))
         else:
-            left, right = load(tables, start), load(tables, room + start)
-            top, bottom = load(tables, 2 * room + start), load(tables, 3 * room + start)
+            left, right = load(tables, start), load(tables, plane + start)
+            top, bottom = load(tables, 2 * plane + start), load(tables, 3 * plane + start)
             expected_low, expected_high = near, far
-        sees = (right >= floats(-_HALF)) & (left < floats(np.float32(tactile_width) - _HALF)) & (left <= right)
-        sees = sees & (bottom >= floats(-_HALF)) & (top < floats(np.float32(tactile_height) - _HALF))
+        sees = (right >= floats(-_HALF)) & (left < floats(np.float32(size.tactile_width) - _HALF)) & (left <= right)
+        sees = sees & (bottom >= floats(-_HALF)) & (top < floats(np.float32(size.tactile_height) - _HALF))
 
-        tolerance = floats(limits[2])
-        slack = floats(_SLACK) * greater(absolute(expected_low), absolute(expected_high)) + floats(margin)
-        lowest = lesser(
-            expected_low - tolerance * absolute(expected_low), expected_high - tolerance * absolute(expected_high)
-        ) - slack  # fmt: skip
-        highest = greater(
-            expected_low + tolerance * absolute(expected_low), expected_high + tolerance * absolute(expected_high)
-        ) + slack  # fmt: skip
-        first_column = _cell(left, LANES, cell_columns)
-        last_column = _cell(right, LANES, cell_columns)
-        first_row = _cell(top, TILE_ROWS, cell_rows)
-        last_row = _cell(bottom, TILE_ROWS, cell_rows)
+        first_column, last_column = _tile_of(left, LANES, tactile_columns), _tile_of(right, LANES, tactile_columns)
+        first_row, last_row = _tile_of(top, TILE_ROWS, tactile_rows), _tile_of(bottom, TILE_ROWS, tactile_rows)
         fits = (last_column - first_column < ints(np.int32(_SPAN))) & (last_row - first_row < ints(np.int32(_SPAN)))
-        place = first_row * ints(np.int32(cell_columns)) + first_column
-        place = where(open_tiles & ~always, place, ints(_NOTHING))
-        cell_low, cell_high = gather(wide_low, place), gather(wide_high, place)
-        one_end = to_floats(cell_low) * floats(units[1]) + floats(units[2])
-        other_end = to_floats(cell_high) * floats(units[1]) + floats(units[2])
+        lowest, highest = _accepted_range(expected_low, expected_high, limits.tolerance, margin)
+        place = first_row * ints(np.int32(tactile_columns)) + first_column
+        place = where(has_depth & ~too_near, place, ints(_NOTHING))
+        low_count, high_count = gather(buffers.spread[2], place), gather(buffers.spread[3], place)
+        one_end = to_floats(low_count) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
+        other_end = to_floats(high_count) * floats(alignment.tactile_unit_m) + floats(alignment.tactile_offset_m)
         reaches = (lesser(one_end, other_end) <= highest) & (greater(one_end, other_end) >= lowest)
-        reaches = reaches & (cell_low <= cell_high)
-        doubtful = open_tiles & (always | (sees & (reaches | ~fits)))
-        remaining = bits(doubtful)
-        certain = bits(always)
-        for i in range(start, min(start + LANES, flat_tiles.shape[0])):
-            flat_tiles[i] = False
+        reaches = reaches & (low_count <= high_count)
+        remaining = bits(has_depth & (too_near | (sees & (reaches | ~fits))))
+        certain = bits(too_near)
         if remaining == 0:
             continue
-        store(box, 0, first_column)
-        store(box, LANES, last_column)
-        store(box, 2 * LANES, first_row)
-        store(box, 3 * LANES, last_row)
-        store(least, 0, lowest)
-        store(most, 0, highest)
+        store(corners, 0, first_column)
+        store(corners, LANES, last_column)
+        store(corners, 2 * LANES, first_row)
+        store(corners, 3 * LANES, last_row)
+        store(lowest_of, 0, lowest)
+        store(highest_of, 0, highest)
         while remaining != 0:
             lane = count_trailing_zeros(remaining)
             remaining &= remaining - 1
-            possible = (certain >> lane) & 1 == 1
-            for row in range(box[2 * LANES + lane], box[3 * LANES + lane] + 1):
-                if possible:
-                    break
-                for column in range(box[lane], box[LANES + lane] + 1):
-                    low_count, high_count = cells[0, row * cell_columns + column], cells[1, row * cell_columns + column]
-                    a = np.float32(low_count) * units[1] + units[2]
-                    b = np.float32(high_count) * units[1] + units[2]
-                    if low_count <= high_count and min(a, b) <= most[lane] and max(a, b) >= least[lane]:
-                        possible = True
-                        break
-            if possible:
+            if (certain >> lane) & 1 == 1 or _any_reaches(
+                corners, lane, lowest_of[lane], highest_of[lane], buffers.tactile, tactile_columns, alignment
+            ):
                 flat_tiles[start + lane] = True
                 active += 1
     return active
 
 
 @kernel
-def _spread(cells: Any, wide: Any, count: Any, columns: Any) -> None:
+def _spread(ranges: Any, spread: Any, count: Any, columns: Any) -> None:
     """Write the range of each tile with its neighbours to the right, then with those below as well.
 
-    At the end of a row the neighbours are the next row's first: a range too wide, which does no harm.
+    At the end of a row the neighbours are the first tiles of the next row. The range is then too wide, which is safe.
     """
     for i in range(0, count + _SPAN * columns, LANES):
-        low, high = load(cells[0], i), load(cells[1], i)
+        low, high = load(ranges[0], i), load(ranges[1], i)
         for other in range(1, _SPAN):
-            low = lesser(low, load(cells[0], i + other))
-            high = greater(high, load(cells[1], i + other))
-        store(wide[0], i, low)
-        store(wide[1], i, high)
+            low = lesser(low, load(ranges[0], i + other))
+            high = greater(high, load(ranges[1], i + other))
+        store(spread[0], i, low)
+        store(spread[1], i, high)
     for i in range(0, count, LANES):
-        low, high = load(wide[0], i), load(wide[1], i)
+        low, high = load(spread[0], i), load(spread[1], i)
         for other in range(1, _SPAN):
-            low = lesser(low, load(wide[0], i + other * columns))
-            high = greater(high, load(wide[1], i + other * columns))
-        store(wide[2], i, low)
-        store(wide[3], i, high)
+            low = lesser(low, load(spread[0], i + other * columns))
+            high = greater(high, load(spread[1], i + other * columns))
+        store(spread[2], i, low)
+        store(spread[3], i, high)

@@ -11,8 +11,20 @@ from ...model.arrays import Int64Array
 from ...preset import MaskSection
 from .compiling import inline, kernel
 from .lenses import project
-from .simd import LANES, bits, floats, floor, greater, ints, lesser, shift_right, to_floats, to_ints, where
-from .simd_memory import load_colors
+from .simd import (
+    LANES,
+    bits,
+    floats,
+    floor,
+    greater,
+    ints,
+    lesser,
+    load_colors,
+    shift_right,
+    to_floats,
+    to_ints,
+    where,
+)
 
 _HALF = np.float32(0.5)
 

@@ -2,15 +2,24 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from .chain import TILE_ROWS, both_depths, colors_seen, is_depth, lane_columns, vector_place, within
-from .colors import lanes_in_range
+from ...model.arrays import Float32Array, Uint8Array
+from .chain import (
+    TILE_ROWS,
+    both_depths,
+    is_depth,
+    is_masked,
+    lane_columns,
+    plane_size,
+    store_lanes,
+    vector_place,
+    within,
+)
 from .compiling import inline, kernel
-from .simd import LANES, absolute, bits, flags, floats, ints, load, store, to_floats, where
-from .simd_memory import float_scratch, int_scratch
+from .simd import LANES, absolute, bits, flags, float_scratch, floats, int_scratch, ints, load, to_floats, where
 
 #: States of pixels, as `find_differences` writes them.
 TAKES_NO_PART: Final = 0
@@ -25,68 +34,101 @@ _SHORTEST = np.float32(1e-9)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
 
 
-@kernel
-def find_differences(
-    counts: Any, tactile: Any, size: Any, model: Any, region: Any, limits: Any, most: Any, rays: Any, image: Any,
-    color: Any, hsv: Any, tiles: Any, box: Any, first: Any, last: Any, differences: Any, states: Any
-) -> None:  # fmt: skip
-    """Write where both depths differ by less than ``most`` (float32, metres), for some rows of a rectangle.
+class Rectangle(NamedTuple):
+    """Part of the image that `find_differences` writes about, and the largest difference it accepts.
 
-    Parameters
+    Attributes
     ----------
-    limits : float32
-        Nearest and farthest depth.
-    rays, image, color, hsv, tiles
-        As in `kernels.find_candidates`.
-    box : tuple of int
-        Left, top and right (exclusive) of the rectangle; left is a multiple of `LANES`.
-    first, last : int
-        Image rows; last exclusive.
+    left, top, right : int
+        Proximity pixels; ``left`` is a multiple of `LANES`, ``right`` is exclusive.
+    largest_m : float32
+        Differences must be smaller, metres.
+    """
+
+    left: int
+    top: int
+    right: int
+    largest_m: np.float32
+
+
+class DifferenceImages(NamedTuple):
+    """What `find_differences` writes, by pixel of the rectangle.
+
+    Attributes
+    ----------
     differences : float32, flat
-        Proximity less tactile depth by pixel of the rectangle, metres; 0 where it is not below ``most``.
+        Proximity minus tactile depth, metres; 0 where it is not smaller than the largest.
     states : uint8, flat
         `USABLE`, `MASKED` (the colour is the bare membrane's), `EXCLUDED` (outside the region or range), or
         `TAKES_NO_PART`.
     """
-    width, height = size[0], size[1]
-    pixels = max(width * height, LANES)
-    left, top, right = box
-    difference_lanes, state_lanes = _float_vector(), _int_vector()
+
+    differences: Float32Array
+    states: Uint8Array
+
+
+@inline
+def _considered(count: Any, depth: Any, column: Any, in_row: Any, test: Any) -> Any:
+    """Return which lanes lie in the region and, if they have a depth, in the range; ``in_row``: the row does."""
+    considered = within(column, test.region.left, test.region.right)
+    if not in_row:
+        considered = flags(0)
+    in_range = (depth >= floats(test.limits.nearest_m)) & (depth <= floats(test.limits.farthest_m))
+    return considered & (in_range | ~is_depth(count))
+
+
+@inline
+def _compare(place: Any, depth: Any, valid: Any, state: Any, images: Any, test: Any, color: Any, largest_m: Any) -> Any:
+    """Return the differences of the ``valid`` lanes, 0 where too large, and the states with USABLE and MASKED set."""
+    dp, _, dt, has_dt = both_depths(place, depth, valid, images.tactile, test.alignment)
+    near = has_dt & (absolute(dp - dt) < floats(largest_m))
+    difference = where(near, dp - dt, floats(_ZERO))
+    state = where(near, ints(_USABLE), state)
+    if color.hsv.shape[0] > 0 and bits(near) != 0:
+        x = load(test.rays, place) * depth
+        y = load(test.rays, plane_size(test.alignment.size) + place) * depth
+        state = where(near & is_masked(x, y, depth, place, color), ints(_MASKED), state)
+    return difference, state
+
+
+@kernel
+def find_differences(
+    images: Any, test: Any, color: Any, tiles: Any, rectangle: Any, first: Any, last: Any, out: Any
+) -> None:
+    """Write the differences between both depths for rows ``first`` to ``last - 1`` of a rectangle.
+
+    Parameters
+    ----------
+    images : DepthImages
+    test : PixelTest
+        Its tolerance is not used.
+    color : ColorTest
+    tiles : bool
+        As in `chain.find_candidates`.
+    rectangle : Rectangle
+    first, last : int
+        Rows of the whole image.
+    out : DifferenceImages
+    """
+    width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
+    left, top, right, largest_m = rectangle
+    float_buffer, int_buffer = _float_vector(), _int_vector()
     for v in range(first, last):
-        row_in_region = v >= region[1] and v < region[3]
+        row_in_region = v >= test.region.top and v < test.region.bottom
         for u in range(left, right, LANES):
             place, before = vector_place(v, u, width, pixels)
-            count = load(counts, place)
-            depth = to_floats(count) * floats(model[1][0])
+            count = load(images.proximity, place)
+            depth = to_floats(count) * floats(test.alignment.proximity_unit_m)
             column = lane_columns(u, before)
-            considered = within(column, region[0], region[2])
-            if not row_in_region:
-                considered = flags(0)
-            in_range = (depth >= floats(limits[0])) & (depth <= floats(limits[1]))
-            considered = considered & (in_range | ~is_depth(count))
+            considered = _considered(count, depth, column, row_in_region, test)
             state = where(considered, ints(_NO_PART), ints(_EXCLUDED))
             difference = floats(_ZERO)
             valid = considered & is_depth(count) & (column >= ints(np.int32(u)))
             if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:
-                dp, _, dt, has_dt = both_depths(place, pixels, depth, valid, tactile, size, model)
-                near = has_dt & (absolute(dp - dt) < floats(most))
-                difference = where(near, dp - dt, floats(_ZERO))
-                state = where(near, ints(_USABLE), state)
-                if hsv.shape[0] > 0 and bits(near) != 0:
-                    x = load(rays, place) * depth
-                    y = load(rays, pixels + place) * depth
-                    red, green, blue, seen = colors_seen(x, y, depth, place, image, color)
-                    state = where(near & seen & lanes_in_range(red, green, blue, hsv), ints(_MASKED), state)
-            there = (v - top) * (right - left) + u - left
-            if u + LANES <= right:
-                store(differences, there, difference)
-                store(states, there, state)
-                continue
-            store(difference_lanes, 0, difference)
-            store(state_lanes, 0, state)
-            for i in range(right - u):
-                differences[there + i] = difference_lanes[before + i]
-                states[there + i] = np.uint8(state_lanes[before + i])
+                difference, state = _compare(place, depth, valid, state, images, test, color, largest_m)
+            start = (v - top) * (right - left) + u - left
+            store_lanes(out.differences, start, right - u, difference, before, float_buffer)
+            store_lanes(out.states, start, right - u, state, before, int_buffer)
 
 
 @kernel

@@ -1,11 +1,11 @@
 """Sixteen pixels at once: vector values for numba kernels.
 
-LLVM does not vectorise the inner loops of the pipeline by itself, because they gather and select.
-Here a kernel works on vectors of `LANES` elements by name; LLVM cuts them into what the processor has
-(one AVX-512 register, two of AVX2, four of SSE or NEON). Every operation is the IEEE one of its
-element type and nothing is contracted or reordered, so a kernel gives the same bits everywhere.
+LLVM does not vectorise the inner loops of the pipeline by itself, because they gather and select. A kernel therefore
+works on vectors of `LANES` elements explicitly; LLVM splits them into the registers of the processor (one of AVX-512,
+two of AVX2, four of SSE or NEON). Every operation is the IEEE operation of its element type, and nothing is contracted
+or reordered (except in `multiply_add`), so a kernel gives the same bits on every machine.
 
-All functions are for use inside ``@kernel`` functions only. Arrays are indexed flat: one dimension, contiguous.
+All functions are for use inside ``@kernel`` functions only. Arrays must be one-dimensional and contiguous.
 """
 
 from __future__ import annotations
@@ -17,8 +17,9 @@ from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic as _numba_intrinsic
 from numba.extending import models, overload, register_model
+from numba.np.arrayobj import populate_array
 
-#: numba's own annotations describe what an intrinsic emits, not what a kernel calls.
+#: numba annotates an intrinsic by what it emits, not by what a kernel calls.
 intrinsic: Any = _numba_intrinsic
 
 #: Elements of a vector.
@@ -49,13 +50,13 @@ FLOATS = Vector("float32", ir.FloatType(), types.float32)
 DOUBLES = Vector("float64", ir.DoubleType(), types.float64)
 INTS = Vector("int32", ir.IntType(32), types.int32)
 FLAGS = Vector("bool", ir.IntType(1), types.boolean)
-#: Unsigned, for raw counts; they wrap around.
+#: Unsigned, for raw counts; arithmetic wraps around.
 COUNTS = Vector("uint16", ir.IntType(16), types.uint16)
 
-#: Return a function of the module, declaring it at first.
+#: Returns a function of the module; declares it if needed.
 declare: Any = cgutils.get_or_insert_function
 
-#: The vector that elements of an array are loaded as.
+#: The vector type that elements of an array are loaded as.
 VECTOR_OF = {
     types.float32: FLOATS,
     types.float64: DOUBLES,
@@ -65,12 +66,12 @@ VECTOR_OF = {
 
 
 def constant(vector: Vector, values: Any) -> ir.Constant:
-    """Return an LLVM constant of these lanes."""
+    """Return an LLVM constant vector with these values."""
     return ir.Constant(vector.llvm, list(values))
 
 
 def pointer(context: Any, builder: Any, array_type: Any, array: Any, index: Any, llvm: ir.Type) -> Any:
-    """Return a pointer to an array's element of an index, as one to another type."""
+    """Return a pointer to the element ``index`` of an array, cast to a pointer to ``llvm``."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(builder.gep(data, [index]), llvm.as_pointer())
 
@@ -95,7 +96,7 @@ def load(typing: Any, array: Any, index: Any) -> Any:
 
 @intrinsic
 def load_counts(typing: Any, array: Any, index: Any) -> Any:
-    """Return elements ``index`` to ``index + LANES - 1`` of a uint16 array as they are."""
+    """Return elements ``index`` to ``index + LANES - 1`` of a uint16 array without widening."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         value = builder.load(pointer(context, builder, array, arguments[0], arguments[1], COUNTS.llvm))
@@ -139,10 +140,10 @@ def _make_splat(vector: Vector, doc: str) -> Any:
     return intrinsic(splat)
 
 
-floats = _make_splat(FLOATS, "Return a float32 vector of one value.")
-doubles = _make_splat(DOUBLES, "Return a float64 vector of one value.")
-ints = _make_splat(INTS, "Return an int32 vector of one value.")
-counts = _make_splat(COUNTS, "Return a uint16 vector of one value.")
+floats = _make_splat(FLOATS, "Return a float32 vector with the same value in all lanes.")
+doubles = _make_splat(DOUBLES, "Return a float64 vector with the same value in all lanes.")
+ints = _make_splat(INTS, "Return an int32 vector with the same value in all lanes.")
+counts = _make_splat(COUNTS, "Return a uint16 vector with the same value in all lanes.")
 
 
 @intrinsic
@@ -275,7 +276,7 @@ absolute = _unary("llvm.fabs", "Absolute value.")
 
 @intrinsic
 def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
-    """Return ``a * b + c``, fused where the processor can: the last bit may differ between processors."""
+    """Return ``a * b + c``, fused if the processor can do that: the last bit may differ between processors."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         product = builder.fmul(arguments[0], arguments[1], flags=("contract",))
@@ -286,7 +287,7 @@ def multiply_add(typing: Any, a: Any, b: Any, c: Any) -> Any:
 
 @intrinsic
 def shift_right(typing: Any, a: Any, distance: Any) -> Any:
-    """Return int32 lanes shifted right by the same number of bits, the sign moving in."""
+    """Return int32 lanes shifted right arithmetically, all by the same number of bits."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         narrow = builder.trunc(arguments[1], INTS.element)
@@ -369,7 +370,7 @@ def count_trailing_zeros(typing: Any, number: Any) -> Any:
 
 @intrinsic
 def count_ones(typing: Any, number: Any) -> Any:
-    """Return how many bits of an int64 are set."""
+    """Return the number of bits of an int64 that are set."""
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return builder.ctpop(arguments[0])
@@ -390,3 +391,152 @@ def total(typing: Any, a: Any) -> Any:
         return values[0]
 
     return a.scalar(a), emit
+
+
+_on_stack: Any = cgutils.alloca_once
+_fill_in: Any = populate_array
+_TRIPLE: Any = types.UniTuple
+
+
+def _make_scratch(scalar: Any, count: int) -> Any:
+    def scratch(typing: Any) -> Any:
+        array_type = types.Array(scalar, 1, "C")
+
+        def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+            element = context.get_data_type(scalar)
+            memory = _on_stack(builder, ir.ArrayType(element, count))
+            memory.align = 64
+            size = context.get_constant(types.intp, scalar.bitwidth // 8)
+            length = context.get_constant(types.intp, count)
+            array = context.make_array(array_type)(context, builder)
+            data = builder.bitcast(memory, element.as_pointer())
+            _fill_in(array, data, [length], [size], size, None)
+            return array._getvalue()
+
+        return array_type(), emit
+
+    scratch.__doc__ = f"Return a stack array of {count} {scalar}, the same array at each call in one kernel run."
+    return intrinsic(scratch)
+
+
+def float_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised float32 on the stack."""
+    return _make_scratch(types.float32, count)
+
+
+def double_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised float64 on the stack."""
+    return _make_scratch(types.float64, count)
+
+
+def int_scratch(count: int) -> Any:
+    """Return a function for kernels that allocates ``count`` uninitialised int32 on the stack."""
+    return _make_scratch(types.int32, count)
+
+
+@intrinsic
+def gather(typing: Any, array: Any, indices: Any) -> Any:
+    """Return ``array[indices]``, int32 indices; every lane must be a valid index."""
+    vector = VECTOR_OF[array.dtype]
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(array)(context, builder, arguments[0]).data
+        stored = ir.VectorType(context.get_data_type(array.dtype), LANES)
+        value = ir.Constant(stored, ir.Undefined)
+        for lane in range(LANES):
+            number = ir.Constant(ir.IntType(32), lane)
+            index = builder.zext(builder.extract_element(arguments[1], number), ir.IntType(64))
+            value = builder.insert_element(value, builder.load(builder.gep(data, [index])), number)
+        return value if stored == vector.llvm else builder.zext(value, vector.llvm)
+
+    return vector(array, INTS), emit
+
+
+def _channel(builder: Any, words: Any, number: int) -> Any:
+    shifted = builder.lshr(words, constant(INTS, [8 * number] * LANES))
+    return builder.and_(shifted, constant(INTS, [255] * LANES))
+
+
+@intrinsic
+def gather_colors(typing: Any, image: Any, pixels: Any) -> Any:
+    """Return red, green and blue (int32) of pixels of a flat uint8 image with at least four bytes."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        data = context.make_array(image)(context, builder, arguments[0]).data
+        word, wide = ir.IntType(32), ir.IntType(64)
+        words = ir.Constant(INTS.llvm, ir.Undefined)
+        first = constant(INTS, [0] * LANES)
+        is_first = builder.icmp_signed("==", arguments[1], first)
+        # One load of four bytes per pixel, from the byte before it: the load of the last pixel stays inside the image.
+        place = builder.sub(builder.mul(arguments[1], constant(INTS, [3] * LANES)), constant(INTS, [1] * LANES))
+        place = builder.select(is_first, first, place)
+        for lane in range(LANES):
+            number = ir.Constant(word, lane)
+            index = builder.zext(builder.extract_element(place, number), wide)
+            loaded = builder.load(builder.bitcast(builder.gep(data, [index]), word.as_pointer()))
+            loaded.align = 1
+            words = builder.insert_element(words, loaded, number)
+        words = builder.select(is_first, words, builder.lshr(words, constant(INTS, [8] * LANES)))
+        return context.make_tuple(builder, signature.return_type, [_channel(builder, words, i) for i in range(3)])
+
+    return _TRIPLE(INTS, 3)(image, INTS), emit
+
+
+@intrinsic
+def load_colors(typing: Any, image: Any, pixel: Any) -> Any:
+    """Return red, green and blue (int32) of pixels ``pixel`` to ``pixel + LANES - 1`` of a flat uint8 image."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        byte = ir.IntType(8)
+        index = builder.mul(arguments[1], ir.Constant(ir.IntType(64), 3))
+        all_channels = ir.VectorType(byte, 3 * LANES)
+        loaded = builder.load(pointer(context, builder, image, arguments[0], index, all_channels))
+        loaded.align = 1
+        channels = []
+        for channel in range(3):
+            order = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [3 * lane + channel for lane in range(LANES)])
+            picked = builder.shuffle_vector(loaded, ir.Constant(all_channels, ir.Undefined), order)
+            channels.append(builder.zext(picked, INTS.llvm))
+        return context.make_tuple(builder, signature.return_type, channels)
+
+    return _TRIPLE(INTS, 3)(image, types.intp), emit
+
+
+@intrinsic
+def store_points(typing: Any, points: Any, index: Any, x: Any, y: Any, z: Any) -> Any:
+    """Write `LANES` points to a flat float32 array of coordinates x, y, z, x, ... from element ``index`` on."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, index, *planes = arguments
+
+        def shuffled(a: Any, b: Any, order: list[int]) -> Any:
+            numbers = ir.Constant(ir.VectorType(ir.IntType(32), len(order)), order)
+            return builder.shuffle_vector(a, b, numbers)
+
+        both = shuffled(planes[0], planes[1], list(range(2 * LANES)))
+        depths = shuffled(planes[2], planes[2], list(range(2 * LANES)))
+        mixed = shuffled(both, depths, [LANES * (i % 3) + i // 3 for i in range(3 * LANES)])
+        stored = ir.VectorType(ir.FloatType(), 3 * LANES)
+        instruction = builder.store(mixed, pointer(context, builder, points, array, index, stored))
+        instruction.align = 4
+        return context.get_dummy_value()
+
+    return types.void(points, types.intp, FLOATS, FLOATS, FLOATS), emit
+
+
+@intrinsic
+def store_numbers(typing: Any, numbers: Any, index: Any, first: Any) -> Any:
+    """Write ``first``, ``first + 1``, ... to `LANES` elements of an int64 array from ``index`` on."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        array, index, first = arguments
+        wide = ir.VectorType(ir.IntType(64), LANES)
+        one = builder.insert_element(ir.Constant(wide, ir.Undefined), first, ir.Constant(ir.IntType(32), 0))
+        order = ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+        same = builder.shuffle_vector(one, ir.Constant(wide, ir.Undefined), order)
+        values = builder.add(same, ir.Constant(wide, list(range(LANES))))
+        instruction = builder.store(values, pointer(context, builder, numbers, array, index, wide))
+        instruction.align = 8
+        return context.get_dummy_value()
+
+    return types.void(numbers, types.intp, types.int64), emit

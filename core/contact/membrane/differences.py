@@ -11,8 +11,7 @@ from ...model.frames import Rig, SensorFrame
 from ...model.provenance import Provenance
 from ...preset import Preset
 from ..alignment import AlignmentModel
-from ..candidates import PixelTests
-from ..flat import flat
+from ..candidates import PixelTests, depth_images
 from ..kernels import membrane as kernels
 from ..kernels.chain import TILE_ROWS
 from ..kernels.simd import LANES
@@ -73,9 +72,9 @@ class DifferenceFinder(PixelTests):
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel) -> None:
         super().__init__(preset, rig, alignment)
-        self._exact = self.limits.copy()
-        self._exact[2] = 0.0
-        self.limits[2] = np.inf  # here CONTACT in `classify` means that there are both depths
+        self._exact = self.test.limits._replace(tolerance=np.float32(0))
+        # with an infinite tolerance, CONTACT in `classify` means that there are both depths
+        self.test = self.test._replace(limits=self._exact._replace(tolerance=np.float32(np.inf)))
         section = preset.membrane
         self._most_m = np.float32(section.difference_m)
         self._margin = window_reach(max(section.window_px, section.smooth_px)) + 1
@@ -83,8 +82,7 @@ class DifferenceFinder(PixelTests):
 
     def find(self, frame: SensorFrame) -> Differences | None:
         """Return the differences; None where no pixel is usable."""
-        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-        tiles, possible = self.coarse.tiles(*images, self._exact, float(self._most_m))
+        tiles, possible = self.coarse.tiles(depth_images(frame), self._exact, float(self._most_m))
         if possible == 0:
             return None
         (top, bottom), (left, right) = self._rectangle(tiles)
@@ -118,15 +116,12 @@ class DifferenceFinder(PixelTests):
         left, top, right, bottom = rectangle
         shape = bottom - top, right - left
         difference, state = np.empty(shape, np.float32), np.empty(shape, np.uint8)
-        images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-        color = flat(frame.proximity_color, 3 * LANES)
+        images, color = depth_images(frame), self.color_test(frame)
+        part = kernels.Rectangle(left, top, right, self._most_m)
+        out = kernels.DifferenceImages(difference.reshape(-1), state.reshape(-1))
 
         def look_at_rows(first: int, last: int) -> None:
-            kernels.find_differences(
-                *images, self.alignment.size, self.alignment.tables, self.region, self.limits, self._most_m, self._rays,
-                color, self._color, self._hsv, tiles, (left, top, right), top + first, top + last,
-                difference.reshape(-1), state.reshape(-1),
-            )  # fmt: skip
+            kernels.find_differences(images, self.test, color, tiles, part, top + first, top + last, out)
 
         if in_parallel:
             by_rows(look_at_rows, bottom - top)

@@ -16,6 +16,7 @@ from ..kernels.simd import (
     bits,
     count_trailing_zeros,
     doubles,
+    float_scratch,
     floats,
     ints,
     lesser,
@@ -27,7 +28,6 @@ from ..kernels.simd import (
     total,
     where,
 )
-from ..kernels.simd_memory import float_scratch
 from .grid import FAR, FARTHEST, MARGIN, MOST_SINGLE_RADIUS
 from .tiles import PLANE_SLACK, SQUARE_SLACK
 

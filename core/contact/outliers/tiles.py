@@ -14,8 +14,10 @@ from ..kernels.simd import (
     bits,
     count_ones,
     count_trailing_zeros,
+    double_scratch,
     doubles,
     flags,
+    float_scratch,
     floats,
     greater,
     ints,
@@ -29,7 +31,6 @@ from ..kernels.simd import (
     total,
     where,
 )
-from ..kernels.simd_memory import double_scratch, float_scratch
 from .grid import COLUMN, FARTHEST, MARGIN, MASK, MOST_TILE_RADIUS, NUMBER, PLACE, ROW
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)

@@ -8,8 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.candidates import CandidateFinder
-from tactune.core.contact.flat import flat
+from tactune.core.contact.candidates import CandidateFinder, depth_images
 from tactune.core.contact.fusion import depth_limits
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import CoarseTest, tile_grid
@@ -27,9 +26,8 @@ def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
 
 
 def marked(preset, rig, frame) -> np.ndarray:
-    test = CoarseTest(make_alignment(preset.alignment, rig))
-    images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-    tiles, count = test.tiles(*images, depth_limits(preset.range, preset.tolerance))
+    test = CoarseTest(make_alignment(preset.alignment, rig).tables)
+    tiles, count = test.tiles(depth_images(frame), depth_limits(preset.range, preset.tolerance))
     assert count == tiles.sum()
     return tiles
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.membrane.press import bulge_per_m, with_light_contact
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
@@ -174,7 +175,7 @@ def test_tactile_pixels_are_those_whose_depth_is_compared(make_rig, make_frame, 
     preset = Preset().with_value("alignment.model", model)
     alignment = make_alignment(preset.alignment, rig)
     height, width = frame.proximity_depth.shape
-    measured = alignment.align(frame.proximity_depth, numbered, np.array([0, 0, width, height])).measured_m.reshape(-1)
+    measured = alignment.align(frame.proximity_depth, numbered, Region(0, 0, width, height)).measured_m.reshape(-1)
     depth = (frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)).reshape(-1)
     u, v = alignment.tactile_pixels(np.arange(depth.size), depth, rig)
     tactile_height, tactile_width = numbered.shape
