@@ -12,7 +12,7 @@ from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array, IndexArray
-from ...core.strain.field import AxisStrain
+from ...core.strain.strain import AxisStrain
 from ...widgets.basics.theme import theme_colors
 from ...widgets.images.image_pane import ImagePane
 from ...widgets.images.pane_header import ColorBar, Swatch

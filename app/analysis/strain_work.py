@@ -12,8 +12,7 @@ import numpy as np
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame, TrueStrain
 from ...core.strain.average import average_still
-from ...core.strain.grid_cells import StrainCells, strain_cells
-from ...core.strain.strain import StrainError, StrainMeasurement, indentation_m, measure_strain
+from ...core.strain.strain import GridCells, StrainError, StrainMeasurement, grid_cells, indentation_m, measure_strain
 from ...widgets.basics.colormaps import depth_lut
 from ..calibration.pictures import pack_rgb
 
@@ -78,7 +77,7 @@ class StrainView:
     averaged: int
     color: Uint8Array | None
     measured: StrainMeasurement | None = None
-    cells: StrainCells | None = None
+    cells: GridCells | None = None
     displacement_mm: float | None = None
     truth: TrueStrain | None = None
     problem: str = ""
@@ -103,7 +102,7 @@ def examine(task: StrainTask) -> StrainView:
         return StrainView(
             task, averaged, frame.tactile_color, displacement_mm=displacement_mm, truth=truth, problem=str(error)
         )
-    return StrainView(task, averaged, frame.tactile_color, measured, strain_cells(measured), displacement_mm, truth)
+    return StrainView(task, averaged, frame.tactile_color, measured, grid_cells(measured), displacement_mm, truth)
 
 
 def _numbered(task: StrainTask) -> list[SensorFrame]:
@@ -112,7 +111,7 @@ def _numbered(task: StrainTask) -> list[SensorFrame]:
     return [replace(frame, sequence=frame.sequence + shift) for frame in task.frames]
 
 
-def values_of(cells: StrainCells, shown: MapOf) -> Float64Array:
+def values_of(cells: GridCells, shown: MapOf) -> Float64Array:
     """Return what colours the squares, shape (K,)."""
     return {MapOf.LARGEST: cells.largest, MapOf.LENGTH: cells.length, MapOf.WIDTH: cells.width}[shown]
 

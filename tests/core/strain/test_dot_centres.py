@@ -10,9 +10,8 @@ import pytest
 
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.strain import dots
-from tactune.core.strain.dot_centres import middles_on_bends
-from tactune.core.strain.dot_edges import SeenSurface
-from tactune.core.strain.dots import find_dots
+from tactune.core.strain.dots import centroids_on_bends, find_dots
+from tactune.core.strain.surface import SeenSurface
 
 LENS = Intrinsics(width=200, height=96, fx=386.0, fy=386.0, cx=99.5, cy=47.5)
 NEAR_M, FAR_M, DOT_M = 0.25, 0.33, 0.0022
@@ -111,7 +110,7 @@ def unrefined(monkeypatch):
 
     def find(*words):
         with monkeypatch.context() as patch:
-            patch.setattr(dots, "middles_on_bends", leave)
+            patch.setattr(dots, "centroids_on_bends", leave)
             return find_dots(*words)
 
     return find
@@ -199,7 +198,7 @@ def one_dot():
 def look(depth_m, scene, labels, pixels, ink=INK):
     surface = SeenSurface.of(depth_m, scene.lens)
     near = surface.near_step(8)[tuple(np.rint(pixels[0, ::-1]).astype(int))]
-    middles, printed = middles_on_bends(surface, scene.gray, labels, np.array([1]), pixels, ink)
+    middles, printed = centroids_on_bends(surface, scene.gray, labels, np.array([1]), pixels, ink)
     return near, middles, printed.all()
 
 

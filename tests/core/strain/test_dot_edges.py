@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.strain.dot_edges import SeenSurface, whole_dots
-from tactune.core.strain.dot_lattice import DotLattice
 from tactune.core.strain.dots import find_dots
+from tactune.core.strain.lattice import DotLattice
+from tactune.core.strain.surface import SeenSurface, whole_dots
 
 LENS = Intrinsics(width=160, height=128, fx=386.0, fy=386.0, cx=79.5, cy=63.5)
 RADIUS_M, FAR_M, NEAR_M = 0.010, 0.30, 0.22

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.strain.dot_surface import STEEPEST, dot_points, surface_between
+from tactune.core.strain.surface import STEEPEST, dot_points, surface_between
 
 LENS = Intrinsics(width=120, height=90, fx=100.0, fy=100.0, cx=59.5, cy=44.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-6)

@@ -11,11 +11,9 @@ from tactune.core.errors import FrameError
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.strain.average import average_still
-from tactune.core.strain.dot_lattice import DotLattice, order_dots
-from tactune.core.strain.dot_surface import surface_area
-from tactune.core.strain.field import AxisStrain, axis_strain, crossed
-from tactune.core.strain.grid_cells import strain_cells
-from tactune.core.strain.strain import StrainMeasurement
+from tactune.core.strain.lattice import DotLattice, order_dots
+from tactune.core.strain.strain import AxisStrain, StrainMeasurement, axis_strain, crossed, grid_cells
+from tactune.core.strain.surface import surface_area
 
 LENS = Intrinsics(width=160, height=128, fx=100.0, fy=100.0, cx=79.5, cy=63.5)
 CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-4)
@@ -102,7 +100,7 @@ def test_a_square_of_the_map_needs_all_four_sides():
     length = np.where((cells[along[:, 0]] == (0, 0)).all(axis=1), 0.4, 0.2)
     lattice = DotLattice(cells, np.zeros(9, np.int64))
     both = StrainMeasurement(places, places, lattice, axis(along, length), axis(across, np.full(6, 0.1)))
-    squares = strain_cells(both)
+    squares = grid_cells(both)
     assert len(squares.corners) == 4
     first = (squares.corners == 0).any(axis=1)
     assert squares.length[first] == pytest.approx([0.3])
@@ -112,7 +110,7 @@ def test_a_square_of_the_map_needs_all_four_sides():
     (ax, ay), (bx, by) = (corners[:, 1] - corners[:, 0]).T, (corners[:, 2] - corners[:, 1]).T
     area = ax * by - ay * bx
     assert np.abs(area) == pytest.approx([1.0] * 4)  # once around, not crosswise
-    assert len(strain_cells(replace(both, length=axis(along[1:], length[1:]))).corners) == 3
+    assert len(grid_cells(replace(both, length=axis(along[1:], length[1:]))).corners) == 3
 
 
 def still(sequence, depth_m=0.3, bump_m=0.0, seed=0):
