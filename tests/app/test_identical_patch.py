@@ -17,9 +17,7 @@ from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.source import SimulatorSource
 from tiny_sensor import at_rest
 
-ROOT = Path(__file__).resolve().parents[2]
-REAL_PAIR = ROOT.parent / "shared" / "data" / "real_pair"
-REAL_PAIR_PRESET = ROOT / "tests" / "data" / "real_pair.json"
+REAL_PAIR_PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
 
 
 class Excerpt(SeekableSource):
@@ -81,8 +79,7 @@ def test_on_the_simulator(make_window, pressed_cup, tmp_path, qtbot, monkeypatch
     assert len(seen[2].points) > len(seen[1].points) > 100
 
 
-@pytest.mark.skipif(not REAL_PAIR.is_dir(), reason=f"the real recording is not at {REAL_PAIR}")
-def test_on_a_real_scene(make_window, tmp_path, qtbot, monkeypatch):
+def test_on_a_real_scene(make_window, shared_data, tmp_path, qtbot, monkeypatch):
     window = make_window(load_preset(REAL_PAIR_PRESET))
-    [patch] = check(window, REAL_PAIR, REAL_PAIR_PRESET, tmp_path / "out", qtbot, monkeypatch)
+    [patch] = check(window, shared_data / "real_pair", REAL_PAIR_PRESET, tmp_path / "out", qtbot, monkeypatch)
     assert len(patch.points) > 100_000

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -14,16 +13,12 @@ from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 
-ROOT = Path(__file__).resolve().parents[2]
-DATA = Path(os.environ.get("TACTUNE_TEST_DATA", ROOT.parent / "shared" / "data"))
-PRESET = ROOT / "tests" / "data" / "real_pair.json"
+PRESET = Path(__file__).resolve().parents[1] / "data" / "real_pair.json"
 
 
 @pytest.fixture(scope="module")
-def scene():
-    if not (DATA / "real_pair").is_dir():
-        pytest.skip(f"the real recording is not at {DATA / 'real_pair'}")
-    with open_source(f"folder:{DATA / 'real_pair'}") as source:
+def scene(shared_data):
+    with open_source(f"folder:{shared_data / 'real_pair'}") as source:
         frame = source.next_frame()
         assert frame is not None
         yield source.rig, frame

@@ -24,7 +24,6 @@ from tactune.core.sources import FrameSource
 from tactune.core.sources.base import Health
 from tactune.core.sources.mcap.source import McapSource
 
-DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[3].parent / "shared/data"))
 Run = Callable[..., Any]
 
 
@@ -249,20 +248,17 @@ def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Pat
 
 
 @pytest.mark.parametrize("name", ["realsense_bag/single_depth_color_640x480.bag", "real_pair"])
-def test_real_recordings_convert_there_and_back(tmp_path: Path, tactune: Run, name: str) -> None:
-    if not (DATA / name).exists():
-        pytest.skip(f"{DATA / name} is not there")
-    assert tactune("convert", DATA / name, tmp_path / "a.mcap").status == 0
+def test_real_recordings_convert_there_and_back(tmp_path: Path, tactune: Run, shared_data: Path, name: str) -> None:
+    recording = shared_data / name
+    assert tactune("convert", recording, tmp_path / "a.mcap").status == 0
     assert tactune("convert", tmp_path / "a.mcap", tmp_path / "folder").status == 0
     for copy in ("a.mcap", "folder"):
-        with open_source(str(DATA / name)) as original, open_source(str(tmp_path / copy)) as source:
+        with open_source(str(recording)) as original, open_source(str(tmp_path / copy)) as source:
             assert_same_recording(source, original)
 
 
-def test_a_recording_of_one_camera_stays_for_viewing_only(tmp_path: Path, tactune: Run) -> None:
-    bag = DATA / "realsense_bag/single_depth_color_640x480.bag"
-    if not bag.exists():
-        pytest.skip(f"{bag} is not there")
+def test_a_recording_of_one_camera_stays_for_viewing_only(tmp_path: Path, tactune: Run, shared_data: Path) -> None:
+    bag = shared_data / "realsense_bag/single_depth_color_640x480.bag"
     tactune("convert", bag, tmp_path / "a.mcap")
     with McapSource(tmp_path / "a.mcap") as source:
         assert source.health().message == "this recording has one depth camera: for viewing only"

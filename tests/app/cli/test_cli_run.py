@@ -40,24 +40,15 @@ def names(folder: Path) -> list[str]:
     return sorted(file.name for file in folder.iterdir())
 
 
-REAL_PAIR = Path(__file__).resolve().parents[4] / "shared" / "data" / "real_pair"
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "RECORDING",
-        "sim:cup",
-        pytest.param(
-            f"folder:{REAL_PAIR}",
-            marks=pytest.mark.skipif(not REAL_PAIR.is_dir(), reason="the real recording is not part of the repository"),
-        ),
-    ],
-)
+@pytest.mark.parametrize("source", ["small", "sim:cup", "real"])
 def test_the_files_hold_what_three_lines_of_python_give(
-    tactune: Tactune, recording: Path, tmp_path: Path, source: str
+    tactune: Tactune, request: pytest.FixtureRequest, tmp_path: Path, source: str
 ) -> None:
-    name = source.replace("RECORDING", str(recording))
+    name = source
+    if source == "small":
+        name = str(request.getfixturevalue("recording"))
+    elif source == "real":
+        name = f"folder:{request.getfixturevalue('shared_data') / 'real_pair'}"
     words = ["--source", name, "--preset", "default", "--frames", "40", "--out", tmp_path / "out"]
     assert tactune("run", *words).status == 0
 

@@ -1,7 +1,5 @@
 from __future__ import annotations
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
@@ -16,7 +14,6 @@ from tactune.core.calibration.detect import (
 from tactune.core.calibration.homography import fit_homography
 from tactune.core.errors import CalibrationError
 
-BOARDS = Path(__file__).resolve().parents[4] / "shared" / "data" / "stereo_boards"
 H = np.array([[0.95, 0.06, 20], [-0.05, 0.92, 40], [1e-4, 5e-5, 1]])
 TILT = np.array([[0.9, -0.04, 60], [0.06, 0.95, 10], [-8e-5, 1e-4, 1]])
 
@@ -136,10 +133,10 @@ def test_nothing_to_snap_to_is_none():
     assert snap_to_feature(far, 0, 0) is None
 
 
-@pytest.mark.skipif(not BOARDS.is_dir(), reason=f"the real boards are not at {BOARDS}")
 @pytest.mark.parametrize("number", range(1, 7))
-def test_real_boards_as_well_as_opencv(number):
-    left, right = (cv2.imread(str(BOARDS / f"{side}0{number}.jpg"), cv2.IMREAD_GRAYSCALE) for side in ("left", "right"))
+def test_real_boards_as_well_as_opencv(number, shared_data):
+    files = [shared_data / "stereo_boards" / f"{side}0{number}.jpg" for side in ("left", "right")]
+    left, right = (cv2.imread(str(file), cv2.IMREAD_GRAYSCALE) for file in files)
     a, b = detect_chessboard(left, 9, 6).pixels, detect_chessboard(right, 9, 6).pixels
     fit = fit_homography(a, b)
     refined, _ = cv2.findHomography(a, b, 0)

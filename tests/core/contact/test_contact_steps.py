@@ -47,8 +47,10 @@ def test_biases():
     gaps = np.concatenate([rng.normal(0.0007, 0.0003, 5000), rng.uniform(0, 0.004, 2000)]).astype(np.float32)
     known = np.ones((70, 100), bool)
     assert contact_bias_m(gaps.reshape(70, 100), known, 0.002) == pytest.approx(0.0007, abs=1.5e-4)
-    assert abs(contact_bias_m(gaps.reshape(70, 100), known, 0.0004)) <= 0.0004
     assert contact_bias_m(gaps.reshape(70, 100), known, 0.0) == 0.0
+    two = np.concatenate([rng.normal(0.0015, 0.0002, 5000), rng.normal(0.0003, 0.0002, 2000)]).astype(np.float32)
+    assert contact_bias_m(two.reshape(70, 100), known, 0.002) == pytest.approx(0.0015, abs=1e-4)
+    assert contact_bias_m(two.reshape(70, 100), known, 0.001) == pytest.approx(0.0003, abs=1e-4), "beyond the limit"
     few = known & (np.arange(7000).reshape(70, 100) < 50)
     assert contact_bias_m(gaps.reshape(70, 100), few, 0.002) == 0.0
     assert print_bias_m(np.full(500, 0.0005, np.float32)) == pytest.approx(0.0005)

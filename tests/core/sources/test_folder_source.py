@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from pathlib import Path
 
 import cv2
@@ -14,9 +13,6 @@ from folder_scenes import RIG, UNIT_M, ListSource, assert_same, make_frame
 from tactune.core.model.frames import GroundTruth, Rig
 from tactune.core.model.rig_file import load_rig, save_rig
 from tactune.core.sources.folder import FolderSource, export_folder
-
-DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[3].parent / "shared/data"))
-
 
 # --- round trip ------------------------------------------------------------------------------------
 
@@ -143,9 +139,8 @@ def test_colours_are_rgb(recording: Path) -> None:
 # --- real data -------------------------------------------------------------------------------------
 
 
-@pytest.mark.skipif(not (DATA / "real_pair").is_dir(), reason=f"no recording real_pair in {DATA}")
-def test_the_real_pair_is_read_as_it_is(tmp_path: Path) -> None:
-    folder = DATA / "real_pair"
+def test_the_real_pair_is_read_as_it_is(tmp_path: Path, shared_data: Path) -> None:
+    folder = shared_data / "real_pair"
     source = FolderSource(folder)
     frame = source.read(0)
     rig = json.loads((folder / "rig.json").read_text())

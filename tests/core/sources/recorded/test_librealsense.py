@@ -20,9 +20,6 @@ from tactune.core.sources.bag import BagSource
 
 Opener = Callable[..., BagSource]
 FIXTURES = Path(__file__).parents[3] / "data"
-SHARED = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[4].parent / "shared/data"))
-REAL_BAG = SHARED / "realsense_bag/single_depth_color_640x480.bag"
-needs_real_bag = pytest.mark.skipif(not REAL_BAG.is_file(), reason=f"no recording {REAL_BAG}")
 
 _OTHERS = [Path(folder) for folder in os.environ.get("TACTUNE_OTHER_DRIVERS", "").split(":") if folder]
 _INSTALLED = [None] if importlib.util.find_spec("pyrealsense2") else []
@@ -72,9 +69,13 @@ def _played(path: Path, tmp_path: Path, driver: Path | None) -> dict[str, np.nda
         return dict(played)
 
 
-@needs_real_bag
-def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener) -> None:
-    source = open_bag(REAL_BAG)
+@pytest.fixture
+def real_bag(shared_data: Path) -> Path:
+    return shared_data / "realsense_bag/single_depth_color_640x480.bag"
+
+
+def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener, real_bag: Path) -> None:
+    source = open_bag(real_bag)
     assert (source.rig.proximity.model, source.rig.proximity.serial) == ("Intel RealSense D435", "728612070259")
     assert source.rig.proximity.depth_unit_m == pytest.approx(0.001, rel=1e-6)
     assert source.frame_rate_hz == 6.0
@@ -83,10 +84,9 @@ def test_the_real_bag_is_what_is_known_of_it(open_bag: Opener) -> None:
     assert [int(frame.proximity_depth.sum(dtype=np.int64)) for frame in source] == [357542766, 358061319]
 
 
-@needs_real_bag
 @needs_a_driver
-def test_the_real_bag_is_as_librealsense_plays_it(open_bag: Opener, tmp_path: Path) -> None:
-    _assert_as_played(open_bag(REAL_BAG), _played(REAL_BAG, tmp_path, None))
+def test_the_real_bag_is_as_librealsense_plays_it(open_bag: Opener, real_bag: Path, tmp_path: Path) -> None:
+    _assert_as_played(open_bag(real_bag), _played(real_bag, tmp_path, None))
 
 
 @needs_a_driver
