@@ -12,14 +12,13 @@ from ...core.errors import TactuneError
 def main() -> int:
     """Write ``{"devices": [...], "hint": sentence}`` or ``{"problem": sentence}`` to standard output.
 
-    A device has the fields of `DeviceInfo`. The hint says why this driver finds no L515.
+    A device has the fields of `DeviceInfo`. The hint says why a driver may not list a camera.
     """
-    from ...core.sources.realsense.devices import list_devices
-    from ...core.sources.realsense.driver import driver_version, no_l515_sentence
+    from ...core.sources.cameras.drivers import list_devices
 
     try:
-        devices = [asdict(device) for device in list_devices()]
-        answer: dict[str, object] = {"devices": devices, "hint": no_l515_sentence(driver_version())}
+        devices, hint = list_devices()
+        answer: dict[str, object] = {"devices": [asdict(device) for device in devices], "hint": hint}
     except TactuneError as error:
         answer = {"problem": str(error)}
     sys.stdout.write(json.dumps(answer) + "\n")

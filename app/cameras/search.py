@@ -25,11 +25,12 @@ class FoundCamera:
     firmware: str = ""
     usb: str = ""
     problem: str = ""
+    role: str = ""
 
     @property
     def sees_proximity(self) -> bool:
         """Whether it is a camera of the kind that looks through the membrane (time of flight)."""
-        return "L5" in self.model
+        return self.role == "proximity"
 
 
 class CameraSearch(QObject):

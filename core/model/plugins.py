@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, distributions
 from typing import Generic, TypeVar
 
 from ..errors import PluginError
@@ -87,9 +87,13 @@ def load_plugins(group: str, kind: type[T]) -> Plugins[T]:
 
 @cache
 def _declared(group: str) -> dict[str, EntryPoint]:
-    """Return the entry points of a group by name; a built-in one wins over another of the same name."""
-    declared = sorted(entry_points(group=group), key=lambda found: (_package(found) == "tactune", found.name))
-    return {found.name: found for found in declared}
+    """Return the entry points of a group by name; a built-in one wins over another of the same name.
+
+    `importlib.metadata.entry_points` reads one distribution of each name only, the first one on the path: in a source
+    tree that would be an outdated ``tactune.egg-info``.
+    """
+    found = [entry for distribution in distributions() for entry in distribution.entry_points if entry.group == group]
+    return {entry.name: entry for entry in sorted(found, key=lambda entry: (_package(entry) == "tactune", entry.name))}
 
 
 def _package(found: EntryPoint) -> str:

@@ -38,6 +38,7 @@ from ..model.files import user_path
 from ..model.frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
+from .registry import SourceKind
 
 _NOMINAL_RATE_HZ = 30.0
 _REQUIRED = ("proximity_depth.png", "proximity_color.png", "tactile_depth.png")
@@ -369,3 +370,15 @@ def _write_file(path: Path, data: bytes | str) -> None:
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     with path.open("rb+") as file:
         os.fsync(file.fileno())
+
+
+KIND = SourceKind(
+    scheme="folder",
+    title="Folder of images",
+    form="folder:PATH",
+    description="PNG images with rig.json beside them: one frame, or numbered subfolders.",
+    needs="folder",
+    pattern="rig.json",
+    open=lambda rest, progress, cameras: FolderSource(rest),
+    rank=1,
+)

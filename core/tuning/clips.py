@@ -17,7 +17,7 @@ from ..preset import Preset
 from ..preset.rig_check import check_rig
 from ..rig.untouched_source import untouched_frame
 from ..sources.base import FrameSource
-from ..sources.realsense_files.names import recording_files
+from ..sources.realsense_files import recording_files
 from ..sources.registry import open_source
 from .values import SweepError
 

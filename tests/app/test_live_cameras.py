@@ -19,7 +19,7 @@ from tiny_sensor import TinySource
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
-L515 = {"model": "L515", "serial": "f001", "firmware": "1.5.8.1", "usb": "3.2"}
+L515 = {"model": "L515", "serial": "f001", "firmware": "1.5.8.1", "usb": "3.2", "role": "proximity"}
 D405 = {"model": "D405", "serial": "d002", "firmware": "5.12.14", "usb": "3.2"}
 D405_TOO = {**D405, "serial": "d003"}
 
@@ -156,8 +156,8 @@ def test_a_missing_interpreter_is_said(qtbot, monkeypatch):
 
 
 def test_an_l515_sees_proximity():
-    assert FoundCamera("Intel RealSense L515", "1").sees_proximity
-    assert not FoundCamera("Intel RealSense D405", "1").sees_proximity
+    assert FoundCamera("L515", "1", role="proximity").sees_proximity
+    assert not FoundCamera("D405", "1", role="tactile").sees_proximity
 
 
 # Settings

@@ -20,8 +20,8 @@ import numpy.typing as npt
 
 from tactune.core.preset import CamerasSection
 from tactune.core.sources.base import CameraRole
-from tactune.core.sources.realsense.driver import load_driver
-from tactune.core.sources.realsense.source import RealSenseSource
+from tactune.core.sources.cameras.source import CameraSource
+from tactune.core.sources.realsense.driver import RealSenseDriver, load_driver
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30.0
 PROXIMITY_SERIAL, TACTILE_SERIAL = "f0090001", "130322270002"
@@ -236,7 +236,7 @@ class SoftwareRig:
         self._thread: threading.Thread | None = None
 
     def devices(self) -> list[Any]:
-        """What is plugged in, as `RealSenseSource` asks for it."""
+        """Return the connected devices, as `RealSenseDriver` asks for them."""
         return [device for camera in list(self.cameras.values()) for device in camera.context.query_devices()]
 
     def start(self, commands: Commands | None = None, count: int | None = None) -> None:
@@ -296,12 +296,12 @@ class SoftwareRig:
             self.obey(command)
 
 
-class SoftwareSource(RealSenseSource):
+class SoftwareSource(CameraSource):
     """The live source over software cameras, which end with it."""
 
     def __init__(self, cameras: CamerasSection, rig: SoftwareRig) -> None:
         self.software_rig = rig
-        super().__init__(cameras, devices=rig.devices)
+        super().__init__([RealSenseDriver(rig.devices)], cameras, scheme="realsense")
 
     def close(self) -> None:
         self.software_rig.close()
@@ -310,7 +310,7 @@ class SoftwareSource(RealSenseSource):
 
 def open_software_rig(
     commands: Commands | None = None, cameras: CamerasSection = ANY_CAMERAS, count: int | None = None
-) -> RealSenseSource:
+) -> CameraSource:
     """Open the pair through the class that opens hardware; ``functools.partial`` of this is picklable.
 
     Parameters

@@ -1,1 +1,18 @@
-"""Live cameras through librealsense: an Intel RealSense L515 and a D405."""
+"""Intel RealSense cameras through librealsense: an L515 and a D405."""
+
+from __future__ import annotations
+
+from functools import partial
+
+from ..cameras import open_in_process
+from ..registry import SourceKind
+
+KIND = SourceKind(
+    scheme="realsense",
+    title="RealSense cameras",
+    form="realsense:[PROXIMITY,TACTILE]",
+    description="A live L515 and a D405, captured in a process of their own; with serial numbers, those.",
+    examples=("realsense:",),
+    open=partial(open_in_process, driver="realsense"),
+    rank=5,
+)

@@ -1,272 +1,311 @@
-"""One camera of the rig on its own thread: reads, notices silence and unplugging, and opens it again."""
+"""One RealSense camera: streaming, factory calibration and options."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
-from contextlib import suppress
-from threading import Event, Lock, Thread
-from typing import Any, Final, Literal, Protocol
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from pydantic import ValidationError
 
 from ...errors import SourceError
-from ..base import CameraHealth, CameraOption, CameraRole
-from .calibration import HEIGHT, RATE_HZ, WIDTH, Calibration
-from .devices import DeviceInfo, DeviceQuery, describe
+from ...model.frames import DepthCamera, Matrix4, rigid_transform
+from ...model.intrinsics import Distortion, Intrinsics
+from ..base import CameraOption, CameraRole
+from ..cameras.camera import Calibration, Camera, DeviceInfo, Image
 from .driver import load_driver
-from .options import SensorOptions, remember, wanted_options
-from .session import Image, Kind, Session
 
-PERIOD_S: Final = 1.0 / RATE_HZ
-#: A stream that has been silent for so many periods has stalled.
-SILENT_S: Final = 10 * PERIOD_S
-#: Seconds from one image or attempt to the next attempt to revive a silent camera.
-_REVIVE_S: Final = (3.0, 6.0, 12.0, 30.0)
-#: A camera that was just opened may need so long for its first image.
-_WARM_UP_S: Final = 3.0
-_POLL_S: Final = 0.5
-_READ_S: Final = 0.05
-#: What happened stays in words for so long.
-_TOLD_S: Final = 5.0
+WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
+_FORMATS = {"depth": "z16", "color": "rgb8"}
+
+#: Images that wait in the driver's queue: a second of both streams, then the oldest is dropped. The queue keeps its
+#: frames; other queues count against the driver's pool of 16, and a full pool silently stops the stream.
+_QUEUE: Final = 60
+_BUSY = ("busy", "in use", "is streaming", "already opened", "errno=16", "power state")
+_FORBIDDEN = ("permission", "errno=13", "access")
+
+VISUAL_PRESET: Final = "visual_preset"
+_AUTO_EXPOSURE: Final = "enable_auto_exposure"
+
+#: Options that are offered where the camera has them, in the order in which they are applied: description, unit.
+_OFFERED: Final = {
+    VISUAL_PRESET: ("A set of values for a purpose; choosing one changes other settings.", ""),
+    _AUTO_EXPOSURE: ("Let the camera choose its exposure and gain; 1 on, 0 off.", ""),
+    "exposure": ("Exposure time; setting it turns the automatic off.", "us"),
+    "gain": ("Amplification of the image sensor; more is brighter and noisier.", ""),
+    "emitter_enabled": ("The infrared projector; 0 off, 1 on.", ""),
+    "laser_power": ("Power of the infrared laser; less helps near objects, which else are too bright.", ""),
+    "receiver_gain": ("Gain of the laser's receiver; less helps near objects, more helps dark ones.", ""),
+    "digital_gain": ("Gain after the laser's receiver: 1 high, 2 low, for places with ambient light.", ""),
+    "confidence_threshold": ("Depths that the camera is less sure of are left out.", ""),
+    "min_distance": ("Depths nearer than this are left out.", "mm"),
+    "noise_filtering": ("Strength of the camera's own noise filter.", ""),
+    "pre_processing_sharpening": ("Sharpening before depth is computed.", ""),
+    "post_processing_sharpening": ("Sharpening of the depth image.", ""),
+}
+#: Options that an L515's visual preset sets too.
+_SET_BY_PRESET: Final = frozenset(_OFFERED) - {VISUAL_PRESET, _AUTO_EXPOSURE, "exposure", "gain", "emitter_enabled"}
+
+#: Visual preset of an L515 for objects as near as the membrane.
+_SHORT_RANGE: Final = 5.0
 
 
-class Sink(Protocol):
-    """Who gets the images, on the cameras' threads."""
+@dataclass(frozen=True)
+class _Stream:
+    """One stream of a device: the driver's sensor and profile."""
 
-    def take_in(self, role: CameraRole, image: Image, arrival_s: float) -> None:
-        """Take an image that arrived at ``arrival_s``, seconds on the computer's clock."""
-
-    def opened_anew(self, role: CameraRole) -> None:
-        """What comes next is of a camera that has started over."""
+    sensor: Any
+    profile: Any
 
 
-class Camera:
-    """One camera.
+class RealSenseCamera(Camera):
+    """Depth and colour of one device.
+
+    The sensors are opened directly, without the driver's pipeline, which waits for devices by itself and drops images
+    that it cannot pair. The driver puts images into its own queue, so none of its threads waits for Python.
 
     Parameters
     ----------
-    device : the driver's device, which becomes this camera; it is found again by its serial number
-    stored : mapping
-        Options of the preset.
-    query : callable
-        Returns the devices that are plugged in.
-    sink : Sink
-        Gets every image, on this camera's thread.
+    device : the driver's device
+    info : DeviceInfo
+    role : {"proximity", "tactile"}
 
     Raises
     ------
     SourceError
-        It cannot be opened.
+        The device lacks a mode, is in use, may not be used or does not answer.
     """
 
-    def __init__(
-        self,
-        role: CameraRole,
-        device: Any,
-        info: DeviceInfo,
-        stored: Mapping[str, float],
-        query: DeviceQuery,
-        sink: Sink,
-    ) -> None:
-        self.role: CameraRole = role
-        self.info = info
-        self._query = query
-        self._sink = sink
-        self._options_lock = Lock()
-        self._wanted = wanted_options(info, stored)
-        self._refused: list[str] = []
-        self._told = ""
-        self._told_until_s = 0.0
-        self._problem = ""
-        self._last_number: int | None = None
-        self._attempts = 0
-        self._poll_at_s = 0.0
-        self.dropped = 0
-        self.alive_s = time.monotonic()
-        self._quit = Event()
-        self._thread = Thread(target=self._run, name=f"{role} camera", daemon=True)
-        self._session: Session | None = None
-        self.calibration: Calibration = self._open(device, info).calibration
+    def __init__(self, device: Any, info: DeviceInfo, role: CameraRole) -> None:
+        self._driver = load_driver()
+        try:
+            streams = _find_streams(device, info)
+            super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))
+            self._depth_sensor = streams["depth"].sensor
+            self._sensors = _by_sensor(streams)
+            for sensor, _ in self._sensors:
+                self._use_host_clock(sensor)
+        except RuntimeError as error:
+            raise SourceError(_explain(info, error)) from error
+        self._queue = self._driver.frame_queue(_QUEUE, True)
+        self._opened: list[Any] = []
+
+    @property
+    def defaults(self) -> Mapping[str, float]:
+        """The short-range visual preset for an L515."""
+        return {VISUAL_PRESET: _SHORT_RANGE} if self._is_l500 else {}
 
     def start(self) -> None:
-        """Let the images come, from now on."""
-        if self._session is not None:
-            self._session.flush()
-        self._note_opened()
-        self._thread.start()
+        """Start streaming."""
+        try:
+            for sensor, profiles in self._sensors:
+                sensor.open(profiles)
+                self._opened.append(sensor)
+                sensor.start(self._queue)
+        except RuntimeError as error:
+            self.close()
+            raise SourceError(_explain(self.info, error)) from error
+
+    def read(self, timeout_s: float) -> Sequence[Image]:
+        """Wait for the next image of either stream and copy it."""
+        has_come, frame = self._queue.try_wait_for_frame(max(int(1e3 * timeout_s), 1))
+        if not has_come:
+            return ()
+        domain = frame.get_frame_timestamp_domain()
+        image = Image(
+            kind="depth" if frame.get_profile().stream_type() == self._driver.stream.depth else "color",
+            number=int(frame.get_frame_number()),
+            pixels=np.array(np.asanyarray(frame.as_video_frame().get_data())),
+            stamp_s=1e-3 * float(frame.get_timestamp()),
+            on_host_clock=domain != self._driver.timestamp_domain.hardware_clock,
+        )
+        return (image,)
+
+    def flush(self) -> None:
+        """Drop the images that wait."""
+        while self._queue.poll_for_frame():
+            pass
 
     def close(self) -> None:
-        """Stop the camera, and leave it to its fate if the driver does not let go of it."""
-        self._quit.set()
-        if self._thread.is_alive():
-            self._thread.join(3.0)
-        else:
-            self._let_go()
-
-    def tell(self, sentence: str) -> None:
-        """Have a sentence said for a while."""
-        self._told, self._told_until_s = sentence, time.monotonic() + _TOLD_S
-
-    def health(self) -> CameraHealth:
-        """Say how the camera is doing."""
-        now_s = time.monotonic()
-        sentences = [self._problem] if self._problem else list(self._refused)
-        state: Literal["streaming", "stalled", "missing"] = "streaming"
-        if self._session is None:
-            state = "missing" if self._problem else "stalled"
-        else:
-            has_stalled = any(now_s - seen_s > SILENT_S for seen_s in self._seen_s.values())
-            silent = [kind for kind, seen_s in self._seen_s.items() if has_stalled and now_s - seen_s > 0.5 * SILENT_S]
-            if "depth" in silent or (silent and self.role == "proximity"):
-                state = "stalled"
-            if silent:
-                sentences.append(self._silence(silent))
-        if now_s < self._told_until_s:
-            sentences.append(self._told)
-        return CameraHealth(self.role, state, self.info.model, self.info.serial, " ".join(sentences))
+        """Stop streaming; twice is harmless."""
+        opened, self._opened = self._opened, []
+        for sensor in opened:
+            for step in (sensor.stop, sensor.close):
+                try:
+                    step()
+                except RuntimeError:  # not started, or unplugged meanwhile
+                    continue
 
     def options(self) -> tuple[CameraOption, ...]:
-        """Return the settings; none while the camera is missing."""
-        with self._options_lock:
-            return self._options.read() if self._session is not None else ()
+        """Return the settings that can be changed, with their present values."""
+        options = []
+        for name in _OFFERED:
+            try:
+                option = self._option(name)
+            except RuntimeError:  # some cannot be read in some modes
+                continue
+            if option is not None:
+                options.append(option)
+        return tuple(options)
 
     def set_option(self, name: str, value: float) -> None:
-        """Change one setting, now and whenever the camera is opened again."""
-        with self._options_lock:
-            if self._session is None:
-                raise SourceError(f"the {self.info.title} is not connected; plug it in, then change {name}")
-            self._options.set(name, value)
-            remember(self._wanted, name, value)
-
-    def _silence(self, silent: list[Kind]) -> str:
-        if len(silent) == 2:
-            return f"The {self.info.title} sends nothing; it is started again if that lasts."
-        lacking, sent = ("colour", "depth") if silent == ["color"] else ("depth", "colour")
-        return f"The {self.info.title} sends {sent} images but no {lacking}."
-
-    # The camera's thread
-
-    def _run(self) -> None:
-        while not self._quit.is_set():
-            self.alive_s = time.monotonic()
-            try:
-                if self._session is None:
-                    self._find_again()
-                else:
-                    self._read(self._session)
-            except Exception as error:  # whatever it is, a camera that falls silent for good would be worse
-                self._lose(f"The {self.info.title} failed ({error}); it is opened again.")
-                self._quit.wait(_POLL_S)
-        self._let_go()
-
-    def _open(self, device: Any, info: DeviceInfo) -> Session:
-        session = Session(device, info)
-        with self._options_lock:
-            self._options = SensorOptions(self.role, info, session.depth_sensor)
-            self._refused = self._options.apply(self._wanted)
-        session.start()
-        self._note_opened()
-        self._session = session
-        return session
-
-    def _note_opened(self) -> None:
-        now_s = time.monotonic()
-        self._seen_s: dict[Kind, float] = {"depth": now_s + _WARM_UP_S, "color": now_s + _WARM_UP_S}
-        self._revive_at_s = now_s + _WARM_UP_S + _REVIVE_S[0]
-        self._last_number = None
-
-    def _read(self, session: Session) -> None:
-        image = session.read(_READ_S)
-        arrival_s, now_s = time.time(), time.monotonic()
-        if image is not None:
-            self._seen_s[image.kind] = now_s
-            if self._fits(image):
-                self._count_gap(image)
-                self._sink.take_in(self.role, image, arrival_s)
-        if now_s - self._seen_s["depth"] > SILENT_S and now_s > self._poll_at_s:
-            self._poll_at_s = now_s + _POLL_S
-            self._check_plugged_in()
-        self._revive_if_silent(now_s)
-
-    def _fits(self, image: Image) -> bool:
-        if image.pixels.shape[:2] == (HEIGHT, WIDTH):
-            return True
-        height, width = image.pixels.shape[:2]
-        self.tell(
-            f"The {self.info.title} sent a {image.kind} image of {width} x {height} pixels instead of "
-            f"{WIDTH} x {HEIGHT}; it was left out."
-        )
-        return False
-
-    def _count_gap(self, image: Image) -> None:
-        if image.kind == "depth":
-            if self._last_number is not None:
-                self.dropped += max(image.number - self._last_number - 1, 0)
-            self._last_number = image.number
-
-    def _check_plugged_in(self) -> None:
-        if all(_serial(device) != self.info.serial for device in self._query()):
-            self._lose(f"The {self.info.title} is unplugged: plug it in again and it goes on by itself.")
-
-    def _revive_if_silent(self, now_s: float) -> None:
-        needed: tuple[Kind, ...] = ("depth", "color") if self.role == "proximity" else ("depth",)
-        if all(now_s - self._seen_s[kind] <= SILENT_S for kind in needed):
-            self._attempts = 0
-            self._revive_at_s = now_s + _REVIVE_S[0]
-        elif now_s > self._revive_at_s:
-            attempts = self._attempts + 1
-            self._let_go()
-            self._find_again()
-            if self._session is not None:
-                self.tell(f"The {self.info.title} had stopped sending and was started again.")
-            self._attempts = attempts
-            self._revive_at_s = time.monotonic() + _REVIVE_S[min(attempts, len(_REVIVE_S) - 1)]
-
-    def _find_again(self) -> None:
-        """Open the camera if it is plugged in, else wait a little; say what stands in its place."""
-        devices = self._query()
-        for device in devices:
-            if _serial(device) == self.info.serial:
-                self._reopen(device)
-                return
-        others = [info for info in map(describe, devices) if info.model == self.info.model]
-        if others:
-            self._problem = (
-                f"The {self.info.title} is unplugged and another {others[0].model} with the serial "
-                f"{others[0].serial} is connected: plug the former in again, or choose the cameras anew."
-            )
-        elif self._session is None and not self._problem:
-            self._problem = f"The {self.info.title} is unplugged: plug it in again and it goes on by itself."
-        self._quit.wait(_POLL_S)
-
-    def _reopen(self, device: Any) -> None:
-        self._sink.opened_anew(self.role)
+        """Change one setting."""
+        sensor = self._depth_sensor
+        option = getattr(self._driver.option, name, None) if name in _OFFERED else None
+        if option is None or not sensor.supports(option):
+            known = ", ".join(known.name for known in self.options())
+            raise SourceError(f"the {self.info.title} has no option {name!r}; it has {known or 'none'}")
         try:
-            session = self._open(device, describe(device))
-        except SourceError as error:
-            text = str(error)
-            self._problem = f"{text[0].upper()}{text[1:]}."
-            self._quit.wait(_POLL_S)
-            return
-        if session.calibration != self.calibration:
-            self._lose(f"The {self.info.title} has another calibration than before: open the cameras anew.")
-            self._quit.wait(_POLL_S)
-            return
-        if self._problem:
-            self.tell(f"The {self.info.title} is back.")
-        self._problem = ""
+            sensor.set_option(option, value)
+        except RuntimeError as error:
+            extent = sensor.get_option_range(option)
+            raise SourceError(
+                f"the {self.info.title} refuses {name} = {value:g} ({error}); "
+                f"allowed are {extent.min:g} to {extent.max:g} in steps of {extent.step:g}"
+            ) from error
 
-    def _lose(self, sentence: str) -> None:
-        self._let_go()
-        self._problem = sentence
+    def apply_options(self, wanted: Mapping[str, float]) -> list[str]:
+        """Set options in an order in which none undoes another; return a sentence for each refused one."""
+        order = list(_OFFERED)
+        names = sorted(wanted, key=lambda name: order.index(name) if name in order else len(order))
+        # Exposure and gain would turn the automatic exposure off again.
+        skipped = ("exposure", "gain") if wanted.get(_AUTO_EXPOSURE) else ()
+        return self._apply((name, wanted[name]) for name in names if name not in skipped)
 
-    def _let_go(self) -> None:
-        with self._options_lock:
-            session, self._session = self._session, None
-        if session is not None:
-            session.close()
+    def reset_by(self, name: str) -> Collection[str]:
+        """Return the options that a visual preset sets too."""
+        return _SET_BY_PRESET if name == VISUAL_PRESET else ()
+
+    def _option(self, name: str) -> CameraOption | None:
+        option, sensor = getattr(self._driver.option, name, None), self._depth_sensor
+        if option is None or not sensor.supports(option):
+            return None
+        extent = sensor.get_option_range(option)
+        description, unit = _OFFERED[name]
+        return CameraOption(
+            camera=self.role,
+            name=name,
+            description=description,
+            minimum=float(extent.min),
+            maximum=float(extent.max),
+            step=float(extent.step),
+            # The value where a preset names none: presets leave such values out.
+            default=self.defaults.get(name, float(extent.default)),
+            value=float(sensor.get_option(option)),
+            unit=unit,
+            choices=self._choices(option, extent) if name == VISUAL_PRESET else (),
+            read_only=bool(sensor.is_option_read_only(option)),
+        )
+
+    def _choices(self, option: Any, extent: Any) -> tuple[tuple[float, str], ...]:
+        enumeration = self._driver.l500_visual_preset if self._is_l500 else self._driver.rs400_visual_preset
+        names = {int(member): name.replace("_", " ") for name, member in enumeration.__members__.items()}
+        choices = []
+        for number in range(int(extent.min), int(extent.max) + 1):
+            told = self._depth_sensor.get_option_value_description(option, float(number))
+            if told or number in names:
+                choices.append((float(number), str(told or names[number])))
+        return tuple(choices)
+
+    @property
+    def _is_l500(self) -> bool:
+        return self.info.model.startswith("L5")
+
+    def _use_host_clock(self, sensor: Any) -> None:
+        option = self._driver.option.global_time_enabled
+        if sensor.supports(option) and not sensor.get_option(option):
+            sensor.set_option(option, 1.0)
 
 
-def _serial(device: Any) -> str:
-    with suppress(RuntimeError):  # unplugged this very moment
-        return str(device.get_info(load_driver().camera_info.serial_number))
-    return ""
+def _find_streams(device: Any, info: DeviceInfo) -> dict[str, _Stream]:
+    """Return the depth and the colour stream in the needed mode; `SourceError` names the modes that there are."""
+    found: dict[str, _Stream] = {}
+    for sensor in device.query_sensors():
+        for profile in sensor.get_stream_profiles():
+            kind = profile.stream_type().name
+            if kind not in found and _is_wanted(profile, kind):
+                found[kind] = _Stream(sensor, profile)
+    for kind, form in _FORMATS.items():
+        if kind not in found:
+            there = [str(mode) for mode in info.modes if mode.stream == kind]
+            raise SourceError(
+                f"the {info.title} offers no {kind} stream of {WIDTH} x {HEIGHT} at {RATE_HZ} Hz ({form}), but "
+                f"{', '.join(there[:12]) or 'none at all'}; use a USB 3 port, or update the camera's firmware"
+            )
+    return found
+
+
+def _is_wanted(profile: Any, kind: str) -> bool:
+    if not profile.is_video_stream_profile() or profile.format().name != _FORMATS.get(kind):
+        return False
+    video = profile.as_video_stream_profile()
+    return (video.width(), video.height(), profile.fps()) == (WIDTH, HEIGHT, RATE_HZ)
+
+
+def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibration:
+    """Return the device's lenses, their pose and its depth unit; `SourceError` where these are not possible."""
+    depth, color = streams["depth"], streams["color"]
+    unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
+    if not unit_m > 0.0:
+        raise SourceError(
+            f"the {info.title} reports a depth unit of {unit_m:g} m, so its depths mean nothing; "
+            "plug it in again, or update its firmware"
+        )
+    try:
+        camera = DepthCamera(
+            model=info.model,
+            serial=info.serial,
+            intrinsics=_lens(depth.profile),
+            depth_unit_m=float(f"{unit_m:.7g}"),  # the driver keeps it in single precision
+        )
+        return Calibration(camera, _lens(color.profile), _pose(depth.profile, color.profile))
+    except (ValidationError, ValueError) as error:
+        raise SourceError(f"the {info.title} reports a lens or pose that cannot be ({error}); calibrate it") from error
+
+
+def _lens(profile: Any) -> Intrinsics:
+    lens = profile.as_video_stream_profile().get_intrinsics()
+    coefficients = tuple(float(value) for value in lens.coeffs)
+    if lens.model.name not in list(Distortion) and any(coefficients):
+        raise ValueError(f"lens model {lens.model.name}")
+    return Intrinsics(
+        width=lens.width,
+        height=lens.height,
+        fx=lens.fx,
+        fy=lens.fy,
+        cx=lens.ppx,
+        cy=lens.ppy,
+        distortion=Distortion(lens.model.name) if lens.model.name in list(Distortion) else Distortion.NONE,
+        coefficients=coefficients,
+    )
+
+
+def _pose(source: Any, target: Any) -> Matrix4:
+    extrinsics = source.get_extrinsics_to(target)
+    matrix = np.eye(4)
+    matrix[:3, :3] = np.asarray(extrinsics.rotation).reshape(3, 3).T  # column-major in the driver
+    matrix[:3, 3] = extrinsics.translation
+    return rigid_transform(matrix)
+
+
+def _by_sensor(streams: dict[str, _Stream]) -> list[tuple[Any, list[Any]]]:
+    """Group the streams by the sensor that has them: a D405 has one for both."""
+    groups: list[tuple[Any, list[Any]]] = []
+    for stream in streams.values():
+        for sensor, profiles in groups:
+            if sensor is stream.sensor:
+                profiles.append(stream.profile)
+                break
+        else:
+            groups.append((stream.sensor, [stream.profile]))
+    return groups
+
+
+def _explain(info: DeviceInfo, error: RuntimeError) -> str:
+    words = str(error).lower()
+    if any(sign in words for sign in _BUSY):
+        return f"the {info.title} is in use by another program; close it, the RealSense Viewer perhaps ({error})"
+    if any(sign in words for sign in _FORBIDDEN):
+        return f"the {info.title} may not be opened: udev rules are missing, tactune doctor says how to add them"
+    return f"the {info.title} cannot be opened ({error}); plug it in again, or run tactune doctor"

@@ -1,19 +1,67 @@
-"""The camera driver, loaded when it is first needed, and what is wrong with it in words."""
+"""Intel's camera driver pyrealsense2: loading it, why it may fail, and the devices that it lists."""
 
 from __future__ import annotations
 
 import importlib
 import re
+from collections.abc import Callable
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from ...errors import MissingExtraError, SourceError
+from ..base import CameraRole
+from ..cameras.camera import Camera, CameraDriver, DeviceInfo, StreamMode
+
+#: Returns the driver's objects of the connected devices.
+DeviceQuery = Callable[[], list[Any]]
 
 #: The last release that knows the L515; the next one dropped it.
 LAST_WITH_L515 = "2.54.2"
 
 #: System libraries that the driver's wheel needs and the Debian packages that have them.
 _PACKAGES = {"libusb-1.0": "libusb-1.0-0", "libudev": "libudev1"}
+
+
+class RealSenseDriver(CameraDriver):
+    """The RealSense cameras: L515, D405 and others of the D400 line.
+
+    Parameters
+    ----------
+    query : callable, optional
+        Returns the driver's objects of the connected devices; by default those on this machine's USB.
+    """
+
+    title = "RealSense"
+
+    def __init__(self, query: DeviceQuery | None = None) -> None:
+        self._find = query
+
+    def devices(self) -> list[DeviceInfo]:
+        """Return the connected devices."""
+        return [describe(device) for device in self._query()]
+
+    def serials(self) -> list[str]:
+        """Return the serial numbers of the connected devices, without asking for their modes."""
+        return [_serial(device) for device in self._query()]
+
+    def open(self, serial: str, role: CameraRole) -> Camera:
+        """Open a device."""
+        from .camera import RealSenseCamera
+
+        for device in self._query():
+            if _serial(device) == serial:
+                return RealSenseCamera(device, describe(device), role)
+        raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
+
+    def hint(self) -> str:
+        """Say why this version of the driver finds no L515."""
+        return no_l515_sentence(driver_version())
+
+    def _query(self) -> list[Any]:
+        if self._find is None:
+            self._find = hardware(load_driver())
+        return self._find()
 
 
 def load_driver() -> Any:
@@ -59,6 +107,55 @@ def no_l515_sentence(driver: str) -> str:
     )
 
 
+def hardware(driver: Any) -> DeviceQuery:
+    """Return a function that asks the driver for the devices on this machine's USB."""
+    context = driver.context()
+
+    def query() -> list[Any]:
+        try:
+            return list(context.query_devices())
+        except RuntimeError as error:
+            raise SourceError(f"the camera driver cannot list its devices ({error}); plug them in again") from error
+
+    return query
+
+
+def describe(device: Any) -> DeviceInfo:
+    """Return what a device of the driver says of itself."""
+    driver = load_driver()
+
+    def told(name: str) -> str:
+        info = getattr(driver.camera_info, name)
+        return str(device.get_info(info)) if device.supports(info) else ""
+
+    try:
+        model = told("name").removeprefix("Intel RealSense ").removeprefix("RealSense ").strip() or "unknown"
+        modes = {mode for sensor in device.query_sensors() for mode in map(_mode, sensor.get_stream_profiles()) if mode}
+        usb = told("usb_type_descriptor")
+        return DeviceInfo(
+            model=model,
+            serial=told("serial_number"),
+            role=_role(model),
+            is_second_choice=model != "D405" and _role(model) == "tactile",
+            firmware=told("firmware_version"),
+            usb=usb,
+            modes=tuple(sorted(modes)),
+            problem="it runs at USB 2, too slow for these cameras; use a USB 3 port and cable"
+            if usb.startswith("2")
+            else "",
+        )
+    except RuntimeError as error:
+        return DeviceInfo(model="unknown", serial="", problem=f"it does not answer ({error}); plug it in again")
+
+
+def _mode(profile: Any) -> StreamMode | None:
+    if not profile.is_video_stream_profile():
+        return None
+    video = profile.as_video_stream_profile()
+    stream = profile.stream_type().name
+    return StreamMode(stream, video.width(), video.height(), profile.fps(), profile.format().name)
+
+
 def _numbers(text: str) -> tuple[int, ...]:
     return tuple(int(number) for number in re.findall(r"\d+", text))
 
@@ -71,3 +168,16 @@ def _cannot_load(message: str) -> str:
         f"the camera driver pyrealsense2 cannot be loaded ({message}): "
         "reinstall it with pip install --force-reinstall 'tactune[realsense]'"
     )
+
+
+def _role(model: str) -> CameraRole | None:
+    """Return the role of a model: an L515 looks through the membrane, a D400 camera sees the membrane."""
+    if model.startswith("L5"):
+        return "proximity"
+    return "tactile" if model.startswith("D4") else None
+
+
+def _serial(device: Any) -> str:
+    with suppress(RuntimeError):  # unplugged at this moment
+        return str(device.get_info(load_driver().camera_info.serial_number))
+    return ""

@@ -13,9 +13,9 @@ from tactune.app.doctor import cameras as doctor_cameras
 from tactune.app.doctor import checks as doctor
 from tactune.app.doctor.cameras import UsbCamera
 from tactune.app.doctor.checks import Child
-from tactune.core.sources.realsense import devices as realsense_devices
+from tactune.core.sources.cameras import drivers
+from tactune.core.sources.cameras.camera import DeviceInfo, StreamMode
 from tactune.core.sources.realsense import driver
-from tactune.core.sources.realsense.devices import DeviceInfo, StreamMode
 
 
 def mode(stream, width, height, rate_hz, format_="z16"):
@@ -25,6 +25,8 @@ def mode(stream, width, height, rate_hz, format_="z16"):
 L515 = {
     "model": "L515",
     "serial": "f0190001",
+    "role": "proximity",
+    "is_second_choice": False,
     "firmware": "1.5.8.1",
     "usb": "3.2",
     "problem": "",
@@ -129,7 +131,7 @@ def test_the_program_that_is_asked_exists():
 def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, monkeypatch, capsys):
     modes = tuple(StreamMode(**each) for each in L515["modes"])
     connected = [DeviceInfo(**{**L515, "modes": modes}), DeviceInfo("unknown", "", problem="it does not answer")]
-    monkeypatch.setattr(realsense_devices, "list_devices", lambda: connected)
+    monkeypatch.setattr(drivers, "list_devices", lambda: (connected, ""))
     assert list_devices.main() == 0
     written = capsys.readouterr().out
     monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(written))

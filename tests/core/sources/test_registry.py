@@ -15,7 +15,7 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources import SeekableSource, registry
+from tactune.core.sources import SeekableSource, simulator
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scenes import SCENES
@@ -52,7 +52,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         monkeypatch.setitem(sys.modules, module, fake)
 
     pretend("tactune.core.sources.simulator.source", "SimulatorSource", ())
-    pretend("tactune.core.sources.bag", "BagSource", ("path", "progress"))
+    pretend("tactune.core.sources.realsense_files.source", "BagSource", ("path", "progress"))
     return asked
 
 
@@ -74,9 +74,8 @@ def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict
 
 
 def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:
-    assert (*registry.SCENES, *registry.MORE_SCENES) == SCENES
-    simulator = source_kinds()[0]
-    assert simulator.examples == ("sim:cube", "sim:cup", "sim:octopus")
+    assert (*simulator.SCENES, *simulator.MORE_SCENES) == SCENES
+    assert source_kinds()[0].examples == ("sim:cube", "sim:cup", "sim:octopus")
 
 
 def test_a_bag_is_opened_by_scheme_or_suffix(opened: list[dict[str, Any]], tmp_path: Path) -> None:
@@ -176,7 +175,7 @@ def test_a_path_of_no_known_kind_is_refused(tmp_path: Path, entry: str) -> None:
 
 def test_every_kind_tells_how_to_name_it() -> None:
     kinds = source_kinds()
-    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "mcap", "realsense", "live"]
+    assert [kind.scheme for kind in kinds] == ["sim", "folder", "bag", "mcap", "cameras", "realsense", "live"]
     for kind in kinds:
         assert kind.form.startswith(f"{kind.scheme}:")
         assert kind.title
@@ -186,6 +185,7 @@ def test_every_kind_tells_how_to_name_it() -> None:
         ("folder", "rig.json"),
         ("file", "*.bag *.db3"),
         ("file", "*.mcap"),
+        ("nothing", ""),
         ("nothing", ""),
         ("nothing", ""),
     ]

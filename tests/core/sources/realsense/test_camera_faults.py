@@ -8,7 +8,7 @@ pytest.importorskip("pyrealsense2", reason="the camera driver is not installed",
 
 from software_rig import Command, image_number
 from tactune.core.sources.base import Health
-from tactune.core.sources.realsense.clock import SETTLING
+from tactune.core.sources.cameras.assembler import SETTLING
 
 
 def state(health: Health, role: str) -> str:

@@ -8,8 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactune.core.sources.realsense.clock import SETTLING, StreamClock
-from tactune.core.sources.realsense.pairing import Pairer, Timed
+from tactune.core.sources.cameras.assembler import SETTLING, Pairer, StreamClock, Timed
 
 PERIOD_S = 1 / 30
 START_S = 1.7e9

@@ -18,9 +18,9 @@ from software_rig import SoftwareCamera, SoftwareRig, open_software_rig
 from tactune.core.errors import SourceError
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import CameraSection, CamerasSection
-from tactune.core.sources.realsense.calibration import Calibration
-from tactune.core.sources.realsense.devices import StreamMode, describe
-from tactune.core.sources.realsense.source import RealSenseSource
+from tactune.core.sources.cameras.camera import Calibration, StreamMode
+from tactune.core.sources.cameras.source import CameraSource
+from tactune.core.sources.realsense.driver import RealSenseDriver, describe
 
 IMAGES = 300
 
@@ -68,14 +68,17 @@ def test_lenses_pose_and_unit_are_those_that_the_devices_state(session):
 def test_devices_are_described_without_being_started():
     proximity, tactile = map(describe, SoftwareRig().devices())
     assert (proximity.model, proximity.serial, proximity.usb) == ("L515", "f0090001", "3.2")
-    assert proximity.is_proximity_model
-    assert not tactile.is_proximity_model
+    assert (proximity.role, tactile.role) == ("proximity", "tactile")
     assert tactile.firmware == "05.12.14.100"
     assert StreamMode("depth", 640, 480, 30, "z16") in tactile.modes
     assert StreamMode("color", 640, 480, 30, "rgb8") in tactile.modes
 
 
-def options_of(source: RealSenseSource) -> dict[tuple[str, str], float]:
+def open_rig(rig: SoftwareRig) -> CameraSource:
+    return CameraSource([RealSenseDriver(rig.devices)], scheme="realsense")
+
+
+def options_of(source: CameraSource) -> dict[tuple[str, str], float]:
     return {(option.camera, option.name): option.value for option in source.options()}
 
 
@@ -102,7 +105,7 @@ def test_an_l515_starts_at_short_range_and_options_can_be_changed(session):
 def test_both_cameras_stamp_on_the_computers_clock():
     rig = SoftwareRig()
     assert rig.cameras["proximity"].global_time == [False, False]
-    with RealSenseSource(devices=rig.devices):
+    with open_rig(rig):
         assert all(all(camera.global_time) for camera in rig.cameras.values())
 
 
@@ -126,24 +129,24 @@ def test_a_device_without_depth_unit_is_refused():
     rig = SoftwareRig()
     rig.cameras["tactile"] = SoftwareCamera("tactile", unit_m=0.0)
     with pytest.raises(SourceError, match=r"D405 .*reports a depth unit of 0 m"):
-        RealSenseSource(devices=rig.devices)
+        open_rig(rig)
 
 
 def test_a_device_in_use_is_said_to_be():
     rig = SoftwareRig()
     with (
-        RealSenseSource(devices=rig.devices),
+        open_rig(rig),
         pytest.raises(SourceError, match=r"L515 \(serial f0090001\) is in use by another program"),
     ):
-        RealSenseSource(devices=rig.devices)
+        open_rig(rig)
 
 
 def test_a_missing_mode_is_said_with_those_that_are_there(monkeypatch):
-    monkeypatch.setattr("tactune.core.sources.realsense.calibration.WIDTH", 1280)
+    monkeypatch.setattr("tactune.core.sources.realsense.camera.WIDTH", 1280)
     with pytest.raises(
         SourceError, match=r"no depth stream of 1280 x 480.*depth 320 x 240 at 30 Hz \(z16\), depth 640"
     ):
-        RealSenseSource(devices=SoftwareRig().devices)
+        open_rig(SoftwareRig())
 
 
 def test_a_delay_of_the_tactile_camera_is_taken_off_its_stamps_before_pairing():
@@ -176,8 +179,8 @@ def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
 
 def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(session, monkeypatch):
     released = threading.Event()
-    monkeypatch.setattr("tactune.core.sources.realsense.source._HUNG_S", 0.5)
-    monkeypatch.setattr("tactune.core.sources.realsense.session.Session.read", lambda *_: released.wait() and None)
+    monkeypatch.setattr("tactune.core.sources.cameras.source._HUNG_S", 0.5)
+    monkeypatch.setattr("tactune.core.sources.realsense.camera.RealSenseCamera.read", lambda *_: released.wait() and ())
     try:
         with pytest.raises(SourceError, match=r"driver does not come back from the (L515|D405)"):
             session.read(1_000)

@@ -5,7 +5,7 @@ from contextlib import ExitStack
 
 import pytest
 
-from tactune.core.sources.bag import BagSource
+from tactune.core.sources.realsense_files.source import BagSource
 
 
 @pytest.fixture

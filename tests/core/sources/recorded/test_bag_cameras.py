@@ -11,8 +11,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from bag_maker import D405, L515, Device, Images, color_images, depth_images, make_bag
-from tactune.core.sources.bag import BagSource
 from tactune.core.sources.folder import FolderSource, export_folder
+from tactune.core.sources.realsense_files.source import BagSource
 
 Opener = Callable[..., BagSource]
 

@@ -12,7 +12,7 @@ import pytest
 
 from bag_maker import D405, Device, color_images, depth_images, make_bag
 from tactune.core.model.intrinsics import Distortion
-from tactune.core.sources.bag import BagSource
+from tactune.core.sources.realsense_files.source import BagSource
 
 Opener = Callable[..., BagSource]
 

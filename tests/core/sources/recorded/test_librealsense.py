@@ -16,7 +16,7 @@ import pytest
 
 from record_cameras import RATE_HZ, START_S, UNITS_M, images, lens_values, run
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources.bag import BagSource
+from tactune.core.sources.realsense_files.source import BagSource
 
 Opener = Callable[..., BagSource]
 FIXTURES = Path(__file__).parents[3] / "data"

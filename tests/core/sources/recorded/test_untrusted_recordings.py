@@ -17,7 +17,7 @@ import pytest
 import bag_maker
 from bag_maker import D405, L515, make_bag
 from tactune.core.errors import SourceError
-from tactune.core.sources.bag import BagSource
+from tactune.core.sources.realsense_files.source import BagSource
 
 if sys.version_info >= (3, 14):
     from compression import zstd

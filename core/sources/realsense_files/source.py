@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 
-from ..contact.masking import colors_at
-from ..errors import SourceError
-from ..model.arrays import IndexArray, Uint8Array, Uint16Array
-from ..model.clouds import deproject, valid_depth
-from ..model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
-from .base import Health, Progress, SeekableSource
-from .realsense_files.opening import open_recordings
-from .realsense_files.pairing import common_times, nearest, pairs, period_s, span_text
-from .realsense_files.recording import Camera, Recording
+from ...contact.masking import colors_at
+from ...errors import SourceError
+from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
+from ...model.clouds import deproject, valid_depth
+from ...model.files import user_path
+from ...model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
+from ..base import Health, Progress, SeekableSource
+from . import db3_recording, recording_files, ros1_bag
+from .bag_recording import BagRecording
+from .db3_recording import Db3Recording
+from .recording import HARDWARE_CLOCK, Camera, Recording, Stream
 
+#: Seconds between these are a date, below they count from some start.
+_FIRST_DATE_S = 1e9
+_LAST_DATE_S = 1e11
 _IDENTITY = rigid_transform(np.eye(4))
 
 
@@ -220,3 +226,112 @@ def _color_on_depth(color: Uint8Array, depth: Uint16Array, rig: Rig) -> Uint8Arr
     aligned = np.zeros((*depth.shape, 3), np.uint8)
     aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, rig)
     return aligned
+
+
+def common_times(
+    first: Stream, second: Stream, *, same_recording: bool, same_device: bool
+) -> tuple[Float64Array, Float64Array] | None:
+    """Return both streams' times in seconds on one clock, the most exact that they share.
+
+    That is the clock of the images' own stamps where both name the same (a camera's own clock counts
+    for that camera alone), else when the images were recorded or, across two recordings, when they
+    reached the computer. None where no clock is shared.
+    """
+    if first.clock == second.clock != "" and (same_device or first.clock != HARDWARE_CLOCK):
+        return first.stamps_s, second.stamps_s
+    if same_recording:
+        return first.recorded_s, second.recorded_s
+    if first.arrived_s is not None and second.arrived_s is not None:
+        return first.arrived_s, second.arrived_s
+    return None
+
+
+def period_s(times_s: Float64Array, rate_hz: float) -> float:
+    """Return the usual time between two images, in seconds."""
+    usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
+    return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
+
+
+def nearest(times_s: Float64Array, candidates_s: Float64Array) -> IndexArray:
+    """Return for each time the index of the nearest candidate; the earlier of two that are as near."""
+    order = np.argsort(candidates_s, kind="stable")
+    ordered = candidates_s[order]
+    after = np.searchsorted(ordered, times_s).clip(1, max(len(ordered) - 1, 1))
+    before = after - 1
+    after = after.clip(max=len(ordered) - 1)
+    later_is_nearer = ordered[after] - times_s < times_s - ordered[before]
+    return order[np.where(later_is_nearer, after, before)]
+
+
+def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> tuple[IndexArray, IndexArray]:
+    """Return the indices of images that are each other's nearest and at most ``farthest_s`` apart."""
+    partner = nearest(first_s, second_s)
+    is_mutual = nearest(second_s, first_s)[partner] == np.arange(len(first_s))
+    # Stamps are sums and products of decimal fractions: exactly half a period must still count.
+    is_near = np.abs(second_s[partner] - first_s) <= farthest_s * (1 + 1e-6)
+    chosen = np.flatnonzero(is_mutual & is_near)
+    return chosen, partner[chosen]
+
+
+def span_text(times_s: Float64Array) -> str:
+    """Return from when to when some images were taken, in words."""
+    return f"{_moment(float(times_s.min()))} to {_moment(float(times_s.max()))}"
+
+
+def _moment(time_s: float) -> str:
+    if _FIRST_DATE_S < time_s < _LAST_DATE_S:
+        return f"{datetime.fromtimestamp(time_s, UTC):%Y-%m-%d %H:%M:%S.%f}"[:-3] + " UTC"
+    return f"{time_s:.3f} s"
+
+
+def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
+    """Open one recording, or two whose paths stand on both sides of a comma.
+
+    Raises
+    ------
+    SourceError
+        No such file, damaged, or no such recording; none stays open.
+    """
+    paths = recording_files(text)
+    if not paths:
+        raise SourceError(f"bag:{text}: there is no file {_missing(text)}; check the path")
+    opened: list[Recording] = []
+    try:
+        for number, path in enumerate(paths):
+            opened.append(_open(path, _part(progress, number, len(paths))))
+    except BaseException:
+        for recording in opened:
+            recording.close()
+        raise
+    return opened
+
+
+def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
+    """Return what tells the progress of one of several files as a share of all of them."""
+    if progress is None:
+        return None
+    return lambda share, words: progress((number + share) / count, words)
+
+
+def _open(path: Path, progress: Progress | None) -> Recording:
+    # By what is in it: a .bag that was renamed is still one.
+    with path.open("rb") as file:
+        start = file.read(32)
+    if not start:
+        raise SourceError(f"{path}: this is no readable RealSense recording (it is empty); copy or record it again")
+    if start.startswith(db3_recording.MAGIC):
+        return Db3Recording(path, progress)
+    if start.startswith(ros1_bag.MAGIC):
+        return BagRecording(path, progress)
+    raise SourceError(
+        f"{path}: this is no readable RealSense recording (it begins neither as a .bag nor as a .db3 does); "
+        "copy or record it again"
+    )
+
+
+def _missing(text: str) -> str:
+    """Return the part of a name that is no file."""
+    parts = [user_path(part) for part in text.split(",")]
+    if len(parts) != 2:
+        return str(user_path(text))
+    return str(next((part for part in parts if not part.is_file()), user_path(text)))

@@ -1,0 +1,60 @@
+"""Live cameras of any maker, captured in a process of their own.
+
+`camera` is the interface that a maker's driver implements; `feed` runs one camera on a thread, `assembler` places the
+images of both on one clock and pairs them, `source` makes frames of the pairs.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING
+
+from ...errors import SourceError
+from ..base import FrameSource, Progress
+from ..registry import SourceKind
+
+if TYPE_CHECKING:
+    from ...preset import CamerasSection
+
+
+def open_in_process(
+    rest: str, progress: Progress | None, cameras: CamerasSection | None, *, driver: str = ""
+) -> FrameSource:
+    """Open two cameras by the text after the scheme: ``PROXIMITY,TACTILE``, their serial numbers, or nothing.
+
+    Without serial numbers, the preset's count; without those, the cameras are chosen by their models. ``driver`` is
+    the entry point of the only driver to ask; empty: all.
+
+    Raises
+    ------
+    SourceError
+        ``rest`` is not two serial numbers, or the cameras cannot be opened.
+    """
+    from ...preset import CamerasSection
+    from ..process import ProcessSource
+    from .source import open_cameras
+
+    chosen = cameras or CamerasSection()
+    if rest:
+        scheme = driver or "cameras"
+        serials = rest.split(",")
+        if len(serials) != 2 or not all(serials):
+            raise SourceError(
+                f"{scheme}:{rest}: give both serial numbers, as in {scheme}:f0090001,130322270002, or none"
+            )
+        for role, serial in zip(("proximity", "tactile"), serials, strict=True):
+            chosen = chosen.model_copy(
+                update={role: getattr(chosen, role).model_copy(update={"serial": serial.strip()})}
+            )
+    return ProcessSource(partial(open_cameras, driver, chosen), progress)
+
+
+KIND = SourceKind(
+    scheme="cameras",
+    title="Cameras",
+    form="cameras:[PROXIMITY,TACTILE]",
+    description="Two live cameras of any installed driver, of one maker or two; with serial numbers, those.",
+    examples=("cameras:",),
+    open=open_in_process,
+    rank=4,
+)
