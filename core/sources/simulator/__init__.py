@@ -20,7 +20,7 @@ SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "seed", "noi
 _DEFAULT_SCENE = "cup"
 
 
-def _open(rest: str, progress: Progress | None, _: CamerasSection | None) -> FrameSource:
+def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
     """Open ``SCENE?seed=N&noise=X``; every part is optional."""
     name = f"sim:{rest}"
     scene, _, query = rest.partition("?")
