@@ -264,8 +264,7 @@ def find_rig(name: str) -> Rig:
 
 def average_frames(source: FrameSource, frames: int) -> UntouchedAverage:
     """Average the next frames of the untouched membrane; the simulator removes its object, with a warning."""
-    from ...core.rig.untouched import average_untouched
-    from ...core.rig.untouched_source import frames_to_average
+    from ...core.rig.untouched import average_untouched, frames_to_average
     from ...core.sources.simulator.source import SimulatorSource
 
     if isinstance(source, SimulatorSource):

@@ -199,7 +199,7 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
 def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
     """Say what speaks against an untouched membrane, and refuse one that is surely touched."""
     from ...core.contact.warmup import warm_up_if_needed
-    from ...core.rig.untouched_check import touch_doubts
+    from ...core.rig.drift import touch_doubts
 
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)

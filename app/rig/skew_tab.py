@@ -12,8 +12,7 @@ from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
-from ...core.rig.motion import MotionSeries, Sample
-from ...core.rig.skew import LARGEST_GAP_S, LEAST_TIME_S, Skew, measure_skew
+from ...core.rig.skew import LARGEST_GAP_S, LEAST_TIME_S, MotionSeries, Sample, Skew, measure_skew
 from ...widgets.basics.theme import theme_colors
 from ..document.document import Document
 from ..worker.jobs import Job

@@ -179,7 +179,7 @@ class Capture(QObject):
 
     def _simulated(self, name: str, count: int, progress: Progress) -> Captured:
         # only the simulator's frames need what it is made of
-        from ...core.rig.untouched_source import frames_to_average
+        from ...core.rig.untouched import frames_to_average
 
         def opening(share: float, words: str) -> None:
             progress(_OPENED * share, words)

@@ -11,8 +11,7 @@ from PyQt6.QtGui import QFont, QKeyEvent
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSpinBox, QVBoxLayout, QWidget
 
 from ...core.model.frames import Rig, SensorFrame
-from ...core.rig.untouched import MOST_FRAMES
-from ...core.rig.untouched_source import UNTOUCHED_FRAMES
+from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.feed import FrameFeed
 from ..calibration.pictures import picture
@@ -83,13 +82,13 @@ class CaptureWindow(QDialog):
             pane.view.setMinimumSize(220, 165)
             pane.resized.connect(partial(_fit, pane))
         self.frames = QSpinBox()
-        self.frames.setRange(1, MOST_FRAMES)
+        self.frames.setRange(1, MAX_FRAMES)
         self.frames.setValue(UNTOUCHED_FRAMES)
         self.frames.setSuffix(" frames")
         self.frames.setSpecialValueText("1 frame")
         self.frames.setAccessibleName("Frames to average")
         self.frames.setToolTip(
-            f"How many frames are averaged, 1 to {MOST_FRAMES}: the median of each pixel. More frames, less noise; "
+            f"How many frames are averaged, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
             "the membrane must not move meanwhile"
         )
         self.progress = QProgressBar()

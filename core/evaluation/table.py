@@ -18,7 +18,7 @@ from scipy.stats import t as student_t
 
 from ..methods.registry import make_method
 from ..preset import Preset
-from ..rig.untouched_source import untouched_frame
+from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from .cells import FRAMES_A_CELL, Cell, CellFolder, MakeMethod, build_method, measure_cell, table_methods

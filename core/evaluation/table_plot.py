@@ -15,7 +15,7 @@ from ..methods.registry import make_method
 from ..model.arrays import Float32Array
 from ..model.files import atomic_path
 from ..preset import Preset
-from ..rig.untouched_source import untouched_frame
+from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from .cells import FRAMES_A_CELL, NO_CONTACT_FOUND, MakeMethod, build_method

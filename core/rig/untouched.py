@@ -1,10 +1,12 @@
-"""The untouched membrane: averaged from frames, kept in a file beside the preset, named in it by its hash."""
+"""The untouched frame: averaged from frames of the untouched membrane and kept in a file beside the preset."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -20,35 +22,37 @@ from ..model.untouched_archive import frame_from_bytes, untouched_bytes
 from ..preset import Preset, UntouchedRecord
 from ..sources.base import FrameSource, Progress
 
-#: More frames take minutes and average nothing that fewer leave.
-MOST_FRAMES: Final = 1000
+#: Upper limit of averaged frames. More take minutes and reduce the noise no further.
+MAX_FRAMES: Final = 1000
 
-#: Frames that are held at once: from twice as many on, the older half becomes one median.
+#: Frames per block. When 2 blocks are held, the older one is replaced by its median.
 _BLOCK: Final = 30
-#: Movement is looked for in the medians of squares of so many pixels, which noise hardly changes, ...
+#: Movement test: the median depth of image tiles of this side length, pixels, ...
 _TILE_PX: Final = 16
-#: ... as a change by this share of the depth (2 mm at 300 mm) ...
+#: ... changes by more than this share of the depth (2 mm at 300 mm) ...
 _MOVED_SHARE: Final = 0.0067
-#: ... in more than this share of them.
+#: ... in more than this share of all tiles.
 _MOVED_TILES: Final = 0.005
-#: Two frames of 1280 x 720 with colour take 15 MB; anything far larger is no untouched frame.
-_LARGEST_BYTES: Final = 100_000_000
-_ANEW: Final = "capture the untouched frame anew"
+#: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
+_MAX_BYTES: Final = 100_000_000
+_REMEDY: Final = "capture the untouched frame again"
+#: Default number of frames that are averaged.
+UNTOUCHED_FRAMES: Final = 15
 
 
 @dataclass(frozen=True, eq=False)
 class UntouchedAverage:
-    """The averaged membrane, and how much quieter it is than one frame.
+    """An averaged untouched frame and its noise.
 
     Attributes
     ----------
     frame : SensorFrame
-        The median of each pixel of all images.
+        The median of each pixel over all frames.
     frames : int
-        How many frames went into it.
+        Number of averaged frames.
     noise_counts : (float, float)
-        Mean noise of the tactile depth (standard deviation over time, raw counts) in one frame, and in
-        the median; nan where one frame only, or no depth, tells.
+        Standard deviation of the tactile depth over time, raw counts: of one frame, and of ``frame``. nan for a
+        single frame or without depth.
     """
 
     frame: SensorFrame
@@ -58,7 +62,7 @@ class UntouchedAverage:
 
 @dataclass(frozen=True, eq=False)
 class FoundUntouched:
-    """What methods compare with: a frame, or None where there is none, and what is to be said of it."""
+    """The untouched frame that methods compare with, None if there is none, and warnings for the user."""
 
     frame: SensorFrame | None
     warnings: tuple[str, ...] = ()
@@ -67,18 +71,18 @@ class FoundUntouched:
 def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
     """Average frames of the untouched membrane: the median of each pixel.
 
-    Up to 59 frames the median is exact; of more, it is the median of the medians of 30 each (Rousseeuw &
-    Bassett 1990, "The remedian"), so at most 60 frames and 33 medians are held at once.
+    The median is exact up to 59 frames. Beyond, it is the median of the medians of blocks of 30 frames (Rousseeuw &
+    Bassett 1990, "The remedian"), so at most 60 frames and 33 medians are in memory.
 
     Parameters
     ----------
     frames : iterable of SensorFrame
-        All of one size, at most `MOST_FRAMES`.
+        All of one size, at most `MAX_FRAMES`.
 
     Raises
     ------
     CalibrationError
-        No frame, too many, frames of different size, or something moved meanwhile.
+        There is no frame, there are too many, their sizes differ, or the membrane moved.
     """
     blocks: list[SensorFrame] = []
     held: list[SensorFrame] = []
@@ -88,8 +92,8 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
         first = frame if first is None else first
         _refuse_movement(first, frame)
         count += 1
-        if count > MOST_FRAMES:
-            raise CalibrationError(f"an untouched frame is averaged from at most {MOST_FRAMES} frames; ask for fewer")
+        if count > MAX_FRAMES:
+            raise CalibrationError(f"an untouched frame is averaged from at most {MAX_FRAMES} frames; ask for fewer")
         held.append(frame)
         if len(held) == 2 * _BLOCK:
             blocks.append(take_snapshot(held[:_BLOCK]).frame)
@@ -101,18 +105,17 @@ def average_untouched(frames: Iterable[SensorFrame]) -> UntouchedAverage:
 
 
 def save_untouched(frame: SensorFrame, frames: int, preset_path: Path) -> UntouchedRecord:
-    """Write an untouched frame beside a preset file and return what the preset keeps of it.
+    """Write an untouched frame beside a preset file and return its record for the preset.
 
-    The file is named by its content, ``untouched-HASH.npz``, so it never replaces the one that a preset in
-    this folder still names: save the preset afterwards, and whatever happens in between, the pair on the
-    disk is whole.
+    The file name contains the hash of the content, ``untouched-HASH.npz``, so no file of another preset in the same
+    folder is overwritten. Save the preset afterwards: preset and untouched frame on disk then match at any moment.
 
     Parameters
     ----------
     frame : SensorFrame
         From `average_untouched`.
     frames : int
-        How many frames went into it.
+        Number of averaged frames.
     preset_path : Path
         The preset's own file.
 
@@ -140,41 +143,41 @@ def load_untouched(record: UntouchedRecord, preset_path: Path) -> SensorFrame:
     Raises
     ------
     PresetError
-        It is missing, damaged, or another than the preset was saved with.
+        The file is missing, damaged, or does not match the preset's hash.
     """
     if preset_path.suffix == ".mcap":
         return _checked(_recorded(preset_path), record, f"the untouched frame in {preset_path}")
     path = preset_path.parent / record.file
     if not path.is_file():
-        raise PresetError(f"the untouched frame {path} of the preset is missing; put it there, or {_ANEW}")
+        raise PresetError(f"the untouched frame {path} of the preset is missing; put it there, or {_REMEDY}")
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise PresetError(f"{path} is far too large for an untouched frame; {_ANEW}")
+        if path.stat().st_size > _MAX_BYTES:
+            raise PresetError(f"{path} is far too large for an untouched frame; {_REMEDY}")
         frame = frame_from_bytes(path.read_bytes())
     except OSError as error:
-        raise PresetError(f"cannot read the untouched frame {path}: {error.strerror or error}; {_ANEW}") from error
+        raise PresetError(f"cannot read the untouched frame {path}: {error.strerror or error}; {_REMEDY}") from error
     except FrameError as error:
-        raise PresetError(f"the untouched frame {path} is damaged ({error}); {_ANEW}") from error
+        raise PresetError(f"the untouched frame {path} is damaged ({error}); {_REMEDY}") from error
     return _checked(frame, record, f"the untouched frame {path}")
 
 
 def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None:
-    """Put a preset's untouched frame beside another preset file, unless it is there already.
+    """Copy a preset's untouched frame beside another preset file, unless it is already there.
 
     Parameters
     ----------
     record : UntouchedRecord
     preset_path : Path
-        Where it is now, as `load_untouched` takes it.
+        The preset it belongs to now; see `load_untouched`.
     to : Path
         The other preset's file.
 
     Raises
     ------
     PresetError
-        The untouched frame is missing, damaged or another.
+        The untouched frame is missing, damaged, or does not match the preset's hash.
     ExportError
-        It cannot be written there, or another file of its name is in the way.
+        It cannot be written, or the target file exists with other content.
     """
     target = to.parent / record.file
     if target.is_file():
@@ -195,22 +198,22 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
 def find_untouched(
     preset: Preset, preset_path: Path | str | None, source: FrameSource, progress: Progress | None = None
 ) -> FoundUntouched:
-    """Return what methods compare with: the preset's own untouched frame, else the source's.
+    """Return the untouched frame that methods compare with: the preset's own, otherwise the source's.
 
     Parameters
     ----------
     preset : Preset
     preset_path : path, str or None
-        Where the preset came from, as `load_preset` takes it; None: from the source.
+        Origin of the preset, as for `load_preset`; None if it came with the source.
     source : FrameSource
-        What the frames come from. The simulator is asked for frames with its object away.
+        The simulator renders its frames with the object removed.
     progress : callable, optional
-        Told the share done, 0 to 1, and what is being done.
+        Called with the finished share, 0 to 1, and a description.
 
     Returns
     -------
     FoundUntouched
-        Its warnings say why the preset's own untouched frame was not taken.
+        The warnings say why the preset's own untouched frame is not used.
 
     Raises
     ------
@@ -220,16 +223,13 @@ def find_untouched(
     found = kept_untouched(preset, preset_path, source)
     if found.frame is not None:
         return found
-    # the simulator, which other sources need not wait for
-    from .untouched_source import untouched_frame
-
     return FoundUntouched(untouched_frame(source, progress), found.warnings)
 
 
 def kept_untouched(preset: Preset | None, preset_path: Path | str | None, source: FrameSource) -> FoundUntouched:
-    """Return what is kept already, for a recording: the preset's own untouched frame, else the source's.
+    """Return the stored untouched frame: the preset's own, otherwise the source's. Nothing is captured or simulated.
 
-    Parameters and errors are those of `find_untouched`; nothing is captured or simulated.
+    Parameters and errors are those of `find_untouched`.
     """
     warnings: tuple[str, ...] = ()
     if preset is not None and preset.untouched is not None:
@@ -260,27 +260,27 @@ def _recorded(path: Path) -> SensorFrame | None:
 
 def _checked(frame: SensorFrame | None, record: UntouchedRecord, what: str) -> SensorFrame:
     if frame is None or content_hash(frame) != record.sha256:
-        raise PresetError(f"{what} is not the one that the preset was saved with; {_ANEW}")
+        raise PresetError(f"{what} is not the one that the preset was saved with; {_REMEDY}")
     return frame
 
 
 def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
-    """Compare the tactile depth with the first frame's; what is behind the membrane may move."""
+    """Raise if the tactile depth differs from the first frame's. The proximity depth may change."""
     if frame is first or frame.tactile_depth.shape != first.tactile_depth.shape:
-        return  # other sizes are refused when they are averaged
+        return  # take_snapshot refuses other sizes
     before, after = _tile_medians(first.tactile_depth), _tile_medians(frame.tactile_depth)
     moved = np.abs(after - before) > _MOVED_SHARE * before
     if moved.mean() > _MOVED_TILES:
         farthest = float(np.abs(after - before)[moved].max() / np.median(before[moved]))
         raise CalibrationError(
             f"the membrane moved while the untouched frame was captured: frame {frame.sequence} differs from frame "
-            f"{first.sequence} by up to {100 * farthest:.1f} % of the depth; see that nothing touches it and "
-            "that it is inflated for good, then capture again"
+            f"{first.sequence} by up to {100 * farthest:.1f} % of the depth; remove what touches it, "
+            "wait until its pressure is constant, and capture again"
         )
 
 
 def _tile_medians(counts: Uint16Array) -> Float64Array:
-    """Return the median of the valid counts of each square, shape (M,); nan where most have none."""
+    """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
     height, width = (size // _TILE_PX * _TILE_PX for size in counts.shape)
     tiles = counts[:height, :width].reshape(height // _TILE_PX, _TILE_PX, width // _TILE_PX, _TILE_PX)
     pixels = tiles.swapaxes(1, 2).reshape(-1, _TILE_PX**2)
@@ -292,10 +292,10 @@ def _tile_medians(counts: Uint16Array) -> Float64Array:
 
 
 def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, float]:
-    """Return the noise of one frame and of the median of all parts, counts; nan from one frame.
+    """Return the noise of one frame and of the median of all parts, counts; nan for a single part.
 
-    Two frames with the noise s differ by sqrt(2) s, and two halves, each with sqrt(2) times the whole's
-    noise, by twice the whole's.
+    The difference of two frames with noise s has noise sqrt(2) s. The medians of two halves each have sqrt(2) times
+    the noise of the whole, so their difference has twice the noise of the whole.
     """
     if len(parts) < 2:
         return float("nan"), float("nan")
@@ -304,9 +304,46 @@ def _noise(single: list[SensorFrame], parts: list[SensorFrame]) -> tuple[float, 
 
 
 def _difference(a: SensorFrame, b: SensorFrame) -> float:
-    """Return the standard deviation of the difference in tactile depth, counts, but for its largest hundredth."""
+    """Return the RMS difference in tactile depth, counts, without the largest 1 % of differences."""
     valid = valid_depth(a.tactile_depth) & valid_depth(b.tactile_depth)
     if not valid.any():
         return float("nan")
     change = np.abs(a.tactile_depth[valid].astype(np.float64) - b.tactile_depth[valid])
     return float(np.sqrt(np.mean(change[change <= np.quantile(change, 0.99)] ** 2)))
+
+
+def untouched_frame(source: FrameSource, progress: Progress | None = None) -> SensorFrame | None:
+    """Return the source's untouched frame, or None if it has none.
+
+    The simulator's is a measurement, not the ground truth: the median of `UNTOUCHED_FRAMES` noisy frames with the
+    object removed.
+
+    Raises
+    ------
+    SourceError
+        The source's untouched frame cannot be read.
+    """
+    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
+
+    untouched = source.untouched()
+    if untouched is not None or not isinstance(source, SimulatorSource):
+        return untouched
+    with frames_to_average(source, UNTOUCHED_FRAMES, progress) as frames:
+        return take_snapshot(frames).frame
+
+
+@contextmanager
+def frames_to_average(
+    source: FrameSource, count: int, progress: Progress | None = None
+) -> Iterator[Iterable[SensorFrame]]:
+    """Yield the frames to average: the next ``count`` frames of a source (fewer if it ends) while nothing touches.
+
+    The simulator removes its object for them and repeats its untouched membrane as often as needed.
+    """
+    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
+
+    if not isinstance(source, SimulatorSource):
+        yield islice(source, count)
+        return
+    with source.with_object_away(progress) as away:
+        yield (away.read(number % away.length) for number in range(count))

@@ -23,7 +23,7 @@ from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import Fusion, make_method, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import Preset
-from ..rig.untouched_source import untouched_frame
+from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from .clips import Take, add_frame, frames_identity

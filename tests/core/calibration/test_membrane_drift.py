@@ -13,7 +13,7 @@ from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.rig.drift import LIMIT_M, compare_with_untouched
-from tactune.core.rig.untouched_source import untouched_frame
+from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator import scene as scene_module

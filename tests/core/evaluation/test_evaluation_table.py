@@ -24,7 +24,7 @@ from tactune.core.methods.method import ContactMethod, MethodPatch, failed
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
-from tactune.core.rig.untouched_source import untouched_frame
+from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources import SeekableSource
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import read_options, resolve_scene

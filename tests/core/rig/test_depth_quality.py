@@ -13,14 +13,15 @@ from tactune.core.preset import AlignmentSection, Preset
 from tactune.core.rig.depth_quality import (
     camera_bias,
     camera_quality,
+    clip_depths,
     fill_rate,
+    fit_plane,
     measure_quality,
     stereo_baseline_m,
     tactile_region,
     temporal_noise,
 )
 from tactune.core.rig.judgement import Verdict, judge_bias, judge_camera
-from tactune.core.rig.plane import clip_depths, fit_plane
 
 REGION = (40, 30, 80, 60)
 WINDOW = np.s_[30:90, 40:120]

@@ -10,8 +10,7 @@ import pytest
 from side_by_side import HEIGHT, WIDTH, counts
 from tactune.core.errors import FrameError, RigMismatchError
 from tactune.core.preset import AlignmentSection
-from tactune.core.rig.motion import STEP, Sample, pressed_depths
-from tactune.core.rig.skew import SkewError, measure_skew
+from tactune.core.rig.skew import STEP, Sample, SkewError, measure_skew, pressed_depths
 from tactune.core.sources.registry import open_source
 
 RATE_HZ = 30.0
