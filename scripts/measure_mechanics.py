@@ -22,8 +22,7 @@ import time
 import numpy as np
 from scipy import sparse
 
-from tactune.core.evaluation.distances import cloud_distances
-from tactune.core.evaluation.metrics import truth_cloud
+from tactune.core.evaluation.metrics import cloud_distances, truth_cloud
 from tactune.core.methods.mechanics import MembraneMechanics
 from tactune.core.methods.mechanics_solver import MembraneSolver
 from tactune.core.preset import Preset

@@ -11,10 +11,9 @@ import numpy as np
 
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from ...core.model.frames import Matrix4
-from ...core.scan.paint import PaintSettings, contact_points, painted_contact
+from ...core.scan.paint import PaintSettings, ScanTruth, contact_points, painted_contact, scan_truth, score_against_scan
 from ...core.scan.pose import RefinedPose, refine_pose, transformed
 from ...core.scan.scan import Scan, load_scan
-from ...core.scan.scores import ScanTruth, scan_truth, score_against_scan
 from ..worker.jobs import Progress
 
 #: How many colours a scan is shown in, and how many of its vertices.

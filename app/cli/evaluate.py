@@ -63,8 +63,7 @@ def table(
     ] = None,
 ) -> None:
     """Compare methods on simulated scenes, beside the paper's figures."""
-    from ...core.evaluation.table_plot import check_plot, draw_patches
-    from ...core.evaluation.table_text import table_as_json, table_as_text, write_csv
+    from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 
     plan = _plan(methods, objects, presses, seeds, extra=extra, held_out=held_out, preset=preset, work=work)
     if plot is not None:
@@ -87,7 +86,7 @@ def evaluate_patch(
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Compare the clouds of two files: RMSE, Hausdorff, 95th percentile and Chamfer distance."""
-    from ...core.evaluation.distances import cloud_distances
+    from ...core.evaluation.metrics import cloud_distances
     from ...core.recording.foreign_clouds import read_points, unit_doubt
 
     clouds = {}
@@ -125,9 +124,8 @@ def _plan(
     """Turn the options into a plan, refusing what cannot be before anything is measured."""
     from platformdirs import user_cache_dir
 
-    from ...core.evaluation.cells import check_methods, table_methods
-    from ...core.evaluation.scene_plan import FIRST_HELD_OUT_SEED, OBJECTS, plan_scenes
     from ...core.evaluation.table import TablePlan, seeds_from
+    from ...core.evaluation.table_cell import FIRST_HELD_OUT_SEED, OBJECTS, check_methods, plan_scenes, table_methods
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import HELD_OUT
 

@@ -25,10 +25,9 @@ if TYPE_CHECKING:
     from ...core.model.arrays import BoolArray
     from ...core.model.frames import Matrix4, SensorFrame
     from ...core.preset import Preset
-    from ...core.scan.paint import PaintSettings
+    from ...core.scan.paint import PaintSettings, ScanTruth
     from ...core.scan.pose import RefinedPose
     from ...core.scan.scan import Scan
-    from ...core.scan.scores import ScanTruth
     from ...core.sources import FrameSource
     from .methods import Step
 
@@ -114,9 +113,9 @@ def evaluate_recording(
 
     Refining hides an error that all patch points share; a transform that knows nothing of the patch is fairer.
     """
+    from ...core.scan.paint import scan_truth
     from ...core.scan.pose import save_transform as write_transform
     from ...core.scan.scan import UNITS_M, load_scan
-    from ...core.scan.scores import scan_truth
     from ...core.sources.presets import load_preset
     from .methods import frame_range, frames_between, remembered_frames
 
@@ -233,8 +232,7 @@ def parse_paint(words: list[str]) -> PaintSettings:
 
 def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
     """Return ``T_proximity_scan`` as the options say it."""
-    from ...core.scan.pairs import read_pairs
-    from ...core.scan.pose import load_transform, pose_from_pairs
+    from ...core.scan.pose import load_transform, pose_from_pairs, read_pairs
 
     if transform is not None and pairs is not None:
         raise TactuneError("--transform and --pairs both say where the scan stands; give one of them")
@@ -307,8 +305,8 @@ def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: 
 
 def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Record:
     """Return what is said of one method's patch in one frame."""
-    from ...core.evaluation.cells import NO_CONTACT_FOUND
-    from ...core.scan.scores import score_against_scan
+    from ...core.evaluation.table_cell import NO_CONTACT_FOUND
+    from ...core.scan.paint import score_against_scan
 
     said, patch = step(frame)
     scores = score_against_scan(patch.points, said["area_mm2"] or 0.0, truth)

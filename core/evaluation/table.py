@@ -21,8 +21,17 @@ from ..preset import Preset
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from .cells import FRAMES_A_CELL, Cell, CellFolder, MakeMethod, build_method, measure_cell, table_methods
-from .scene_plan import PRESSES, PlannedScene
+from .table_cell import (
+    FRAMES_PER_CELL,
+    PRESSES,
+    MakeMethod,
+    PlannedScene,
+    TableCell,
+    TableCellFolder,
+    build_method,
+    measure_cell,
+    table_methods,
+)
 
 #: Symmetric RMSE in mm at low, medium and high strain, and seconds a frame, as Yin et al. print them.
 PAPER_RMSE_MM: Final = {
@@ -81,7 +90,7 @@ def measure_table(
     plan: TablePlan,
     make: MakeMethod = make_method,
     open_scene: Callable[[str], FrameSource] = open_source,
-) -> Iterator[Cell]:
+) -> Iterator[TableCell]:
     """Yield cell after cell, taking from ``plan.work`` what was measured before.
 
     To cancel, stop iterating: each cell that came out is kept.
@@ -91,7 +100,7 @@ def measure_table(
     TactuneError
         A scene cannot be opened or a cell cannot be kept.
     """
-    folder = CellFolder(plan.work, plan.preset)
+    folder = TableCellFolder(plan.work, plan.preset)
     for scene in plan.scenes:
         with _SceneFrames(scene, open_scene) as shown:
             for seed in plan.seeds:
@@ -114,12 +123,12 @@ class _SceneFrames(ExitStack):
         self._scene, self._open = scene, open_scene
         self._seed = -1
 
-    def measure(self, method: str, seed: int, preset: Preset, make: MakeMethod) -> Cell:
+    def measure(self, method: str, seed: int, preset: Preset, make: MakeMethod) -> TableCell:
         """Measure one method."""
         if seed != self._seed:
             self._source = self.enter_context(self._open(f"{self._scene.source}&seed={seed}"))
             self._untouched = untouched_frame(self._source)
-            self._frames = list(itertools.islice(self._source, FRAMES_A_CELL))
+            self._frames = list(itertools.islice(self._source, FRAMES_PER_CELL))
             self._seed = seed
         untouched, rig = self._untouched, self._source.rig
         return measure_cell(
@@ -158,7 +167,7 @@ class Average:
         return self.mean + self.half_width
 
 
-def average(cells: Iterable[Cell], measure: str) -> Average:
+def average(cells: Iterable[TableCell], measure: str) -> Average:
     """Average a measure of cells: over sides, then over scenes, then over seeds.
 
     Failed cells and those without this measure are left out, and failures counted.
@@ -182,7 +191,7 @@ def average(cells: Iterable[Cell], measure: str) -> Average:
 class Table:
     """Finished cells, and what they say together."""
 
-    cells: list[Cell] = field(default_factory=list)
+    cells: list[TableCell] = field(default_factory=list)
 
     @property
     def methods(self) -> list[str]:
@@ -205,7 +214,7 @@ class Table:
         found = {press for _, press in self.rows("main")}
         return [press for press in PRESSES if press in found]
 
-    def pick(self, method: str, group: str, row: str | None = None, press: str | None = None) -> list[Cell]:
+    def pick(self, method: str, group: str, row: str | None = None, press: str | None = None) -> list[TableCell]:
         """Return the cells of a method."""
         return [
             cell
@@ -224,7 +233,7 @@ def seeds_from(first: int, count: int) -> tuple[int, ...]:
     return tuple(range(first, first + count))
 
 
-def contacts_right(cells: Sequence[Cell]) -> float:
+def contacts_right(cells: Sequence[TableCell]) -> float:
     """Return the share of cells with as many separate contacts as truth; nan without a cell."""
     judged = [cell.contacts == cell.true_contacts and not cell.failure for cell in cells]
     return sum(judged) / len(judged) if judged else math.nan

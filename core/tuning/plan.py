@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from ..evaluation.cells import check_methods, code_version
+from ..evaluation.table_cell import check_methods, code_version
 from ..methods.registry import FUSION_FIELDS, method_names, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import Preset

@@ -18,7 +18,7 @@ from ..contact.kernels.threads import get_threads, set_threads
 from ..contact.pipeline import ContactPipeline, averaged_frames
 from ..contact.warmup import warm_up
 from ..errors import TactuneError
-from ..evaluation.cells import code_version
+from ..evaluation.table_cell import code_version
 from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import Fusion, make_method, needs_untouched
 from ..model.frames import SensorFrame

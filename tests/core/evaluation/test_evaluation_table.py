@@ -14,12 +14,16 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import ExportError, TactuneError
-from tactune.core.evaluation.cells import NO_CONTACT_FOUND, Cell, cell_from_json
 from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
-from tactune.core.evaluation.scene_plan import PlannedScene, plan_scenes
 from tactune.core.evaluation.table import Table, TablePlan, average, measure_table
-from tactune.core.evaluation.table_plot import check_plot, draw_patches
-from tactune.core.evaluation.table_text import table_as_json, table_as_text, write_csv
+from tactune.core.evaluation.table_cell import (
+    NO_CONTACT_FOUND,
+    PlannedScene,
+    TableCell,
+    plan_scenes,
+    table_cell_from_json,
+)
+from tactune.core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 from tactune.core.methods.method import ContactMethod, MethodPatch, failed
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
@@ -191,7 +195,7 @@ def test_straight_is_the_papers_homography_and_tolerance(tmp_path):
 
 
 def cell(rmse_mm, seed=0, side="", press="high", row="cup", failure=""):
-    return Cell("m", row, row, press, side, "main", "sim", seed, rmse_mm=rmse_mm, failure=failure)
+    return TableCell("m", row, row, press, side, "main", "sim", seed, rmse_mm=rmse_mm, failure=failure)
 
 
 def test_average_takes_sides_then_scenes_then_seeds():
@@ -214,7 +218,7 @@ def test_failed_cells_are_left_out_and_counted():
 def test_csv_and_json_give_every_cell_back(tmp_path):
     table = Table(list(Bench().measure(plan(tmp_path / "work"))))
     document = json.loads(json.dumps(table_as_json(table), allow_nan=False))
-    assert [cell_from_json(found) for found in document["cells"]] == table.cells
+    assert [table_cell_from_json(found) for found in document["cells"]] == table.cells
     assert document["averages"][0]["rmse_mm"]["mean"] == pytest.approx(
         average(table.pick("straight", "main", press="medium"), "rmse_mm").mean
     )

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import FrameError
-from tactune.core.evaluation.distances import separate_contacts
-from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from tactune.core.evaluation.metrics import pixel_scores, separate_contacts, symmetric_rmse_m, truth_cloud
 from tactune.core.methods.registry import make_method
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset

@@ -8,8 +8,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tactune.core.evaluation.distances import area_error_mm2, boundary_distance_px, cloud_distances, separate_contacts
-from tactune.core.evaluation.metrics import symmetric_rmse_m
+from tactune.core.evaluation.metrics import (
+    area_error_mm2,
+    boundary_distance_px,
+    cloud_distances,
+    separate_contacts,
+    symmetric_rmse_m,
+)
 
 
 def clouds(seed: int, first: int, second: int):

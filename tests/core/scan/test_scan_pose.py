@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from tactune.core.errors import CalibrationError, SourceError
-from tactune.core.scan.pairs import read_pairs
 from tactune.core.scan.pose import (
     load_transform,
     pair_errors_m,
     pose_from_pairs,
+    read_pairs,
     refine_pose,
     save_transform,
     transformed,

@@ -12,15 +12,12 @@ from tactune.app.cli.main import main
 from tactune.core.contact.outliers.clusters import pixel_areas_m2
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
-from tactune.core.evaluation.distances import cloud_distances
-from tactune.core.evaluation.metrics import compare_with_truth, truth_cloud
+from tactune.core.evaluation.metrics import cloud_distances, compare_with_truth, truth_cloud
 from tactune.core.methods.registry import make_method, method_names, needs_untouched
 from tactune.core.recording.writer import SessionWriter
-from tactune.core.scan.paint import PaintSettings, contact_points, painted_contact
-from tactune.core.scan.pairs import HEADER
-from tactune.core.scan.pose import load_transform, pose_from_pairs, transformed
+from tactune.core.scan.paint import PaintSettings, contact_points, painted_contact, scan_truth
+from tactune.core.scan.pose import HEADER, load_transform, pose_from_pairs, transformed
 from tactune.core.scan.scan import load_scan
-from tactune.core.scan.scores import scan_truth
 from tactune.core.scan.simulated import PaintFlaws, export_painted_scan
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from tactune.app.cli.main import main
-from tactune.core.evaluation.cells import Cell
 from tactune.core.evaluation.table import Table
-from tactune.core.evaluation.table_text import scene_strains, table_as_json, table_as_text, write_csv
+from tactune.core.evaluation.table_cell import TableCell
+from tactune.core.evaluation.table_report import scene_strains, table_as_json, table_as_text, write_csv
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.grid_strain import dots_shown, grid_strain
 from tactune.core.sources.simulator.membrane import Membrane
@@ -108,7 +108,7 @@ def test_a_simulated_frame_tells_its_strain():
 
 
 def cell(press, side="", group="main", **strain):
-    return Cell("straight", "cup", "cup", press, side, group, f"sim:cup?press={press}", 0, rmse_mm=1.0, **strain)
+    return TableCell("straight", "cup", "cup", press, side, group, f"sim:cup?press={press}", 0, rmse_mm=1.0, **strain)
 
 
 def test_the_table_reports_the_strain_of_each_scene_once(tmp_path):

@@ -1,4 +1,4 @@
-"""One cell of the table: one method on one scene with one seed, measured once and kept."""
+"""One table cell: one method on one simulated scene with one seed, measured once and stored."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 from statistics import median
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 from ..contact.outliers.clusters import pixel_areas_m2
 from ..errors import TactuneError
@@ -20,17 +20,32 @@ from ..methods.registry import make_method, method_names
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from .distances import area_error_mm2, boundary_distance_px, cloud_distances, separate_contacts
-from .metrics import method_area_mm2, pixel_scores, truth_cloud
-from .scene_plan import PlannedScene
+from ..sources.simulator.scenes import HELD_OUT
+from .metrics import (
+    area_error_mm2,
+    boundary_distance_px,
+    cloud_distances,
+    method_area_mm2,
+    pixel_scores,
+    separate_contacts,
+    truth_cloud,
+)
 
+Group = Literal["main", "extra", "hover"]
+
+PRESSES: Final = ("low", "medium", "high")
+OBJECTS: Final = ("octopus", "cup", "cube")
+#: How far the object of the false-positive test stays away from the membrane.
+GAPS_MM: Final = (1, 2, 3, 5, 10, 20)
+#: Held-out seeds begin here, so that no seed of development is among them.
+FIRST_HELD_OUT_SEED: Final = 100
 #: What the paper has: its alignment and its tolerance.
 STRAIGHT: Final = "straight"
 STRAIGHT_T: Final = 0.03
 
 #: Frames that a method is shown, each once, since the pipeline computes no frame twice. The first loads
 #: code and tables and is not timed; the last is judged. Only methods that remember frames are shown all.
-FRAMES_A_CELL: Final = 16
+FRAMES_PER_CELL: Final = 16
 _FRAMES_WITHOUT_MEMORY: Final = 4
 
 NO_CONTACT_FOUND = "it found no contact where there is one"
@@ -39,7 +54,85 @@ MakeMethod = Callable[[str, Preset, Rig, SensorFrame | None], ContactMethod]
 
 
 @dataclass(frozen=True)
-class Cell:
+class PlannedScene:
+    """One scene of the table.
+
+    Attributes
+    ----------
+    name : str
+        The simulator's scene.
+    object : str
+        What is pressed in.
+    press : str
+        ``low``, ``medium``, ``high``; a gap in millimetres for ``hover``.
+    side : str
+        ``left`` or ``right`` for high presses, which are off the middle; else empty.
+    group : {"main", "extra", "hover"}
+        Whether it is one of the paper's cells, a scene beyond them, or one without contact.
+    """
+
+    name: str
+    object: str
+    press: str
+    side: str = ""
+    group: Group = "main"
+
+    @property
+    def row(self) -> str:
+        """What the table calls it, the press apart: the object, or the special scene."""
+        return self.object if self.name == self.object else self.name
+
+    @property
+    def source(self) -> str:
+        """The source's name without a seed, as `open_source` takes it."""
+        options = [f"gap={self.press}" if self.group == "hover" else f"press={self.press}"]
+        options += [f"side={self.side}"] * bool(self.side) + [f"object={self.object}"] * (self.name != self.object)
+        return f"sim:{self.name}?{'&'.join(options)}"
+
+
+def plan_scenes(
+    objects: Sequence[str] = OBJECTS, presses: Sequence[str] = PRESSES, *, extra: bool = True, held_out: bool = False
+) -> list[PlannedScene]:
+    """List the scenes of a table.
+
+    Parameters
+    ----------
+    objects, presses : sequence of str
+        The paper's are the default.
+    extra : bool
+        Also a membrane of varied stiffness, a wrinkled one, two objects at once, and objects that hover.
+    held_out : bool
+        The objects are held out of development: they may be planned, and no other.
+
+    Raises
+    ------
+    TactuneError
+        An object or press that there is not, or a held-out object where none is wanted.
+    """
+    known = HELD_OUT if held_out else (*OBJECTS, "two")
+    for what, names, allowed in (("object", objects, known), ("press", presses, PRESSES)):
+        for name in names:
+            if name not in allowed:
+                hint = "; it is kept for --held-out" if name in HELD_OUT else ""
+                raise TactuneError(f"the table has no {what} {name!r}{hint}; choose of {', '.join(allowed)}")
+    scenes = [scene for name in dict.fromkeys(objects) for press in dict.fromkeys(presses)
+              for scene in _still(name, press)]  # fmt: skip
+    if extra:
+        pressed = objects[0] if held_out else "cup"
+        scenes += [PlannedScene(name, pressed, "medium", group="extra") for name in ("stiff", "wrinkled")]
+        if not held_out and "two" not in objects:
+            scenes += [scene for press in ("medium", "high") for scene in _still("two", press, "extra")]
+        scenes += [PlannedScene("hover", pressed, str(gap), group="hover") for gap in GAPS_MM]
+    return scenes
+
+
+def _still(name: str, press: str, group: Group = "main") -> list[PlannedScene]:
+    sides = ("right", "left") if press == "high" else ("",)
+    return [PlannedScene(name, name, press, side, group) for side in sides]
+
+
+@dataclass(frozen=True)
+class TableCell:
     """What was measured; numbers are None where they do not exist, such as distances to an empty patch.
 
     Attributes
@@ -125,7 +218,7 @@ def measure_cell(
     build: Callable[[], ContactMethod],
     frames: Sequence[SensorFrame],
     rig: Rig,
-) -> Cell:
+) -> TableCell:
     """Measure one method on frames of one still scene; the last one is judged.
 
     A method that cannot be built, or gives up, makes a cell with its failure in words.
@@ -145,10 +238,10 @@ def measure_cell(
             patch = method.find(frame)
             times_ms.append((time.perf_counter_ns() - started) / 1e6)
     except TactuneError as error:
-        return Cell(*where, **strain, failure=str(error))
+        return TableCell(*where, **strain, failure=str(error))
     assert patch is not None
     scores = _scores(patch, frames[-1], rig)
-    return Cell(*where, **(scores | strain), ms=median(times_ms[1:] or times_ms))
+    return TableCell(*where, **(scores | strain), ms=median(times_ms[1:] or times_ms))
 
 
 def _strain(frame: SensorFrame) -> dict[str, Any]:
@@ -185,7 +278,7 @@ def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
     return known | contacts | {"points": len(patch.points)}
 
 
-class CellFolder:
+class TableCellFolder:
     """Keeps finished cells, one JSON file each, so that an interrupted table goes on where it was.
 
     Parameters
@@ -199,18 +292,18 @@ class CellFolder:
     def __init__(self, folder: Path, preset: Preset) -> None:
         self.folder = folder
         settings = preset.model_dump_json(exclude={"name", "notes", "created", "modified"})
-        self._settings = f"{settings} {STRAIGHT_T} {FRAMES_A_CELL} {code_version()}"
+        self._settings = f"{settings} {STRAIGHT_T} {FRAMES_PER_CELL} {code_version()}"
 
-    def load(self, method: str, scene: PlannedScene, seed: int) -> Cell | None:
+    def load(self, method: str, scene: PlannedScene, seed: int) -> TableCell | None:
         """Return a cell, or None where it is not kept or its file is damaged."""
         try:
             found = json.loads(self._path(method, scene, seed).read_text(encoding="utf-8"))
-            cell = cell_from_json(found)
+            cell = table_cell_from_json(found)
         except (OSError, ValueError, TypeError):
             return None
         return cell if (cell.method, cell.source, cell.seed) == (method, scene.source, seed) else None
 
-    def save(self, cell: Cell, scene: PlannedScene) -> None:
+    def save(self, cell: TableCell, scene: PlannedScene) -> None:
         """Keep a cell; the file appears whole or not at all.
 
         Raises
@@ -226,7 +319,7 @@ class CellFolder:
         return self.folder / f"{method}-{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
 
 
-def cell_from_json(found: Any) -> Cell:
+def table_cell_from_json(found: Any) -> TableCell:
     """Return the cell that a JSON object tells.
 
     Raises
@@ -234,7 +327,7 @@ def cell_from_json(found: Any) -> Cell:
     ValueError
         The object is no cell: a field is missing, unknown or of another type.
     """
-    names = {field.name: field.type for field in fields(Cell)}
+    names = {field.name: field.type for field in fields(TableCell)}
     if not isinstance(found, dict) or found.keys() != names.keys():
         raise ValueError("it has not the fields of a cell")
     for name, kind in names.items():
@@ -242,7 +335,7 @@ def cell_from_json(found: Any) -> Cell:
         allowed = {"str": (str,), "int": (int,)}.get(str(kind), (int, float, type(None)))
         if not isinstance(value, allowed) or isinstance(value, bool):
             raise ValueError(f"{name} is {value!r}")
-    return Cell(**found)
+    return TableCell(**found)
 
 
 @cache
