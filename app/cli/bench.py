@@ -69,8 +69,7 @@ def stability(
     """
     from dataclasses import asdict
 
-    from ...core.bench.long_run import check_long_run
-    from ...core.bench.stability import check_stability
+    from ...core.bench.stability import check_long_run, check_stability
 
     with CliProgress(quiet=as_json) as progress:
         report = check_stability(frames, seed, lambda share: progress.preparing(share, "comparing frames"))
@@ -91,7 +90,7 @@ def _names(text: str) -> list[str]:
 
 def _run_gate(rounds: int, as_json: bool) -> int:
     from ...core.bench.gate import run_gate
-    from ...core.bench.machine import machine_facts
+    from ...core.bench.measure import machine_facts
 
     _need("open3d")
     with CliProgress(quiet=as_json) as progress:
@@ -111,10 +110,10 @@ def _compare(
 ) -> None:
     from dataclasses import asdict
 
-    from ...core.bench.growth import growth_as_text, growth_with_points, growth_with_size
-    from ...core.bench.machine import machine_facts
+    from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job
     from ...core.bench.run import compare_engines, rows_as_json, rows_as_text
+    from ...core.bench.scaling import growth_as_text, growth_with_points, growth_with_size
     from ...core.bench.scenes import scene_names
 
     facts = machine_facts()
@@ -134,7 +133,7 @@ def _compare(
         if growth:
             typer.echo("\n" + growth_as_text(points) + "\n\n" + growth_as_text(sizes))
     if plots is not None:
-        from ...core.bench.plots import draw_growth, draw_pareto
+        from ...core.bench.report import draw_growth, draw_pareto
 
         for path in draw_pareto(rows, plots) + draw_growth(points, sizes, plots):
             typer.echo(f"wrote {path}", err=as_json)
@@ -143,16 +142,13 @@ def _compare(
 def _write_report(path: Path, rounds: int) -> None:
     """Measure all there is and write the page, its figures in ``images/bench`` beside it."""
     from ...core.bench.gate import run_gate
-    from ...core.bench.growth import growth_with_points, growth_with_size
-    from ...core.bench.long_run import check_long_run
-    from ...core.bench.machine import machine_facts
-    from ...core.bench.plots import draw_growth, draw_pareto
+    from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job
-    from ...core.bench.report import BenchReport, write_report
+    from ...core.bench.report import BenchReport, draw_growth, draw_pareto, write_report
     from ...core.bench.run import compare_engines
+    from ...core.bench.scaling import growth_with_points, growth_with_size, stage_breakdown, thread_scaling
     from ...core.bench.scenes import scene_names
-    from ...core.bench.stability import check_stability
-    from ...core.bench.stages import stage_breakdown, thread_scaling
+    from ...core.bench.stability import check_long_run, check_stability
 
     _need("open3d")
     machine = _machine_line(machine_facts())

@@ -1,27 +1,33 @@
-"""Measuring engines side by side: in turns, in one run, with medians and quartiles."""
+"""Measuring side by side: run times in turns, memory, bandwidth, import times, and facts about the machine."""
 
 from __future__ import annotations
 
 import ctypes
+import os
+import platform
 import random
+import subprocess
 import sys
 import time
 import tracemalloc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 import numpy as np
 
-#: Each engine's share of a turn, seconds: a fast one runs often in it, a slow one once.
+#: Length of a turn, seconds: a fast engine runs many times in it, a slow one once.
 _TURN_S = 0.02
-_MOST_CALLS_A_TURN = 25
+MAX_CALLS_PER_TURN = 25
 
 
 @dataclass(frozen=True)
 class Timing:
-    """Run times of one engine in one run, milliseconds."""
+    """Median and quartiles of one engine's run times in one run, milliseconds, and the number of calls."""
 
     median_ms: float
     lower_ms: float
@@ -30,9 +36,9 @@ class Timing:
 
     @classmethod
     def of(cls, seconds: list[float]) -> Timing:
-        """Sum up single run times: median and quartiles."""
-        lower, median, upper = np.percentile(np.array(seconds) * 1e3, (25, 50, 75))
-        return cls(float(median), float(lower), float(upper), len(seconds))
+        """Summarise single run times."""
+        lower, middle, upper = np.percentile(np.array(seconds) * 1e3, (25, 50, 75))
+        return cls(float(middle), float(lower), float(upper), len(seconds))
 
 
 def time_in_turns(
@@ -42,12 +48,12 @@ def time_in_turns(
     seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Timing]:
-    """Run all in turns, in another order each round, so that whatever disturbs one disturbs all.
+    """Run all in turns, in a random order each round, so that a disturbance affects all alike.
 
     Parameters
     ----------
     runners : mapping of str to callable
-        Called once before the clock starts.
+        Each is called once before the clock starts.
     rounds : int
         Turns of each.
 
@@ -70,7 +76,7 @@ def time_in_turns(
 
 def _one_turn(run: Callable[[], Any]) -> list[float]:
     taken: list[float] = []
-    while len(taken) < _MOST_CALLS_A_TURN and sum(taken) < _TURN_S:
+    while len(taken) < MAX_CALLS_PER_TURN and sum(taken) < _TURN_S:
         start = time.perf_counter()
         run()
         taken.append(time.perf_counter() - start)
@@ -78,9 +84,9 @@ def _one_turn(run: Callable[[], Any]) -> list[float]:
 
 
 def peak_bytes(run: Callable[[], Any]) -> int | None:
-    """Return how far one call raises the process's memory above what it held before, on Linux.
+    """Return the peak rise of the process's memory during one call, native libraries included.
 
-    Counts everything, native libraries as well; None where the system does not tell.
+    None on systems other than Linux.
     """
     clear = Path("/proc/self/clear_refs")
     if not clear.exists():
@@ -94,7 +100,7 @@ def peak_bytes(run: Callable[[], Any]) -> int | None:
 
 
 def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
-    """Return the largest rise of traced Python and NumPy memory during one call, after warming up."""
+    """Return the peak rise of traced Python and NumPy memory during one call, after ``calls`` warm-up calls."""
     for _ in range(calls):
         run()
     tracemalloc.start()
@@ -110,10 +116,7 @@ def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
 
 
 def bandwidth_bytes_per_s(size_bytes: int = 256 << 20, threads: int | None = None) -> float:
-    """Measure memory bandwidth by copying arrays far larger than any cache, read plus written bytes."""
-    import os
-    from concurrent.futures import ThreadPoolExecutor
-
+    """Measure memory bandwidth by copying arrays far larger than any cache; counts bytes read plus bytes written."""
     workers = threads or os.cpu_count() or 1
     parts = [np.ones(size_bytes // workers // 8) for _ in range(workers)]
     targets = [np.zeros_like(part) for part in parts]
@@ -134,8 +137,79 @@ def _status_bytes(field: str) -> int:
 
 
 def _trim() -> None:
-    """Give freed memory back to the system, so that the next call has to ask for it again."""
+    """Return freed memory to the system, so that the next call has to request it again."""
     if sys.platform == "linux":
         trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
         if trim is not None:
             trim(0)
+
+
+#: Import statements of a program that finds contact patches, and of the library compared with.
+OURS = "import tactune.core; from tactune.core import ContactPipeline"
+THEIRS = "import open3d"
+
+_PROGRAM = "import time; start = time.perf_counter(); {}; print(time.perf_counter() - start)"
+
+
+def import_seconds(statements: Sequence[str], rounds: int) -> list[float]:
+    """Return the median run time of each statement, each run in a new process, in turns, after one untimed run.
+
+    Parameters
+    ----------
+    statements : sequence of str
+        Python statements on one line, such as `OURS`.
+    rounds : int
+        Timed processes per statement.
+    """
+    taken: list[list[float]] = [[] for _ in statements]
+    for done in range(rounds + 1):
+        for times, statement in zip(taken, statements, strict=True):
+            seconds = _seconds(statement)
+            if done:
+                times.append(seconds)
+    return [median(times) for times in taken]
+
+
+def _seconds(statement: str) -> float:
+    command = [sys.executable, "-c", _PROGRAM.format(statement)]
+    done = subprocess.run(command, check=True, capture_output=True, text=True)
+    return float(done.stdout.splitlines()[-1])
+
+
+_PACKAGES = ("numpy", "numba", "scipy", "opencv-contrib-python-headless", "open3d", "pykdtree", "pyrealsense2")
+
+
+def machine_facts() -> dict[str, Any]:
+    """Return processor, cores, memory, system, load and the versions of the compared packages."""
+    return {
+        "processor": _processor(),
+        "cores": os.cpu_count() or 1,
+        "memory_gib": _memory_gib(),
+        "system": f"{platform.system()} {platform.release()}",
+        "python": platform.python_version(),
+        "load_1min": round(os.getloadavg()[0], 2) if hasattr(os, "getloadavg") else None,
+        "packages": {name: _version(name) for name in _PACKAGES},
+    }
+
+
+def _version(package: str) -> str | None:
+    try:
+        return version(package)
+    except PackageNotFoundError:
+        return None
+
+
+def _processor() -> str:
+    info = Path("/proc/cpuinfo")
+    if info.exists():
+        for line in info.read_text().splitlines():
+            if line.startswith("model name"):
+                return line.split(":", 1)[1].strip()
+    return platform.processor() or platform.machine()
+
+
+def _memory_gib() -> float | None:
+    info = Path("/proc/meminfo")
+    if not info.exists():
+        return None
+    return round(int(info.read_text().split()[1]) / 2**20, 1)

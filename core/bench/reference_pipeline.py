@@ -1,8 +1,7 @@
-"""The whole pipeline once more in plain NumPy, as the oracle for the compiled one.
+"""The reference implementation: the tolerance test in plain NumPy, for tests and benchmarks.
 
-It follows the formulas, not the kernels: whole images, no tables, no skipping; SciPy's k-d tree for
-neighbours. In float32 it repeats the kernels' order of operations and gives the same bits; in
-float64 it tells what rounding costs.
+It follows the formulas, not the kernels: whole images, no tables, no shortcuts, SciPy's k-d tree for neighbours. In
+float32 it repeats the order of operations of the kernels and gives the same bits; float64 shows the rounding error.
 """
 
 from __future__ import annotations
@@ -123,7 +122,7 @@ def _project(points: AnyArray, camera: Intrinsics, dtype: Any) -> tuple[AnyArray
 
 
 def _membrane_colored(points: AnyArray, frame: SensorFrame, rig: Rig, section: MaskSection, dtype: Any) -> AnyArray:
-    """Tell, for every pixel, whether its colour is known and lies in the preset's range."""
+    """Return which pixels have a known colour in the range of the preset."""
     image = frame.proximity_color
     hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
     low, high = section.hue
@@ -148,7 +147,7 @@ def _membrane_colored(points: AnyArray, frame: SensorFrame, rig: Rig, section: M
 
 
 def inliers(points: AnyArray, k: int, ratio: float) -> BoolArray:
-    """Open3D's statistical outlier removal of points (N, 3), spelled out."""
+    """Return the inliers of Open3D's statistical outlier removal of points (N, 3), by its definition."""
     count = len(points)
     if count < 2:
         return np.zeros(count, bool)

@@ -14,7 +14,7 @@ from .scenes import BenchScene
 
 
 class Job(StrEnum):
-    """What an engine does, and so what it can be compared with."""
+    """What an engine does. Engines of the same job are compared."""
 
     PIPELINE = "pipeline"
     PER_PIXEL = "per pixel"
@@ -30,12 +30,12 @@ class Outcome:
     Attributes
     ----------
     make_mask : callable, or None
-        Gives the proximity pixels that are contact (pipeline, per pixel) or inliers (outliers). It is
-        called after the clock has stopped: most consumers take the points alone.
+        Returns the proximity pixels that are contact (pipeline, per pixel) or inliers (outliers). It is called
+        after the clock has stopped, because most consumers need the points only.
     points : float, shape (N, 3), or None
         Metres, proximity depth frame.
     values : float, shape (H, W) or (N,), or None
-        What else is compared, such as aligned depths in metres.
+        Other results to compare, such as aligned depths in metres.
     """
 
     make_mask: Callable[[], BoolArray] | None = None
@@ -48,7 +48,9 @@ class Outcome:
         return None if self.make_mask is None else self.make_mask()
 
 
-#: Does the job once, on the scene that it was made for; all that can be made ready beforehand is.
+#: Told the share done, 0 to 1, and what is being measured.
+Progress = Callable[[float, str], None]
+#: Does the job once, on the scene that it was made for. Everything that can be prepared is prepared.
 Runner = Callable[[], Outcome]
 
 
@@ -56,8 +58,16 @@ Runner = Callable[[], Outcome]
 class Engine:
     """One way to do a job.
 
-    ``exact`` promises the outcome of the float64 reference up to rounding; ``baseline`` marks what
-    ratios are taken against; ``needs`` names the packages without which it is left out.
+    Attributes
+    ----------
+    make : callable
+        Prepares the engine for a scene.
+    exact : bool
+        Whether it promises the outcome of the float64 reference up to rounding.
+    baseline : bool
+        Whether ratios are relative to this engine.
+    needs : tuple of str
+        Packages without which the engine is skipped.
     """
 
     name: str
@@ -70,20 +80,20 @@ class Engine:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Packages that it needs and that are not installed."""
+        """Packages that are needed but not installed."""
         return tuple(package for package in self.needs if find_spec(package) is None)
 
 
 _ENGINES: dict[str, Engine] = {}
 
-#: Each module registers its engines when it is imported.
-_MODULES = ("reference", "open3d_only", "librealsense", "kd_trees", "tactune", "approximations")
+#: Modules of `engines`; each registers its engines when it is imported.
+_MODULES = ("reference", "unorganised", "librealsense", "tactune")
 
 
 def engine(
     name: str, job: Job, title: str, *, exact: bool = True, baseline: bool = False, needs: tuple[str, ...] = ()
 ) -> Callable[[Callable[[BenchScene], Runner]], Callable[[BenchScene], Runner]]:
-    """Register a function that makes an engine ready for a scene and returns what is to be timed."""
+    """Register a function that prepares an engine for a scene and returns the function to be timed."""
 
     def register(make: Callable[[BenchScene], Runner]) -> Callable[[BenchScene], Runner]:
         if name in _ENGINES:
@@ -95,7 +105,7 @@ def engine(
 
 
 def engines(job: Job | None = None) -> list[Engine]:
-    """Return the engines of one job, or all, in the order of their registration."""
+    """Return the engines of one job, or all engines, in the order of registration."""
     for module in _MODULES:
         import_module(f".engines.{module}", __package__)
     return [found for found in _ENGINES.values() if job is None or found.job == job]
@@ -107,7 +117,7 @@ def find_engine(name: str) -> Engine:
     Raises
     ------
     TactuneError
-        There is none; the message names those that there are.
+        There is no such engine; the message lists the known ones.
     """
     engines()
     if name not in _ENGINES:

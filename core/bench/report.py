@@ -1,7 +1,8 @@
-"""All measurements as one page for people, docs/benchmarks.md."""
+"""All measurements as one page, docs/benchmarks.md, with its figures."""
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,19 +10,21 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from ..errors import MissingExtraError
 from ..model.files import atomic_path
 from .gate import Check
-from .growth import GrowthRow, growth_as_text
-from .long_run import LongRunReport
 from .measure import Timing
+from .registry import Job
 from .run import Row, rows_as_text
-from .stability import StabilityReport
-from .stages import StageRow
+from .scaling import GrowthRow, StageRow, growth_as_text
+from .stability import LongRunReport, StabilityReport
+
+_MARKERS = "osD^vP*Xh<>p"
 
 
 @dataclass(frozen=True)
 class BenchReport:
-    """Everything that one run of ``tactune bench --report`` has measured."""
+    """All results of one run of ``tactune bench --report``."""
 
     machine: str
     checks: list[Check]
@@ -35,7 +38,7 @@ class BenchReport:
 
 
 def write_report(report: BenchReport, path: Path, figures: Sequence[Path]) -> None:
-    """Write the page; figures are linked relative to it.
+    """Write the page with relative links to the figures.
 
     Raises
     ------
@@ -46,11 +49,11 @@ def write_report(report: BenchReport, path: Path, figures: Sequence[Path]) -> No
         "# Benchmarks",
         "Written by `tactune bench --report docs/benchmarks.md`. Times are medians of engines that took turns in "
         f"one run; ratios compare within that run. {datetime.now(UTC):%Y-%m-%d}, {report.machine}.",
-        "## What must hold",
+        "## Requirements",
         _code("\n".join(str(check) for check in report.checks)),
         "## Run time against error",
-        "`ratio`: how many times faster than the baseline, which is the paper's pipeline in NumPy float64, OpenCV "
-        "and Open3D. `differ`: pixels unlike the float64 reference. IoU and RMSE are against the scene's truth.",
+        "`ratio`: speed relative to the baseline, which is the paper's pipeline in NumPy float64, OpenCV and Open3D. "
+        "`differ`: pixels that differ from the float64 reference. IoU and RMSE compare with the ground truth.",
         *(_image(figure, path) for figure in figures if figure.suffix == ".png"),
         _code(rows_as_text(report.rows)),
         "## Growth",
@@ -87,3 +90,84 @@ def _threads(scaling: dict[str, dict[int, Timing]]) -> str:
     for scene, timings in scaling.items():
         lines.append(f"{scene:<16}" + "".join(f"{timings[count].median_ms:>12.3f}" for count in counts))
     return "\n".join(lines)
+
+
+def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
+    """Draw run time against RMSE for each scene with contact; return the PNG and SVG files.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    usable = [row for row in rows if row.job == Job.PIPELINE and math.isfinite(row.rmse_mm)]
+    scenes = list(dict.fromkeys(row.scene for row in usable))
+    if not scenes:
+        return []
+    plt = _matplotlib()
+    columns = min(3, len(scenes))
+    lines = -(-len(scenes) // columns)
+    figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4 * lines + 0.9), squeeze=False)
+    names = list(dict.fromkeys(row.engine for row in usable))
+    for axis, scene in zip(axes.flat, scenes, strict=False):
+        for row in (row for row in usable if row.scene == scene):
+            number = names.index(row.engine)
+            axis.plot(
+                row.timing.median_ms, row.rmse_mm, _MARKERS[number % len(_MARKERS)], color=f"C{number % 10}",
+                markersize=8, label=row.engine,
+            )  # fmt: skip
+        axis.set(title=scene, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
+        axis.set_ylim(0.0, 1.08 * max(row.rmse_mm for row in usable if row.scene == scene))
+        axis.grid(True, which="both", alpha=0.3)
+    for axis in list(axes.flat)[len(scenes) :]:
+        axis.axis("off")
+    labels = {
+        label: handle for axis in axes.flat for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
+    figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
+    return _save(plt, figure, folder, "run-time-against-error")
+
+
+def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -> list[Path]:
+    """Draw run time against points in contact and against image size; return the PNG and SVG files.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    plt = _matplotlib()
+    figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2))
+    for axis, rows, places, label in (
+        (left, points, [row.points for row in points], "points in contact"),
+        (right, sizes, [row.width * row.height for row in sizes], "pixels (a tenth in contact)"),
+    ):
+        for name in rows[0].timings if rows else ():
+            axis.plot(places, [row.timings[name].median_ms for row in rows], "o-", label=name)
+        axis.set(xscale="log", yscale="log", xlabel=label, ylabel="median of a frame, ms")
+        axis.grid(True, which="both", alpha=0.3)
+        axis.legend(frameon=False)
+    figure.tight_layout()
+    return _save(plt, figure, folder, "growth")
+
+
+def _save(plt: Any, figure: Any, folder: Path, name: str) -> list[Path]:
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = [folder / f"{name}.png", folder / f"{name}.svg"]
+    for path in paths:
+        with atomic_path(path) as temporary:
+            figure.savefig(temporary, format=path.suffix[1:], dpi=110)
+    plt.close(figure)
+    return paths
+
+
+def _matplotlib() -> Any:
+    try:
+        import matplotlib
+    except ImportError as error:
+        raise MissingExtraError("the figures need matplotlib: install it with pip install 'tactune[bench]'") from error
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    return plt

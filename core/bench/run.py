@@ -1,4 +1,4 @@
-"""The driver: run time against error for every engine on every scene."""
+"""The driver: run time and error of every engine on every scene."""
 
 from __future__ import annotations
 
@@ -17,10 +17,8 @@ from ..model.provenance import Provenance
 from .engines.reference import candidate_points, mask_of
 from .measure import Timing, peak_bytes, time_in_turns
 from .reference_pipeline import inliers, reference_patch
-from .registry import Engine, Job, Outcome, Runner, engines
+from .registry import Engine, Job, Outcome, Progress, Runner, engines
 from .scenes import BenchScene, make_scene
-
-Progress = Callable[[float, str], None]
 
 
 @dataclass(frozen=True)
@@ -30,13 +28,13 @@ class Row:
     Attributes
     ----------
     ratio : float
-        The baseline's median over this engine's, both from this run; nan without a baseline.
+        Median of the baseline divided by this engine's median, both from this run; nan without a baseline.
     differing_px : int or None
-        Pixels whose verdict is not the float64 reference's; None where the job has no mask.
+        Pixels whose verdict differs from the float64 reference; None if the job has no mask.
     iou, rmse_mm : float
-        Against the scene's truth; nan where there is none or a cloud is empty.
+        Compared with the ground truth of the scene; nan without ground truth or with an empty cloud.
     peak_mib : float or None
-        How far one call raises the process's memory.
+        Peak rise of the process's memory during one call.
     """
 
     scene: str
@@ -70,9 +68,7 @@ def compare_engines(
     rounds : int
         Turns of each engine on each scene.
     only : sequence of str
-        Names of the engines to measure besides the baseline; all where empty.
-    progress : callable
-        Told the share done and what is being measured.
+        Names of the engines to measure besides the baseline; all if empty.
 
     Raises
     ------
@@ -134,7 +130,7 @@ def _row(
 
 
 def expected_mask(scene: BenchScene, job: Job) -> BoolArray:
-    """Return the mask that an exact engine of this job gives, from the float64 reference."""
+    """Return the mask of an exact engine for this job, from the float64 reference."""
     if job == Job.OUTLIERS:
         points, pixels = candidate_points(scene)
         section = scene.preset.outliers
@@ -146,7 +142,7 @@ _MASKS: dict[tuple[int, bool], tuple[BenchScene, BoolArray]] = {}
 
 
 def reference_mask(scene: BenchScene, *, outliers: bool = True) -> BoolArray:
-    """Return the contact mask of the float64 reference, with or without its last two stages; kept."""
+    """Return the contact mask of the float64 reference, with or without its last two stages. Results are cached."""
     key = (id(scene), outliers)
     if key not in _MASKS:
         values = {} if outliers else {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0}
@@ -162,7 +158,7 @@ def _points(mask: BoolArray, scene: BenchScene) -> Float64Array:
 
 
 def rows_as_json(rows: list[Row]) -> list[dict[str, Any]]:
-    """Return rows as JSON can hold them: nan becomes None."""
+    """Return the rows as JSON values; nan becomes None."""
 
     def plain(value: Any) -> Any:
         if isinstance(value, dict):
@@ -173,7 +169,7 @@ def rows_as_json(rows: list[Row]) -> list[dict[str, Any]]:
 
 
 def rows_as_text(rows: list[Row]) -> str:
-    """Return a table for people, one block a scene and job."""
+    """Return a table as text, one block per scene and job."""
     lines: list[str] = []
     heading = ("engine", "ms", "quartiles", "ratio", "points", "differ", "IoU", "RMSE mm", "peak MiB")
     last: tuple[str, str] | None = None

@@ -1,4 +1,4 @@
-"""The frames that engines are measured on: simulated presses and contacts of a chosen size."""
+"""The frames that engines are measured on: simulated presses, and synthetic contacts of a given size."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _MEMBRANE_RGB = (36, 96, 190)
 
 @dataclass(frozen=True, eq=False)
 class BenchScene:
-    """One frame with its rig, the preset it is processed with, and what is true of it."""
+    """One frame with its rig and the preset it is processed with."""
 
     name: str
     title: str
@@ -34,12 +34,12 @@ class BenchScene:
 
     @property
     def truth(self) -> GroundTruth | None:
-        """The frame's truth, where it is known."""
+        """The ground truth of the frame, or None."""
         return self.frame.truth
 
 
 def scene_names() -> tuple[str, ...]:
-    """Return the names of all scenes, from nothing in contact to everything."""
+    """Return the names of all scenes, from no contact to full contact."""
     return tuple(_SCENES)
 
 
@@ -50,7 +50,7 @@ def make_scene(name: str) -> BenchScene:
     Raises
     ------
     TactuneError
-        There is no such scene; the message names those that there are.
+        There is no such scene; the message lists the known ones.
     """
     if name not in _SCENES:
         raise TactuneError(f"there is no scene {name!r}; known are {', '.join(_SCENES)}")
@@ -60,7 +60,7 @@ def make_scene(name: str) -> BenchScene:
 
 
 def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
-    """Take the first frame at least so deep (None: the deepest) from the simulator's press."""
+    """Return the first frame of a simulated press that is at least ``depth_m`` deep; None for the deepest."""
     from ..sources.simulator.source import SimulatorSource
 
     source = SimulatorSource(scene=scene, seed=seed)
@@ -79,17 +79,17 @@ def _untouched() -> BenchScene:
 def synthetic_scene(
     points: int, width: int = 640, height: int = 480, noise_m: float = 0.001, seed: int = 0
 ) -> BenchScene:
-    """Return a curved surface of which about ``points`` proximity pixels in the middle are contact.
+    """Return a curved surface with about ``points`` proximity pixels of contact around the image centre.
 
-    Both cameras see the same paraboloid there; around it the proximity camera looks at something
-    25 mm behind the membrane. The rig is the simulator's, scaled to the image size.
+    In contact both cameras see the same paraboloid. Elsewhere the proximity camera sees a surface 25 mm behind the
+    membrane. The rig is that of the simulator, scaled to the image size.
 
     Parameters
     ----------
     points : int
-        Contact pixels; all pixels where it is at least width * height.
+        Contact pixels; width * height or more puts every pixel in contact.
     noise_m : float
-        Standard deviation of the proximity depth, metres; the tactile depth has a third of it.
+        Standard deviation of the proximity depth, metres; that of the tactile depth is a third of it.
     """
     rig = _scaled_rig(width, height)
     random = np.random.default_rng(seed)

@@ -1,44 +1,48 @@
-"""Does float32 change a verdict? Random and adversarial frames against the float64 reference.
+"""Numerical stability: float32 against float64 on random frames, and cached results against fresh ones.
 
-A pixel may differ only where the float64 value lies within a stated number of float32 units in the
-last place (ulps) of a threshold: of the tolerance, of a range limit, or of the border between two
-pixels of the image that is looked up. Everything else is an error of ours.
+A verdict may differ from the float64 reference only if the float64 value lies within `BOUND_ULPS` float32 units in
+the last place (ulps) of a threshold: the tolerance, a range limit, or the border between two pixels of the image that
+is looked up. Any other difference is a bug.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from ..contact.alignment import tactile_homography, tactile_pose
-from ..contact.pipeline import ContactPipeline
+from ..contact.pipeline import ContactPatch, ContactPipeline
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
 from ..model.intrinsics import Distortion, Intrinsics
 from ..preset import Preset
 from .reference_pipeline import reference_patch
 
-#: The stated bound. A verdict takes some ten roundings after the tables, each of half an ulp of the
-#: largest number in it: the depth for the tolerance, the image's width for a looked-up pixel.
+#: A verdict involves about ten roundings after the tables, each of half an ulp of the largest number involved: the
+#: depth for the tolerance, the image width for a looked-up pixel.
 BOUND_ULPS = 16.0
 
 _SIZE = (96, 72)
 
+#: Of `check_long_run`: steps with the same rig, and the share of steps that change the frame.
+_NEW_RIG_EVERY, _NEW_FRAME_SHARE = 500, 0.4
+
 
 @dataclass(frozen=True)
 class StabilityReport:
-    """What many frames showed.
+    """Result of `check_stability`.
 
     Attributes
     ----------
     differing, unexplained : int
-        Pixels with another verdict than the float64 reference, and those of them farther than
+        Pixels with a verdict other than that of the float64 reference, and the number of these that lie farther than
         ``BOUND_ULPS`` from every threshold.
     worst_ulps : float
-        Distance of the differing pixel that lies farthest from its nearest threshold.
+        Largest distance of a differing pixel from its nearest threshold.
     """
 
     frames: int
@@ -48,7 +52,7 @@ class StabilityReport:
     worst_ulps: float
 
     def words(self) -> str:
-        """Say it in one sentence."""
+        """Return the result as one sentence."""
         share = self.differing / max(self.pixels, 1)
         return (
             f"{self.frames:,} frames, {self.pixels:,} pixels: {self.differing:,} verdicts ({share:.1e}) differ from "
@@ -60,7 +64,7 @@ class StabilityReport:
 def check_stability(
     frames: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None
 ) -> StabilityReport:
-    """Compare the compiled pipeline with the float64 reference on seeded frames, every second one adversarial.
+    """Compare the pipeline with the float64 reference on seeded frames, every second one adversarial.
 
     Parameters
     ----------
@@ -82,7 +86,7 @@ def check_stability(
 
 
 def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Preset, Rig, SensorFrame]:
-    """Return a rig, a preset and a frame; adversarial: the tolerance is exactly one pixel's difference."""
+    """Return a rig, a preset and a frame. Adversarial: the tolerance equals the relative difference of one pixel."""
     rig = Rig(
         proximity=DepthCamera(intrinsics=_lens(random), depth_unit_m=float(random.choice((0.00025, 0.001, 1e-4)))),
         tactile=DepthCamera(intrinsics=_lens(random), depth_unit_m=float(random.choice((0.0001, 0.001, 5e-5)))),
@@ -119,21 +123,21 @@ def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Pres
 
 
 def differing_ulps(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
-    """Return, for each pixel whose verdict differs from the float64 reference, its distance in ulps.
+    """Return the distance from the nearest threshold of each pixel whose verdict differs from the float64 reference.
 
     Returns
     -------
     float64, shape (N,)
-        Float32 ulps to the nearest threshold; empty where all verdicts agree.
+        Float32 ulps; empty if all verdicts agree.
     """
     found = ContactPipeline(preset, rig).process(frame).provenance
     expected = reference_patch(preset, rig, frame, np.float64).provenance
     where = np.flatnonzero(found != expected)
-    return np.zeros(0) if len(where) == 0 else _ulps_to_thresholds(preset, rig, frame)[where]
+    return np.zeros(0) if len(where) == 0 else ulps_to_thresholds(preset, rig, frame)[where]
 
 
-def _ulps_to_thresholds(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
-    """Return every pixel's distance to the nearest threshold that decides about it, in float32 ulps."""
+def ulps_to_thresholds(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64Array:
+    """Return each pixel's distance to the nearest threshold that decides about it, float32 ulps, flat."""
     depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
     expected, uv = _expected_and_pixels(preset, rig, depth)
     counts = _look_up(frame.tactile_depth, uv)
@@ -157,13 +161,13 @@ def _ulps_to_thresholds(preset: Preset, rig: Rig, frame: SensorFrame) -> Float64
 
 
 def _ulps_to_next_pixel(uv: Float64Array, camera: Intrinsics) -> Float64Array:
-    """Return how far each place (N, 2) is from where another pixel becomes the nearest, in ulps of the width."""
+    """Return the distance of pixel coordinates (N, 2) from the border between two pixels, in ulps of the width."""
     border = np.abs(uv - 0.5 - np.rint(uv - 0.5)).min(axis=1)
     return np.asarray(border / np.spacing(np.float32(max(camera.shape))))
 
 
 def _expected_and_pixels(preset: Preset, rig: Rig, depth: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return each proximity pixel's expected tactile depth (metres) and its place in the tactile image."""
+    """Return each proximity pixel's expected tactile depth (metres) and its tactile pixel coordinates."""
     camera = rig.proximity.intrinsics
     if preset.alignment.model == "rigid":
         T_t_p = np.linalg.inv(tactile_pose(preset.alignment, rig))
@@ -188,7 +192,7 @@ def _look_up(image: Uint16Array, uv: Float64Array) -> Uint16Array:
 
 
 def _difference_of_a_pixel(preset: Preset, rig: Rig, frame: SensorFrame, random: np.random.Generator) -> float:
-    """Return the relative difference of some pixel, so that it lies on the threshold itself."""
+    """Return the relative difference of a random pixel: as a tolerance, it puts that pixel exactly on the threshold."""
     depth = frame.proximity_depth.ravel().astype(np.float64) * rig.proximity.depth_unit_m
     expected, uv = _expected_and_pixels(preset, rig, depth)
     counts = _look_up(frame.tactile_depth, uv)
@@ -200,14 +204,14 @@ def _difference_of_a_pixel(preset: Preset, rig: Rig, frame: SensorFrame, random:
 
 
 def _color_camera(random: np.random.Generator) -> ColorCamera | None:
-    """Return a colour camera beside the depth camera, or None, with even odds."""
+    """Return a separate colour camera or None, with equal probability."""
     if random.random() < 0.5:
         return None
     return ColorCamera(intrinsics=_lens(random), T_color_depth=_pose(random, 0.015))
 
 
 def _lens(random: np.random.Generator) -> Intrinsics:
-    """Return a lens of any model whose distortion can be undone everywhere in the image."""
+    """Return a lens of a random model whose distortion is invertible in the whole image."""
     width, height = _SIZE
     while True:
         model = random.choice(list(Distortion))
@@ -230,8 +234,84 @@ def _pose(random: np.random.Generator, spread_m: float) -> Matrix4:
 
 
 def _counts(depth_m: Float64Array, unit_m: float, random: np.random.Generator) -> Uint16Array:
-    """Return raw counts with some pixels that are no depth and some at the ends of the scale."""
+    """Return raw counts, 2 % of them replaced by 0, 1, 65534 or 65535."""
     counts = np.clip(np.rint(depth_m / unit_m), 0, 65535).astype(np.uint16)
     odd = random.random(counts.shape) < 0.02
     counts[odd] = random.choice(np.array([0, 1, 65534, 65535], np.uint16), int(odd.sum()))
     return counts
+
+
+@dataclass(frozen=True)
+class LongRunReport:
+    """Number of steps, and of steps in which the patch differed from that of a new pipeline."""
+
+    steps: int
+    different: int
+
+    def words(self) -> str:
+        """Return the result as one sentence."""
+        return f"{self.steps:,} changes of parameters and frames: {self.different:,} patches differ from a new pipeline"
+
+
+def check_long_run(steps: int, seed: int = 0, progress: Callable[[float], None] = lambda share: None) -> LongRunReport:
+    """Change a parameter or the frame at each step; compare one pipeline with a new one, bit by bit."""
+    random = np.random.default_rng(seed)
+    different = 0
+    for step in range(steps):
+        if step % _NEW_RIG_EVERY == 0:
+            preset, rig, frame = random_case(random, adversarial=False)
+            preset = preset.with_value("outliers.enabled", True)
+            kept = ContactPipeline(preset, rig)
+            frames = [frame, *_variants(frame, random)]
+            progress(step / steps)
+        if random.random() < _NEW_FRAME_SHARE:
+            frame = frames[int(random.integers(len(frames)))]
+        else:
+            preset = preset.with_values(_change(preset, random))
+            kept.update(preset)
+        different += not _same(kept.process(frame), ContactPipeline(preset, rig).process(frame))
+    progress(1.0)
+    return LongRunReport(steps, different)
+
+
+def _variants(frame: SensorFrame, random: np.random.Generator) -> list[SensorFrame]:
+    """Return variants of a frame: much, little and no depth changed, and other colours."""
+    much = np.where(random.random(frame.tactile_depth.shape) < 0.2, 0, frame.tactile_depth).astype(np.uint16)
+    little = frame.proximity_depth.copy()
+    little[:, : little.shape[1] // 2] = np.clip(little[:, : little.shape[1] // 2], 1, 65534) - 1
+    nothing = np.zeros_like(frame.proximity_depth)
+    changed: tuple[dict[str, Any], ...] = (
+        {"tactile_depth": much}, {"proximity_depth": little}, {"proximity_depth": nothing},
+        {"proximity_color": frame.proximity_color[::-1]},
+    )  # fmt: skip
+    fields = {name: getattr(frame, name) for name in ("proximity_depth", "tactile_depth", "proximity_color")}
+    return [SensorFrame(sequence=n + 1, **(fields | change)) for n, change in enumerate(changed)]
+
+
+def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
+    """Return a random parameter with a random value."""
+    choices: dict[str, Callable[[], Any]] = {
+        "tolerance.t": lambda: float(10 ** random.uniform(-3, -0.5)),
+        "mask.enabled": lambda: not preset.mask.enabled,
+        "mask.hue": lambda: tuple(int(value) for value in random.integers(0, 180, 2)),
+        "outliers.enabled": lambda: not preset.outliers.enabled,
+        "outliers.k": lambda: int(random.integers(1, 40)),
+        "outliers.ratio": lambda: float(random.uniform(0.2, 4.0)),
+        "outliers.min_cluster_area_mm2": lambda: float(random.choice((0.0, 50.0, 500.0))),
+        "range.enabled": lambda: not preset.range.enabled,
+        "region.enabled": lambda: not preset.region.enabled,
+        "region.rectangle": lambda: (int(random.integers(40)), int(random.integers(30)), 50, 40),
+        "alignment.model": lambda: str(random.choice(("rigid", "homography"))),
+        "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
+        "contact_test": lambda: str(random.choice(("tolerance", "membrane"))),
+        "membrane.gap_m": lambda: float(random.uniform(0.0, 0.005)),
+        "membrane.erosion": lambda: float(random.choice((0.0, 0.9, 2.0))),
+        "membrane.balance": lambda: not preset.membrane.balance,
+        "membrane.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
+    }
+    name = str(random.choice(list(choices)))
+    return {name: choices[name]()}
+
+
+def _same(first: ContactPatch, second: ContactPatch) -> bool:
+    return first.points.tobytes() == second.points.tobytes() and np.array_equal(first.provenance, second.provenance)

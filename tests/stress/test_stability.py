@@ -1,4 +1,4 @@
-"""Float32 against float64, remembered against fresh: the seeded checks of the benchmark, in short."""
+"""Float32 against float64, cached results against fresh ones: short runs of the seeded checks."""
 
 from __future__ import annotations
 
@@ -7,9 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.bench.long_run import check_long_run
-from tactune.core.bench.stability import BOUND_ULPS, check_stability, differing_ulps, random_case
+from tactune.core.bench.reference_pipeline import reference_patch
+from tactune.core.bench.stability import (
+    BOUND_ULPS,
+    check_long_run,
+    check_stability,
+    differing_ulps,
+    random_case,
+    ulps_to_thresholds,
+)
 from tactune.core.contact.kernels import chain as kernels
+from tactune.core.contact.pipeline import ContactPipeline
 
 
 def test_no_verdict_differs_beyond_the_stated_bound() -> None:
@@ -17,7 +25,7 @@ def test_no_verdict_differs_beyond_the_stated_bound() -> None:
     assert report.frames == 120
     assert report.unexplained == 0
     assert report.worst_ulps <= BOUND_ULPS
-    # ties are in there: with none the check would prove nothing
+    # without ties the check would prove nothing
     assert report.differing > 0
 
 
@@ -29,16 +37,14 @@ def test_any_seed(seed: int, adversarial: bool) -> None:
 
 
 def test_a_wrong_pipeline_is_found_out() -> None:
-    """A tolerance that is off by a twentieth is far beyond any rounding."""
+    """A tolerance that is 5 % too large differs far beyond rounding."""
     preset, rig, frame = random_case(np.random.default_rng(5), adversarial=False)
-    from tactune.core.bench import stability
-
     wrong = preset.with_value("tolerance.t", preset.tolerance.t * 1.05)
-    found = stability.ContactPipeline(wrong, rig).process(frame).provenance
-    right = stability.reference_patch(preset, rig, frame, np.float64).provenance
+    found = ContactPipeline(wrong, rig).process(frame).provenance
+    right = reference_patch(preset, rig, frame, np.float64).provenance
     where = np.flatnonzero(found != right)
     assert len(where) > 0
-    assert (stability._ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
+    assert (ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
 
 
 def test_remembering_changes_nothing() -> None:

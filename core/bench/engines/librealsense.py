@@ -1,4 +1,4 @@
-"""The camera driver's own alignment and deprojection, run on a software device."""
+"""Alignment and deprojection by the camera driver, on a software device."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def deproject(scene: BenchScene) -> Runner:
 
 
 def _frameset(scene: BenchScene) -> tuple[Any, Any]:
-    """Return tactile depth and proximity colour as one frameset, and what must live as long.
+    """Return tactile depth and proximity colour as one frameset, and the objects that must outlive it.
 
     A live software frame has no depth unit in older drivers, so the pair goes through a recording.
     """
@@ -72,7 +72,7 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
         context = rs.context()
         playback = context.load_device(file)
         playback.set_real_time(False)
-        # room for all that is recorded: while the driver waits for room it can neither be stopped nor freed
+        # the queue holds the whole recording: a driver that waits for a full queue can neither be stopped nor freed
         syncer = rs.syncer(2 * _PAIRS)
         sensors = playback.query_sensors()
         for sensor in sensors:
@@ -85,7 +85,7 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
                 found.keep()
                 break
         playback.pause()
-        for sensor in sensors:  # never closed: the driver would free what its frames still refer to
+        for sensor in sensors:  # not closed: the driver would free memory that its frames still use
             sensor.stop()
     if found is None or found.size() != 2:
         raise TactuneError("librealsense's software device gave no pair of frames; leave its engines out")
@@ -93,7 +93,7 @@ def _frameset(scene: BenchScene) -> tuple[Any, Any]:
 
 
 def _record(scene: BenchScene, file: str) -> None:
-    """Let a software device send the pair a few times while the driver records it."""
+    """Record a software device that sends the pair several times."""
     import pyrealsense2 as rs
 
     rig, frame = scene.rig, scene.frame

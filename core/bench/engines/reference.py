@@ -1,6 +1,6 @@
-"""The baseline: the paper's pipeline as one writes it with NumPy in float64, OpenCV and Open3D.
+"""The baseline: the paper's pipeline written with NumPy in float64, OpenCV and Open3D.
 
-Whole images and library calls, with all tables made beforehand; nothing is left slow on purpose.
+Whole images and library calls, with all tables prepared; nothing is slow on purpose.
 """
 
 from __future__ import annotations
@@ -69,14 +69,14 @@ def outliers_only(scene: BenchScene) -> Runner:
 def candidate_points(scene: BenchScene) -> tuple[Float64Array, IndexArray]:
     """Return the points (N, 3) in metres and flat pixels (N,) that outlier removal starts from.
 
-    Coordinates are float64 numbers that float32 holds as well, so that every engine gets the same points.
+    Coordinates are float64 but representable as float32, so that every engine gets the same points.
     """
     points, pixels = _candidates(scene)()
     return points.astype(np.float32).astype(np.float64), pixels
 
 
 def candidate_colors(scene: BenchScene) -> Any:
-    """Return a function that tells which points (N, 3) do not have the bare membrane's colour."""
+    """Return a function that returns which points (N, 3) do not have the colour of the bare membrane."""
     preset, rig, frame = scene.preset, scene.rig, scene.frame
 
     def keeps(points: AnyArray) -> BoolArray:
@@ -97,7 +97,7 @@ def open3d_inliers(points: AnyArray, k: int, ratio: float) -> IndexArray:
 
 
 def _in_large_cluster(depth: AnyArray, mask: BoolArray, scene: BenchScene) -> BoolArray:
-    """Return which of the mask's pixels, in order, belong to a large enough connected group."""
+    """Return which pixels of the mask, in order, belong to a connected group of sufficient area."""
     _, labels = cv2.connectedComponents(mask.astype(np.uint8), connectivity=8)
     cluster, lens = labels[mask], scene.rig.proximity.intrinsics
     areas_mm2 = np.bincount(cluster, weights=depth**2 / (lens.fx * lens.fy)) * 1e6
@@ -105,14 +105,14 @@ def _in_large_cluster(depth: AnyArray, mask: BoolArray, scene: BenchScene) -> Bo
 
 
 def mask_of(scene: BenchScene, pixels: IndexArray) -> BoolArray:
-    """Return the image of some flat pixels."""
+    """Return the mask of flat pixels."""
     mask = np.zeros(scene.frame.proximity_depth.shape, bool)
     mask.reshape(-1)[pixels] = True
     return mask
 
 
 def _candidates(scene: BenchScene) -> _Find:
-    """Return a function that gives the points and pixels that pass tolerance, range, region and mask."""
+    """Return a function that returns the points and pixels that pass tolerance, range, region and mask."""
     preset, rig, frame = scene.preset, scene.rig, scene.frame
     rays = rig.proximity.intrinsics.rays().astype(np.float64)
     align = _rigid(scene, rays) if preset.alignment.model == "rigid" else _homography(scene)
@@ -165,7 +165,7 @@ def _rigid(scene: BenchScene, rays: Float64Array) -> Any:
 
 
 def nearest_pixels(seen: AnyArray, camera: Intrinsics) -> tuple[BoolArray, IndexArray, IndexArray]:
-    """Return which points (N, 3) a camera sees, and the row and column (0 where not) of each."""
+    """Return which points (N, 3) a camera sees, and the row and column of each (0 if not seen)."""
     uv = camera.project(seen)
     height, width = camera.shape
     inside = (seen[:, 2] > 0) & np.all((uv >= -0.5) & (uv < (width - 0.5, height - 0.5)), axis=1)
@@ -174,7 +174,7 @@ def nearest_pixels(seen: AnyArray, camera: Intrinsics) -> tuple[BoolArray, Index
 
 
 def _homography(scene: BenchScene) -> Any:
-    """Warp with OpenCV by a table of the nearest pixels."""
+    """Warp with OpenCV by a table of nearest pixels."""
     rig, section = scene.rig, scene.preset.alignment
     shape, tactile_shape = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
     table = homography_table(tactile_homography(section, rig), shape, tactile_shape)
@@ -205,7 +205,7 @@ def _membrane_colored(image: AnyArray, section: MaskSection) -> BoolArray:
 
 
 def _look_up(bare: BoolArray, points: AnyArray, pixels: IndexArray, camera: ColorCamera | None) -> BoolArray:
-    """Return which points the colour image shows in the membrane's colour."""
+    """Return which points have the membrane's colour in the colour image."""
     if camera is None:
         return bare.reshape(-1)[pixels]
     T = np.asarray(camera.T_color_depth)

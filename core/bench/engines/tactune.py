@@ -1,4 +1,4 @@
-"""Our own pipeline and its stages, as robot programs call them."""
+"""Tactune's pipeline and its stages, called as a robot program calls them."""
 
 from __future__ import annotations
 
@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from ...contact.candidates import Inliers
 from ...contact.outliers import statistical_inliers
 from ...contact.pipeline import ContactPipeline
 from ..registry import Job, Outcome, Runner, engine
@@ -16,14 +15,12 @@ from ..scenes import BenchScene
 from .reference import candidate_points, mask_of
 
 
-def pipeline_runner(
-    scene: BenchScene, values: dict[str, Any] | None = None, inliers: Inliers = statistical_inliers
-) -> Runner:
-    """Return a runner of the pipeline with some preset values changed or another rule for outliers.
+def _pipeline_runner(scene: BenchScene, values: dict[str, Any]) -> Runner:
+    """Return a runner of the pipeline with changed preset values.
 
-    It is given another frame object each time, since the pipeline does no frame twice.
+    Two frame objects alternate, because the pipeline caches the results of the last frame.
     """
-    pipeline = ContactPipeline(scene.preset.with_values(values or {}), scene.rig, inliers=inliers)
+    pipeline = ContactPipeline(scene.preset.with_values(values), scene.rig)
     frames = cycle((scene.frame, replace(scene.frame)))
 
     def run() -> Outcome:
@@ -36,18 +33,24 @@ def pipeline_runner(
 @engine("tactune", Job.PIPELINE, "Tactune, exact")
 def whole_pipeline(scene: BenchScene) -> Runner:
     """The whole pipeline."""
-    return pipeline_runner(scene)
+    return _pipeline_runner(scene, {})
 
 
 @engine("tactune-per-pixel", Job.PER_PIXEL, "Tactune, per-pixel chain")
 def per_pixel(scene: BenchScene) -> Runner:
     """Without outlier removal and clusters."""
-    return pipeline_runner(scene, {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0})
+    return _pipeline_runner(scene, {"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0})
+
+
+@engine("tactune-no-outliers", Job.PIPELINE, "Tactune, no outlier removal", exact=False)
+def no_outliers(scene: BenchScene) -> Runner:
+    """With clusters but without outlier removal."""
+    return _pipeline_runner(scene, {"outliers.enabled": False})
 
 
 @engine("tactune-outliers", Job.OUTLIERS, "Tactune, organised search, exact")
 def outliers(scene: BenchScene) -> Runner:
-    """Outlier removal from the image grid."""
+    """Outlier removal by search in the image grid."""
     exact_points, pixels = candidate_points(scene)
     section, intrinsics = scene.preset.outliers, scene.rig.proximity.intrinsics
     points = exact_points.astype(np.float32)
@@ -61,7 +64,7 @@ def outliers(scene: BenchScene) -> Runner:
 
 @engine("copy-depths", Job.PIPELINE, "Copying both depth images", exact=False)
 def copy_depths(scene: BenchScene) -> Runner:
-    """What merely taking the images over costs; finds nothing."""
+    """Copy the images only; finds nothing."""
     images = scene.frame.proximity_depth, scene.frame.tactile_depth
     targets = [np.empty_like(image) for image in images]
     nothing = np.zeros(images[0].shape, bool)

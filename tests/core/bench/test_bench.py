@@ -1,4 +1,4 @@
-"""The benchmark measures what it says: engines agree, clocks tell, shortfalls are found."""
+"""The benchmark: exact engines agree, slower engines take longer, shortfalls are found."""
 
 from __future__ import annotations
 
@@ -14,18 +14,21 @@ import numpy as np
 import pytest
 
 from tactune.core.bench import gate, run
-from tactune.core.bench.cold_start import OURS, import_seconds
-from tactune.core.bench.gate import Check
-from tactune.core.bench.growth import GrowthRow, growth_as_text, growth_with_size
-from tactune.core.bench.long_run import LongRunReport
-from tactune.core.bench.measure import allocated_bytes, bandwidth_bytes_per_s, peak_bytes, time_in_turns
+from tactune.core.bench.gate import Check, roofline
+from tactune.core.bench.measure import (
+    OURS,
+    allocated_bytes,
+    bandwidth_bytes_per_s,
+    import_seconds,
+    peak_bytes,
+    time_in_turns,
+)
 from tactune.core.bench.registry import Job, engines, find_engine
-from tactune.core.bench.report import BenchReport, write_report
-from tactune.core.bench.roofline import roofline
+from tactune.core.bench.report import BenchReport, draw_growth, draw_pareto, write_report
 from tactune.core.bench.run import compare_engines, expected_mask, rows_as_json, rows_as_text
+from tactune.core.bench.scaling import GrowthRow, growth_as_text, growth_with_size, stage_breakdown, thread_scaling
 from tactune.core.bench.scenes import BenchScene, make_scene, scene_names, synthetic_scene
-from tactune.core.bench.stability import check_stability
-from tactune.core.bench.stages import stage_breakdown, thread_scaling
+from tactune.core.bench.stability import LongRunReport, check_stability
 from tactune.core.contact.kernels.threads import available_threads, get_threads
 from tactune.core.errors import TactuneError
 
@@ -46,14 +49,6 @@ def test_exact_engines_agree_with_the_float64_reference(scene: BenchScene) -> No
             assert np.array_equal(mask, expected_mask(scene, found.job)), found.name
             checked += 1
     assert checked >= 6
-
-
-def test_approximations_differ_a_little(scene: BenchScene) -> None:
-    expected = expected_mask(scene, Job.PIPELINE)
-    for name in ("tactune-windowed", "tactune-strided", "tactune-voxel", "tactune-half"):
-        mask = find_engine(name).make(scene)().mask
-        assert mask is not None
-        assert np.mean(mask != expected) < 0.05, name
 
 
 def test_the_driver_aligns_as_we_do(scene: BenchScene) -> None:
@@ -129,7 +124,7 @@ def test_a_check_that_falls_short_says_so() -> None:
 
 
 def test_the_gate_finds_a_slow_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
-    """With the baseline's own engine in place of ours the ratio is about 1, and the gate must say so."""
+    """With the ratio of the baseline in place of ours, 1, the gate must fail."""
     monkeypatch.setattr(gate, "_WHOLE", ("empty",))
     monkeypatch.setattr(gate, "compare_engines", lambda *args, **kwargs: _slowed(run.compare_engines(*args, **kwargs)))
     checks = gate._whole_pipeline(3)
@@ -149,19 +144,17 @@ def test_the_roofline_counts_each_byte_once(scene: BenchScene) -> None:
 
 
 def test_growth_is_a_table(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tactune.core.bench.growth.SIZES", ((80, 60), (160, 120)))
+    monkeypatch.setattr("tactune.core.bench.scaling.SIZES", ((80, 60), (160, 120)))
     rows = growth_with_size(3, ["tactune"])
     assert [(row.width, row.height) for row in rows] == [(80, 60), (160, 120)]
     assert "160 x 120" in growth_as_text(rows)
 
 
 def test_figures_are_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactune.core.bench.plots import draw_growth, draw_pareto
-
     pytest.importorskip("matplotlib")
     folder = tmp_path
-    monkeypatch.setattr("tactune.core.bench.growth.SIZES", ((80, 60),))
-    rows = compare_engines(["full-contact"], [Job.PIPELINE], rounds=3, only=["tactune-strided"])
+    monkeypatch.setattr("tactune.core.bench.scaling.SIZES", ((80, 60),))
+    rows = compare_engines(["full-contact"], [Job.PIPELINE], rounds=3, only=["tactune-no-outliers"])
     sizes = growth_with_size(3, ["tactune"])
     written = draw_pareto(rows, folder) + draw_growth(sizes, sizes, folder)
     assert sorted(path.name for path in written) == [

@@ -11,7 +11,6 @@ from tactune.core.contact import pipeline as pipeline_module
 from tactune.core.contact.alignment import homography_table, tactile_homography
 from tactune.core.contact.candidates import CandidateFinder
 from tactune.core.contact.outliers import statistical
-from tactune.core.contact.outliers.variants import strided_inliers, voxel_inliers, windowed_inliers
 from tactune.core.contact.pipeline import STAGES, ContactPipeline, Still
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.model.clouds import deproject, valid_depth
@@ -147,19 +146,6 @@ def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_f
     contact = ContactPipeline(Preset(), rig)
     contact.process(frame)
     assert contact.process(moved(1, None)).skipped == ()
-
-
-@pytest.mark.parametrize("variant", [windowed_inliers, strided_inliers, voxel_inliers])
-def test_a_faster_outlier_removal_can_be_chosen(make_rig, make_frame, variant):
-    rig = make_rig(width=160)
-    frame = make_frame(rig, noise_m=0.001)
-    preset = Preset().with_value("tolerance.t", 0.05)
-    exact = ContactPipeline(preset, rig).process(frame).mask
-    fast = ContactPipeline(preset, rig, inliers=variant).process(frame).mask
-    assert (exact != fast).sum() < (0.001 if variant is windowed_inliers else 0.05) * exact.sum()
-    empty = ContactPipeline(preset.with_value("alignment.depth_offset_m", 0.08), rig, inliers=variant).process(frame)
-    assert not empty.mask.any()
-    assert not variant(np.zeros((0, 3), np.float32), np.zeros(0, np.intp), rig.proximity.intrinsics, 20, 2.0).any()
 
 
 def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
