@@ -16,6 +16,16 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "support"))
+
+from simulated_clicks import (
+    ClickNoise,
+    alignment_covariance,
+    cramer_rao,
+    expected_length,
+    judged_places,
+    make_clicks,
+)
 from tactune.core.calibration.homography import (
     design_matrix,
     direct_linear_transform,
@@ -25,14 +35,6 @@ from tactune.core.calibration.homography import (
 )
 from tactune.core.calibration.quality import bound_95, bounds_95
 from tactune.core.calibration.rigid import fit_rigid
-from tactune.core.calibration.synthetic import (
-    ClickNoise,
-    alignment_covariance,
-    cramer_rao,
-    expected_length,
-    judged_places,
-    make_clicks,
-)
 from tactune.core.errors import CalibrationError
 from tactune.core.sources.simulator.scene import simulator_rig
 
@@ -291,9 +293,9 @@ def measure_texture():
 
 def true_errors(pairs, rig):
     """Return how far pairs clicked in colour lie from where the true pose puts them, pixels."""
+    from simulated_clicks import project_points
     from tactune.core.calibration.calibrate import rigid_points
-    from tactune.core.calibration.rays import ray_seen
-    from tactune.core.calibration.synthetic import project_points
+    from tactune.core.calibration.rigid import ray_seen
 
     points, pose = rigid_points(pairs), np.asarray(rig.T_proximity_tactile)
     rays = np.column_stack([ray_seen(rig.tactile.intrinsics, points.tactile), np.ones(len(pairs))])

@@ -14,7 +14,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.calibration import CalibrationReport
-from ...core.calibration.verdict import grade
+from ...core.calibration.report import grade
 from ...widgets.basics.accent_button import AccentButton
 from ...widgets.images.pane_header import ColorBar
 from ...widgets.images.point_image import PointImage

@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
-from ...core.calibration.verdict import grade
+from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.accent_button import AccentButton
 from ...widgets.basics.elided_label import ElidedLabel

@@ -24,11 +24,9 @@ from .quality import (
     patch_effect,
     uncertainty_map,
 )
-from .rays import color_pose, color_to_depth_pixels, ray_seen
-from .report import CalibrationReport, ModelName, ModelQuality, PairQuality
-from .rigid import TACTILE_DEPTH_SIGMA_M, RigidFit, RigidPoints, fit_rigid
+from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, verdict
+from .rigid import TACTILE_DEPTH_SIGMA_M, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
 from .robust import FOLDS, LEAVE_ONE_OUT
-from .verdict import verdict
 
 Model = Literal["auto", "homography", "rigid"]
 

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
+from .correspondences import check_pairs, spread
 from .maximum_likelihood import Linearised, Measurements, Prior, inverse_information
-from .pairs import check_pairs, spread
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
 
 #: Standard deviation of a careful click with a loupe, pixels.

@@ -12,8 +12,7 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .quality import millimetres_per_pixel
-from .rays import color_pose, color_to_depth_pixels, ray_seen
-from .rigid import Pose, RigidPoints
+from .rigid import Pose, RigidPoints, color_pose, color_to_depth_pixels, ray_seen
 from .texture import measure_pairs
 
 #: Drift from which a calibration is no longer good, pixels, unless it promised less to begin with.

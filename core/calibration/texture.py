@@ -22,8 +22,7 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Ui
 from ..model.frames import Rig, SensorFrame
 from .correspondences import Correspondence
 from .detect import to_gray
-from .rays import color_lens, color_pose, ray_seen
-from .rigid import Pose, RigidFit, RigidPoints, fit_rigid
+from .rigid import Pose, RigidFit, RigidPoints, color_lens, color_pose, fit_rigid, ray_seen
 from .snapshots import depth_under
 
 _ROUNDS = 3

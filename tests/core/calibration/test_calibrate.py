@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration import Correspondence, calibrate
 from tactune.core.calibration.quality import patch_effect
+from tactune.core.calibration.report import place_name
 from tactune.core.calibration.rigid import LEAST_POINTS
-from tactune.core.calibration.synthetic import ClickNoise, judged_places, make_clicks
-from tactune.core.calibration.verdict import place_name
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
 from tactune.core.preset import Preset

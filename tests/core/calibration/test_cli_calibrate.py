@@ -5,9 +5,9 @@ import json
 import numpy as np
 import pytest
 
+from simulated_clicks import ClickNoise, make_clicks
 from tactune.app.cli.main import main
 from tactune.core.calibration import write_points
-from tactune.core.calibration.synthetic import ClickNoise, make_clicks
 from tactune.core.model.rig_file import save_rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset

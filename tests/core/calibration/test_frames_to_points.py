@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from simulated_clicks import judged_places, make_clicks
 from tactune.core.calibration import calibrate
 from tactune.core.calibration.recheck import recheck
 from tactune.core.calibration.snapshots import content_hash, depth_under, median_counts, take_snapshot
-from tactune.core.calibration.synthetic import judged_places, make_clicks
 from tactune.core.calibration.texture import match_texture
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import SensorFrame

@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.core.calibration.quality import bound_95, bounds_95
-from tactune.core.calibration.rigid import RigidPoints, fit_rigid
-from tactune.core.calibration.synthetic import (
+from simulated_clicks import (
     ClickNoise,
     alignment_covariance,
     cramer_rao,
@@ -15,6 +13,8 @@ from tactune.core.calibration.synthetic import (
     judged_places,
     make_clicks,
 )
+from tactune.core.calibration.quality import bound_95, bounds_95
+from tactune.core.calibration.rigid import RigidPoints, fit_rigid
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import ColorCamera
 from tactune.core.model.intrinsics import Distortion

@@ -12,11 +12,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
-from ..model.arrays import BoolArray, Float64Array
-from ..model.frames import Rig
-from .correspondences import Correspondence
-from .rays import color_lens, color_pose, ray_seen
-from .rigid import RigidPoints
+from tactune.core.calibration.correspondences import Correspondence
+from tactune.core.calibration.rigid import RigidPoints, color_lens, color_pose, ray_seen
+from tactune.core.model.arrays import BoolArray, Float64Array
+from tactune.core.model.frames import Rig
 
 #: Distances of the apex from the cameras at three inflation levels, metres.
 LEVELS_M = (0.270, 0.292, 0.314)
