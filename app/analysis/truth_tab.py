@@ -28,10 +28,10 @@ from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
+from ...widgets.basics.controls import make_verdict
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
-from ..rig.parts import make_verdict
 from ..worker.results import Result
 from .tab import AnalysisTab, TabKind
 from .truth_align_panel import AlignPanel

@@ -23,8 +23,8 @@ from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
 from ..document.document import Document
+from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
-from .feed import FrameFeed
 from .outcome import Outcome
 from .overlay import Overlay, OverlayMode, alignment_of_preset, make_overlay
 from .patches import Patch, PatchFinder

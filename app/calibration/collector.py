@@ -5,9 +5,9 @@ from __future__ import annotations
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.model.frames import SensorFrame
+from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
 from .averaging import take_snapshot
-from .feed import FrameFeed
 from .state import Snapshot
 
 #: More frames than this are never averaged: they would take gigabytes and add nothing.

@@ -25,8 +25,8 @@ from PyQt6.QtWidgets import (
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.images.image_pane import ImagePane
+from ..worker.feed import FrameFeed
 from .collector import MOST_FRAMES, Collector
-from .feed import FrameFeed
 from .pictures import image_choices, picture
 from .session import Session
 from .state import ImageChoice, SessionState, Side, Snapshot

@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QProgressBar,
-    QPushButton,
     QRadioButton,
     QSpinBox,
     QSplitter,
@@ -23,6 +22,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.point_table import PointRow, PointTable
 from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job
@@ -136,16 +136,16 @@ class HelpersPage(QWidget):
         self.everywhere = QCheckBox("Look in all snapshots")
         self.everywhere.setChecked(True)
         self.everywhere.setToolTip("Off: only in the one that is shown")
-        self.search = _push("Find", "Look for points now (Ctrl+F)")
+        self.search = push_button("Find", "Look for points now (Ctrl+F)")
         self.search.setShortcut("Ctrl+F")
-        self.cancel = _push("Cancel", "Stop looking")
+        self.cancel = push_button("Cancel", "Stop looking")
         self.progress = QProgressBar()
         self.progress.setRange(0, 100)
         self.words = QLabel(_INTRO)
         self.words.setWordWrap(True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.accept = _push("Accept", "Take the green ones as pairs, as one step that undo takes back")
-        self.refuse = _push("Refuse all", "Forget the proposals")
+        self.accept = push_button("Accept", "Take the green ones as pairs, as one step that undo takes back")
+        self.refuse = push_button("Refuse all", "Forget the proposals")
 
     def _control_column(self) -> QWidget:
         choice = QGroupBox("Look for")
@@ -299,10 +299,3 @@ class HelpersPage(QWidget):
 
     def _failed(self, sentence: str) -> None:
         self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; nothing was taken over.")
-
-
-def _push(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setAutoDefault(False)
-    return button

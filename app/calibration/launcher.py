@@ -8,7 +8,7 @@ from PyQt6.QtCore import QObject
 
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
-from .feed import WorkerFeed
+from ..worker.feed import WorkerFeed
 from .recheck_window import RecheckWindow
 from .wizard import CalibrationWizard
 

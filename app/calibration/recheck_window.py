@@ -7,7 +7,7 @@ from pathlib import Path
 
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QFont
-from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
 from ...core.errors import TactuneError
@@ -15,6 +15,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
+from ...widgets.basics.controls import push_button
 from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
@@ -93,10 +94,10 @@ class RecheckWindow(QDialog):
         self.factor.setCurrentIndex(1)
         self.factor.setAccessibleName("Arrows")
         self.factor.setToolTip("Enlargement of the arrows; they are offsets in proximity pixels")
-        self.again = _push("Check again", "Check on the newest frame (Ctrl+R)")
+        self.again = push_button("Check again", "Check on the newest frame (Ctrl+R)")
         self.again.setShortcut("Ctrl+R")
-        self.calibrate = _push("Calibrate…", "Open the calibration wizard")
-        self.leave = _push("Close", "Close this window")
+        self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
+        self.leave = push_button("Close", "Close this window")
         row = QHBoxLayout()
         row.addWidget(self.factor)
         row.addStretch(1)
@@ -201,10 +202,3 @@ def _marks(drift: Drift) -> list[Mark]:
 def _sentence(error: TactuneError) -> str:
     text = str(error)
     return text[:1].upper() + text[1:]
-
-
-def _push(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setAutoDefault(False)
-    return button

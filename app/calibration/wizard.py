@@ -15,7 +15,6 @@ from PyQt6.QtWidgets import (
     QDialog,
     QFileDialog,
     QHBoxLayout,
-    QPushButton,
     QStackedWidget,
     QVBoxLayout,
     QWidget,
@@ -25,13 +24,14 @@ from ...core.calibration import CalibrationReport, Correspondence, read_points, 
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.accent_button import AccentButton
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.elided_label import ElidedLabel
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..document.document import Document
+from ..worker.feed import FrameFeed
 from .check_page import CheckPage
 from .collector import Collector
-from .feed import FrameFeed
 from .fitting import Fitter, correspondences, pairs_of
 from .frames_page import FramesPage
 from .helpers_page import HelpersPage
@@ -136,11 +136,13 @@ class CalibrationWizard(QDialog):
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = ElidedLabel()
-        self.over = _push("Start over", "Empty the wizard; undo brings everything back")
-        self.back = _push("Back", "To the step before (Ctrl+Page Up)")
-        self.next = _push("Next", "To the next step (Ctrl+Page Down)")
-        self.save = _push("Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)")
-        self.leave = _push("Close", "Close the wizard; everything is kept and offered again")
+        self.over = push_button("Start over", "Empty the wizard; undo brings everything back")
+        self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
+        self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
+        self.save = push_button(
+            "Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)"
+        )
+        self.leave = push_button("Close", "Close the wizard; everything is kept and offered again")
         footer = QHBoxLayout()
         footer.addWidget(self.over)
         footer.addWidget(self.verdict, 1)
@@ -324,10 +326,3 @@ def _short(report: CalibrationReport) -> str:
     word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
     return f"{word}, {report.model}: {errors}. {next_step}"
-
-
-def _push(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setAutoDefault(False)
-    return button

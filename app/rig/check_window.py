@@ -1,23 +1,23 @@
-"""The window that checks the cameras, in three tabs."""
+"""The window that checks the cameras (depth quality and skew), and its launcher."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
+from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout, QWidget
 
-from ...core.sources.base import CameraOption
 from ...widgets.basics.dialogs import Dialogs
+from ..context import Context
 from ..document.document import Document
 from ..worker.results import Result
 from ..worker.worker import Worker
-from .interference_tab import InterferenceTab
 from .quality_tab import QualityTab
 from .skew_tab import SkewTab
 
 
 class CheckWindow(QDialog):
-    """Quality, skew and interference on the source of the main window; closed, it takes no frames."""
+    """Depth quality and skew on the source of the main window. A closed window takes no frames."""
 
     def __init__(
         self, worker: Worker, document: Document, dialogs: Dialogs, folder: Path, parent: QWidget | None = None
@@ -26,12 +26,10 @@ class CheckWindow(QDialog):
         self.setWindowTitle("Check cameras – Tactune")
         self.quality = QualityTab(document, dialogs.over(self), folder)
         self.skew = SkewTab(worker, document)
-        self.interference = InterferenceTab(worker)
         self.tabs = QTabWidget()
         for tab, title, tip in (
             (self.quality, "&Quality", "Fill rate, noise, flatness and bias in a region"),
             (self.skew, "&Skew", "The delay between both cameras, from motion"),
-            (self.interference, "&Interference", "Whether the proximity camera's laser disturbs the tactile camera"),
         ):
             self.tabs.setTabToolTip(self.tabs.addTab(tab, title), tip)
         leave = QPushButton("Close")
@@ -49,15 +47,41 @@ class CheckWindow(QDialog):
 
     def show_result(self, result: Result) -> None:
         """Take a frame of the main window."""
-        for tab in (self.quality, self.skew, self.interference):
-            tab.show_result(result)
-
-    def set_options(self, options: tuple[CameraOption, ...]) -> None:
-        """Take the settings of the source's cameras."""
-        self.interference.set_options(options)
+        self.quality.show_result(result)
+        self.skew.show_result(result)
 
     def _end(self) -> None:
-        """End what is going on; the laser is put back."""
+        """Stop both measurements."""
         self.quality.stop()
         self.skew.close_down()
-        self.interference.close_down()
+
+
+class CameraChecks(QObject):
+    """Keeps at most one window and feeds it."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self.window: CheckWindow | None = None
+        context.frameShown.connect(self._frame_shown)
+
+    def open(self) -> None:
+        """Open the window on the present source, or bring it to the front."""
+        if self.window is None:
+            context = self._context
+            folder = Path(context.settings.text("folder/export") or Path.home())
+            self.window = CheckWindow(context.worker, context.document, context.dialogs, folder, context.window)
+        self.window.show()
+        self.window.raise_()
+        self.window.activateWindow()
+        self._frame_shown()
+
+    def close(self) -> None:
+        """Close the window."""
+        if self.window is not None:
+            self.window.close()
+
+    def _frame_shown(self) -> None:
+        result = self._context.result
+        if self.window is not None and result is not None:
+            self.window.show_result(result)

@@ -5,10 +5,13 @@ from __future__ import annotations
 import json
 import time
 from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import partial
 from html import escape
 from pathlib import Path
 
+import pyqtgraph as pg
 from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import (
@@ -16,26 +19,66 @@ from PyQt6.QtWidgets import (
     QGridLayout,
     QHBoxLayout,
     QLabel,
-    QPushButton,
     QSpinBox,
     QVBoxLayout,
     QWidget,
 )
 
 from ...core.errors import TactuneError
+from ...core.model.arrays import Uint8Array
 from ...core.model.files import atomic_path
 from ...core.model.frames import Rig, SensorFrame
-from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle
+from ...core.preset import AlignmentSection
+from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
 from ...core.rig.judgement import Reading, Verdict, judge_bias, judge_camera
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.dialogs import Dialogs
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.theme import ACCENT, theme_colors
 from ...widgets.images.image_pane import ImagePane
 from ...widgets.images.region_item import RegionItem
+from ..calibration.pictures import picture
 from ..document.document import Document
 from ..worker.jobs import Job
 from ..worker.results import Result
-from .outline import Outline
-from .pictures import Measurement, measure
+
+
+class Outline:
+    """Shows (left, top, width, height) on a pane."""
+
+    def __init__(self, pane: ImagePane) -> None:
+        self._curve = pg.PlotCurveItem(pen=pg.mkPen(ACCENT, width=2))
+        self._curve.setZValue(10)
+        pane.box.addItem(self._curve, ignoreBounds=True)
+
+    def set_rectangle(self, rectangle: Rectangle) -> None:
+        """Show a rectangle of whole pixels."""
+        left, top, width, height = rectangle
+        near, far = left - 0.5, left + width - 0.5
+        upper, lower = top - 0.5, top + height - 0.5
+        self._curve.setData([near, far, far, near, near], [upper, upper, lower, lower, upper])
+
+
+@dataclass(frozen=True, eq=False)
+class Measurement:
+    """One measurement and the images it was made on, as ``QImage.Format_RGB32`` has them in memory."""
+
+    quality: DepthQuality
+    proximity: Uint8Array
+    tactile: Uint8Array
+
+
+def measure(
+    frames: Sequence[SensorFrame],
+    rig: Rig,
+    section: AlignmentSection,
+    region: Rectangle,
+    true_distance_m: float | None,
+) -> Measurement:
+    """Measure the region and draw the newest frame."""
+    quality = measure_quality(frames, rig, section, region, true_distance_m)
+    near, far = (picture(frames[-1], rig, side, "depth", stretch=True).pixels for side in ("proximity", "tactile"))
+    return Measurement(quality, near, far)
+
 
 #: Numbers are read, not watched.
 _INTERVAL_S = 0.4
@@ -78,9 +121,9 @@ class QualityTab(QWidget):
         self.lines = {name: _text() for name in ("proximity", "tactile", "bias")}
         self.entries = {name: _pixels(name) for name in ("Left", "Top", "Width", "Height")}
         self.true_distance = QDoubleSpinBox()
-        self.copy = _button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
-        self.save = _button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
-        self.middle = _button("Middle", "Put the region back into the middle of the image")
+        self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
+        self.save = push_button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
+        self.middle = push_button("Middle", "Put the region back into the middle of the image")
         self.status = QLabel(_WAITING)
         self.status.setWordWrap(True)
         self._lay_out()
@@ -322,12 +365,3 @@ def _pixels(name: str) -> QSpinBox:
     entry.setToolTip(f"{name} of the region, in proximity pixels; it can be dragged in the image, too")
     entry.setKeyboardTracking(False)
     return entry
-
-
-def _button(text: str, tip: str, shortcut: str = "") -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setAutoDefault(False)
-    if shortcut:
-        button.setShortcut(shortcut)
-    return button

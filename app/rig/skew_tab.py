@@ -1,4 +1,4 @@
-"""Measures the delay between both cameras from what they show, and offers to compensate it."""
+"""The delay between both cameras, measured from motion that both see, and its compensation."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, Q
 
 from ...core.model.arrays import Float64Array
 from ...core.rig.skew import LARGEST_GAP_S, LEAST_TIME_S, MotionSeries, Sample, Skew, measure_skew
+from ...widgets.basics.controls import keep_place, make_verdict
 from ...widgets.basics.theme import theme_colors
 from ..document.document import Document
 from ..worker.jobs import Job
 from ..worker.results import Result, SourceInfo
 from ..worker.worker import Worker
-from .parts import keep_place, make_verdict
 
 DELAY_PATH = "cameras.tactile_delay_s"
 _START_TIME_S, _LONGEST_TIME_S = 6.0, 30.0

@@ -6,19 +6,22 @@ import math
 from functools import partial
 from typing import Final
 
-from PyQt6.QtCore import Qt, QTimer, pyqtSignal
+from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QFont, QKeyEvent
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QPushButton, QSpinBox, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QSpinBox, QVBoxLayout, QWidget
 
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
+from ...widgets.basics.controls import push_button
+from ...widgets.basics.message_bar import Severity
 from ...widgets.images.image_pane import ImagePane
-from ..calibration.feed import FrameFeed
 from ..calibration.pictures import picture
+from ..context import Context
 from ..document.document import Document
 from ..document.untouched_store import UntouchedStore
-from .untouched_capture import Capture, Captured
-from .untouched_keeper import UntouchedKeeper
+from ..worker.feed import FrameFeed, WorkerFeed
+from ..worker.results import SourceInfo
+from .untouched_capture import Capture, Captured, UntouchedKeeper
 
 _PREVIEW_MS: Final = 80
 _ADVICE: Final = (
@@ -97,18 +100,18 @@ class CaptureWindow(QDialog):
         self.sentence = QLabel()
         self.sentence.setWordWrap(True)
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
-        self.take = _push(
+        self.take = push_button(
             "&Capture", "Average the frames that come now into the untouched frame (Enter); one undoable step"
         )
         self.take.setDefault(True)
-        self.go_on = _push("&Go on", "Play on and take the frames that are still missing")
-        self.make_do = _push("Use &these", "Average the frames that came so far into the untouched frame")
-        self.cancel = _push("Cance&l", "Stop capturing (Esc); the preset keeps the untouched frame that it has")
-        self.undo = _push("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
+        self.go_on = push_button("&Go on", "Play on and take the frames that are still missing")
+        self.make_do = push_button("Use &these", "Average the frames that came so far into the untouched frame")
+        self.cancel = push_button("Cance&l", "Stop capturing (Esc); the preset keeps the untouched frame that it has")
+        self.undo = push_button("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
-        self.save = _push("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
+        self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
-        self.leave = _push(
+        self.leave = push_button(
             "Close", "Close this window (Esc); an unsaved untouched frame is kept with the unsaved preset"
         )
 
@@ -261,8 +264,69 @@ def _fit(pane: ImagePane) -> None:
     pane.show_rect(pane.image_rect())
 
 
-def _push(text: str, tip: str) -> QPushButton:
-    button = QPushButton(text)
-    button.setToolTip(tip)
-    button.setAutoDefault(False)
-    return button
+class UntouchedControls(QObject):
+    """Owns the store, follows the preset, and keeps at most one window.
+
+    Signals
+    -------
+    saveRequested()
+        Save the preset, whose untouched frame was captured.
+    """
+
+    saveRequested = pyqtSignal()
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self._feed: WorkerFeed | None = None
+        self.window: CaptureWindow | None = None
+        self.store = UntouchedStore(context.data_folder / "untouched")
+        self.store.tidy(context.data_folder)
+        context.document.untouched_store = self.store
+        context.document.warned.connect(
+            lambda sentence: context.messages.show_message("untouched", Severity.WARNING, sentence)
+        )
+        self.keeper = UntouchedKeeper(context.document, context.worker.recorder, self.store, self)
+        context.worker.opened.connect(self._source_opened)
+        context.frameShown.connect(self._frame_shown)
+
+    def open(self) -> None:
+        """Open the window on the present source, or bring it to the front."""
+        context = self._context
+        if context.result is None:
+            context.messages.show_message(
+                "untouched", Severity.WARNING, "There is no frame to capture yet: open a source first."
+            )
+            return
+        if self.window is None:
+            self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
+            self.window = CaptureWindow(context.document, self._feed, self.store, self.keeper, context.window)
+            self.window.saveRequested.connect(self.saveRequested)
+            self.window.finished.connect(self._closed)
+        self.window.show()
+        self.window.raise_()
+        self.window.activateWindow()
+
+    def close(self) -> None:
+        """Stop capturing, close the window and stop following the preset."""
+        if self.window is not None:
+            self.window.reject()
+        self.keeper.close()
+
+    def _closed(self) -> None:
+        if self.window is not None:
+            self.window.deleteLater()
+        if self._feed is not None:
+            self._feed.deleteLater()
+        self.window, self._feed = None, None
+
+    def _source_opened(self, info: SourceInfo) -> None:
+        self.keeper.source_opened(info)
+        if self.window is not None and self._feed is not None:
+            self.window.source_changed()
+            if info.rig != self._feed.rig:
+                self.window.reject()
+
+    def _frame_shown(self) -> None:
+        if self._feed is not None and self._context.result is not None:
+            self._feed.show_result(self._context.result)

@@ -117,9 +117,11 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_recording=action(
             "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
         ),
-        check_cameras=action("C&heck cameras…", "Depth quality, skew and interference of both cameras", "F6"),
+        check_cameras=action("C&heck cameras…", "Depth quality of both cameras and the skew between them", "F6"),
         capture_untouched=action(
-            "Capture re&ference…", "Keep the untouched membrane, with which some methods compare", "Ctrl+Shift+R"
+            "Capture u&ntouched frame…",
+            "Capture the untouched membrane, which some methods and the re-check need",
+            "Ctrl+Shift+R",
         ),
         cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
         camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),

@@ -25,8 +25,8 @@ from ..cameras.control import CAMERAS, CameraControl
 from ..context import Context
 from ..document.document import Document
 from ..document.recovery import Autosave
-from ..rig.check_launcher import CameraChecks
-from ..rig.untouched_launcher import UntouchedControls
+from ..rig.check_window import CameraChecks
+from ..rig.untouched_window import UntouchedControls
 from ..settings import Settings
 from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest

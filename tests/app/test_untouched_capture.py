@@ -41,6 +41,33 @@ class Moving(TinySource):
         return replace(frame, sequence=500 + index, tactile_depth=pushed)
 
 
+class Gated(TinySource):
+    """Reads as many frames as the gate lets through, then waits until it opens."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.name = "gated"
+        self.opened = Event()
+        self.opened.set()
+        self.left = 0
+
+    def let_through(self, frames: int) -> None:
+        """Close the gate behind the next ``frames`` frames."""
+        self.left = frames
+        self.opened.clear()
+
+    def read(self, index: int) -> SensorFrame:
+        if not self.opened.is_set():
+            if self.left == 0:
+                self.opened.wait(120)
+            self.left = max(self.left - 1, 0)
+        return super().read(index)
+
+    def close(self) -> None:
+        self.opened.set()
+        super().close()
+
+
 class Truncated(TinySource):
     """States 8 frames and has 5."""
 
@@ -121,35 +148,49 @@ def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     assert 1 <= window.document.preset.untouched.frames <= 5
 
 
-def pause_capturing(qtbot, window, frames=6):
-    """Begin to capture a slow recording, and pause the main window once some frames are taken."""
-    window.worker.set_speed(0.25)
+@pytest.fixture
+def gated(qtbot, window):
+    """The window at rest on frame 4 of a source that the test can hold back."""
+    source = Gated()
+    open_source(qtbot, window, source)
+    window.worker.pause()
+    window.worker.seek(3)
+    qtbot.waitUntil(lambda: at_rest(window, 3))
+    return source
+
+
+def pause_capturing(qtbot, window, source, frames=6):
+    """Begin to capture, and pause the main window once some frames, but not all, are taken."""
     opened = open_capture(qtbot, window)
     opened.frames.setValue(frames)
+    source.let_through(2)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: opened.capture.taken >= 2)
     QTest.keyClick(window, Qt.Key.Key_Space)
+    source.opened.set()
     qtbot.waitUntil(lambda: "Paused after" in opened.sentence.text())
     assert opened.capture.busy and window.document.preset.untouched is None
     return opened
 
 
 @pytest.mark.parametrize("by", ["button", "main window"])
-def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, by):
-    opened = pause_capturing(qtbot, window)
+def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, gated, by):
+    opened = pause_capturing(qtbot, window, gated)
+    gated.let_through(1)
     if by == "button":
         QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
     else:
         QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not opened.go_on.isVisible())
     assert "leave the membrane alone" in opened.sentence.text()
+    gated.opened.set()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert window.document.preset.untouched.frames == 6
     qtbot.waitUntil(lambda: at_rest(window, 3))
 
 
-def test_what_came_before_a_pause_can_be_used(qtbot, window):
-    opened = pause_capturing(qtbot, window)
+def test_what_came_before_a_pause_can_be_used(qtbot, window, gated):
+    opened = pause_capturing(qtbot, window, gated)
     taken = opened.capture.taken
     assert taken < 6
     QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
@@ -158,8 +199,8 @@ def test_what_came_before_a_pause_can_be_used(qtbot, window):
     assert not opened.make_do.isVisible()
 
 
-def test_capturing_can_be_cancelled_in_a_pause(qtbot, window):
-    opened = pause_capturing(qtbot, window)
+def test_capturing_can_be_cancelled_in_a_pause(qtbot, window, gated):
+    opened = pause_capturing(qtbot, window, gated)
     QTest.keyClick(opened, Qt.Key.Key_Escape)
     assert "leave the membrane alone" not in opened.sentence.text()
     qtbot.waitUntil(lambda: not opened.capture.busy)
@@ -167,8 +208,8 @@ def test_capturing_can_be_cancelled_in_a_pause(qtbot, window):
     assert window.document.preset.untouched is None
 
 
-def test_stepping_in_a_pause_takes_a_frame_and_says_so(qtbot, window):
-    opened = pause_capturing(qtbot, window, 8)
+def test_stepping_in_a_pause_takes_a_frame_and_says_so(qtbot, window, gated):
+    opened = pause_capturing(qtbot, window, gated, 8)
     taken = opened.capture.taken
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
@@ -177,7 +218,7 @@ def test_stepping_in_a_pause_takes_a_frame_and_says_so(qtbot, window):
     assert opened.go_on.isVisible()
 
 
-def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window, monkeypatch):
+def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window, gated, monkeypatch):
     go_on = Event()
 
     def slow(frames):
@@ -186,7 +227,7 @@ def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window
         return average_untouched(came)
 
     monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", slow)
-    opened = pause_capturing(qtbot, window)
+    opened = pause_capturing(qtbot, window, gated)
     QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
     assert "may be touched again" in opened.sentence.text() and not opened.make_do.isVisible()
     qtbot.waitUntil(lambda: opened.progress.text() == "Averaging")

@@ -15,9 +15,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 from pytestqt.qtbot import QtBot
 
-from tactune.app.calibration.feed import FrameFeed
 from tactune.app.calibration.wizard import CalibrationWizard
 from tactune.app.document.document import Document
+from tactune.app.worker.feed import FrameFeed
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.results import SourceInfo
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform

@@ -7,9 +7,9 @@ from dataclasses import replace
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.model.frames import Rig, SensorFrame
-from ..worker.playback import PlaybackState
-from ..worker.results import Result, SourceInfo
-from ..worker.worker import Worker
+from .playback import PlaybackState
+from .results import Result, SourceInfo
+from .worker import Worker
 
 
 class FrameFeed(QObject):
