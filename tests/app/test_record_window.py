@@ -248,8 +248,9 @@ def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot)
 def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):
     monkeypatch.setattr(worker, "_PATIENCE_MS", 200)
     source = HangingSource()
-    window.worker.pause()
     window.open_request(SourceRequest(source.name, lambda progress: source))
+    window.worker.pause()  # a source plays once it is open, and this one must not hang yet
+    window.worker.seek(0)
     qtbot.waitUntil(lambda: window.result is not None)
     begin(window, qtbot)
     window.worker.play()
