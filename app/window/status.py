@@ -95,7 +95,7 @@ class FrameStatus(QStatusBar):
         """Return the time of each stage, or of all and the longest where that is too much for the bar."""
         computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
         if not computed:
-            return "nothing computed anew"
+            return "unchanged"
         each = "  ".join(computed) + " ms"
         if self.fontMetrics().horizontalAdvance(each) <= _WIDEST_SHARE * self.width():
             return each

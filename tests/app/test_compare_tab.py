@@ -18,13 +18,17 @@ from tactune.app.analysis.compare_table import comparison_csv
 from tactune.app.analysis.comparer import Scores
 from tactune.app.analysis.method_looks import CONTACT_ROW, FALSE_ROW, MISSED_ROW, TRUTH
 from tactune.app.document.untouched_store import UntouchedStore
+from tactune.app.worker.playback import PlaybackState
+from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.reading import SourceRequest
+from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.untouched_finding import untouched_finder
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.methods.registry import make_method, method_names
 from tactune.core.model.frames import GroundTruth, SensorFrame
+from tactune.core.preset import Preset
 from tactune.core.rig.untouched import save_untouched
 from tactune.core.sources.base import SeekableSource
 from tiny_sensor import at_rest, tiny_frame, tiny_rig
@@ -54,13 +58,22 @@ class KnowingSource(SeekableSource):
         return replace(frame, tactile_depth=deeper)
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled_methods(compiled) -> None:
+    """Run both methods once, so that no test waits for their kernels."""
+    source = KnowingSource()
+    info = SourceInfo(source.name, source.rig, 8, 30.0)
+    result = FrameProcessor().process(info, source.read(3), Preset(), Wanted(), PlaybackState())
+    comparer.Comparer().compare(comparer.Task(result, ("fusion-rigid", "tactile-only"), source.untouched()))
+
+
 def open_on(qtbot, window, make):
     """Open a source at frame 3 and the tab on it."""
     window.open_request(SourceRequest("knowing", lambda progress: make()))
-    qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: window.result is not None)
     window.worker.pause()
     window.worker.seek(3)
-    qtbot.waitUntil(lambda: at_rest(window, 3), timeout=20_000)
+    qtbot.waitUntil(lambda: at_rest(window, 3))
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)
@@ -84,7 +97,7 @@ def settle(qtbot, window, tab) -> None:
             and task.by_truth == (tab.color_by.currentIndex() == 1)
         )
 
-    qtbot.waitUntil(settled, timeout=20_000)
+    qtbot.waitUntil(settled)
 
 
 @pytest.fixture
@@ -257,11 +270,11 @@ def test_preparing_the_untouched_frame_can_be_cancelled_and_begun_again(qtbot, w
     tab.show_result(replace(window.result, source=slow_info))
     qtbot.waitUntil(lambda: tab.progress.isVisible() and tab.progress.value() == 25)
     QTest.mouseClick(tab.give_up, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: "cancelled" in tab.grid.tiles["tactile-only"].view.message(), timeout=10_000)
+    qtbot.waitUntil(lambda: "cancelled" in tab.grid.tiles["tactile-only"].view.message())
     assert not tab.progress.isVisible() and tab.give_up.text() == "Try again"
     may_end.set()
     QTest.mouseClick(tab.give_up, Qt.MouseButton.LeftButton)
-    qtbot.waitUntil(lambda: bool(outcomes(tab)["tactile-only"].scores.points), timeout=10_000)
+    qtbot.waitUntil(lambda: bool(outcomes(tab)["tactile-only"].scores.points))
     assert not tab.give_up.isVisible()
 
 
@@ -291,7 +304,7 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
 
     monkeypatch.setattr(comparer, "make_method", lambda *args: Slow(make_method(*args)))
     window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
-    qtbot.waitUntil(lambda: window.result is not None, timeout=20_000)
+    qtbot.waitUntil(lambda: window.result is not None)
     window.analysis.actions["compare"].trigger()
     tab = window.analysis.window.made["compare"]
     started = window.result.processed
@@ -376,7 +389,7 @@ def test_the_agreement_with_the_truth_is_coloured_pixel_by_pixel(qtbot, window, 
 def test_closing_the_main_window_ends_the_thread(qtbot, window, tab):
     assert tab.thread_.isRunning()
     window.close_without_asking()
-    qtbot.waitUntil(tab.thread_.isFinished, timeout=10_000)
+    qtbot.waitUntil(tab.thread_.isFinished)
 
 
 def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monkeypatch):
@@ -391,7 +404,7 @@ def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monke
     window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
     window.analysis.actions["compare"].trigger()
     thread = window.analysis.window.made["compare"].thread_
-    qtbot.waitUntil(begun.is_set, timeout=20_000)
+    qtbot.waitUntil(begun.is_set)
     window.close_without_asking()
     assert not window.isVisible() and thread.isRunning()
     assert not wait_for_left(0.0)

@@ -130,7 +130,7 @@ def test_another_spacing_changes_strain_and_curve_and_is_remembered(qtbot, make_
     QTest.keyClicks(tab.spacing, "11.5")
     QTest.keyClick(tab.spacing, Qt.Key.Key_Return)
     settled(qtbot, tab, 3)
-    qtbot.waitUntil(lambda: abs(tab.view.measured.length.largest) < 0.01, timeout=20_000)
+    qtbot.waitUntil(lambda: abs(tab.view.measured.length.largest) < 0.01)
     (point,) = tab.curve.points
     assert point.at_spacing(11.5)[0] == pytest.approx(0.0, abs=1.0)
     assert window.settings.number("strain/spacing_mm", 0) == 11.5
@@ -195,7 +195,7 @@ def test_another_source_begins_a_curve_of_its_own(qtbot, make_window, monkeypatc
     tab.spacing.setValue(9.0)  # frame 3 is being measured once more
     tab.show_result(replace(window.result, source=replace(window.result.source, name="other"), frame=sheet(5)))
     go_on.set()
-    qtbot.waitUntil(lambda: not tab._job.busy, timeout=20_000)
+    qtbot.waitUntil(lambda: not tab._job.busy)
     assert [point.sequence for point in tab.curve.points] == [5]
     assert tab.messages.message("reset") is None
 
@@ -240,7 +240,7 @@ def test_frames_at_rest_are_averaged_and_moving_ones_are_not(qtbot, make_window)
     tab.average.setValue(10)
     settled(qtbot, tab, 3)
     tab.show_result(replace(window.result, frame=replace(window.result.frame)))
-    qtbot.waitUntil(lambda: tab.view.averaged == 2, timeout=20_000)
+    qtbot.waitUntil(lambda: tab.view.averaged == 2)
     go_to(qtbot, window, tab, 5)
     assert tab.view.averaged == 1
 
