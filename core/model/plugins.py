@@ -57,19 +57,23 @@ def load_plugin(group: str, name: str, kind: type[T]) -> T:
         There is none of that name, its import fails, or the object is no ``kind``; the message names the
         entry point and its package.
     """
-    found = _declared(group).get(name)
-    if found is None:
-        raise PluginError(f"{group} has no entry point {name!r}; install the package that provides it")
-    where = f"the entry point {name!r} ({group}) of the package {_package(found)}"
-    try:
-        loaded = found.load()
-    except Exception as error:  # another package's module may raise anything
-        detail = " ".join(str(error).split())
-        raise PluginError(
-            f"{where} cannot be loaded ({type(error).__name__}: {detail}); update or uninstall the package"
-        ) from error
+    loaded = _load(group, name)
     if not isinstance(loaded, kind):
-        raise PluginError(f"{where} is no {kind.__name__} but {loaded!r}; update or uninstall the package")
+        raise _wrong_kind(group, name, kind)
+    return loaded
+
+
+def load_plugin_class(group: str, name: str, kind: type[T]) -> type[T]:
+    """Import one entry point that names a subclass of ``kind``, and return it.
+
+    Raises
+    ------
+    PluginError
+        As `load_plugin`.
+    """
+    loaded = _load(group, name)
+    if not (isinstance(loaded, type) and issubclass(loaded, kind)):
+        raise _wrong_kind(group, name, kind)
     return loaded
 
 
@@ -83,6 +87,32 @@ def load_plugins(group: str, kind: type[T]) -> Plugins[T]:
         except PluginError as error:
             problems.append(str(error))
     return Plugins(found, tuple(problems))
+
+
+def _load(group: str, name: str) -> object:
+    found = _declared(group).get(name)
+    if found is None:
+        raise PluginError(f"{group} has no entry point {name!r}; install the package that provides it")
+    try:
+        return found.load()
+    except Exception as error:  # another package's module may raise anything
+        detail = f"{type(error).__name__}: {' '.join(str(error).split())}"
+        raise PluginError(
+            f"{_where(group, name)} cannot be loaded ({detail}); update or uninstall the package"
+        ) from error
+
+
+def _wrong_kind(group: str, name: str, kind: type) -> PluginError:
+    return PluginError(f"{_where(group, name)} is no {kind.__name__}; update or uninstall the package")
+
+
+def _where(group: str, name: str) -> str:
+    return f"the entry point {name!r} ({group}) of the package {_package(_declared(group)[name])}"
+
+
+def forget() -> None:
+    """Look for entry points again at the next call, because ``sys.path`` has changed."""
+    _declared.cache_clear()
 
 
 @cache

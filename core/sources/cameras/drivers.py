@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...errors import PluginError, SourceError, TactuneError
-from ...model.plugins import load_plugin, plugin_names
+from ...model.plugins import load_plugin_class, plugin_names
 from ...preset import CamerasSection
 from ..base import CameraRole
 from .camera import CameraDriver, DeviceInfo
@@ -110,12 +110,7 @@ def choose(
 
 
 def _load(name: str) -> CameraDriver:
-    kind = load_plugin(GROUP, name, type)
-    if not issubclass(kind, CameraDriver):
-        raise PluginError(
-            f"the entry point {name!r} ({GROUP}) names {kind.__name__}, which is no CameraDriver; "
-            "update or uninstall its package"
-        )
+    kind = load_plugin_class(GROUP, name, CameraDriver)  # type: ignore[type-abstract]
     try:
         return kind()
     except Exception as error:

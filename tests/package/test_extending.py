@@ -1,0 +1,160 @@
+"""The examples of docs/extending.md, installed as a package and run."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.model import plugins
+from tactune.core.model.rig_file import save_rig
+from tactune.core.preset import CameraSection, CamerasSection
+from tactune.core.sources.cameras.drivers import camera_drivers
+from tactune.core.sources.cameras.source import CameraSource
+from tactune.core.sources.registry import open_source, source_kinds
+from tactune.core.sources.simulator.scene import simulator_rig
+
+EXAMPLES = Path(__file__).parents[2] / "docs" / "extending.md"
+BROKEN = {
+    "gone": ("tactune.sources", "no_such_module:KIND", "ModuleNotFoundError: No module named 'no_such_module'"),
+    "odd": ("tactune.sources", "tactune.core.errors:SourceError", "is no SourceKind"),
+    "lost": ("tactune.cameras", "no_such_module:Driver", "ModuleNotFoundError"),
+    "strange": ("tactune.cameras", "tactune.core.errors:SourceError", "is no CameraDriver"),
+}
+
+
+def install(source: Path, target: Path) -> Path:
+    pip = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index", "--no-build-isolation"]
+    subprocess.run([*pip, "--target", str(target), str(source)], check=True, capture_output=True)
+    return target
+
+
+@pytest.fixture(scope="module")
+def acme(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Install what the page says, and return the folder that it went to."""
+    source = tmp_path_factory.mktemp("acme")
+    files = re.findall(r"`([\w./]+)`:\n\n```\w+\n(.*?)```", EXAMPLES.read_text(), re.DOTALL)
+    assert files[0][0] == "pyproject.toml"
+    for name, text in files:
+        assert sum(bool(line.strip()) for line in text.splitlines()) <= 30, f"{name} is no short example"
+        path = source / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_text(text)
+    return install(source, tmp_path_factory.mktemp("site"))
+
+
+@pytest.fixture
+def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let this process find the package."""
+    monkeypatch.syspath_prepend(str(acme))
+    plugins.forget()
+    yield
+    monkeypatch.undo()
+    plugins.forget()
+
+
+@pytest.fixture
+def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Let this process find a package whose entry points cannot be loaded."""
+    metadata = tmp_path / "rotten-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rotten\nVersion: 1.0\n")
+    groups = {group for group, _, _ in BROKEN.values()}
+    text = "".join(
+        f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, (of, value, _) in BROKEN.items() if of == group)
+        for group in groups
+    )
+    (metadata / "entry_points.txt").write_text(text)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins.forget()
+    yield
+    monkeypatch.undo()
+    plugins.forget()
+
+
+def tactune(acme: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    environment = os.environ | {"PYTHONPATH": str(acme)}
+    return subprocess.run(
+        [sys.executable, "-m", "tactune.app", *words], check=False, capture_output=True, text=True, env=environment
+    )
+
+
+def test_the_source_is_run_by_scheme_and_by_path(acme: Path, tmp_path: Path) -> None:
+    rig = simulator_rig()
+    save_rig(rig, tmp_path / "rig.json")
+    depth = np.full((2, *rig.proximity.intrinsics.shape), 1200, np.uint16)
+    color = np.zeros((2, *rig.proximity_color_shape, 3), np.uint8)
+    np.savez(tmp_path / "two.npz", proximity_depth=depth, tactile_depth=depth, proximity_color=color)
+    for name in (f"npz:{tmp_path / 'two.npz'}", str(tmp_path / "two.npz")):
+        done = tactune(acme, "run", "--source", name, "--preset", "simulator", "--json")
+        assert done.returncode == 0, done.stderr
+        assert [json.loads(line)["sequence"] for line in done.stdout.splitlines()] == [0, 1]
+    (tmp_path / "two.npz").write_bytes(b"nothing")
+    done = tactune(acme, "run", "--source", str(tmp_path / "two.npz"), "--preset", "simulator", "--json")
+    assert done.returncode == 2
+    assert "cannot be read" in done.stderr
+    assert done.stderr.count("\n") == 1
+
+
+def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None:
+    listed = tactune(acme, "devices", "--json")
+    assert listed.returncode == 0, listed.stderr
+    assert {device["serial"] for device in json.loads(listed.stdout)["devices"]} >= {"acme1", "acme2"}
+    words = ["--source", "cameras:", "--frames", "3", "--out", str(tmp_path / "three")]
+    done = tactune(acme, "export-folder", *words)
+    assert done.returncode == 0, done.stderr
+    with open_source(str(tmp_path / "three")) as recording:
+        assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")
+
+
+def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
+    pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
+    from software_rig import PROXIMITY_SERIAL, SoftwareRig
+    from tactune.core.sources.realsense.driver import RealSenseDriver
+
+    rig = SoftwareRig()
+    (acme_driver,), _ = camera_drivers("acme")
+    drivers = [RealSenseDriver(rig.devices), acme_driver]
+    chosen = CamerasSection(proximity=CameraSection(serial=PROXIMITY_SERIAL), tactile=CameraSection(serial="acme1"))
+    with CameraSource(drivers, chosen) as source:
+        rig.start()
+        assert (source.rig.proximity.model, source.rig.tactile.model) == ("L515", "A1")
+        assert source.name == f"cameras:{PROXIMITY_SERIAL},acme1"
+        deadline_s = time.monotonic() + 60.0
+        frames = []
+        while len(frames) < 10:
+            assert time.monotonic() < deadline_s, source.health()
+            if source.wait(1.0):
+                frames.append(source.next_frame())
+        assert all(frame is not None and abs(frame.skew_s) <= 1 / 60 + 1e-6 for frame in frames)
+        assert [camera.model for camera in source.health().cameras] == ["L515", "A1"]
+        with pytest.raises(SourceError, match=r"A1 .*has no option 'gain'"):
+            source.set_option("tactile", "gain", 1.0)
+    rig.close()
+
+
+def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: None) -> None:
+    assert [kind.scheme for kind in source_kinds()][:2] == ["sim", "folder"]
+    for name in ("gone", "odd"):
+        with pytest.raises(
+            SourceError, match=rf"entry point '{name}' \(tactune.sources\) of the package rotten"
+        ) as told:
+            open_source(f"{name}:x")
+        assert BROKEN[name][2] in str(told.value)
+        assert "\n" not in str(told.value)
+    with pytest.raises(SourceError, match=r"no kind of source called 'avi'; known are sim:.*package rotten"):
+        open_source("avi:x")
+    drivers, problems = camera_drivers()
+    assert [driver.title for driver in drivers] == ["RealSense"]
+    assert sorted(name for name in BROKEN for problem in problems if f"'{name}'" in problem) == ["lost", "strange"]
+    with pytest.raises(SourceError, match=r"no RealSense camera connected.*package rotten"):
+        open_source("cameras:1,2").close()
