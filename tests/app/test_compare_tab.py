@@ -21,9 +21,8 @@ from tactune.app.document.untouched_store import UntouchedStore
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.reading import SourceRequest
-from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.app.worker.results import SourceInfo, Wanted, untouched_finder
 from tactune.app.worker.threads import wait_for_left
-from tactune.app.worker.untouched_finding import untouched_finder
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.methods.registry import make_method, method_names
