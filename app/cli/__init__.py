@@ -1,1 +1,1 @@
-"""The command ``tactune``: one file for each command."""
+"""The command ``tactune``: `main` and one file per group of commands; `common` is what they share."""

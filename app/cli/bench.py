@@ -1,4 +1,4 @@
-"""The commands ``tactune bench``, ``tactune bench stability``: speed against error, measured here and now."""
+"""The commands ``tactune bench`` and ``tactune bench stability``: run time and numerical error, measured."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...core.errors import TactuneError
 from .common import CliProgress
 
 bench_commands = typer.Typer(
-    help="Measure run time against error, side by side with other ways to do the same.",
+    help="Measure run time and error of the pipeline beside other implementations.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
@@ -28,21 +28,24 @@ def bench(
     engines: Annotated[
         str, typer.Option("--engines", metavar="A,B", help="Engines besides the baseline; 'all' for every one.")
     ] = "all",
-    rounds: Annotated[int, typer.Option("--rounds", min=3, metavar="N", help="Turns of each engine.")] = 15,
+    rounds: Annotated[int, typer.Option("--rounds", min=3, metavar="N", help="Rounds per engine.")] = 15,
     gate: Annotated[
-        bool, typer.Option("--gate", help="Measure only what must hold; exit status 1 if it falls short.")
+        bool, typer.Option("--gate", help="Check only the promised speed; exit status 1 if a check fails.")
     ] = False,
-    growth: Annotated[bool, typer.Option("--growth", help="Also measure how cost grows with points and size.")] = False,
+    growth: Annotated[
+        bool,
+        typer.Option("--growth", help="Also measure how run time grows with the number of points and the image size."),
+    ] = False,
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
     ] = None,
     report: Annotated[
         Path | None,
-        typer.Option("--report", metavar="FILE.md", help="Measure everything and write it as a page with figures."),
+        typer.Option("--report", metavar="FILE.md", help="Measure everything and write a Markdown page with figures."),
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compare all engines on all scenes, or say with --gate whether the promised speed holds."""
+    """Compare all engines on all scenes; with --gate, check the promised speed."""
     if context.invoked_subcommand is not None:
         return
     if gate:
@@ -56,16 +59,18 @@ def bench(
 @bench_commands.command()
 def stability(
     *,
-    frames: Annotated[int, typer.Option("--frames", min=1, metavar="N", help="Seeded frames to try.")] = 10_000,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, metavar="N", help="Number of seeded random frames.")
+    ] = 10_000,
     changes: Annotated[
-        int, typer.Option("--changes", min=0, metavar="N", help="Then change parameters and frames so often.")
+        int, typer.Option("--changes", min=0, metavar="N", help="Then change parameters and frames N times.")
     ] = 0,
-    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Chooses the frames.")] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, metavar="N", help="Seed of the frames.")] = 0,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
     """Compare the compiled pipeline with a float64 reference on random and adversarial frames.
 
-    Exit status 1 where a verdict differs that no rounding explains, or a remembered result is not a fresh one.
+    Exit status 1 if a pixel differs by more than rounding explains, or a cached result differs from a new one.
     """
     from dataclasses import asdict
 
@@ -84,7 +89,7 @@ def stability(
 
 
 def _names(text: str) -> list[str]:
-    """Split a list; none for ``all``."""
+    """Split a comma-separated list; empty for ``all``."""
     return [] if text == "all" else [name.strip() for name in text.split(",") if name.strip()]
 
 
@@ -140,7 +145,7 @@ def _compare(
 
 
 def _write_report(path: Path, rounds: int) -> None:
-    """Measure all there is and write the page, its figures in ``images/bench`` beside it."""
+    """Measure everything and write the page; its figures go into ``images/bench`` beside it."""
     from ...core.bench.gate import run_gate
     from ...core.bench.measure import machine_facts
     from ...core.bench.registry import Job

@@ -21,7 +21,7 @@ DRIFTED_STATUS = 1
 
 
 class Model(StrEnum):
-    """What is fitted."""
+    """The alignment model that is fitted."""
 
     AUTO = "auto"
     HOMOGRAPHY = "homography"
@@ -39,7 +39,7 @@ def calibrate(
     ],
     model: Annotated[Model, typer.Option(help="auto: fit both and take the better one.")] = Model.AUTO,
     depth_scale: Annotated[
-        bool, typer.Option("--depth-scale", help="Fit a scale and an offset of the tactile depth, too.")
+        bool, typer.Option("--depth-scale", help="Also fit a scale and an offset of the tactile depth.")
     ] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     out: Annotated[
@@ -77,11 +77,12 @@ def recheck(
     frames: AveragedFrames = 15,
     as_json: Annotated[bool, typer.Option("--json", help="Print the measurements as JSON.")] = False,
 ) -> None:
-    """Look whether the cameras have moved or the membrane's inflation has changed since the preset was made.
+    """Check whether the cameras have moved or the membrane's inflation has changed since the preset was made.
 
-    The alignment is compared with what both colour cameras see, the membrane with the preset's untouched frame. Exit
-    status 0 if every check passes, 1 if something has drifted; checks that were not possible are listed. An untouched
-    frame that the preset names must exist. The simulator removes its object, so only its noise differs.
+    The alignment is compared with both colour images, the membrane with the preset's untouched frame. Exit status 0
+    if every check that could be made passes, 1 after a drift, 2 if nothing could be checked or the untouched frame that
+    the preset names is missing. A warning names each check that could not be made. The simulator removes its object for
+    this.
     """
     from ...core.calibration.recheck import recheck as recheck_alignment
     from ...core.rig.drift import compare_with_untouched
@@ -108,7 +109,7 @@ def recheck(
         except (CalibrationError, FrameError) as error:
             warn(f"the membrane was not checked: {error}")
     if not found:
-        raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the reasons above")
+        raise CalibrationError(f"nothing of {preset} could be checked on {opened.name}; see the warnings above")
     if as_json:
         typer.echo(json.dumps(found, indent=2, allow_nan=False))
     else:

@@ -268,7 +268,7 @@ def average_frames(source: FrameSource, frames: int) -> UntouchedAverage:
     from ...core.sources.simulator.source import SimulatorSource
 
     if isinstance(source, SimulatorSource):
-        warn(f"{source.name} is simulated: its object is taken away for this, so nothing can touch the membrane")
+        warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")
     with frames_to_average(source, frames) as shown, CliProgress() as progress:
         return average_untouched(_counted_out(shown, frames, progress))
 

@@ -27,11 +27,11 @@ _NEEDED = (640, 480, 30)
 
 def devices(
     *,
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON, every mode of a stream.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON, with every mode of each stream.")] = False,
 ) -> None:
-    """List the connected cameras: model, serial, firmware, USB and what they can stream.
+    """List the connected cameras: model, serial number, firmware, USB version and streams.
 
-    Exit status 0 where a camera is connected, 1 where none is, 2 where the camera driver is missing or fails.
+    Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
     found = _ask_driver()
     notes = _notes(found)
@@ -52,8 +52,8 @@ def _ask_driver() -> list[dict[str, Any]]:
         raise SourceError(str(answer["problem"]))
     if child.problem or "devices" not in answer:
         raise SourceError(
-            f"the camera driver does not tell its cameras ({child.problem or 'no answer'}); unplug the cameras and "
-            "plug them in again, or run tactune doctor, which says what else may be wrong"
+            f"the camera driver does not list its cameras ({child.problem or 'no answer'}); unplug the cameras and "
+            "plug them in again, or run tactune doctor, which finds other causes"
         )
     listed: list[dict[str, Any]] = answer["devices"]
     return listed
@@ -72,7 +72,7 @@ def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
     if not found and not plugged:
         notes.append(
             "No RealSense camera is connected: plug both into USB 3 ports with the cables that came with them; "
-            "tactune doctor says what else may be wrong."
+            "tactune doctor finds other causes."
         )
     no_l515 = no_l515_sentence(driver_version())
     if no_l515 and not any(device["model"].startswith("L5") for device in found):
@@ -96,7 +96,7 @@ def _words(device: dict[str, Any]) -> list[str]:
         lines.append(f"  {stream}: {'; '.join(sizes)}")
     if modes and not any((mode[0], *mode[1:]) == ("depth", *_NEEDED) for mode in modes):
         width, height, rate = _NEEDED
-        lines.append(f"  It has no depth of {width} x {height} at {rate} Hz, which Tactune needs.")
+        lines.append(f"  It has no depth stream of {width} x {height} at {rate} Hz, which Tactune needs.")
     return lines
 
 
@@ -104,9 +104,9 @@ def doctor(
     *,
     as_json: Annotated[bool, typer.Option("--json", help="Print the checks as JSON.")] = False,
 ) -> None:
-    """Check Python, packages, camera driver, USB, permissions, Qt and OpenGL; say what is wrong and the remedy.
+    """Check Python, packages, camera driver, USB, permissions, Qt and OpenGL, and name a remedy for each problem.
 
-    Exit status 0 where nothing fails (warnings concern only some uses), 1 where something does.
+    Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
     lines = run_checks(all_checks())
     failed = [line for line in lines if line.state is State.FAIL]
@@ -142,7 +142,7 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
 
 
 def warmup() -> None:
-    """Compile the pipeline for this computer, so that a robot's first frame does not wait for it."""
+    """Compile the pipeline for this computer, so that a robot's first frame need not wait."""
     from ...core.contact.warmup import is_compiled, warm_up
 
     started = time.perf_counter()
@@ -157,7 +157,7 @@ def warmup() -> None:
         typer.echo("kept in " + ", ".join(str(folder) for folder in result.folders))
     else:
         typer.echo(
-            "tactune: no folder to keep them in can be written, so each start compiles anew; "
-            "set NUMBA_CACHE_DIR to one that can",
+            "tactune: no cache folder is writable, so every start compiles again; "
+            "set NUMBA_CACHE_DIR to a writable folder",
             err=True,
         )

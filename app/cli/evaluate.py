@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from ...core.evaluation.table import Table, TablePlan
 
 evaluate_commands = typer.Typer(
-    help="Compare with the truth: every method on scenes with known truth, one patch with another cloud, or "
-    "recordings with the object's painted scan.",
+    help="Compare with ground truth: all methods on simulated scenes, a patch with another cloud, or "
+    "recordings with a painted scan of the object.",
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     no_args_is_help=True,
@@ -33,33 +33,36 @@ _PAPER = "the paper's"
 def table(
     *,
     methods: Annotated[
-        str, typer.Option(metavar="A,B", help="Methods, separated by commas; 'all' for all. A wrong name lists them.")
+        str, typer.Option(metavar="A,B", help="Methods, separated by commas, or 'all'; a wrong name lists all methods.")
     ] = "all",
     objects: Annotated[
         str, typer.Option(metavar="A,B", help="Objects: octopus, cup, cube, two; with --held-out mug, hand.")
     ] = _PAPER,
     presses: Annotated[str, typer.Option(metavar="A,B", help="Presses: low, medium, high.")] = "low,medium,high",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Choices of noise for each scene.")] = 5,
+    seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Noise seeds per scene.")] = 5,
     extra: Annotated[
         bool,
-        typer.Option(help="Also stiff and wrinkled membranes, two objects, and objects that hover without contact."),
+        typer.Option(help="Also stiff and wrinkled membranes, two objects, and hovering objects without contact."),
     ] = True,
     held_out: Annotated[
-        bool, typer.Option("--held-out", help="Objects and seeds that no method was developed on.")
+        bool, typer.Option("--held-out", help="Use objects and seeds that no method was developed on.")
     ] = False,
     preset: Annotated[
-        str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="Of all methods but the straight one.")
+        str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset of all methods but straight.")
     ] = "simulator",
-    as_json: Annotated[bool, typer.Option("--json", help="Print everything as JSON instead of text.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON instead of a table.")] = False,
     csv_file: Annotated[
-        Path | None, typer.Option("--csv", metavar="FILE", help="Also write a line for each cell.")
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write one line per table cell.")
     ] = None,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE.png", help="Also draw the patches of the first seed (extra bench).")
     ] = None,
     work: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Where finished cells are kept, to go on after Ctrl-C; default: the cache."),
+        typer.Option(
+            metavar="DIR",
+            help="Folder for finished table cells, so that an interrupted run can continue; default: the cache.",
+        ),
     ] = None,
 ) -> None:
     """Compare methods on simulated scenes, beside the paper's figures."""
@@ -93,9 +96,9 @@ def evaluate_patch(
     for path in (patch, truth):
         clouds[path], dropped = read_points(path)
         if dropped:
-            warn(f"{path}: {counted(dropped, 'point')} of {dropped + len(clouds[path])} left out, for a nan in them")
+            warn(f"{path}: {counted(dropped, 'point')} of {dropped + len(clouds[path])} ignored because of nan values")
         if len(clouds[path]) == 0:
-            raise TactuneError(f"{path} holds no point, so there is no distance to it; choose a frame with contact")
+            raise TactuneError(f"{path} holds no points, so there is no distance to it; choose a frame with contact")
         if doubt := unit_doubt(clouds[path], path):
             warn(doubt)
     apart = asdict(cloud_distances(clouds[patch], clouds[truth]))
@@ -121,7 +124,7 @@ def _plan(
     preset: str,
     work: Path | None,
 ) -> TablePlan:
-    """Turn the options into a plan, refusing what cannot be before anything is measured."""
+    """Turn the options into a plan; wrong options are refused before anything is measured."""
     from platformdirs import user_cache_dir
 
     from ...core.evaluation.table import TablePlan, seeds_from
@@ -147,7 +150,7 @@ def _plan(
 
 
 def _measure(plan: TablePlan) -> Table:
-    """Measure cell after cell, telling how far it is; after Ctrl-C say how to go on."""
+    """Measure one table cell after another with progress; after Ctrl+C, say how to continue."""
     from ...core.evaluation.table import Table, measure_table
 
     finished = Table()
@@ -160,7 +163,7 @@ def _measure(plan: TablePlan) -> Table:
         except KeyboardInterrupt:
             warn(
                 f"{len(finished.cells)} of {counted(plan.count, 'cell')} are kept in {plan.work}; "
-                "the same command goes on from there"
+                "the same command continues from there"
             )
             raise
     return finished

@@ -1,4 +1,4 @@
-"""The command ``tactune``: what it understands, and how it ends.
+"""The command ``tactune``: its subcommands, the window, and exit statuses.
 
 Everything heavy is imported inside the commands, so that ``tactune --help`` answers at once.
 """
@@ -30,10 +30,10 @@ from .scan import export_scan
 from .strain import strain
 from .sweep import sweep
 
-#: Exit status for anything that the person can put right: a wrong option, a wrong file.
+#: Exit status of errors that the person can correct: a wrong option, a wrong file.
 USAGE_STATUS = 2
 
-#: What the extra ``gui`` installs.
+#: Packages of the extra ``gui``.
 GUI_PACKAGES = ("PyQt6", "pyqtgraph")
 
 commands = typer.Typer(
@@ -61,7 +61,7 @@ commands.command()(warmup)
 
 
 class Theme(StrEnum):
-    """Looks of the window."""
+    """Colour themes of the window."""
 
     LIGHT = "light"
     DARK = "dark"
@@ -71,7 +71,7 @@ class Theme(StrEnum):
 def main() -> int:
     """Run the command line and return its exit status.
 
-    0: done; 2: something that the person can put right, said in one sentence; 130: interrupted.
+    0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted.
     """
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be valid Unicode
@@ -110,7 +110,7 @@ def gui(
     ] = None,
     after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
-    theme: Annotated[Theme | None, typer.Option(help="Default: as it was left.")] = None,
+    theme: Annotated[Theme | None, typer.Option(help="Default: the theme used last.")] = None,
 ) -> None:
     """Open the window."""
     raise typer.Exit(
@@ -119,7 +119,7 @@ def gui(
 
 
 def _check_x_display() -> None:
-    """Refuse an X display that does not answer in words; Qt would abort the process."""
+    """Raise an error if the X display does not answer; Qt would abort the process."""
     display = os.environ.get("DISPLAY", "")
     platform = os.environ.get("QT_QPA_PLATFORM", "xcb")
     if sys.platform != "linux" or not display or os.environ.get("WAYLAND_DISPLAY") or not platform.startswith("xcb"):
@@ -127,7 +127,7 @@ def _check_x_display() -> None:
     try:
         xcb = ctypes.CDLL("libxcb.so.1")
     except OSError:
-        return  # Qt's own import says better what is missing
+        return  # importing Qt reports the missing library better
     xcb.xcb_connect.restype = ctypes.c_void_p
     connection = ctypes.c_void_p(xcb.xcb_connect(None, None))
     refused = xcb.xcb_connection_has_error(connection)

@@ -19,7 +19,7 @@ from ...core.sources import FrameSource
 from ...core.sources.registry import open_source
 from .common import FUSION, finite_or_none
 
-#: What can be said of a frame, and its patch.
+#: A function from a frame to its record (numbers for JSON) and its patch.
 Step = Callable[[SensorFrame], tuple[dict[str, Any], ContactPatch | MethodPatch]]
 
 
@@ -29,7 +29,7 @@ def read_untouched(method: str, name: str | None) -> SensorFrame | None:
     Raises
     ------
     TactuneError
-        There is no such method, or it needs no untouched frame; or the source cannot be opened or is empty.
+        The method is unknown or needs no untouched frame, or the source cannot be opened or is empty.
     """
     known = (FUSION, *method_names())
     if method not in known:
@@ -37,11 +37,11 @@ def read_untouched(method: str, name: str | None) -> SensorFrame | None:
     if name is None:
         return None
     if not needs_untouched(method):
-        raise TactuneError(f"{method} compares with no untouched frame; leave --untouched out")
+        raise TactuneError(f"{method} needs no untouched frame; remove --untouched")
     with open_source(name) as source:
         frame = source.next_frame()
     if frame is None:
-        raise SourceError(f"the untouched frame {name} gave no frame; check the source")
+        raise SourceError(f"--untouched {name} gave no frame; check the source")
     return frame
 
 
@@ -53,7 +53,7 @@ def make_step(
     untouched: SensorFrame | None,
     warn: Callable[[str], None],
 ) -> Step:
-    """Build what is done with each frame of a source.
+    """Return the function that processes each frame of a source.
 
     Parameters
     ----------
@@ -63,9 +63,9 @@ def make_step(
         As `load_preset` took it.
     source : FrameSource
     untouched : SensorFrame or None
-        From ``--untouched``; without it the preset's own is taken, else the source's.
+        From ``--untouched``; None: the preset's own, else the source's.
     warn : callable
-        Told why the preset's own was not taken.
+        Called with a sentence if the preset's own untouched frame cannot be used.
 
     Raises
     ------
@@ -75,7 +75,7 @@ def make_step(
     if method == FUSION:
         return _fusion_step(ContactPipeline(preset, source.rig))
     if needs_untouched(method) and untouched is None:
-        from ...core.rig.untouched import find_untouched  # what the pipeline alone need not wait for
+        from ...core.rig.untouched import find_untouched  # slow to import, and the pipeline does not need it
 
         looked_up = find_untouched(preset, preset_origin, source)
         for sentence in looked_up.warnings:
@@ -83,8 +83,8 @@ def make_step(
         untouched = looked_up.frame
         if untouched is None:
             raise TactuneError(
-                f"{method} compares with the untouched membrane, but neither the preset nor {source.name} keeps an "
-                "untouched frame; make one with tactune preset capture-untouched, or give --untouched a source or path "
+                f"{method} needs a frame of the untouched membrane, but neither the preset nor {source.name} has "
+                "one; capture it with tactune preset capture-untouched, or give --untouched a source or path "
                 "whose first frame shows the membrane while nothing touches it"
             )
     found = make_method(method, preset, source.rig, untouched)
@@ -133,7 +133,7 @@ def patch_record(patch: ContactPatch) -> dict[str, Any]:
 
 
 def frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]:
-    """Return the first and the last frame asked for; None is the source's last.
+    """Return the first and the last frame asked for; None means the source's last.
 
     Raises
     ------
@@ -149,13 +149,13 @@ def frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]
 
 
 def remembered_frames(method: str, preset: Preset) -> int:
-    """Return how many frames a method should be shown before, and with, one that is judged."""
+    """Return how many frames a method averages: the judged one and those before it."""
     fields = {FUSION: {}, **FUSION_FIELDS}.get(method)
     return 1 if fields is None else averaged_frames(preset.with_values(fields))
 
 
 def frames_between(source: FrameSource, first: int, last: int | None, before: int) -> Iterator[tuple[int, SensorFrame]]:
-    """Yield the frames from first to last, at least one, and as many before them as there are; each with its index.
+    """Yield (index, frame) from ``first`` to ``last``, preceded by up to ``before`` earlier frames.
 
     Raises
     ------
@@ -163,7 +163,7 @@ def frames_between(source: FrameSource, first: int, last: int | None, before: in
         The source ends before the last, or before the first.
     """
     if source.length is not None and max(first, last or 0) >= source.length:
-        raise SourceError(f"{source.name} has no frame {max(first, last or 0)}; it has {source.length} of them")
+        raise SourceError(f"{source.name} has no frame {max(first, last or 0)}; it has {source.length} frames")
     index = max(0, first - before)
     if source.length is not None:
         source.seek(index)
@@ -174,4 +174,4 @@ def frames_between(source: FrameSource, first: int, last: int | None, before: in
         yield index, frame
         index += 1
     if index <= first or (last is not None and index <= last):
-        raise SourceError(f"{source.name} has no frame {max(first, index)}; it ended after {index} of them")
+        raise SourceError(f"{source.name} has no frame {max(first, index)}; it ended after {index} frames")

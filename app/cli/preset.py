@@ -38,13 +38,13 @@ def new(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write.")],
     start: Annotated[
         str | None,
-        typer.Option("--from", metavar="FILE|NAME", help="A preset to start from; default: the paper's values."),
+        typer.Option("--from", metavar="FILE|NAME", help="The preset to start from; default: the paper's values."),
     ] = None,
     rig: Annotated[
         str | None,
         typer.Option(
             metavar="FILE|SOURCE",
-            help="The rig it is for: a rig.json, another preset, or a source of frames; default: that of --from.",
+            help="The preset's rig: a rig.json, another preset, or a source of frames; default: that of --from.",
         ),
     ] = None,
     alignment: Annotated[
@@ -56,14 +56,14 @@ def new(
             "--set",
             metavar="FIELD=VALUE",
             help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
-            "Setting a field of mask, outliers, range or region turns that section on, one of membrane chooses "
-            "that contact test.",
+            "Setting a field of mask, outliers, range or region turns that section on; setting a field of membrane "
+            "chooses that contact test.",
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME", help="Default: the file's name.")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")] = False,
 ) -> None:
-    """Write a new preset: the paper's values or another preset's, changed as you say."""
+    """Write a new preset: the paper's values or those of another preset, changed by --set."""
     from ...core.preset import Preset, now
     from ...core.preset.file import save_preset
     from ...core.rig.untouched import copy_untouched
@@ -78,8 +78,8 @@ def new(
     base = Preset() if start is None else load_preset(start)
     made_for = base.rig if rig is None else find_rig(rig)
     if made_for is None:
-        given = "the paper's values name" if start is None else f"the preset {start} names"
-        raise PresetError(f"{given} no rig; add --rig with a rig.json, another preset or a source of frames")
+        origin = "the paper's preset names" if start is None else f"the preset {start} names"
+        raise PresetError(f"{origin} no rig; add --rig with a rig.json, another preset or a source of frames")
     preset = base.model_copy(update={"rig": made_for, "created": now(), "modified": now()}).with_values(values)
     if start is not None and preset.untouched is not None:
         copy_untouched(preset.untouched, Path(start), out)
@@ -87,7 +87,7 @@ def new(
     typer.echo(f"wrote {out}")
     if base.rig is not None and base.rig != made_for:
         note = (
-            f"cameras, alignment and untouched frame are still those of {start}, made for another rig; calibrate anew."
+            f"cameras, alignment and untouched frame are still those of {start}, made for another rig; calibrate again."
         )
         typer.echo(f"note: {note}", err=True)
     _tell_notes(preset)
@@ -95,7 +95,7 @@ def new(
 
 @preset_commands.command()
 def show(preset: Annotated[str, typer.Argument(metavar="FILE|NAME", help="A file or a shipped preset.")]) -> None:
-    """Print a preset as JSON, brought to the present schema version."""
+    """Print a preset as JSON in the current schema version."""
     from ...core.preset.file import preset_json
     from ...core.sources.presets import load_preset
 
@@ -125,14 +125,16 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
 def capture_untouched(
     *,
     source: UntouchedSource,
-    preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to put it into.")],
+    preset: Annotated[Path, typer.Option("--preset", "-p", metavar="FILE", help="The preset file to change.")],
     frames: AveragedFrames = 15,
-    force: Annotated[bool, typer.Option("--force", help="Keep it though the preset finds contact on it.")] = False,
+    force: Annotated[
+        bool, typer.Option("--force", help="Keep the frame even if the preset finds contact in it.")
+    ] = False,
 ) -> None:
-    """Average frames of the untouched membrane and keep the result with a preset, for methods and checks.
+    """Average frames of the untouched membrane and store them with a preset.
 
-    Frames in which the preset itself finds contact are refused. The simulator takes its object away meanwhile. The
-    untouched frame is a file beside the preset.
+    Some methods and ``tactune recheck`` compare with it. It is a file beside the preset. Frames in which the preset
+    finds contact are refused. The simulator removes its object for this.
     """
     _capture_into(preset, source, frames, force=force)
 
@@ -163,7 +165,7 @@ def _describe(preset: Preset) -> str:
 
 
 def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> None:
-    """Average frames of a source into a preset's untouched frame; the frame is written before the preset.
+    """Average frames of a source, write them beside the preset, then write the preset that names them.
 
     Raises
     ------
@@ -178,7 +180,7 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
 
     if not path.is_file() or path.suffix == ".mcap":
         raise PresetError(
-            f"{path} is no preset file that could keep an untouched frame; make one with tactune preset new, "
+            f"{path} is no preset file, so no untouched frame can be stored with it; make one with tactune preset new, "
             "or copy a shipped one with tactune preset show NAME > FILE"
         )
     preset = load_preset(path)
@@ -197,7 +199,7 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
 
 
 def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame, *, force: bool) -> None:
-    """Say what speaks against an untouched membrane, and refuse one that is surely touched."""
+    """Warn of signs that the membrane is touched; refuse it if contact is certain."""
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.rig.drift import touch_doubts
 
@@ -205,7 +207,7 @@ def _check_untouched(preset: Preset, path: Path, rig: Rig, membrane: SensorFrame
         warm_up_if_needed(progress.preparing)
     for doubt in touch_doubts(preset, rig, membrane, _earlier(preset, path)):
         if doubt.certain and not force:
-            raise CalibrationError(f"{doubt.sentence}, or keep it all the same with --force")
+            raise CalibrationError(f"{doubt.sentence}, or keep it with --force")
         warn(doubt.sentence)
 
 
@@ -214,12 +216,12 @@ def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
 
     try:
         return None if preset.untouched is None else load_untouched(preset.untouched, path)
-    except PresetError:  # lost or damaged: the new one mends that
+    except PresetError:  # lost or damaged: the new one replaces it
         return None
 
 
 def _noise_words(captured: UntouchedAverage, unit_m: float) -> str:
-    """Say how much averaging helped, where that is known."""
+    """Return the depth noise before and after averaging in words; empty if unknown."""
     single, averaged = (1e3 * unit_m * counts for counts in captured.noise_counts)
     if math.isnan(single):
         return ""

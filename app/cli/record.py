@@ -1,4 +1,4 @@
-"""The commands ``tactune record`` and ``tactune convert``: frames in, a recording out."""
+"""The commands ``tactune record`` and ``tactune convert``: any source to a recording."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ if TYPE_CHECKING:
     from ...core.recording import RecordingStatus, SessionWriter
     from ...core.sources import FrameSource
 
-#: Formats that can be read only, and would otherwise become folders of that name.
+#: Formats that cannot be written; without this check such a name would become a folder.
 _READ_ONLY_SUFFIXES = (".bag", ".db3")
 
 _Preset = Annotated[
-    str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="A preset to keep in the recording.")
+    str | None, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset to store in the recording.")
 ]
-_Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after so many frames.")]
+_Frames = Annotated[int | None, typer.Option("--frames", "-n", min=1, metavar="N", help="Stop after N frames.")]
 _Force = Annotated[bool, typer.Option("--force", help="Replace a file that is already there.")]
 
 
@@ -45,15 +45,15 @@ def record(
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
     preset: _Preset = None,
     seconds: Annotated[
-        float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after so much time.")
+        float | None, typer.Option("--seconds", min=0.001, metavar="N", help="Stop after N seconds.")
     ] = None,
     frames: _Frames = None,
     force: _Force = False,
 ) -> None:
     """Record into a ROS 2 bag (MCAP). Ctrl+C or SIGTERM ends the recording; so does the end of the source.
 
-    A recording or the simulator is written completely, however long that takes; a live source does
-    not wait, and what the disk was too slow for is counted and said.
+    All frames of a recording or of the simulator are written, at the speed of the disk. A live source does not wait:
+    frames that the disk was too slow for are dropped and counted.
     """
     from ...core.recording import SessionWriter
     from ...core.sources.presets import load_preset
@@ -84,7 +84,7 @@ def convert(
     frames: _Frames = None,
     force: _Force = False,
 ) -> None:
-    """Write any recording as MCAP, or as a folder of PNG images. Nothing is lost either way."""
+    """Convert any recording to MCAP or to a folder of PNG images, without loss."""
     from ...core.recording.convert import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
@@ -109,14 +109,14 @@ def convert(
         else:
             count = export_folder(opened, target, frames, show)
             if kept is not None:
-                warn(f"a folder holds no preset; {kept.name!r} stays behind")
+                warn(f"a folder cannot hold a preset; {kept.name!r} was not written")
         if opened.health().message:
             warn(opened.health().message)
     typer.echo(f"wrote {counted(count, 'frame')} of {opened.name} to {target}")
 
 
 def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -> SensorFrame | None:
-    """Return what the recording is to keep: the preset's own untouched frame, else the source's."""
+    """Return the untouched frame for the recording: the preset's own, else the source's."""
     from ...core.rig.untouched import kept_untouched
 
     found = kept_untouched(preset, origin, source)
@@ -126,7 +126,7 @@ def _untouched(preset: Preset | None, origin: str | None, source: FrameSource) -
 
 
 def _record_frames(source: FrameSource, writer: SessionWriter, frames: int | None, seconds: float | None) -> None:
-    """Hand frames over until the source ends, enough are there, something fails or Ctrl+C is pressed."""
+    """Write frames until the source ends, the limit is reached, writing fails or Ctrl+C is pressed."""
     live = source.length is None
     total, end_s = number_of_frames(source, frames), math.inf
     if seconds is not None and live:

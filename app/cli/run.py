@@ -48,15 +48,15 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
-#: Exit status of what was interrupted, as shells have it for Ctrl+C.
+#: Exit status after Ctrl+C, as shells use it.
 INTERRUPTED_STATUS = 130
 
-#: Recordings and bags of patches are named so.
+#: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
 
-#: What ``--truth`` adds to a record beside ``touched``, and its unit.
+#: Keys that ``--truth`` adds to a record beside ``touched``, with their units.
 TRUTH_KEYS = {"iou": "", "precision": "", "recall": "", "rmse_mm": " mm"}
-#: The membrane's largest in-plane strain, where the simulator's solver knows it.
+#: Keys of the membrane's largest in-plane strain, from the simulator's solver.
 STRAIN_KEYS = {
     "true_strain_length_percent": "along the length",
     "true_strain_width_percent": "along the width",
@@ -75,7 +75,7 @@ class Format(StrEnum):
 
 @dataclass(frozen=True)
 class RunOptions:
-    """What ``tactune run`` is asked to do; see its help."""
+    """Options of ``tactune run``; see its help."""
 
     source: str
     preset: str
@@ -100,16 +100,19 @@ def run(
             "--out",
             "-o",
             metavar="DIR|FILE.mcap",
-            help="A folder: a file a frame, such as patch_000012.npz. A .mcap: all patches, as PointCloud2 for ROS 2.",
+            help="A folder for one file per frame (patch_000012.npz), or a .mcap for all patches as PointCloud2.",
         ),
     ] = None,
     file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
-    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no summary.")] = False,
+    json_lines: Annotated[bool, typer.Option("--json", help="Print one JSON line per frame and no summary.")] = False,
     truth: Annotated[
-        bool, typer.Option("--truth", help="Compare with the truth where the source knows it (simulator, labels).")
+        bool, typer.Option("--truth", help="Compare with the ground truth of the source (simulator, labels).")
     ] = False,
     method: Annotated[
-        str, typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; a wrong name lists all.")
+        str,
+        typer.Option(
+            metavar="NAME", help="fusion (the preset's own pipeline) or another method; a wrong name lists all."
+        ),
     ] = "fusion",
     untouched: Annotated[
         str | None,
@@ -119,13 +122,17 @@ def run(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUE", help="As in tactune preset new, for this run; may be repeated."),
+        typer.Option(
+            "--set",
+            metavar="FIELD=VALUE",
+            help="Change a preset field for this run, as in tactune preset new; may be repeated.",
+        ),
     ] = None,
 ) -> None:
     """Compute contact patches without a window."""
     if out is None and not json_lines and not truth:
         raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for a line a frame, or --truth for a comparison"
+            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, or --truth for a comparison"
         )
     preset = preset or default_preset(source)
     changed = tuple(settings or ())
@@ -136,11 +143,11 @@ def run(
 
 def export_folder(
     *,
-    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A folder that is new or empty.")],
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="A new or empty folder.")],
     source: SourceOption = SOURCE,
     frames: FrameCount = None,
 ) -> None:
-    """Write frames as PNG images, to hand on."""
+    """Write frames as a folder of PNG images with rig.json."""
     from ...core.sources.folder import export_folder as write_folder
 
     with open_with_progress(source) as opened, CliProgress() as progress:
@@ -182,7 +189,7 @@ def run_frames(options: RunOptions) -> None:
 
 @contextmanager
 def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> Iterator[SavePatch]:
-    """Yield what takes each patch: a bag of all, files of their own, or nothing."""
+    """Yield the function that saves a patch: into one bag, into one file each, or nowhere."""
     out = options.out
     if out is None:
         yield lambda patch, frame: None
@@ -200,7 +207,7 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
 
 
 def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return what is known of a patch; the points of other methods than fusion need not be pixels."""
+    """Return a patch's cloud; methods other than fusion have points only, without pixels."""
     from ...core.contact.pipeline import ContactPatch
     from ...core.model.clouds import PointCloud
     from ...core.recording.cloud_files import patch_cloud
@@ -209,7 +216,7 @@ def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> P
 
 
 def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
-    """Say what a person's Ctrl+C left undone, and end as interrupted; a live source has no end to reach."""
+    """After Ctrl+C, report the frames done and exit as interrupted, unless all are done or the source is live."""
     total = number_of_frames(source, asked)
     if done and total in (None, done):
         return
@@ -224,7 +231,7 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 def process_frames(
     source: FrameSource, step: Step, options: RunOptions, save: SavePatch, stopped: Event
 ) -> list[Record]:
-    """Do what is asked for with each frame until ``stopped`` is set; return what can be said of it."""
+    """Process and save each frame until ``stopped`` is set; return the records."""
     records: list[Record] = []
     total = number_of_frames(source, options.frames)
     with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
@@ -243,28 +250,28 @@ def process_frames(
             records.append(record)
             progress.frames(len(records), total)
     if options.truth and records and all(record["iou"] is None for record in records):
-        warn(f"{source.name} knows no truth; iou, precision, recall and rmse_mm are empty")
+        warn(f"{source.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
     return records
 
 
 def make_folder(folder: Path) -> None:
-    """Make the folder for patches before anything is computed, and say what it already holds."""
+    """Create the folder for patches before anything is computed; warn of older patches in it."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
         older = sum(1 for _ in folder.glob("patch_[0-9]*"))
     except OSError as error:
         raise ExportError(f"cannot write to {folder}: {error.strerror or error}; choose another place") from error
     if older:
-        warn(f"{folder} already holds {counted(older, 'patch file')}; those of the same number are replaced")
+        warn(f"{folder} already holds {counted(older, 'patch file')}; files with the same number will be replaced")
 
 
 def patch_path(folder: Path, sequence: int, file_format: str) -> Path:
-    """Return where the patch of a frame goes."""
+    """Return the file of a frame's patch."""
     return folder / f"patch_{sequence:06d}.{file_format}"
 
 
 def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, rig: Rig) -> Record:
-    """Compare with the truth; every value is None where the source has none."""
+    """Return the scores against the truth; all are None if the source has no truth."""
     if truth is None:
         return dict.fromkeys(("touched", *TRUTH_KEYS, *STRAIN_KEYS))
     from ...core.evaluation.metrics import compare_with_truth
@@ -281,7 +288,7 @@ def truth_record(patch: ContactPatch | MethodPatch, truth: GroundTruth | None, r
 
 
 def summary(records: list[Record], source: str, preset: str, options: RunOptions, *, stopped: bool) -> str:
-    """Return a few lines for a person."""
+    """Return the summary in a few lines."""
     touched = [record["area_mm2"] for record in records if record["points"]]
     # Medians, because the first frame also loads the compiled code and makes the tables.
     stages = {stage: median(record["stage_ms"][stage] for record in records) for stage in records[0]["stage_ms"]}
@@ -296,7 +303,7 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
     if failures := [record["failure"] for record in records if record["failure"]]:
         lines.append(f"{options.method} failed in {len(failures)} of them, such as: {failures[0]}")
     details = ", ".join(f"{stage} {ms:.1f}" for stage, ms in stages.items())
-    lines.append(f"{sum(stages.values()):.1f} ms a frame ({details})")
+    lines.append(f"{sum(stages.values()):.1f} ms per frame ({details})")
     lines += truth_lines(records)
     if options.out is not None and options.out.suffix == MCAP_SUFFIX:
         lines.append(f"wrote {options.out}")
@@ -309,14 +316,16 @@ def summary(records: list[Record], source: str, preset: str, options: RunOptions
 
 
 def truth_lines(records: list[Record]) -> list[str]:
-    """Return the scores of the frames with touch, and how many of the others have points; [] without a truth."""
+    """Return median scores of frames with true contact, and how many other frames have points; [] without truth."""
     with_touch = [record for record in records if record.get("touched")]
     without = [record for record in records if record.get("touched") is False]
     lines = []
     for key, unit in TRUTH_KEYS.items():
         known = [record[key] for record in with_touch if record[key] is not None]
         if known:
-            lines.append(f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with touch")
+            lines.append(
+                f"{key}: median {median(known):.3f}{unit} over {counted(len(known), 'frame')} with true contact"
+            )
     strains = {
         words: max((record[key] for record in records if record.get(key) is not None), default=None)
         for key, words in STRAIN_KEYS.items()
@@ -325,7 +334,7 @@ def truth_lines(records: list[Record]) -> list[str]:
         lines.append("true strain up to " + ", ".join(f"{strain:.1f} % {words}" for words, strain in strains.items()))
     if without:
         false = sum(bool(record["points"]) for record in without)
-        lines.append(f"{counted(len(without), 'frame')} without touch, {false} of them with false points")
+        lines.append(f"{counted(len(without), 'frame')} without true contact, {false} of them with false points")
     return lines
 
 

@@ -1,4 +1,4 @@
-"""The commands ``tactune evaluate recording`` and ``tactune export-scan``: contact as painted on the object's scan."""
+"""The commands ``tactune evaluate recording`` and ``tactune export-scan``: contact from paint on a scan."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ _COLUMNS: Final = {
     "area_error_mm2": "area error mm2",
 }
 _REFINED: Final = ("rmse_m", "pairs", "iterations", "converged")
-#: No method is so wrong; the transform is.
+#: Above this distance the transform is wrong, not the method.
 _FAR_MM: Final = 40.0
 
 
@@ -70,24 +70,25 @@ def evaluate_recording(
         Path | None,
         typer.Option(
             metavar="FILE",
-            help='Where the scan stands: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.',
+            help='Pose of the scan: JSON {"T_proximity_scan": 4 x 4}, or four lines of four.',
         ),
     ] = None,
     pairs: Annotated[
         Path | None,
         typer.Option(
             metavar="FILE.csv",
-            help="Or points picked on both: scan_x,scan_y,scan_z (the scan's unit),patch_x_m,patch_y_m,patch_z_m.",
+            help="Or point pairs picked on both: scan_x,scan_y,scan_z (the scan's unit),patch_x_m,patch_y_m,patch_z_m.",
         ),
     ] = None,
     refine: Annotated[
-        bool, typer.Option("--refine", help="Refine that by ICP to the first method's patch in the first frame.")
+        bool, typer.Option("--refine", help="Refine the pose by ICP to the first method's patch in the first frame.")
     ] = False,
     method: Annotated[
-        list[str] | None, typer.Option(metavar="NAME", help="May be repeated; 'all' for all. Default: fusion.")
+        list[str] | None, typer.Option(metavar="NAME", help="A method or 'all'; may be repeated. Default: fusion.")
     ] = None,
     untouched: Annotated[
-        str | None, typer.Option(metavar="SOURCE", help="The untouched membrane, for methods that need it.")
+        str | None,
+        typer.Option(metavar="SOURCE", help="First frame: the untouched membrane, for methods that need it."),
     ] = None,
     frame: Annotated[int | None, typer.Option(min=0, metavar="N", help="Only this frame, from 0.")] = None,
     frames: Annotated[str | None, typer.Option(metavar="A:B", help="Frames A to B, both included.")] = None,
@@ -99,19 +100,21 @@ def evaluate_recording(
         list[str] | None,
         typer.Option(
             metavar="NAME=VALUE",
-            help="Colour of touched paint, and what is kept: hue=150:179 (OpenCV; above wraps), saturation=40:255, "
-            "value=60:255, least_area_mm2=20, largest=0. May be repeated.",
+            help="Colour of touched paint and filter of its spots: hue=150:179 (0-179; may wrap), "
+            "saturation=40:255, value=60:255, least_area_mm2=20, largest=0. May be repeated.",
         ),
     ] = None,
     save_transform: Annotated[
-        Path | None, typer.Option(metavar="FILE.json", help="Keep the pose that was used, refined or not.")
+        Path | None, typer.Option(metavar="FILE.json", help="Write the pose that was used, refined or not.")
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
-    csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Also write a line for each.")] = None,
+    csv_file: Annotated[
+        Path | None, typer.Option("--csv", metavar="FILE", help="Also write one line per method and frame.")
+    ] = None,
 ) -> None:
     """Compare methods with the contact that thermochromic paint shows on the object's 3D scan.
 
-    Refining hides an error that all patch points share; a transform that knows nothing of the patch is fairer.
+    --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
     """
     from ...core.scan.paint import scan_truth
     from ...core.scan.pose import save_transform as write_transform
@@ -132,7 +135,7 @@ def evaluate_recording(
     records: list[Record] = []
     with open_with_progress(source, chosen.cameras) as opened, CliProgress() as progress:
         if opened.length is None and last is None:
-            raise TactuneError(f"{source} never ends; say which frames to evaluate, such as --frames 0:30")
+            raise TactuneError(f"{source} is endless; choose the frames to evaluate, such as --frames 0:30")
         steps = _steps(names, opened, chosen, origin, untouched, leave_out="all" in (method or []))
         names = list(steps)
         remembered = {name: remembered_frames(name, chosen) for name in names}
@@ -168,24 +171,29 @@ def export_scan(
     *,
     out: Annotated[
         Path,
-        typer.Option("--out", "-o", metavar="FILE", help="A .ply, with --texture an .obj; its pose goes beside it."),
+        typer.Option(
+            "--out", "-o", metavar="FILE", help="A .ply, with --texture an .obj; the true pose is written beside it."
+        ),
     ],
     source: Annotated[
         str, typer.Option("--source", "-s", metavar="SOURCE", help="A scene of the simulator.")
     ] = "sim:cup?press=medium",
     frame: Annotated[int, typer.Option(min=0, metavar="N", help="Which frame's contact is painted, from 0.")] = 0,
     texture: Annotated[
-        bool, typer.Option("--texture", help="A coarse mesh with a fine texture instead of colours of vertices.")
+        bool, typer.Option("--texture", help="Write a coarse mesh with a fine texture instead of vertex colours.")
     ] = False,
     spacing_mm: Annotated[
         float | None,
-        typer.Option(metavar="MM", help="Size of the mesh's cells, 0.3 to 10; default 0.8, with a texture 4."),
+        typer.Option(metavar="MM", help="Vertex spacing of the mesh, 0.3 to 10; default 0.8, with a texture 4."),
     ] = None,
     noise: Annotated[
-        float, typer.Option(min=0, max=255, metavar="SIGMA", help="Noise of each colour channel, which has 0 to 255.")
+        float,
+        typer.Option(
+            min=0, max=255, metavar="SIGMA", help="Standard deviation of the noise in each colour channel, 0 to 255."
+        ),
     ] = 0,
     specks: Annotated[int, typer.Option(min=0, max=10_000, metavar="N", help="Spots of the wrong colour.")] = 0,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Chooses noise and specks.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Seed of noise and specks.")] = 0,
 ) -> None:
     """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
     from ...core.scan.simulated import PaintFlaws, export_painted_scan
@@ -199,12 +207,12 @@ def export_scan(
 
 
 def parse_paint(words: list[str]) -> PaintSettings:
-    """Turn ``hue=150:179`` and the like into settings; what is not named keeps its default.
+    """Turn ``NAME=VALUE`` texts such as ``hue=150:179`` into settings; the others keep their defaults.
 
     Raises
     ------
     TactuneError
-        A name that there is not, or a value that cannot be.
+        A name is unknown or a value is not valid.
     """
     from ...core.scan.paint import PaintSettings
 
@@ -231,14 +239,14 @@ def parse_paint(words: list[str]) -> PaintSettings:
 
 
 def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
-    """Return ``T_proximity_scan`` as the options say it."""
+    """Return ``T_proximity_scan`` from the options."""
     from ...core.scan.pose import load_transform, pose_from_pairs, read_pairs
 
     if transform is not None and pairs is not None:
-        raise TactuneError("--transform and --pairs both say where the scan stands; give one of them")
+        raise TactuneError("--transform and --pairs both give the pose of the scan; give one of them")
     if transform is None and pairs is None:
         raise TactuneError(
-            f"nobody says where {scan} stands: give either --transform FILE or --pairs FILE.csv; "
+            f"the pose of {scan} is not given: add --transform FILE or --pairs FILE.csv; "
             "the window aligns scans and saves the transform (Analysis > Ground truth)"
         )
     if transform is not None:
@@ -255,7 +263,7 @@ def _contact(scan: Scan, paint: PaintSettings, path: Path) -> BoolArray:
         raise TactuneError(
             f"{path} has no spot of the touched paint's colour, hue {paint.hue[0]}:{paint.hue[1]}, saturation "
             f"{paint.saturation[0]}:{paint.saturation[1]}, value {paint.value[0]}:{paint.value[1]}, of at least "
-            f"{paint.least_area_mm2:g} mm2; change it by --paint"
+            f"{paint.least_area_mm2:g} mm2; change the range with --paint"
         )
     return contact
 
@@ -269,14 +277,14 @@ def _methods(asked: list[str], untouched: str | None) -> list[str]:
     for name in names:
         read_untouched(name, None)
     if untouched is not None and not any(map(needs_untouched, names)):
-        raise TactuneError(f"{' and '.join(names)} compare with no untouched frame; leave --untouched out")
+        raise TactuneError(f"{' and '.join(names)} need no untouched frame; remove --untouched")
     return names
 
 
 def _steps(
     names: list[str], source: FrameSource, preset: Preset, origin: str, untouched: str | None, *, leave_out: bool
 ) -> dict[str, Step]:
-    """Build what each method does with a frame; one that cannot work here is left out with a warning, or refused."""
+    """Return each method's step; one that cannot work here is skipped with a warning (``leave_out``) or refused."""
     from ...core.methods.registry import needs_untouched
     from .methods import make_step, read_untouched
 
@@ -289,7 +297,7 @@ def _steps(
         except TactuneError as error:
             if not leave_out:
                 raise
-            warn(f"left out: {error}")
+            warn(f"skipped: {error}")
     if not steps:
         raise TactuneError(f"no method can work with {source.name} and this preset; see the warnings above")
     return steps
@@ -304,7 +312,7 @@ def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: 
 
 
 def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Record:
-    """Return what is said of one method's patch in one frame."""
+    """Return the record of one method's patch in one frame."""
     from ...core.evaluation.table_cell import NO_CONTACT_FOUND
     from ...core.scan.paint import score_against_scan
 
@@ -320,13 +328,13 @@ def _warn_of_places(records: list[Record]) -> None:
     known = [record["symmetric_rmse_mm"] for record in records if record["symmetric_rmse_mm"] is not None]
     if known and min(known) > _FAR_MM:
         warn(
-            f"patch and scan lie {min(known):.0f} mm apart; see that the transform takes the scan's frame to the "
-            "proximity depth frame, and not back, in metres"
+            f"patch and scan lie {min(known):.0f} mm apart; check that the transform maps the scan frame to the "
+            "proximity depth frame, not the reverse, in metres"
         )
 
 
 def _table(records: list[Record], area_mm2: float, refined: RefinedPose | None) -> str:
-    """Return a line a frame and method, and means where there are several frames."""
+    """Return one line per frame and method, and means if there are several frames."""
     lines = [f"painted contact: {area_mm2:.0f} mm2"]
     if refined is not None:
         end = "converged" if refined.converged else "not converged"

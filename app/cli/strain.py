@@ -1,4 +1,4 @@
-"""The command ``tactune strain``: how far the membrane is stretched, from the dots printed on it."""
+"""The command ``tactune strain``: membrane strain from a printed dot grid."""
 
 from __future__ import annotations
 
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class StrainRecord:
-    """What is said of one frame; strain fields are None where ``problem`` says why.
+    """The result of one frame; strain fields are None if ``problem`` gives the cause.
 
-    True strains are the simulator's: over all neighbours, and over those of which the tactile camera sees both dots.
+    True strains are the simulator's: over all pairs of neighbouring dots, and over pairs that the tactile camera sees.
     """
 
     sequence: int
@@ -58,11 +58,11 @@ def strain(
     preset: Annotated[
         str | None,
         typer.Option(
-            "--preset", "-p", metavar="FILE|NAME", help="Its untouched frame is used, and its cameras for live sources."
+            "--preset", "-p", metavar="FILE|NAME", help="Gives the untouched frame and, for live sources, the cameras."
         ),
     ] = None,
     spacing_mm: Annotated[
-        float, typer.Option("--spacing-mm", metavar="MM", help="Distance of neighbouring dots on the flat sheet.")
+        float, typer.Option("--spacing-mm", metavar="MM", help="Distance between neighbouring dots on the flat sheet.")
     ] = 10.0,
     frames: FrameCount = None,
     average: Annotated[
@@ -73,10 +73,10 @@ def strain(
             min=1,
             max=30,
             metavar="N",
-            help="Average up to so many of the last frames while the membrane stands still.",
+            help="Average up to N of the last frames while the membrane does not move.",
         ),
     ] = 1,
-    json_lines: Annotated[bool, typer.Option("--json", help="Print a JSON line a frame, no table.")] = False,
+    json_lines: Annotated[bool, typer.Option("--json", help="Print one JSON line per frame and no table.")] = False,
     csv_file: Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write the table to a file.")] = None,
     plot: Annotated[
         Path | None,
@@ -85,9 +85,8 @@ def strain(
 ) -> None:
     """Measure membrane strain from a printed grid of dots.
 
-    The displacement is against the first frame, or the untouched frame of the preset or the source where there is one.
-    Where the simulator's solver knows the strain it stands beside: between dots that the camera sees, in brackets
-    between all.
+    The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
+    simulator the solver's strain is shown beside: between dots that the camera sees, in brackets between all dots.
     """
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
@@ -157,7 +156,7 @@ def _record(frame: SensorFrame, displacement_mm: float, measured: StrainMeasurem
 
 
 def _table(records: list[StrainRecord]) -> str:
-    """Return a line a frame for a person."""
+    """Return a table with one line per frame."""
     known = any(record.true_strain_length_percent is not None for record in records)
     solver = "  solver: seen (all) along length %     along width %"
     lines = ["frame  displacement mm  strain along length %  along width %  dots" + solver * known]

@@ -1,4 +1,4 @@
-"""The command ``tactune sweep``: many parameters over many sources, and which are best."""
+"""The command ``tactune sweep``: try preset parameters over many sources and rank them."""
 
 from __future__ import annotations
 
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     from ...core.tuning.sweep_file import SweepFile
     from ...core.tuning.table import Row
 
-#: What stands beside the table while and after a sweep runs, so that it can go on.
+#: Suffix of the journal beside the table, from which an interrupted sweep continues.
 JOURNAL_SUFFIX = ".runs.jsonl"
-#: Settings that are shown.
+#: Number of settings shown.
 TOP: Final = 10
 
-_UNITS: Final = {"rmse_mm": "mm", "area_error": "mm2", "area": "mm2", "ms": "ms a frame"}
+_UNITS: Final = {"rmse_mm": "mm", "area_error": "mm2", "area": "mm2", "ms": "ms per frame"}
 
 
 @dataclass(frozen=True)
 class _Options:
-    """What the command line and the sweep file say together."""
+    """The options of the command line and the sweep file, merged."""
 
     preset: Preset
     preset_file: Path | None
@@ -49,8 +49,8 @@ def sweep(
     *,
     preset: Annotated[
         str | None,
-        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Gives all that is not swept; default: as for "
-                     "tactune run where all sources have the same, else default."),
+        typer.Option("--preset", "-p", metavar="FILE|NAME", help="Values of all fields that are not swept; default: "
+                     "as for tactune run if all sources have the same, else default."),
     ] = None,
     source: Annotated[
         list[str] | None,
@@ -59,14 +59,14 @@ def sweep(
     ] = None,
     settings: Annotated[
         list[str] | None,
-        typer.Option("--set", metavar="FIELD=VALUES", help="Values of a preset's field: outliers.k=10,20,30, or "
+        typer.Option("--set", metavar="FIELD=VALUES", help="Values of a preset field: outliers.k=10,20,30, or "
                      "LOW:HIGH:STEPS as in tolerance.t=0.005:0.03:6 (6log: in equal ratios); may be repeated. Every "
                      "combination is run."),
     ] = None,
     method: Annotated[
         list[str] | None,
-        typer.Option(metavar="NAME", help="fusion (the preset's own), or another one; may be repeated. A wrong name "
-                     "lists all."),
+        typer.Option(metavar="NAME", help="fusion (the preset's own pipeline) or another method; may be repeated. A "
+                     "wrong name lists all."),
     ] = None,
     frames: Annotated[
         str | None,
@@ -74,21 +74,21 @@ def sweep(
                      "first N, or A up to but not including B; default: all."),
     ] = None,
     seeds: Annotated[
-        int | None, typer.Option(min=1, max=1000, metavar="N", help="Choices of noise for each simulated source.")
+        int | None, typer.Option(min=1, max=1000, metavar="N", help="Noise seeds per simulated source.")
     ] = None,
     sample: Annotated[
         int | None,
         typer.Option(min=1, metavar="N", help="N combinations that cover all ranges evenly (Latin hypercube) "
                      "instead of every one; ranges need no steps: LOW:HIGH or LOW:HIGH:log."),
     ] = None,
-    seed: Annotated[int | None, typer.Option(min=0, metavar="S", help="Chooses the sample.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, metavar="S", help="Seed of the sample.")] = None,
     file: Annotated[
         Path | None,
-        typer.Option("--file", metavar="FILE.json", help="The same as these options, such as {\"source\": [...], "
-                     "\"set\": {\"tolerance.t\": \"0.005:0.03:6log\"}}; options win over it."),
+        typer.Option("--file", metavar="FILE.json", help="These options as a file, such as {\"source\": [...], "
+                     "\"set\": {\"tolerance.t\": \"0.005:0.03:6log\"}}; options on the command line win."),
     ] = None,
     jobs: Annotated[
-        int | None, typer.Option("--jobs", "-j", min=1, max=1024, metavar="N", help="Processes; default: one a core.")
+        int | None, typer.Option("--jobs", "-j", min=1, max=1024, metavar="N", help="Processes; default: one per core.")
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -96,23 +96,23 @@ def sweep(
                      "need this version of Tactune and see the recordings under the same paths."),
     ] = None,
     out: Annotated[
-        Path, typer.Option("--out", "-o", metavar="FILE.parquet", help="The table, a row for each run; finished runs "
-                           "are kept beside it.")
+        Path, typer.Option("--out", "-o", metavar="FILE.parquet", help="The table, one row per run; its journal "
+                           "is kept beside it.")
     ] = Path("sweep.parquet"),
     replace: Annotated[
-        bool, typer.Option("--replace", help="Replace a table in --out that has runs of another sweep.")
+        bool, typer.Option("--replace", help="Replace a table in --out that belongs to another sweep.")
     ] = False,
     objective: Annotated[
         str | None,
-        typer.Option(metavar="NAME", help="What is best: rmse_mm, iou, area_error (with truth), ms, area, stability "
-                     "(mean IoU of one frame and the next). Default: rmse_mm, stability without truth."),
+        typer.Option(metavar="NAME", help="The figure to rank by: rmse_mm, iou, area_error (with truth), ms, area, "
+                     "stability (mean IoU of one frame and the next). Default: rmse_mm, stability without truth."),
     ] = None,
     best: Annotated[
         Path | None, typer.Option(metavar="FILE.json", help="Write the best parameters as a preset.")
     ] = None,
-    as_json: Annotated[bool, typer.Option("--json", help="Print the outcome as JSON.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the results as JSON.")] = False,
 ) -> None:  # fmt: skip
-    """Try parameters over recordings and scenes, in parallel; Ctrl-C keeps what is done, the same command goes on."""
+    """Try parameters over recordings and scenes in parallel. After Ctrl+C the same command continues."""
     from ...core.sources.registry import open_source
     from ...core.tuning.best import (
         best_preset,
@@ -144,7 +144,7 @@ def sweep(
         if best is not None:
             check_presentable(plan)
         if options.request.seeds > 1 and len(plan.takes) == len(options.request.sources):
-            warn("--seeds changes the noise of simulated sources only; there is none")
+            warn("--seeds changes the noise of simulated sources only; no source is simulated")
         for sentence in (*short_takes(plan, options.request.frames), *little_averaged(plan)):
             warn(sentence)
         with Journal(kept) as journal:
@@ -178,7 +178,7 @@ def _options(
     seed: int | None,
     objective: str | None,
 ) -> _Options:
-    """Join the sweep file and the options, which win."""
+    """Merge the sweep file and the options; options win."""
     from ...core.methods.registry import needs_untouched
     from ...core.rig.untouched import load_untouched
     from ...core.sources.presets import load_preset
@@ -217,7 +217,7 @@ def _options(
 
 
 def _preset_of_file(told: SweepFile, file: Path | None) -> str | None:
-    """Return the preset that a sweep file names; files beside it come before shipped names."""
+    """Return the preset that a sweep file names; a file beside it wins over a shipped preset."""
     if told.preset is None or file is None:
         return told.preset
     beside = file.parent / told.preset
@@ -231,7 +231,7 @@ def _usual_preset(sources: tuple[str, ...]) -> str:
 
 @contextmanager
 def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, int]]:
-    """Yield what does the work, and how much of it at once."""
+    """Yield the engine that runs the sweep and its number of parallel workers."""
     from functools import partial
 
     from ...core.contact.kernels.threads import available_threads
@@ -248,16 +248,16 @@ def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, i
         yield partial(run_locally, jobs=count), count
         return
     if jobs is not None:
-        raise SweepError("--jobs is for processes on this computer; leave it out beside --scheduler")
+        raise SweepError("--jobs is for processes on this computer; remove it or --scheduler")
     with connect(scheduler) as cluster:
         yield (
-            partial(cluster.run, waiting=lambda: warn("the cluster has no worker left; waiting for one")),
+            partial(cluster.run, waiting=lambda: warn("the cluster has no workers; waiting for one")),
             cluster.threads,
         )
 
 
 def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progress: CliProgress) -> None:
-    """Run what is left, telling how far it is; after Ctrl-C say how to go on."""
+    """Run the missing runs with progress; after Ctrl+C, say how to continue."""
     from ...core.tuning.sweep import measure_sweep
 
     try:
@@ -268,24 +268,24 @@ def _measure(plan: Plan, journal: Journal, engine: Engine, workers: int, progres
         done = sum(run.key in journal for run in plan.runs)
         warn(
             f"{done} of {counted(len(plan.runs), 'run')} are kept in {journal.path}; "
-            "the same command goes on from there"
+            "the same command continues from there"
         )
         raise
 
 
 def _check_best(path: Path, out: Path, kept: Path, options: _Options) -> None:
-    """Refuse to write the best preset over something that is no such preset."""
+    """Refuse a --best that would overwrite anything but an earlier sweep's best preset."""
     from ...core.tuning.best import FOUND_BY
 
     for other, what in ((out, "--out"), (kept, "the journal of the sweep")):
         if path.resolve() == other.resolve():
             raise ExportError(f"--best and {what} are both {path}; name two files")
     if path.exists() and not path.is_file():
-        raise ExportError(f"--best is {path}, which is no file; name a .json file")
+        raise ExportError(f"--best is {path}, which is not a file; name a .json file")
     if options.preset_file is not None and path.resolve() == options.preset_file.resolve():
-        raise ExportError(f"--best would replace {path}, the preset that the sweep begins with; name another file")
+        raise ExportError(f"--best would replace {path}, the preset that the sweep starts from; name another file")
     if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
-        raise ExportError(f"{path} is already there and no sweep has written it; choose another --best or remove it")
+        raise ExportError(f"{path} already exists and was not written by a sweep; choose another --best or remove it")
 
 
 def _write_best(path: Path, preset: Preset, options: _Options) -> None:
@@ -301,7 +301,7 @@ def _write_best(path: Path, preset: Preset, options: _Options) -> None:
 def _print_outcome(
     plan: Plan, scores: Sequence[Score], effects: Iterable[Effect], edges: Iterable[Edge], objective: str
 ) -> None:
-    """Print the best settings and what each parameter does."""
+    """Print the best settings and the mean effect of each parameter."""
     from ...core.tuning.best import OBJECTIVES
 
     console = Console(highlight=False, soft_wrap=True)
@@ -345,7 +345,7 @@ def _outcome_as_json(
     rows: Sequence[Row],
     out: Path,
 ) -> dict[str, Any]:
-    """Return the same as `_print_outcome` shows, for programs."""
+    """Return the content of `_print_outcome` for JSON."""
     return {
         "runs": len(rows),
         "failed": sum(bool(row["failure"]) for row in rows),

@@ -238,7 +238,7 @@ def test_converting_there_and_back_changes_no_bit(tmp_path: Path, recording: Pat
     done = tactune("convert", tmp_path / "a.mcap", tmp_path / "back")
     assert done.status == 0
     assert done.out == f"wrote 4 frames of mcap:{tmp_path / 'a.mcap'} to {tmp_path / 'back'}\n"
-    assert "a folder holds no preset; 'simulator' stays behind" in done.err
+    assert "a folder cannot hold a preset; 'simulator' was not written" in done.err
     assert tactune("convert", tmp_path / "a.mcap", tmp_path / "b.mcap").err == ""
     with McapSource(tmp_path / "b.mcap") as source:
         assert source.preset() == load_preset("simulator")

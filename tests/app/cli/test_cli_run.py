@@ -106,16 +106,16 @@ def test_truth_is_compared_where_it_is_known(
 
     unlabelled = tactune("run", "-s", make_recording("unlabelled", with_truth=False), "--json", "--truth")
     assert [line["iou"] for line in json_lines(unlabelled.out)] == [None] * 4
-    assert "knows no truth" in unlabelled.err
+    assert "has no ground truth" in unlabelled.err
 
 
 def test_the_summary_is_for_people(tactune: Tactune, recording: Path, tmp_path: Path) -> None:
     finished = tactune("run", "-s", recording, "-n", "9", "-o", tmp_path / "out", "--truth")
     assert "4 frames of folder:" in finished.out
     assert "contact in 3 of them" in finished.out
-    assert "ms a frame" in finished.out
-    assert re.search(r"^iou: median 0\.\d+ over 3 frames with touch$", finished.out, re.MULTILINE)
-    assert "1 frame without touch, 0 of them with false points\n" in finished.out
+    assert "ms per frame" in finished.out
+    assert re.search(r"^iou: median 0\.\d+ over 3 frames with true contact$", finished.out, re.MULTILINE)
+    assert "1 frame without true contact, 0 of them with false points\n" in finished.out
     assert "ended after 4 of the 9 frames asked for" in finished.out
     assert "patch_000000.npz to patch_000003.npz" in finished.out
     assert finished.err == ""
@@ -128,8 +128,8 @@ def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_a
     save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.25}), loose)
     finished = tactune("run", "-s", make_recording(), "-p", loose, "--truth")
     shares = [8 * 8 / (64 * 48), 16 * 16 / (64 * 48), 24 * 24 / (64 * 48)]  # everything is taken for contact
-    assert f"iou: median {shares[1]:.3f} over 3 frames with touch\n" in finished.out
-    assert "1 frame without touch, 1 of them with false points\n" in finished.out
+    assert f"iou: median {shares[1]:.3f} over 3 frames with true contact\n" in finished.out
+    assert "1 frame without true contact, 1 of them with false points\n" in finished.out
 
 
 def test_frames_limits_the_number_of_frames(tactune: Tactune, recording: Path) -> None:

@@ -77,7 +77,7 @@ def test_cameras_are_described_in_words(tactune, answer):
         "  firmware unknown, USB 2.1",
         "  It runs at USB 2, too slow for these cameras; use a USB 3 port and cable.",
         "  depth: 480 x 270 at 15 Hz",
-        "  It has no depth of 640 x 480 at 30 Hz, which Tactune needs.",
+        "  It has no depth stream of 640 x 480 at 30 Hz, which Tactune needs.",
     ]
 
 

@@ -99,7 +99,7 @@ def test_points_with_a_nan_are_counted(tmp_path, monkeypatch, capsys):
     assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
     shown = capsys.readouterr()
     assert json.loads(shown.out)["patch_points"] == 150
-    assert "a.npz: 3 points of 153 left out" in shown.err
+    assert "a.npz: 3 points of 153 ignored" in shown.err
 
 
 def test_points_that_are_none_are_left_out_and_infinite_ones_refused(tmp_path):

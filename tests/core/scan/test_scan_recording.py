@@ -166,11 +166,11 @@ def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path
     found = {record["method"] for record in json.loads(out)["results"]}
     left_out = {name for name in method_names() if needs_untouched(name)}
     assert found == {"fusion", *method_names()} - left_out
-    assert err.count("left out: ") == len(left_out) and all(
-        f"left out: {name} compares with" in err for name in left_out
+    assert err.count("skipped: ") == len(left_out) and all(
+        f"skipped: {name} needs" in err for name in left_out
     )
     status, out, err = tactune(*command, "proximity-only")
-    assert (status, out) == (2, "") and "proximity-only compares with the untouched membrane" in err
+    assert (status, out) == (2, "") and "proximity-only needs a frame of the untouched membrane" in err
 
 
 @pytest.mark.parametrize("frames, shown", [("--frame=3", (0, 3)), ("--frame=16", (2, 16)), ("--frames=16:17", (2, 17))])

@@ -77,7 +77,7 @@ def test_ctrl_c_on_a_cluster_keeps_what_is_done(long_sweep, cluster):
     process.send_signal(2)
     _, err = process.communicate(timeout=LIMIT_S)
     assert process.returncode == 130
-    assert "the same command goes on" in err
+    assert "the same command continues" in err
     assert "Traceback" not in err
     assert 10 <= len(long_sweep.keys()) < 200
 

@@ -16,7 +16,7 @@ def check_interrupted(process, long_sweep):
     assert "Traceback" not in err
     done = len(long_sweep.keys())
     assert 10 <= done < 200
-    assert f"{done} of 200 runs are kept in {long_sweep.journal}; the same command goes on from there" in err
+    assert f"{done} of 200 runs are kept in {long_sweep.journal}; the same command continues from there" in err
     assert not long_sweep.table.exists()
 
 
