@@ -117,7 +117,8 @@ def test_a_start_that_was_made_for_another_rig_is_noted(tactune: Tactune, record
     other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"serial": "another"})})
     save_preset(Preset(rig=other), first)
     assert (
-        "calibrate again" in tactune("preset", "new", "--from", first, "--rig", recording / "rig.json", "-o", second).err
+        "calibrate again"
+        in tactune("preset", "new", "--from", first, "--rig", recording / "rig.json", "-o", second).err
     )
     assert tactune("preset", "new", "--from", first, "-o", third).err == ""
 

@@ -166,9 +166,7 @@ def test_all_methods_leave_out_what_cannot_work(tactune, source, scans, tmp_path
     found = {record["method"] for record in json.loads(out)["results"]}
     left_out = {name for name in method_names() if needs_untouched(name)}
     assert found == {"fusion", *method_names()} - left_out
-    assert err.count("skipped: ") == len(left_out) and all(
-        f"skipped: {name} needs" in err for name in left_out
-    )
+    assert err.count("skipped: ") == len(left_out) and all(f"skipped: {name} needs" in err for name in left_out)
     status, out, err = tactune(*command, "proximity-only")
     assert (status, out) == (2, "") and "proximity-only needs a frame of the untouched membrane" in err
 
