@@ -25,11 +25,9 @@ from ...widgets.images.point_image import PointImage
 from ..document.document import Document
 from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
-from .outcome import Outcome
-from .overlay import Overlay, OverlayMode, alignment_of_preset, make_overlay
-from .patches import Patch, PatchFinder
-from .session import Session
-from .state import ProximityImage
+from .fitting import Outcome
+from .overlay import Overlay, OverlayMode, Patch, PatchFinder, alignment_of_preset, make_overlay
+from .session import ProximityImage, Session
 
 _BLINK_MS = 450
 _NO_FIT = "No calibration yet: click at least four pairs on the page Points"

@@ -26,10 +26,9 @@ from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
-from .collector import MOST_FRAMES, Collector
 from .pictures import image_choices, picture
-from .session import Session
-from .state import ImageChoice, SessionState, Side, Snapshot
+from .session import ImageChoice, Session, SessionState, Side, Snapshot
+from .snapshots import MOST_FRAMES, Collector
 
 _PREVIEW_MS = 80
 _THUMBNAIL = QSize(96, 72)

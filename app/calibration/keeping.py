@@ -1,4 +1,4 @@
-"""A calibration outlives closing and crashing: it is kept on disk, one file per rig, and restored next time."""
+"""A calibration on disk: one file per rig, which outlives closing and crashing, and what goes into the preset."""
 
 from __future__ import annotations
 
@@ -8,15 +8,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pydantic import BaseModel
 from PyQt6.QtCore import QLockFile, QObject
 
+from ...core.calibration import CalibrationReport
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
+from ...core.preset import Preset
+from ...core.preset.calibration_record import SnapshotRecord
 from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
-from .session import Session
-from .state import Choices, PointPair, SessionState, Snapshot, rig_key
+from .session import Choices, PointPair, Session, SessionState, Snapshot, rig_key
 
 _VERSION = 1
 _SLOTS = 8
@@ -139,3 +142,33 @@ def _read_images(path: Path, sequence: int) -> SensorFrame:
     if not path.name.startswith(f"snapshot-{content_hash(frame)[:24]}"):
         raise ValueError(f"{path} has been changed")
     return frame
+
+
+_PATHS = (
+    "alignment.model",
+    "alignment.rigid.T_proximity_tactile",
+    "alignment.homography.H_p_t",
+    "alignment.depth_scale",
+    "alignment.depth_offset_m",
+    "alignment.calibration",
+    "rig",
+)
+
+
+def preset_values(
+    report: CalibrationReport, preset: Preset, state: SessionState, set_tolerance: bool
+) -> dict[str, Any]:
+    """Return the preset's fields that a calibration sets, by their paths."""
+    membrane = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=set_tolerance)
+    values = {path: membrane.value(path) for path in (*_PATHS, "tolerance.t")}
+    return {
+        path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
+    }
+
+
+def snapshot_records(state: SessionState) -> tuple[SnapshotRecord, ...]:
+    """Return name, hash and number of averaged frames of each snapshot, in their order."""
+    return tuple(
+        SnapshotRecord(name=snapshot.name, sha256=snapshot.digest, frames=snapshot.averaged)
+        for snapshot in state.snapshots
+    )

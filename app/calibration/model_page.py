@@ -23,9 +23,8 @@ from PyQt6.QtWidgets import (
 from ...core.calibration import CalibrationReport
 from ...core.calibration.report import ModelQuality
 from ...widgets.plots.residual_plot import Residual, ResidualPlot, round_limit
-from .outcome import Outcome
-from .session import Session
-from .state import ModelChoice, SessionState
+from .fitting import Outcome
+from .session import ModelChoice, Session, SessionState
 
 _MODELS = ("homography", "rigid")
 _TITLES = {"homography": "Homography", "rigid": "Rigid pose"}

@@ -1,8 +1,8 @@
-"""The tactile image laid over the proximity image by an alignment, to see whether it fits."""
+"""Two alignments compared: the tactile image laid over the proximity image, and the contact patch."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -10,14 +10,19 @@ import cv2
 import numpy as np
 
 from ...core.contact.alignment import tactile_homography, tactile_pose
+from ...core.contact.pipeline import ContactPipeline
+from ...core.errors import TactuneError
 from ...core.model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ...core.model.clouds import ray_table, valid_depth
 from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import AlignmentSection
-from ...widgets.basics.colormaps import CONTACT_RGB
+from ...core.preset import AlignmentSection, Preset
+from ...widgets.basics.colormaps import CONTACT_RGB, Theme
+from ...widgets.clouds.cloud_data import DepthCloud
+from ..worker.rendering import Scene, membrane_sample_m, patch_view
+from ..worker.results import ColorBy
 from .pictures import picture
 from .prediction import Alignment, project_into
-from .state import ProximityImage
+from .session import ProximityImage
 
 _FILL = (5, 5)
 _SQUARE_PX = 40
@@ -161,3 +166,47 @@ def _splat(points: Float64Array, rig: Rig, image: ProximityImage, shape: tuple[i
     blurred: Any = [cv2.boxFilter(part, -1, _FILL, normalize=False) for part in (total, weight)]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(blurred[1] > 0.5, blurred[0] / blurred[1], np.float32(np.nan)).astype(np.float32)
+
+
+_BEHIND_M = 0.02
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """What one alignment finds: a cloud, its area, or why there is none."""
+
+    cloud: DepthCloud | None = None
+    points: int = 0
+    area_mm2: float = 0.0
+    problem: str = ""
+
+
+class PatchFinder:
+    """Keeps one pipeline and finds patch after patch; not for two threads at once."""
+
+    def __init__(self) -> None:
+        self._pipeline: ContactPipeline | None = None
+
+    def find(self, preset: Preset, rig: Rig, frame: SensorFrame, theme: Theme) -> Patch:
+        """Return the patch of a frame."""
+        try:
+            if self._pipeline is None:
+                self._pipeline = ContactPipeline(preset, rig)
+            elif self._pipeline.preset is not preset:
+                self._pipeline.update(preset)
+            patch = self._pipeline.process(frame)
+        except TactuneError as error:
+            self._pipeline = None
+            return Patch(problem=str(error))
+        sample_m = membrane_sample_m(frame, preset, rig)
+        near, far = (float(sample_m.min()), float(sample_m.max()) + 1e-3) if len(sample_m) else (0.0, 1.0)
+        scene = Scene(frame, patch, preset, rig, ColorBy.CONTACT, theme, (near, far))
+        return Patch(_near_part(patch_view(scene), far), len(patch.points), patch.area_mm2)
+
+
+def _near_part(cloud: DepthCloud | None, far_m: float) -> DepthCloud | None:
+    """Leave out the room behind the membrane, so that the view frames the sensor."""
+    if cloud is None:
+        return None
+    farthest = (far_m + _BEHIND_M) / cloud.depth_unit_m
+    return replace(cloud, depth=np.where(cloud.depth > farthest, np.uint16(0), cloud.depth))

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QWidget
 from ...core.errors import TactuneError
 from ...widgets.images.point_image import PointImage
 from .pictures import Picture
-from .state import SIDES, Place, Side
+from .session import SIDES, Place, Side
 
 Snapper = Callable[[Picture, Place], Place | None]
 Partner = Callable[[Side, Place], Place | None]

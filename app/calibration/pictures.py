@@ -1,4 +1,4 @@
-"""The images that are clicked in: colour, depth or relief of a snapshot, as pixels for the screen and for snapping."""
+"""The images that are clicked in: colour, depth or relief of a snapshot, for the screen and for snapping."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from ...core.calibration.detect import snap_to_feature
 from ...core.calibration.snapshots import depth_under
-from ...core.model.arrays import AnyArray, Float32Array, Uint8Array
+from ...core.model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.colormaps import depth_lut
 from ...widgets.images.strip_render import NO_VALUE_RGB
-from .state import ImageChoice, Side
+from .session import ImageChoice, Place, Side
 
 _RELIEF_SIGMA_PX = 9.0
 _RELIEF_LIMIT_M = 0.002
@@ -59,6 +60,14 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice, stret
 def tactile_depth_at(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
     """Return the raw tactile depth in metres at a place, from the pixels around it; None where there is none."""
     return depth_under(frame.tactile_depth, rig.tactile.depth_unit_m, u, v)
+
+
+def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
+    """Return tactile pixels and raw depths (M, 3) of every ``step``-th pixel that has a depth, metres."""
+    v, u = np.mgrid[step // 2 : frame.tactile_depth.shape[0] : step, step // 2 : frame.tactile_depth.shape[1] : step]
+    counts = frame.tactile_depth[v, u]
+    valid = valid_depth(counts)
+    return np.column_stack([u[valid], v[valid], counts[valid] * rig.tactile.depth_unit_m]).astype(np.float64)
 
 
 def pack_rgb(rgb: Uint8Array) -> Uint8Array:
@@ -107,3 +116,13 @@ def _mapped(values: Float32Array, lut: AnyArray, low: float, high: float) -> Pic
     rgb[~valid] = NO_VALUE_RGB
     gray: Uint8Array = np.where(valid, rows, np.uint8(0)).astype(np.uint8)
     return Picture(pack_rgb(rgb.astype(np.uint8)), gray)
+
+
+#: How far, in image pixels, a click may jump.
+REACH_PX = 6.0
+
+
+def snap(picture: Picture, place: Place) -> Place | None:
+    """Return the sub-pixel corner or blob centre near a place, or None."""
+    found = snap_to_feature(picture.gray, *place, radius=REACH_PX)
+    return None if found is None else (found.u, found.v)

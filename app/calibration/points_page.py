@@ -11,12 +11,11 @@ from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter
 from ...widgets.basics.elided_label import ElidedLabel
 from ...widgets.basics.point_table import PointTable
 from ...widgets.parameters.gestures import GestureClock
-from .outcome import Outcome, image_marks, missing_depth, same_pixels, table_rows
+from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture
 from .prediction import Alignment, nominal_alignment, proximity_partner, tactile_partner
-from .session import Session
-from .state import SIDES, ImageChoice, Place, SessionState, Side, Snapshot
+from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot
 
 IMAGE_NAMES: dict[ImageChoice, str] = {"color": "Colour", "depth": "Depth", "relative": "Relative depth"}
 ARROWS = {"Arrows off": 0.0, "Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×100": 100.0}

@@ -10,7 +10,7 @@ from ...core.model.arrays import Float64Array, IndexArray
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from .pictures import tactile_depth_at
-from .state import Place, ProximityImage
+from .session import Place, ProximityImage
 
 _NEAREST_M, _FARTHEST_M, _STEPS = 0.08, 1.2, 480
 

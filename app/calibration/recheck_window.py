@@ -20,7 +20,7 @@ from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
 from .pictures import picture
-from .state import ImageChoice
+from .session import ImageChoice
 
 _FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
 _CHECKING = "Looking the points up on the present frame…"

@@ -1,4 +1,4 @@
-"""The window of the calibration wizard: six steps, each reachable at any time."""
+"""The window of the calibration wizard: six steps, each reachable at any time; and its launcher."""
 
 from __future__ import annotations
 
@@ -8,17 +8,9 @@ from datetime import datetime
 from functools import partial
 from pathlib import Path
 
-from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
-from PyQt6.QtWidgets import (
-    QButtonGroup,
-    QDialog,
-    QFileDialog,
-    QHBoxLayout,
-    QStackedWidget,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QButtonGroup, QDialog, QFileDialog, QHBoxLayout, QStackedWidget, QVBoxLayout, QWidget
 
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.report import grade
@@ -28,23 +20,21 @@ from ...widgets.basics.controls import push_button
 from ...widgets.basics.elided_label import ElidedLabel
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
+from ..context import Context
 from ..document.document import Document
-from ..worker.feed import FrameFeed
+from ..worker.feed import FrameFeed, WorkerFeed
 from .check_page import CheckPage
-from .collector import Collector
-from .fitting import Fitter, correspondences, pairs_of
+from .fitting import Fitter, Outcome, at_least, correspondences, pairs_of
 from .frames_page import FramesPage
 from .helpers_page import HelpersPage
-from .keeping import Keeper
+from .keeping import Keeper, preset_values
 from .model_page import ModelPage
-from .outcome import Outcome, at_least
-from .pictures import tactile_depth_at
+from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
-from .saving import preset_values
-from .session import Session
-from .snapping import snap
-from .state import ProximityImage, SessionState
+from .recheck_window import RecheckWindow
+from .session import ProximityImage, Session, SessionState
+from .snapshots import Collector
 
 STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
 _TIPS = (
@@ -326,3 +316,76 @@ def _short(report: CalibrationReport) -> str:
     word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
     return f"{word}, {report.model}: {errors}. {next_step}"
+
+
+_NO_FRAME = "There is no frame to calibrate on yet: open a source first."
+
+
+class CalibrationLauncher(QObject):
+    """Keeps at most one wizard and one check window, and feeds them."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self._feed: WorkerFeed | None = None
+        self.wizard: CalibrationWizard | None = None
+        self.recheck: RecheckWindow | None = None
+        context.frameShown.connect(self._frame_shown)
+
+    def open_wizard(self) -> None:
+        """Open the wizard on the present source, or bring it to the front."""
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+            return
+        if self.wizard is None:
+            self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
+            self.wizard = CalibrationWizard(
+                self._feed,
+                context.document,
+                context.data_folder / "calibration",
+                context.dialogs.native,
+                context.cloud_backend,
+                context.window,
+            )
+            self.wizard.finished.connect(self._wizard_closed)
+        self.wizard.show()
+        self.wizard.raise_()
+        self.wizard.activateWindow()
+
+    def open_recheck(self) -> None:
+        """Check the preset's alignment on the present frame."""
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+            return
+        if self.recheck is None:
+            self.recheck = RecheckWindow(context.window)
+            self.recheck.againRequested.connect(self._check)
+            self.recheck.calibrateRequested.connect(self.open_wizard)
+        self.recheck.show()
+        self.recheck.raise_()
+        self._check()
+
+    def close(self) -> None:
+        """Close both windows; the wizard's state is kept."""
+        for opened in (self.wizard, self.recheck):
+            if opened is not None:
+                opened.close()
+
+    def _frame_shown(self) -> None:
+        if self._feed is not None and self._context.result is not None:
+            self._feed.show_result(self._context.result)
+
+    def _check(self) -> None:
+        document, result = self._context.document, self._context.result
+        if self.recheck is not None and result is not None:
+            frame = replace(result.frame, sequence=result.frame_number)  # errors name frames by their numbers
+            self.recheck.check(document.preset, result.source.rig, frame, document.untouched_home)
+
+    def _wizard_closed(self) -> None:
+        if self.wizard is not None:
+            self.wizard.deleteLater()
+        if self._feed is not None:
+            self._feed.deleteLater()
+        self.wizard, self._feed = None, None

@@ -20,7 +20,7 @@ from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..analysis.window import AnalysisLauncher
-from ..calibration.launcher import CalibrationLauncher
+from ..calibration.wizard import CalibrationLauncher
 from ..cameras.control import CAMERAS, CameraControl
 from ..context import Context
 from ..document.document import Document

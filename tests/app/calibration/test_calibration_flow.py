@@ -10,7 +10,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from tactune.app.calibration.averaging import take_snapshot
+from tactune.app.calibration.snapshots import take_snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.contact.alignment import tactile_pose
 from tactune.core.contact.pipeline import ContactPipeline

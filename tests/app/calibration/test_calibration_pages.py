@@ -11,16 +11,15 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.calibration.averaging import take_snapshot
 from tactune.app.calibration.fitting import fit
+from tactune.app.calibration.helpers_page import Helper, HelperOptions, find_proposals
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.overlay import OverlayMode, make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
 from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
-from tactune.app.calibration.proposals import Helper, HelperOptions, find_proposals
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Session
-from tactune.app.calibration.state import Choices, PointPair, SessionState, Snapshot
+from tactune.app.calibration.session import Choices, PointPair, Session, SessionState, Snapshot
+from tactune.app.calibration.snapshots import take_snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import SensorFrame
