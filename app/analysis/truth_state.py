@@ -1,21 +1,103 @@
-"""What a person does to lay a scan over a patch: an immutable state, every edit one undoable step."""
+"""Laying a scan over a patch: the immutable state, its undoable edits, and the file that keeps it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from typing import Literal
+import hashlib
+import zipfile
+import zlib
+from dataclasses import asdict, dataclass, field, replace
+from datetime import datetime
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import CalibrationError
-from ...core.model.arrays import Float64Array
+from ...core.model.arrays import Float32Array, Float64Array
+from ...core.model.clouds import deproject, valid_depth
+from ...core.model.files import atomic_path
 from ...core.model.frames import Matrix4, rigid_transform
+from ...core.preset import now
 from ...core.scan.paint import PaintSettings
-from ...core.scan.pose import pose_from_pairs
+from ...core.scan.pose import pose_from_pairs, save_transform
 from ..document.history import History
-from .truth_patch import FrozenPatch
+from ..document.keeping import KeptState, check_version, remove_unnamed, write_json
+from ..worker.results import Result
+
+#: Around the patch every so many rows and columns are kept, and points no farther from its box, metres.
+_CONTEXT_STEP = 3
+_CONTEXT_MARGIN_M = 0.06
+
+
+@dataclass(frozen=True, eq=False)
+class FrozenPatch:
+    """The contact patch of one frame; two are equal where their points are.
+
+    Attributes
+    ----------
+    points, context : float32, shapes (N, 3) and (M, 3)
+        Contact, and some of the proximity points around it; metres, proximity depth frame.
+    area_mm2 : float
+        Projected, as the main window says it.
+    source : str
+        Name of the source.
+    frame : int
+        Number of the frame within the source, from 0.
+    preset : str
+        File or name of the preset, as ``load_preset`` takes it; empty where it was not saved.
+    """
+
+    points: Float32Array
+    context: Float32Array
+    area_mm2: float
+    source: str
+    frame: int
+    preset: str
+
+    @classmethod
+    def of(cls, result: Result, preset: str) -> FrozenPatch:
+        """Take the patch of a frame of the main window."""
+        patch = result.patch
+        points = np.empty((0, 3), np.float32) if patch is None else patch.points
+        frame = result.playback.index if result.playback.seekable else result.frame.sequence
+        return cls(points, _around(result, points), result.area_mm2, result.source.name, frame, preset)
+
+    @cached_property
+    def digest(self) -> str:
+        """What tells patches apart."""
+        told = hashlib.blake2b(digest_size=12)
+        for array in (self.points, self.context):
+            told.update(np.ascontiguousarray(array).tobytes())
+        told.update(f"{self.source} {self.frame} {self.preset}".encode())
+        return told.hexdigest()
+
+    @property
+    def title(self) -> str:
+        """Which frame it is, as windows show it: from 1."""
+        return f"frame {self.frame + 1} of {self.source}"
+
+    def __eq__(self, other: object) -> bool:
+        return self is other or (isinstance(other, FrozenPatch) and other.digest == self.digest)
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+def _around(result: Result, points: Float32Array) -> Float32Array:
+    """Return proximity points near the patch, or all that are in the range of the views where there is none."""
+    camera, counts = result.source.rig.proximity, result.frame.proximity_depth
+    chosen = np.zeros(counts.shape, np.bool_)
+    chosen[::_CONTEXT_STEP, ::_CONTEXT_STEP] = valid_depth(counts[::_CONTEXT_STEP, ::_CONTEXT_STEP])
+    around = deproject(counts, camera, np.flatnonzero(chosen))
+    if len(points):
+        low, high = points.min(axis=0) - _CONTEXT_MARGIN_M, points.max(axis=0) + _CONTEXT_MARGIN_M
+        return np.asarray(around[((around >= low) & (around <= high)).all(axis=1)])
+    near, far = result.rendered.depth_range_m
+    return np.asarray(around[(around[:, 2] >= near) & (around[:, 2] <= far)])
+
 
 Place = tuple[float, float, float]
 Side = Literal["scan", "patch"]
@@ -148,3 +230,132 @@ class TruthSession(History[TruthState]):
                 sentence = f"No pose from these pairs: {error}."
         self.edit(text, after)
         self.refused.emit(sentence)
+
+
+_VERSION = 1
+
+
+class TruthKeeper(KeptState[TruthState]):
+    """Keeps a session's state in a folder; patches lie beside it under their digest."""
+
+    def __init__(self, session: TruthSession, folder: Path, parent: QObject | None = None) -> None:
+        self._session = session
+        super().__init__(folder, "alignment", parent)
+        self._key = ""
+        self._lost = ""
+        self._stored: set[str] = set()
+        self._seen: dict[str, tuple[TruthState, datetime]] = {}
+        session.changed.connect(self.schedule)
+
+    @property
+    def transform_file(self) -> Path:
+        """Where the pose of the present scan lies once it is kept, as the command line reads it."""
+        return self.folder / f"scan-{self._key}.transform.json"
+
+    def present(self) -> TruthState:
+        """Return the session's state."""
+        return self._session.state
+
+    def turn_to(self, key: str) -> datetime | None:
+        """Keep the present scan's work and take up another's; return when that was kept, None where there is none."""
+        self.flush()
+        if self._key:
+            self._seen[self._key] = self._session.state, now()
+        self._key = key
+        file = self.folder / f"scan-{key}.json" if key else None
+        found = self._seen.get(key) or (None if file is None else self._read(file))
+        state = found[0] if found else TruthState()
+        self.follow(file, state)
+        self._session.start(state)
+        return found[1] if found and not found[0].empty else None
+
+    def close(self) -> None:
+        """Write the last state and remove patches that no kept scan names."""
+        self.flush()
+        self.on_disk(
+            remove_unnamed,
+            self.folder,
+            "scan-*[0-9a-f].json",
+            lambda content: [_patch_file(self.folder, content["patch"]["digest"]).name] if content["patch"] else [],
+            "patch-*.npz",
+        )
+        self.finish()
+
+    def write(self, state: TruthState, file: Path) -> None:
+        """Write the patch, the state that names it, and the pose for the command line."""
+        if state.patch is not None:
+            self._write_patch(state.patch)
+        write_json(file, _content(state))
+        if state.pose is not None:
+            save_transform(file.with_suffix(".transform.json"), state.pose)
+
+    def parse(self, content: dict[str, Any]) -> TruthState:
+        """Return the kept state, without its patch where that is gone."""
+        check_version(content, _VERSION)
+        paint: dict[str, Any] = {
+            name: tuple(value) if isinstance(value, list) else value for name, value in content["paint"].items()
+        }
+        pose, patch, self._lost = content["pose"], None, ""
+        if content["patch"] is not None:
+            try:
+                patch = _read_patch(self.folder, content["patch"])
+            except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+                self._lost = str(error)
+        return TruthState(
+            paint=PaintSettings(**paint),
+            pairs=tuple(PickedPair(_place(pair["scan"]), _place(pair["patch"])) for pair in content["pairs"]),
+            pose=None if pose is None else rigid_transform(pose),
+            origin=content["origin"],
+            patch=patch,
+        )
+
+    def _read(self, file: Path) -> tuple[TruthState, datetime] | None:
+        self._lost = ""
+        found = self.read(file)
+        if self._lost and found is not None:
+            self.failed.emit(f"The patch that this scan was aligned to is gone ({self._lost}); pairs and pose remain.")
+        return found
+
+    def _write_patch(self, patch: FrozenPatch) -> None:
+        """Write a patch once; a file that another process left under its name may be damaged and is replaced."""
+        file = _patch_file(self.folder, patch.digest)
+        if patch.digest in self._stored and file.exists():
+            return
+        with atomic_path(file) as temporary:
+            np.savez_compressed(temporary, points=patch.points, context=patch.context)
+        self._stored.add(patch.digest)
+
+
+def _content(state: TruthState) -> dict[str, Any]:
+    patch = state.patch
+    return {
+        "version": _VERSION,
+        "paint": asdict(state.paint),
+        "pairs": [asdict(pair) for pair in state.pairs],
+        "pose": state.pose,
+        "origin": state.origin,
+        "patch": None if patch is None else {
+            "digest": patch.digest, "area_mm2": patch.area_mm2, "source": patch.source, "frame": patch.frame,
+            "preset": patch.preset,
+        },
+    }  # fmt: skip
+
+
+def _place(values: Any) -> Place | None:
+    if values is None:
+        return None
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def _patch_file(folder: Path, digest: str) -> Path:
+    return folder / f"patch-{digest}.npz"
+
+
+def _read_patch(folder: Path, told: dict[str, Any]) -> FrozenPatch:
+    with _patch_file(folder, told["digest"]).open("rb") as file, np.load(file) as stored:
+        points, context = stored["points"], stored["context"]
+    patch = FrozenPatch(points, context, told["area_mm2"], told["source"], told["frame"], told["preset"])
+    if patch.digest != told["digest"]:
+        raise ValueError(f"the patch {told['digest']} has been changed")
+    return patch

@@ -34,11 +34,8 @@ from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
 from ..worker.results import Result
 from .tab import AnalysisTab, TabKind
-from .truth_align_panel import AlignPanel
-from .truth_flow import TruthFlow
-from .truth_guide import next_step
-from .truth_paint_panel import PaintPanel
-from .truth_result_panel import ResultPanel
+from .truth_flow import TruthFlow, next_step
+from .truth_panels import AlignPanel, PaintPanel, ResultPanel
 from .truth_state import TruthState
 from .truth_views import TruthViews
 

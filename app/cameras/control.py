@@ -12,9 +12,8 @@ from ...core.sources.base import CameraOption, CameraRole
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.results import SourceInfo, SourceState
-from .chooser import CameraChooser
+from .chooser import CameraChooser, CameraSearch
 from .panel import DELAY_PATH, CameraPanel
-from .search import CameraSearch
 
 CAMERAS = "realsense:"
 

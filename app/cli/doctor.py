@@ -123,7 +123,7 @@ def doctor(
 
 def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
     """Return the checks in the order of the report."""
-    from ..doctor import cameras, system, window
+    from ..doctor import cameras, system
 
     return (
         system.check_python,
@@ -135,9 +135,9 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
         cameras.check_driver,
         cameras.check_udev_rules,
         cameras.check_cameras,
-        window.check_qt,
-        window.check_qt_libraries,
-        window.check_opengl,
+        system.check_qt,
+        system.check_qt_libraries,
+        system.check_opengl,
     )
 
 

@@ -11,8 +11,8 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QPushButton
 
 from fake_cameras import FakeCameras
-from tactune.app.cameras import search as search_module
-from tactune.app.cameras.search import CameraSearch, FoundCamera
+from tactune.app.cameras import chooser as search_module
+from tactune.app.cameras.chooser import CameraSearch, FoundCamera
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
 from tiny_sensor import TinySource

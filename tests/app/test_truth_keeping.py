@@ -8,9 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.app.analysis.truth_keeping import TruthKeeper
-from tactune.app.analysis.truth_patch import FrozenPatch
-from tactune.app.analysis.truth_state import PickedPair, TruthSession, TruthState
+from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
 from tactune.core.scan.paint import PaintSettings
 from tactune.core.scan.pose import load_transform
 from truth_scene import click_pair, click_three_pairs, corners, open_plate, open_tab, settle, write_plate

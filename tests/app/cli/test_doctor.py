@@ -12,17 +12,19 @@ import pytest
 
 from tactune.app.cli import doctor as cli_doctor
 from tactune.app.doctor import system as doctor_system
-from tactune.app.doctor import window as doctor_window
+from tactune.app.doctor import system as doctor_window
 from tactune.app.doctor.cameras import check_cameras, check_driver, check_libraries, check_udev_rules
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
 from tactune.app.doctor.system import (
     check_cache_folder,
     check_compiled_code,
+    check_opengl,
     check_packages,
     check_python,
+    check_qt,
+    check_qt_libraries,
     check_shared_memory,
 )
-from tactune.app.doctor.window import check_opengl, check_qt, check_qt_libraries
 
 CRASH = Child(problem="crashed (SIGSEGV)")
 

@@ -1,20 +1,24 @@
-"""The panel for the scan's pose: picked pairs, numbers, and refining by ICP."""
+"""The ground-truth tab's panels: paint colours, alignment and result."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from math import radians
-from typing import Final
+from typing import Any, Final, cast
 
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QKeySequence, QShortcut
+from PyQt6.QtGui import QGuiApplication, QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
     QAbstractItemView,
+    QCheckBox,
     QGridLayout,
     QHBoxLayout,
     QHeaderView,
     QLabel,
+    QLineEdit,
     QProgressBar,
     QPushButton,
     QTableWidget,
@@ -23,14 +27,159 @@ from PyQt6.QtWidgets import (
 )
 from scipy.spatial.transform import Rotation
 
-from ...core.model.arrays import Float64Array
+from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
+from ...core.preset import MaskSection
+from ...core.scan.paint import PaintSettings
+from ...widgets.basics.accent_button import AccentButton
 from ...widgets.basics.collapsible import CollapsibleSection
-from ...widgets.parameters.fields import FieldSpec
+from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
+from ...widgets.parameters.fields import FieldSpec, field_spec
+from ...widgets.parameters.gestures import new_gesture
+from ...widgets.parameters.hsv_colors import groove_colors
 from ...widgets.parameters.number_entry import NumberEntry
-from ...widgets.parameters.parameter_row import MessageLabel
+from ...widgets.parameters.parameter_row import MessageLabel, ParameterRow
+from ...widgets.parameters.range_row import RangeEditor
 from .truth_state import PickedPair
-from .truth_work import Refinement
+from .truth_work import Refinement, Scores
+
+_CHANNELS: Final = ("hue", "saturation", "value")
+_USUAL: Final = PaintSettings()
+_MEANINGS: Final = {
+    "hue": "Hue range of the paint that was touched, OpenCV convention 0-179; a low end above the high end wraps "
+    "around through red.",
+    "saturation": "Saturation range of the paint that was touched, 0 grey to 255 pure.",
+    "value": "Brightness range of the paint that was touched, 0 black to 255 brightest.",
+}
+_LEAST = FieldSpec(
+    path="least_area_mm2",
+    title="Least area",
+    description="Smaller spots of paint are dropped, and smaller holes are filled.",
+    kind="number",
+    default=_USUAL.least_area_mm2,
+    unit="mm2",
+    suffix=" mm²",
+    maximum=100_000.0,
+    slider=(0.0, 500.0),
+    step=1.0,
+)
+_LARGEST = FieldSpec(
+    path="largest",
+    title="Spots kept",
+    description="How many spots are kept, the largest first; 0 keeps all.",
+    kind="number",
+    default=_USUAL.largest,
+    maximum=1000.0,
+    slider=(0.0, 20.0),
+    integer=True,
+)
+_DROPPERS: Final[dict[Mode, tuple[str, str]]] = {
+    "set": ("&Pick", "Click the touched paint on the scan: its colour becomes the range (again to put away)"),
+    "expand": ("+", "Click touched paint that is missed: the range grows to hold it"),
+    "shrink": ("−", "Click what is no touched paint: the range shrinks to leave it out"),
+}
+
+
+class PaintPanel(CollapsibleSection):
+    """Colour range with eyedroppers, clean-up, and what comes of it.
+
+    Signals
+    -------
+    edited(paint: PaintSettings, gesture: int)
+    highlightChanged(on: bool)
+    eyedropperChanged(mode: str)
+        "set", "expand", "shrink" or "off".
+    """
+
+    edited = pyqtSignal(object, int)
+    highlightChanged = pyqtSignal(bool)
+    eyedropperChanged = pyqtSignal(str)
+
+    def __init__(self) -> None:
+        super().__init__("Paint")
+        self._paint = PaintSettings()
+        specs = [
+            replace(field_spec(MaskSection, name), description=_MEANINGS[name], default=getattr(_USUAL, name))
+            for name in _CHANNELS
+        ]
+        self.rows = {spec.path: ParameterRow(spec, self) for spec in (*specs, _LEAST, _LARGEST)}
+        self.droppers = {mode: AccentButton(text, tip) for mode, (text, tip) in _DROPPERS.items()}
+        self.highlight = QCheckBox("&Highlight contact")
+        self.highlight.setChecked(True)
+        self.highlight.setToolTip("Show what counts as contact in its own colour; off: the paint as it is")
+        self.readout = QLabel()
+        self.readout.setWordWrap(True)
+        self._lay_out()
+        for row in self.rows.values():
+            row.edited.connect(self._row_edited)
+        for mode, button in self.droppers.items():
+            button.clicked.connect(lambda checked, mode=mode: self._take_up(mode if checked else "off"))
+        self.highlight.toggled.connect(self.highlightChanged)
+        self.show_paint(self._paint)
+
+    def _lay_out(self) -> None:
+        tools = QHBoxLayout()
+        tools.addWidget(QLabel("Eyedropper"))
+        for button in self.droppers.values():
+            button.setMaximumWidth(64)
+            tools.addWidget(button)
+        tools.addStretch(1)
+        tools.addWidget(self.highlight)
+        grid = QGridLayout()
+        grid.setHorizontalSpacing(6)
+        grid.setVerticalSpacing(3)
+        grid.setColumnStretch(1, 1)
+        for row in self.rows.values():
+            row.add_to(grid)
+        layout = QVBoxLayout(self.body)
+        layout.setContentsMargins(6, 4, 6, 6)
+        layout.addWidget(self.readout)
+        layout.addLayout(tools)
+        layout.addLayout(grid)
+
+    @property
+    def eyedropper(self) -> str:
+        """Which eyedropper is in hand, or "off"."""
+        return next((mode for mode, button in self.droppers.items() if button.isChecked()), "off")
+
+    def show_paint(self, paint: PaintSettings) -> None:
+        """Show settings without emitting."""
+        self._paint = paint
+        for name, row in self.rows.items():
+            row.show_value(getattr(paint, name))
+        for name, colors in groove_colors(paint.hue, paint.saturation, paint.value).items():
+            cast(RangeEditor, self.rows[name].widget).set_colors(colors)
+
+    def show_readout(self, vertices: int, area_mm2: float, total: int) -> None:
+        """Say how much is in contact."""
+        share = f"{vertices:,} of {total:,} vertices, {area_mm2:,.0f} mm² along the surface"
+        none = "No vertex has this colour: take the eyedropper and click the touched paint on the scan."
+        self.readout.setText(share if vertices else none)
+
+    def show_text(self, text: str) -> None:
+        """Say something else where the readout stands."""
+        self.readout.setText(text)
+
+    def put_away(self) -> None:
+        """Put the eyedropper away."""
+        self._take_up("off")
+
+    def pick(self, rgb: Uint8Array) -> None:
+        """Change the ranges by colours around a click, uint8 (K, 3); raises `EyedropperError` where none are left."""
+        paint = self._paint
+        present = HsvRanges(paint.hue, paint.saturation, paint.value)
+        ranges = new_ranges(rgb[None], present, cast(Mode, self.eyedropper))
+        changed = replace(paint, hue=ranges.hue, saturation=ranges.saturation, value=ranges.value)
+        self.edited.emit(changed, new_gesture())
+
+    def _take_up(self, mode: str) -> None:
+        for name, button in self.droppers.items():
+            button.setChecked(name == mode)
+        self.eyedropperChanged.emit(mode)
+
+    def _row_edited(self, name: str, value: Any, gesture: int) -> None:
+        self.edited.emit(replace(self._paint, **{name: value}), gesture)
+
 
 _AXES: Final = ("x", "y", "z")
 _TURNS: Final = ("Roll", "Pitch", "Yaw")
@@ -301,3 +450,112 @@ def _angles(rotation: Float64Array) -> list[float]:
     else:
         roll, yaw = np.arctan2(rotation[2, 1], rotation[2, 2]), np.arctan2(rotation[1, 0], rotation[0, 0])
     return [float(np.degrees(angle)) for angle in (roll, pitch, yaw)]
+
+
+_LINES = (
+    ("symmetric_rmse_mm", "Average symmetric RMSE", "Mean of both directed RMS distances to the nearest point, mm"),
+    ("hausdorff_mm", "Hausdorff distance", "The largest distance to the nearest point, of either direction, mm"),
+    ("percentile_95_mm", "95th percentile", "95 % of the points lie nearer to the other cloud, mm"),
+    ("scan_area", "Scan's contact", "Projected across the camera's axis, as patches are, mm²"),
+    ("patch_area", "Patch", "Projected across the camera's axis, mm²"),
+    ("area_error_mm2", "Area error", "How much larger the patch is than the scan's contact, mm² and per cent"),
+)
+
+
+class ResultPanel(CollapsibleSection):
+    """Scores, the transform's file and the command line.
+
+    Signals
+    -------
+    saveRequested(), loadRequested()
+    copied()
+        The command line was put on the clipboard.
+    """
+
+    saveRequested = pyqtSignal()
+    loadRequested = pyqtSignal()
+    copied = pyqtSignal()
+
+    def __init__(self) -> None:
+        super().__init__("Result")
+        self.values = {name: QLabel("–") for name, _, _ in _LINES}
+        self.save = QPushButton("&Save transform…")
+        self.load = QPushButton("Load &transform…")
+        self.command = QLineEdit()
+        self.copy = QPushButton("Cop&y")
+        self.note = QLabel()
+        self._lay_out()
+        self.save.clicked.connect(self.saveRequested)
+        self.load.clicked.connect(self.loadRequested)
+        self.copy.clicked.connect(self._copy)
+        self.show_scores(None)
+        self.show_command("", "")
+
+    def _lay_out(self) -> None:
+        self.save.setToolTip("Write T_proximity_scan as JSON, for tactune evaluate recording --transform")
+        self.load.setToolTip("Take the scan's pose from a file: JSON or four lines of four numbers, metres")
+        self.command.setReadOnly(True)
+        self.command.setAccessibleName("Command line")
+        self.command.setPlaceholderText("the command line, once the scan is aligned")
+        self.copy.setToolTip("Copy the command line that repeats this result")
+        self.note.setWordWrap(True)
+        grid = QGridLayout()
+        grid.setVerticalSpacing(2)
+        grid.setColumnStretch(1, 1)
+        for line, (name, title, tip) in enumerate(_LINES):
+            label, value = QLabel(title), self.values[name]
+            value.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+            value.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            value.setAccessibleName(title)
+            for widget in (label, value):
+                widget.setToolTip(tip)
+            grid.addWidget(label, line, 0)
+            grid.addWidget(value, line, 1)
+        files = QHBoxLayout()
+        for button in (self.save, self.load, self.copy):
+            button.setAutoDefault(False)
+        for button in (self.save, self.load):
+            files.addWidget(button)
+        repeat = QHBoxLayout()
+        repeat.addWidget(self.command, 1)
+        repeat.addWidget(self.copy)
+        layout = QVBoxLayout(self.body)
+        layout.setContentsMargins(6, 4, 6, 6)
+        layout.setSpacing(5)
+        layout.addLayout(grid)
+        layout.addLayout(files)
+        layout.addLayout(repeat)
+        layout.addWidget(self.note)
+
+    def show_scores(self, scores: Scores | None) -> None:
+        """Show how the patch compares; None: it does not yet."""
+        if scores is None:
+            for label in self.values.values():
+                label.setText("–")
+            return
+        for name in ("symmetric_rmse_mm", "hausdorff_mm", "percentile_95_mm"):
+            self.values[name].setText(_length(scores.values[name]))
+        self.values["scan_area"].setText(f"{scores.scan_area_mm2:,.0f} mm²")
+        self.values["patch_area"].setText(f"{scores.patch_area_mm2:,.0f} mm²")
+        error = scores.values["area_error_mm2"]
+        share = f" ({error / scores.scan_area_mm2:+.0%})" if scores.scan_area_mm2 > 0 else ""
+        self.values["area_error_mm2"].setText(f"{error:+,.0f} mm²{share}")
+
+    def show_command(self, command: str, note: str) -> None:
+        """Show the command line, and what stands in the way of repeating it."""
+        self.command.setText(command)
+        self.command.setCursorPosition(0)
+        self.command.setToolTip(command or "Align the scan first")
+        self.copy.setEnabled(bool(command))
+        self.note.setText(note)
+        self.note.setVisible(bool(note))
+
+    def _copy(self) -> None:
+        clipboard = QGuiApplication.clipboard()
+        if clipboard is not None:
+            clipboard.setText(self.command.text())
+            self.copied.emit()
+
+
+def _length(millimetres: float) -> str:
+    return f"{millimetres:.2f} mm" if math.isfinite(millimetres) else "– (one of both is empty)"
