@@ -1,4 +1,4 @@
-"""The page on which the new alignment is seen beside the old one before it is saved."""
+"""The page that compares the new alignment with the old one before it is saved."""
 
 from __future__ import annotations
 
@@ -32,17 +32,17 @@ from .session import ProximityImage, Session
 _BLINK_MS = 450
 _NO_FIT = "No calibration yet: click at least four pairs on the page Points"
 _TIPS = {
-    OverlayMode.BLEND: "Both images through each other; the slider shifts from one to the other",
-    OverlayMode.CHECKER: "Squares of both images by turns: lines must go on across their borders",
-    OverlayMode.BLINK: "Both images by turns: nothing on the membrane may jump",
-    OverlayMode.EDGES: "Edges of the tactile image over the proximity image: they must lie on the same spots",
+    OverlayMode.BLEND: "Both images blended; the slider sets the tactile image's weight",
+    OverlayMode.CHECKER: "A checkerboard of both images: lines must continue across the borders",
+    OverlayMode.BLINK: "Both images alternating: nothing on the membrane may jump",
+    OverlayMode.EDGES: "Edges of the tactile image over the proximity image: they must coincide",
 }
 _IMAGES: tuple[tuple[ProximityImage, str], ...] = (("color", "Colour"), ("depth", "Depth"))
 _WHICH = (("new", "New"), ("present", "Present"))
 
 
 class CheckPage(QWidget):
-    """The tactile image over the proximity image, and the patch with either alignment."""
+    """The tactile image over the proximity image, and the contact patch with each alignment."""
 
     def __init__(
         self,
@@ -73,7 +73,8 @@ class CheckPage(QWidget):
         self.note.setWordWrap(True)
         self.set_tolerance = QCheckBox()
         self.set_tolerance.setToolTip(
-            "The smallest tolerance t (no unit) that this calibration supports; the membrane contact test has none"
+            "Set the tolerance t (no unit) to the smallest that this calibration supports; the membrane contact "
+            "test has no t"
         )
         self._make_controls()
         self._lay_out()
@@ -90,7 +91,7 @@ class CheckPage(QWidget):
         self.share.setToolTip("Share of the tactile image, percent")
         self.pixels = QComboBox()
         self.pixels.setAccessibleName("Images")
-        self.pixels.setToolTip("Colour over colour shows the membrane's dots, depth over depth the pressed object")
+        self.pixels.setToolTip("Colour shows the membrane's dots, depth shows the pressed object")
         for key, title in _IMAGES:
             self.pixels.addItem(title, key)
 
@@ -106,7 +107,7 @@ class CheckPage(QWidget):
         tools.addSpacing(8)
         tools.addWidget(QLabel("Alignment"))
         for number, (_, title) in enumerate(_WHICH):
-            button = AccentButton(title, f"Lay the images over each other by the {title.lower()} alignment")
+            button = AccentButton(title, f"Overlay the images with the {title.lower()}")
             self.which.addButton(button, number)
             tools.addWidget(button)
         for group in (self.modes, self.which):
@@ -148,22 +149,22 @@ class CheckPage(QWidget):
         self._document.presetChanged.connect(self._preset_changed)
         self._feed.frameArrived.connect(lambda _: self._find_patches())
 
-    # What is shown
+    # Display
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show another fit."""
+        """Show a new fit."""
         self._outcome = outcome
         self._show_tolerance()
         self._draw()
 
     def close_jobs(self) -> None:
-        """Stop what is under way."""
+        """Cancel running jobs."""
         self._blink.stop()
         self._overlay_job.stop()
         self._patch_job.stop()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Draw what changed meanwhile."""
+        """Redraw what changed while the page was hidden."""
         super().showEvent(event)
         self._draw()
         self._mode_chosen()
@@ -175,7 +176,7 @@ class CheckPage(QWidget):
 
     @property
     def mode(self) -> OverlayMode:
-        """How the images share one place."""
+        """How the images are combined."""
         return list(OverlayMode)[self.modes.checkedId()]
 
     def new_preset(self) -> Preset | None:
@@ -193,7 +194,7 @@ class CheckPage(QWidget):
         )
 
     def _frame(self) -> SensorFrame | None:
-        """Return the frame that is looked at: the snapshot being clicked, or the live one."""
+        """Return the frame to show: the current snapshot, or the live frame."""
         snapshot = self._session.state.snapshot
         return snapshot.frame if snapshot is not None else self._feed.frame
 
@@ -209,7 +210,7 @@ class CheckPage(QWidget):
             self.note.setText("")
             return
         if image == "color" and frame.tactile_color is None:
-            self.image.set_image(None, "The tactile camera gives no colour here; choose Depth")
+            self.image.set_image(None, "The tactile camera has no colour image; choose Depth")
             return
         preset = new if which == "new" and new is not None else self._document.preset
         wanted = (frame, preset.alignment.geometry, image)
@@ -219,7 +220,7 @@ class CheckPage(QWidget):
             self._overlay_job.start(lambda _: make_overlay(alignment_of_preset(section, rig), rig, frame, image))
 
     def _find_patches(self) -> None:
-        """Have the patches found in the newest frame, if anybody looks."""
+        """Find the patches in the newest frame if the page is visible."""
         frame = self._feed.frame or self._frame()
         if not self.isVisible() or frame is None or (self._patch_job.busy and self._feed.playback.playing):
             return

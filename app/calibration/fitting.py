@@ -1,4 +1,4 @@
-"""From the session's pairs to the core's fit, on another thread, and what the fit says about each pair."""
+"""Fitting the session's pairs on another thread, and the fit's result for each pair."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapsh
 if TYPE_CHECKING:
     from ...core.calibration import CalibrationReport
 
-#: A residual is called worst when it is this many times the median and more than half a pixel.
+#: A pair stands out if its residual exceeds this multiple of the median and half a pixel.
 _WORST_FACTOR = 2.5
 _WORST_LEAST_PX = 0.5
 _NAN_PAIR = (nan, nan)
@@ -32,7 +32,7 @@ _NAN_PAIR = (nan, nan)
 
 @dataclass(frozen=True)
 class PairFit:
-    """Residuals of one pair in proximity pixels; nan where there are none."""
+    """Residuals of one pair in proximity pixels; nan if unknown."""
 
     dx: float = nan
     dy: float = nan
@@ -42,20 +42,20 @@ class PairFit:
 
     @property
     def residual_px(self) -> float:
-        """Length of the residual."""
+        """Norm of the residual, pixels."""
         return float(np.hypot(self.dx, self.dy))
 
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """A fit, or why there is none.
+    """A fit, or the reason why there is none.
 
     Attributes
     ----------
     pairs : tuple of PointPair
-        What it was made from.
+        The pairs that were fitted.
     sentence : str
-        The refusal, or one line on the fit.
+        The reason, or a summary of the fit in one line.
     """
 
     pairs: tuple[PointPair, ...] = ()
@@ -66,7 +66,7 @@ class Outcome:
 
     @property
     def worst(self) -> frozenset[int]:
-        """Keys of the pairs that stick out."""
+        """Keys of the pairs that stand out."""
         lengths = {key: fit.residual_px for key, fit in self.fits.items() if np.isfinite(fit.residual_px)}
         rejected = {key for key, fit in self.fits.items() if not fit.used}
         if len(lengths) < 5:
@@ -76,7 +76,7 @@ class Outcome:
 
 
 def at_least(value: float, unit: str, decimals: int = 2) -> str:
-    """Write an error, never as zero: below the last decimal it is "below" that."""
+    """Format an error. A value below the last decimal is written as "below" it, never as zero."""
     smallest = 10.0**-decimals
     return f"below {smallest:.{decimals}f} {unit}" if value < smallest else f"{value:.{decimals}f} {unit}"
 
@@ -97,7 +97,7 @@ def image_marks(
 ) -> list[Mark]:
     """Return the marks of one image: pairs clicked in images with the same pixels.
 
-    Those of the present snapshot, or with ``everywhere`` of all.
+    Only pairs of the current snapshot, or of all snapshots with ``everywhere``.
     """
     marks = []
     for pair in state.pairs:
@@ -114,7 +114,7 @@ def image_marks(
 
 
 def same_pixels(pair: PointPair, choice: ImageChoice, rig: Rig) -> bool:
-    """Whether a pair's proximity place is in the pixels of the image that is shown."""
+    """Whether a pair's proximity pixel refers to the image that is shown."""
     if rig.proximity_color is None:
         return True
     return (pair.proximity_image == "color") == (choice == "color")
@@ -162,31 +162,31 @@ def _origin(state: SessionState, pair: PointPair) -> str:
 
 def _hint(pair: PointPair, fit: PairFit, outcome: Outcome) -> str:
     if not pair.complete:
-        return "This click waits for its partner in the other image; Esc takes it back."
+        return "Click the same point in the other image, or press Esc to remove this click."
     if pair.tactile_depth_m is None:
         return (
             "The tactile camera has no depth here, so only the homography can use this pair; "
             "move the right point by a few pixels, or average more frames."
         )
     if not fit.used:
-        return "This pair contradicts the others and was left out of the fit; look at both points again."
+        return "This pair contradicts the others and was excluded from the fit; check both points."
     if pair.key in outcome.worst:
-        return "This pair sticks out; look at both points again, or switch it off."
+        return "This pair has a large residual; check both points, or switch it off."
     return ""
 
 
 FEWEST_PAIRS = 4
-#: Places of the membrane over which the uncertainty is averaged: enough for a map, few enough for an instant.
+#: Number of membrane points over which the uncertainty is averaged: enough for a map, fast enough to be instant.
 FEWEST_PLACES, MOST_PLACES = 20, 120
 _GRID_PX = 32
 _WINDOW = 2
 _SMOOTH_M = 0.004
-#: A proximity depth counts as measured at contact where it is this near to the tactile depth, relatively.
+#: A proximity depth counts as measured at contact if it differs from the tactile depth by less than this share.
 _CONTACT_SHARE = 0.06
 
 
 class Fitter(QObject):
-    """Fits the session's pairs whenever they change; the newest state wins.
+    """Fits the session's pairs whenever they change. Only the newest state is fitted.
 
     Signals
     -------
@@ -209,11 +209,11 @@ class Fitter(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether a fit is going on."""
+        """Whether a fit is running."""
         return self._job.busy
 
     def refit(self) -> None:
-        """Fit anew if anything that the fit rests on has changed."""
+        """Fit again if any input of the fit has changed."""
         state, rig = self._session.state, self._session.rig
         asked = (state.complete_pairs, state.choices.model, state.choices.fit_depth)
         if asked == self._asked:
@@ -222,7 +222,7 @@ class Fitter(QObject):
         self._job.start(lambda _: fit(state, rig))
 
     def close(self) -> None:
-        """Stop for good."""
+        """Stop permanently."""
         self._job.stop()
 
 
@@ -232,12 +232,12 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
     Returns
     -------
     Outcome
-        Without a report where there are too few pairs; its sentence says so.
+        Without a report if there are too few pairs; its sentence says so.
 
     Raises
     ------
     CalibrationError
-        The pairs determine nothing, or contradict each other.
+        The pairs do not determine an alignment, or contradict each other.
     """
     pairs = state.complete_pairs
     enabled = sum(pair.enabled for pair in pairs)
@@ -254,7 +254,7 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
 
 
 def outcome_of(pairs: tuple[PointPair, ...], report: CalibrationReport) -> Outcome:
-    """Bring a report to the terms of the pages."""
+    """Convert a report for the pages."""
     chosen = report.chosen
     fits = {
         int(pair.id): PairFit(pair.residual_u, pair.residual_v, pair.residual_mm, pair.left_out_px, pair.used)
@@ -273,7 +273,7 @@ def alignment_of(report: CalibrationReport) -> Alignment:
 
 
 def correspondences(state: SessionState, rig: Rig) -> list[Correspondence]:
-    """Return the complete pairs as the core takes them."""
+    """Convert the complete pairs to correspondences."""
     numbers = {snapshot.digest: number for number, snapshot in enumerate(state.snapshots)}
     found = []
     for pair in state.complete_pairs:
@@ -296,7 +296,7 @@ def correspondences(state: SessionState, rig: Rig) -> list[Correspondence]:
 
 
 def pairs_of(points: Sequence[Correspondence], state: SessionState, rig: Rig, origin: str) -> list[PointPair]:
-    """Bring read points to pairs; those without a tactile depth get it from their snapshot or the present one."""
+    """Convert imported points to pairs. A missing tactile depth is read from their snapshot or the current one."""
     pairs = []
     for number, point in enumerate(points):
         known = point.snapshot is not None and point.snapshot < len(state.snapshots)
@@ -320,7 +320,7 @@ def pairs_of(points: Sequence[Correspondence], state: SessionState, rig: Rig, or
 
 
 def _membrane(state: SessionState, rig: Rig) -> Float64Array | None:
-    """Return places of the membrane in all snapshots, over which the alignment matters; None without snapshots."""
+    """Return membrane points of all snapshots, where the alignment matters; None without snapshots."""
     grids = [membrane_grid(snapshot.frame, rig, _GRID_PX) for snapshot in state.snapshots]
     places = np.concatenate(grids) if grids else np.empty((0, 3))
     if len(places) < FEWEST_PLACES:
@@ -329,7 +329,7 @@ def _membrane(state: SessionState, rig: Rig) -> Float64Array | None:
 
 
 def _contact_depth(pair: PointPair, snapshot: Snapshot | None, rig: Rig) -> float | None:
-    """Return the proximity depth under a click in the depth image, where it was measured at contact."""
+    """Return the proximity depth under a click in the depth image if it was measured at contact, else None."""
     if pair.proximity_image != "depth" or snapshot is None or pair.proximity is None or pair.tactile_depth_m is None:
         return None
     depth = _smooth_proximity_depth(snapshot.frame, rig, *pair.proximity)
@@ -339,7 +339,7 @@ def _contact_depth(pair: PointPair, snapshot: Snapshot | None, rig: Rig) -> floa
 
 
 def _smooth_proximity_depth(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
-    """Return the median proximity depth of a small window, None at an edge or a hole."""
+    """Return the median proximity depth of a small window; None at an edge or a hole."""
     height, width = frame.proximity_depth.shape
     column, row = round(u), round(v)
     if not (_WINDOW <= column < width - _WINDOW and _WINDOW <= row < height - _WINDOW):
@@ -352,7 +352,7 @@ def _smooth_proximity_depth(frame: SensorFrame, rig: Rig, u: float, v: float) ->
 
 
 def _line(report: CalibrationReport) -> str:
-    """Say in one line how the fit stands."""
+    """Summarise the fit in one line."""
     chosen = report.chosen
     used = sum(pair.used for pair in chosen.pairs)
     parts = [f"{report.model}, {_pairs(used)}"]

@@ -1,4 +1,4 @@
-"""The page on which snapshots are taken: live, frozen or recorded frames, averaged."""
+"""The page for taking snapshots: averages of live, frozen or recorded frames."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from .snapshots import MOST_FRAMES, Collector
 
 _PREVIEW_MS = 80
 _THUMBNAIL = QSize(96, 72)
-#: A membrane that moves more than this while frames are averaged blurs what is clicked.
+#: Movement of the membrane that blurs an averaged frame, metres.
 MOVED_LIMIT_M = 0.0025
 
 _PREVIEWS: tuple[tuple[Side, ImageChoice, str], ...] = (
@@ -43,7 +43,7 @@ _PREVIEWS: tuple[tuple[Side, ImageChoice, str], ...] = (
 )
 _ADVICE = (
     "Hold the membrane still and take a snapshot. Then change the inflation, or press deeper, and take another: "
-    "two or three levels span depth, which is what tells a rigid alignment from a plane's."
+    "two or three levels span depth, which a rigid alignment needs."
 )
 
 
@@ -67,7 +67,7 @@ class FramesPage(QWidget):
     def _make_controls(self) -> None:
         self.source = QLabel()
         self.play = QPushButton("Play")
-        self.play.setToolTip("Let the source go on, or hold it at this frame")
+        self.play.setToolTip("Play the source, or pause it at this frame")
         self.seek = QSlider(Qt.Orientation.Horizontal)
         self.seek.setAccessibleName("Frame of the recording")
         self.seek.setToolTip("Frame of the recording")
@@ -76,8 +76,8 @@ class FramesPage(QWidget):
         self.average.setSuffix(" frames")
         self.average.setSpecialValueText("1 frame")
         self.average.setToolTip(
-            "How many frames are averaged, from the one shown on: the median of each pixel, without those that have "
-            "no depth. More frames, less noise; the membrane must not move meanwhile"
+            "Number of frames to average, starting with the current one: the median of each pixel over its valid "
+            "depths. More frames, less noise; the membrane must not move meanwhile"
         )
         self.take = QPushButton("Take snapshot")
         self.take.setToolTip("Average the next frames and add them as a snapshot (Ctrl+T)")
@@ -92,7 +92,7 @@ class FramesPage(QWidget):
         self.list.setAccessibleName("Snapshots")
         self.list.setSpacing(2)
         self.remove = QPushButton("Remove")
-        self.remove.setToolTip("Remove the snapshot and the points clicked in it; undo brings both back")
+        self.remove.setToolTip("Remove the snapshot and the points clicked in it; undo restores both")
         self.span = QLabel()
         self.span.setWordWrap(True)
         for button in (self.play, self.take, self.cancel, self.remove):
@@ -156,11 +156,11 @@ class FramesPage(QWidget):
         self.remove.clicked.connect(self._remove)
 
     def start(self) -> None:
-        """Take a snapshot of the frame shown and those that follow."""
+        """Take a snapshot of the current frame and the following ones."""
         self._collector.start(self.average.value())
         self._show_busy()
 
-    # What is shown
+    # Display
 
     def _frame_arrived(self, _: SensorFrame) -> None:
         if self.isVisible() and not self._redraw.isActive():
@@ -172,7 +172,7 @@ class FramesPage(QWidget):
         for (side, image), pane in self.previews.items():
             if frame is None or image not in image_choices(frame, side):
                 pane.set_pixels(None, (640, 480), 1)
-                pane.set_message("Waiting for the first frame…" if frame is None else "This camera gives no colour")
+                pane.set_message("Waiting for the first frame…" if frame is None else "This camera has no colour image")
                 continue
             shown = picture(frame, info.rig, side, image, stretch=True)
             height, width = shown.gray.shape
@@ -245,7 +245,7 @@ class FramesPage(QWidget):
         if snapshot.moved_m > MOVED_LIMIT_M:
             self.note.setText(
                 f"The membrane moved by {1e3 * snapshot.moved_m:.1f} mm while {snapshot.averaged} frames were "
-                "averaged, so dots are smeared. Hold it still and take the snapshot again, or average fewer frames."
+                "averaged, so dots are blurred. Hold it still and take the snapshot again, or average fewer frames."
             )
         else:
             self.note.setText(f"Snapshot taken. {_ADVICE}" if not self._session.state.snapshots else _next_words())
@@ -256,7 +256,7 @@ class FramesPage(QWidget):
         self.note.setText(sentence or "Cancelled; no snapshot was taken.")
         self._show_busy()
 
-    # What a person does
+    # Actions
 
     def _play_or_hold(self) -> None:
         playback = self._feed.playback
@@ -277,7 +277,7 @@ class FramesPage(QWidget):
 
 
 def apex_m(frame: SensorFrame, rig: Rig) -> float:
-    """Return the median tactile depth of the middle of the image, metres; nan where there is none."""
+    """Return the median tactile depth at the image centre, metres; nan without depth."""
     height, width = frame.tactile_depth.shape
     middle = frame.tactile_depth[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
     counts = sorted(middle[valid_depth(middle)])
@@ -285,18 +285,19 @@ def apex_m(frame: SensorFrame, rig: Rig) -> float:
 
 
 def span_words(state: SessionState, rig: Rig) -> str:
-    """Say how much depth the snapshots span."""
+    """Describe the depth range that the snapshots span."""
     depths = [apex_m(snapshot.frame, rig) for snapshot in state.snapshots]
     depths = [depth for depth in depths if math.isfinite(depth)]
     if not depths:
         return (
-            "None yet. One is enough to begin; two or three inflation levels make the alignment right at every depth."
+            "None yet. One is enough to start; two or three inflation levels make the alignment accurate at every "
+            "depth."
         )
     span = 1e3 * (max(depths) - min(depths))
     if len(depths) == 1:
         return "One snapshot. Another inflation level would span depth."
-    return f"{len(depths)} snapshots; the membrane's middle spans {span:.0f} mm of depth."
+    return f"{len(depths)} snapshots; the membrane's centre spans {span:.0f} mm of depth."
 
 
 def _next_words() -> str:
-    return "Snapshot taken. Add another inflation level, or go on to the points."
+    return "Snapshot taken. Add another inflation level, or continue with the points."

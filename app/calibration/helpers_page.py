@@ -51,7 +51,7 @@ class Helper(StrEnum):
 
 @dataclass(frozen=True)
 class HelperOptions:
-    """Size of the target; see `tactune.core.calibration.detect`."""
+    """The target's size; see `tactune.core.calibration.detect`."""
 
     helper: Helper = Helper.TEXTURE
     columns: int = 9
@@ -62,7 +62,7 @@ class HelperOptions:
 
 @dataclass(frozen=True)
 class Proposals:
-    """What was found, and what was not, in words."""
+    """What was found and what was not, as a sentence."""
 
     pairs: tuple[PointPair, ...]
     words: str
@@ -71,19 +71,19 @@ class Proposals:
 def find_proposals(
     options: HelperOptions, snapshots: Sequence[Snapshot], choices: Choices, rig: Rig, progress: Progress
 ) -> Proposals:
-    """Look for points in every snapshot.
+    """Search every snapshot for points.
 
     Raises
     ------
     CalibrationError
-        Nothing was found in any of them; the message is that of the last one.
+        Nothing was found in any snapshot; the message is the last one's.
     """
     if options.helper is Helper.TEXTURE:
         return _texture(snapshots, rig, progress)
     found: list[PointPair] = []
     problems: list[str] = []
     for number, snapshot in enumerate(snapshots):
-        progress(number / len(snapshots), f"Looking in {snapshot.name}")
+        progress(number / len(snapshots), f"Searching {snapshot.name}")
         try:
             found += _pairs(options, snapshot, choices, rig)
         except CalibrationError as error:
@@ -99,8 +99,7 @@ def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Pro
     for snapshot in snapshots:
         if snapshot.frame.tactile_color is None:
             raise CalibrationError(
-                f"{snapshot.name}: there is no tactile colour image, so no texture to match; "
-                "detect a target or click the points"
+                f"{snapshot.name}: the tactile camera has no colour image to match; detect a target or click the points"
             )
     progress(0.1, f"Matching droplets in {_snapshots(len(snapshots))}")
     matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
@@ -112,13 +111,13 @@ def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Pro
             tactile_depth_m=match.tactile_depth_m,
             proximity_image=match.proximity_image,
             snapshot=snapshots[match.snapshot or 0].digest,
-            origin=f"texture, likeness {likeness:.2f}",
+            origin=f"texture, correlation {likeness:.2f}",
         )
         for number, (match, likeness) in enumerate(zip(matches.pairs, matches.likeness, strict=True))
     )
     return Proposals(
         pairs,
-        f"{len(pairs)} droplets were found again in {_snapshots(len(snapshots))}; together they fit a rigid pose "
+        f"{len(pairs)} droplets were matched in {_snapshots(len(snapshots))}; together they fit a rigid pose "
         f"to {matches.fit.rms_px:.2f} px.",
     )
 
@@ -157,9 +156,9 @@ def _detect(options: HelperOptions, side: Picture) -> Detection:
 
 
 _TIPS = {
-    Helper.TEXTURE: "Matches the dye droplets on the membrane in both colour images; wrong matches are sorted out",
-    Helper.CHESSBOARD: "All inner corners of a chessboard that both cameras see whole",
-    Helper.CHARUCO: "The corners of a ChArUco board; parts of it suffice",
+    Helper.TEXTURE: "Match the dye droplets on the membrane in both colour images; wrong matches are rejected",
+    Helper.CHESSBOARD: "All inner corners of a chessboard that both cameras see completely",
+    Helper.CHARUCO: "The corners of a ChArUco board, which may be partly visible",
     Helper.CIRCLES: "The centres of a grid of circles in which every other row is shifted",
     Helper.DOTS: "The centres of a plain grid of dots",
 }
@@ -171,10 +170,11 @@ _SIZES = {
 }
 _DICTIONARIES = ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_ARUCO_ORIGINAL")
 _ADVICE = (
-    "Click a green ring, or its check mark in the table, to refuse it or take it back. Nothing counts until you accept."
+    "Click a green ring, or its check mark in the table, to refuse a proposal or restore it. Proposals are used "
+    "only after you accept them."
 )
 _INTRO = "Press Find; what is found is drawn in green. " + _ADVICE
-#: More rings than this are drawn without their numbers.
+#: Above this number of rings, their numbers are hidden.
 _MOST_LABELS = 120
 
 
@@ -212,11 +212,11 @@ class HelpersPage(QWidget):
 
     @property
     def proposals(self) -> tuple[PointPair, ...]:
-        """What was found and is not refused."""
+        """The proposals that are not refused."""
         return tuple(pair for pair in self._pairs if pair.key not in self._refused)
 
     def options(self) -> HelperOptions:
-        """Return what the controls say."""
+        """Return the options set by the controls."""
         return HelperOptions(
             list(Helper)[self.helpers.checkedId()],
             self.columns.value(),
@@ -226,10 +226,10 @@ class HelpersPage(QWidget):
         )
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Nothing here depends on the fit."""
+        """Do nothing: this page does not depend on the fit."""
 
     def close_jobs(self) -> None:
-        """Stop what is under way."""
+        """Cancel running jobs."""
         self._job.stop()
 
     # Building
@@ -249,26 +249,26 @@ class HelpersPage(QWidget):
         self.share.setRange(0.1, 0.95)
         self.share.setSingleStep(0.05)
         self.share.setValue(0.7)
-        self.share.setToolTip("Side of a marker over the side of a square (no unit)")
+        self.share.setToolTip("Side of a marker divided by the side of a square (no unit)")
         self.dictionary = QComboBox()
         self.dictionary.addItems(_DICTIONARIES)
-        self.dictionary.setToolTip("Dictionary of the markers, by OpenCV's name")
+        self.dictionary.setToolTip("Marker dictionary, by its OpenCV name")
         self.snapshot = QComboBox()
         self.snapshot.setAccessibleName("Snapshot")
         self.snapshot.setToolTip("The snapshot that is shown")
-        self.everywhere = QCheckBox("Look in all snapshots")
+        self.everywhere = QCheckBox("Search all snapshots")
         self.everywhere.setChecked(True)
-        self.everywhere.setToolTip("Off: only in the one that is shown")
-        self.search = push_button("Find", "Look for points now (Ctrl+F)")
+        self.everywhere.setToolTip("Off: search only the snapshot shown")
+        self.search = push_button("Find", "Search for points (Ctrl+F)")
         self.search.setShortcut("Ctrl+F")
-        self.cancel = push_button("Cancel", "Stop looking")
+        self.cancel = push_button("Cancel", "Stop searching")
         self.progress = QProgressBar()
         self.progress.setRange(0, 100)
         self.words = QLabel(_INTRO)
         self.words.setWordWrap(True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
-        self.accept = push_button("Accept", "Take the green ones as pairs, as one step that undo takes back")
-        self.refuse = push_button("Refuse all", "Forget the proposals")
+        self.accept = push_button("Accept", "Add the green proposals as pairs, as one undoable step")
+        self.refuse = push_button("Refuse all", "Discard the proposals")
 
     def _control_column(self) -> QWidget:
         choice = QGroupBox("Look for")
@@ -303,7 +303,7 @@ class HelpersPage(QWidget):
         self.search.clicked.connect(self.look)
         self.cancel.clicked.connect(self._job.cancel)
         self.accept.clicked.connect(self.accept_proposals)
-        self.refuse.clicked.connect(lambda: self._take(Proposals((), "Refused; nothing was taken over.")))
+        self.refuse.clicked.connect(lambda: self._take(Proposals((), "Refused; no pairs were added.")))
         for image in self.view.images.values():
             image.pressed.connect(lambda key, _: self.toggle(key))
         self.table.enabledToggled.connect(lambda key, _: self.toggle(key))
@@ -315,28 +315,28 @@ class HelpersPage(QWidget):
         self._job.busyChanged.connect(lambda _: self._show_busy())
         self._show_busy()
 
-    # What a person does
+    # Actions
 
     def look(self) -> None:
-        """Look for points, on another thread."""
+        """Search for points, on another thread."""
         state, rig, options = self._session.state, self._session.rig, self.options()
         chosen = state.snapshots if self.everywhere.isChecked() else tuple(filter(None, [state.snapshot]))
         self._job.start(lambda progress: find_proposals(options, chosen, state.choices, rig, progress))
 
     def toggle(self, key: int) -> None:
-        """Refuse a proposal, or take it back."""
+        """Refuse a proposal, or restore it."""
         self._refused = self._refused ^ {key}
         self._show_table()
         self._show_proposals()
 
     def accept_proposals(self) -> None:
-        """Make what is not refused pairs of the session."""
+        """Add the proposals that are not refused to the session."""
         accepted = self.proposals
         if accepted:
             self._session.add_pairs(accepted, f"Accept {len(accepted)} proposals")
-            self._take(Proposals((), f"{len(accepted)} pairs were taken over; undo takes them back."))
+            self._take(Proposals((), f"{len(accepted)} pairs were added; undo removes them."))
 
-    # What is shown
+    # Display
 
     def _helper_chosen(self) -> None:
         helper = list(Helper)[self.helpers.checkedId()]
@@ -421,4 +421,4 @@ class HelpersPage(QWidget):
         )
 
     def _failed(self, sentence: str) -> None:
-        self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; nothing was taken over.")
+        self.words.setText(sentence[:1].upper() + sentence[1:] if sentence else "Cancelled; no pairs were added.")

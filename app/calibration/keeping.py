@@ -27,9 +27,9 @@ _IMAGES = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color
 
 
 class Keeper(KeptState[SessionState]):
-    """Keeps a session's state in a folder; snapshots lie beside it under their digest.
+    """Keeps a session's state in a folder. Snapshots are separate files, named by their digest.
 
-    A lock keeps two windows on the same rig apart: each has a file of its own.
+    A lock makes two windows on the same rig use different files.
     """
 
     file: Path
@@ -49,7 +49,7 @@ class Keeper(KeptState[SessionState]):
         return self._session.state
 
     def restore(self) -> datetime | None:
-        """Show what was kept of this rig's last session; return when that was, None where there is nothing."""
+        """Restore this rig's last session. Return when it was saved, or None if there is none."""
         found = self.read(self.file)
         if found is None or found[0].empty:
             return None
@@ -58,7 +58,7 @@ class Keeper(KeptState[SessionState]):
         self.follow(self.file, state)
         self._session.show(state)
         if self._missing:
-            self.failed.emit(f"Images of {len(self._missing)} snapshots are gone; their points are kept without them.")
+            self.failed.emit(f"The images of {len(self._missing)} snapshots are missing; their points remain.")
         return kept_at
 
     def close(self) -> None:
@@ -75,7 +75,7 @@ class Keeper(KeptState[SessionState]):
         self._lock.unlock()
 
     def write(self, state: SessionState, file: Path) -> None:
-        """Write new snapshots, then the state that names them."""
+        """Write new snapshots, then the state that refers to them."""
         for snapshot in state.snapshots:
             if snapshot.digest not in self._stored:
                 _write_images(_images_file(self.folder, snapshot.digest), snapshot.frame)
@@ -83,7 +83,7 @@ class Keeper(KeptState[SessionState]):
         write_json(file, _content(state))
 
     def parse(self, content: dict[str, Any]) -> SessionState:
-        """Return the kept state without the snapshots whose images are gone."""
+        """Return the saved state without the snapshots whose images are missing."""
         check_version(content, _VERSION)
         snapshots = []
         self._missing = []
@@ -103,7 +103,7 @@ class Keeper(KeptState[SessionState]):
 
 
 def _free_slot(folder: Path, key: str) -> tuple[Path, QLockFile]:
-    """Return the first file of a rig that no living window holds, locked."""
+    """Return the first file of a rig that no running window has locked, with its lock taken."""
     for slot in range(1, _SLOTS + 1):
         file = folder / f"calibration-{key}{'' if slot == 1 else f'-{slot}'}.json"
         lock = lock_of(file)
@@ -158,7 +158,7 @@ _PATHS = (
 def preset_values(
     report: CalibrationReport, preset: Preset, state: SessionState, set_tolerance: bool
 ) -> dict[str, Any]:
-    """Return the preset's fields that a calibration sets, by their paths."""
+    """Return the preset fields that a calibration sets, by path."""
     membrane = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=set_tolerance)
     values = {path: membrane.value(path) for path in (*_PATHS, "tolerance.t")}
     return {

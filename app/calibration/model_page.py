@@ -1,4 +1,4 @@
-"""The page on which both models stand side by side, and one is taken."""
+"""The page that compares both models, where one is chosen."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from .session import ModelChoice, Session, SessionState
 _MODELS = ("homography", "rigid")
 _TITLES = {"homography": "Homography", "rigid": "Rigid pose"}
 _SUBTITLES = {
-    "homography": "Lays one image over the other; exact for one plane only.",
+    "homography": "Maps one image onto the other; exact for one plane only.",
     "rigid": "Pose of the tactile camera; exact at every depth.",
 }
 _CHOICES: tuple[tuple[ModelChoice, str, str], ...] = (
-    ("auto", "Recommended", "Take the model that predicts left-out pairs better"),
-    ("rigid", "Rigid pose", "Take the pose, whatever is recommended"),
-    ("homography", "Homography", "Take the homography, whatever is recommended"),
+    ("auto", "Recommended", "Use the model with the smaller cross-validation error"),
+    ("rigid", "Rigid pose", "Always use the rigid pose"),
+    ("homography", "Homography", "Always use the homography"),
 )
 
 
@@ -50,27 +50,28 @@ class _Number:
 
 _NUMBERS = (
     _Number("Residual, RMS", "Root mean square distance of the pairs from the fit, pixels", lambda q: q.rms_px),
-    _Number("Residual, RMS", "The same at the depth of each pair, millimetres", lambda q: q.rms_mm, "mm"),
-    _Number("Worst residual", "The pair that fits worst, pixels", lambda q: q.worst_px),
+    _Number("Residual, RMS", "The same error at each pair's depth, millimetres", lambda q: q.rms_mm, "mm"),
+    _Number("Worst residual", "The largest residual of a pair, pixels", lambda q: q.worst_px),
     _Number(
         "Left-out error",
-        "Each pair predicted by a fit of the others (cross-validation), pixels. The honest measure of a model",
+        "Cross-validation: the error of each pair in a fit of the others, pixels. The best measure of a model's "
+        "quality",
         lambda q: q.cross_validated_px,
     ),
     _Number(
         "Expected alignment error",
-        "What the clicks' noise leaves over the whole membrane, pixels, if the model itself is right",
+        "Alignment error over the whole membrane due to the clicks' noise, pixels, assuming that the model is correct",
         lambda q: q.alignment_px,
     ),
     _Number("  95 % bound", "The alignment error is smaller than this with 95 % probability, pixels",
             lambda q: q.alignment_bound_95_px),
-    _Number("Expected alignment error", "The same across the line of sight, millimetres",
+    _Number("Expected alignment error", "The same error across the line of sight, millimetres",
             lambda q: q.alignment_mm, "mm"),
     _Number("Patch boundary off by", "Expected error of the contact patch's boundary, millimetres",
             lambda q: q.effect.boundary_mm, "mm"),
     _Number("Smallest t (tolerance test)", "With a smaller t the tolerance test loses pixels in true contact (no unit)",
             lambda q: q.effect.supported_tolerance, "", 4),
-    _Number("Condition number", "How unevenly the points determine the fit (no unit); thousands are a bad sign",
+    _Number("Condition number", "How unevenly the points constrain the fit (no unit); values in the thousands are bad",
             lambda q: q.condition, "", 1),
 )  # fmt: skip
 
@@ -133,13 +134,13 @@ class _ModelColumn(QGroupBox):
         message = (
             ""
             if quality.rms_px is not None
-            else ("This few points are fitted exactly: zero residuals say nothing. Click at least six pairs.")
+            else ("So few points are always fitted exactly, so the residuals mean nothing. Click at least six pairs.")
         )
         self.plot.set_residuals(residuals, limit, message)
 
 
 class ModelPage(QWidget):
-    """Both models side by side, the recommendation with its reason, and the choice."""
+    """Both models side by side, the recommendation with its reason, and the choice between them."""
 
     def __init__(self, session: Session, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -152,8 +153,9 @@ class ModelPage(QWidget):
         self.choices = QButtonGroup(self)
         self.fit_depth = QCheckBox("Correct the tactile depth (scale and offset)")
         self.fit_depth.setToolTip(
-            "Also fit a factor and an offset (mm) on the tactile depth. Points clicked in the depth image at contact "
-            "measure them; with clicks in colour only, the rig's stated baseline holds the factor"
+            "Also fit a scale and an offset (mm) of the tactile depth. They are determined by points clicked in "
+            "the depth image at contact; with clicks in colour images only, the scale rests on the rig's stated "
+            "baseline"
         )
         self.warnings = QLabel()
         self.warnings.setWordWrap(True)
@@ -184,10 +186,10 @@ class ModelPage(QWidget):
         self.show_outcome(Outcome())
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show another fit."""
+        """Show a new fit."""
         report = outcome.report
         if report is None:
-            self.reason.setText(outcome.sentence or "No pairs yet: click at least four, better eight.")
+            self.reason.setText(outcome.sentence or "No pairs yet: click at least four, preferably eight.")
         else:
             self.reason.setText(report.reason)
         self.warnings.setText("" if report is None else " ".join(f"Note: {words}" for words in report.warnings))
@@ -205,7 +207,7 @@ class ModelPage(QWidget):
 
 
 def _common_limit(report: CalibrationReport | None) -> float:
-    """Return one scale for both plots, so that they can be compared."""
+    """Return a common scale for both plots."""
     if report is None:
         return 1.0
     return max(

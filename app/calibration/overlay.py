@@ -30,7 +30,7 @@ _CANNY = (60, 140)
 
 
 class OverlayMode(StrEnum):
-    """How both images share one place."""
+    """How both images are combined."""
 
     BLEND = "Blend"
     CHECKER = "Checkerboard"
@@ -40,7 +40,7 @@ class OverlayMode(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Both images in proximity pixels, RGB32 (H, W, 4), and where the tactile one is known."""
+    """Both images in proximity pixels, RGB32 (H, W, 4), and the mask where the tactile one is known."""
 
     proximity: Uint8Array
     tactile: Uint8Array
@@ -48,13 +48,13 @@ class Overlay:
     edges: BoolArray
 
     def composed(self, mode: OverlayMode, share: float, blinked: bool = False) -> Uint8Array:
-        """Return both as one picture.
+        """Combine both images into one.
 
         Parameters
         ----------
         mode : OverlayMode
         share : float
-            How much of the tactile image shows when blending, 0 to 1.
+            Weight of the tactile image in blending, 0 to 1.
         blinked : bool
             Whether blinking shows the tactile image now.
         """
@@ -74,12 +74,12 @@ class Overlay:
 
 
 def alignment_of_preset(section: AlignmentSection, rig: Rig) -> Alignment:
-    """Return what a preset's alignment section means for a rig.
+    """Return the alignment that a preset's section describes for a rig.
 
     Raises
     ------
     RigMismatchError
-        The section leaves the pose to the rig and the rig has none.
+        The section takes the pose from the rig, but the rig has none.
     """
     if section.model == "rigid":
         return Alignment(pose=tactile_pose(section, rig), scale=section.depth_scale, offset_m=section.depth_offset_m)
@@ -89,7 +89,7 @@ def alignment_of_preset(section: AlignmentSection, rig: Rig) -> Alignment:
 
 
 def make_overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: ProximityImage) -> Overlay:
-    """Warp the tactile image into a proximity image: colour over colour, or depth over depth."""
+    """Warp the tactile image into a proximity image, colour onto colour or depth onto depth."""
     base = picture(frame, rig, "proximity", image, stretch=True)
     over = picture(frame, rig, "tactile", image, stretch=True)
     places, known = tactile_places(alignment, rig, frame, image)
@@ -104,10 +104,10 @@ def make_overlay(alignment: Alignment, rig: Rig, frame: SensorFrame, image: Prox
 def tactile_places(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ProximityImage
 ) -> tuple[Float32Array, BoolArray]:
-    """Return for every pixel of a proximity image its tactile pixel, float32 (H, W, 2), and where there is one.
+    """Return the tactile pixel of every proximity pixel, float32 (H, W, 2), and the mask where there is one.
 
-    The membrane, as the tactile camera sees it, is first brought into the proximity image; its holes are
-    filled from around, and every pixel then looks back through the membrane's surface.
+    The membrane measured by the tactile camera is first projected into the proximity image and its holes are filled
+    from their surroundings. Every pixel is then projected back through the membrane's surface.
     """
     shape = rig.proximity_color_shape if image == "color" else rig.proximity.intrinsics.shape
     depth_m = _splat(_membrane_points(alignment, rig, frame), rig, image, shape)
@@ -152,7 +152,7 @@ def _seen_by_tactile(alignment: Alignment, rig: Rig, points: Float64Array) -> Fl
 
 
 def _splat(points: Float64Array, rig: Rig, image: ProximityImage, shape: tuple[int, int]) -> Float32Array:
-    """Return the distance along z of points (N, 3) in a proximity image, float32 (H, W); nan where none is near."""
+    """Return the distance along z of points (N, 3) in a proximity image, float32 (H, W); nan where no point is near."""
     height, width = shape
     pixels = np.rint(project_into(points, rig, image))
     inside = ((pixels >= 0) & (pixels < (width, height))).all(axis=1) & (points[:, 2] > 0)
@@ -173,7 +173,7 @@ _BEHIND_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Patch:
-    """What one alignment finds: a cloud, its area, or why there is none."""
+    """The patch found with one alignment: its cloud and area, or the reason why there is none."""
 
     cloud: DepthCloud | None = None
     points: int = 0
@@ -182,7 +182,7 @@ class Patch:
 
 
 class PatchFinder:
-    """Keeps one pipeline and finds patch after patch; not for two threads at once."""
+    """Finds patches with one pipeline. Not thread-safe."""
 
     def __init__(self) -> None:
         self._pipeline: ContactPipeline | None = None
@@ -205,7 +205,7 @@ class PatchFinder:
 
 
 def _near_part(cloud: DepthCloud | None, far_m: float) -> DepthCloud | None:
-    """Leave out the room behind the membrane, so that the view frames the sensor."""
+    """Drop points behind the membrane, so that the view frames the sensor."""
     if cloud is None:
         return None
     farthest = (far_m + _BEHIND_M) / cloud.depth_unit_m

@@ -1,4 +1,4 @@
-"""The proximity and the tactile image beside each other: zoomed together, with loupe, snapping and partners."""
+"""The proximity and the tactile image side by side, with linked zoom, loupe, snapping and partners."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ TITLES: dict[Side, str] = {"proximity": "Proximity camera (left)", "tactile": "T
 
 
 class PairView(QWidget):
-    """Two `PointImage` widgets that know of each other.
+    """Two linked `PointImage` widgets.
 
     Parameters
     ----------
     snapper : callable
-        Takes a picture and a place to the feature nearby, or None.
+        Returns the feature near a pixel of a picture, or None.
 
     Signals
     -------
     placed(side: str, u: float, v: float)
-        A click on free ground, snapped where snapping is on and Ctrl is not held.
+        A click where there is no mark yet, snapped unless snapping is off or Ctrl is held.
     """
 
     placed = pyqtSignal(str, float, float)
@@ -61,29 +61,29 @@ class PairView(QWidget):
         self.images[side].set_image(None if picture is None else picture.pixels, message)
 
     def set_snapping(self, snaps: bool) -> None:
-        """Let clicks jump to the corner or blob nearby, or not."""
+        """Switch snapping to nearby corners and blobs on or off."""
         self._snaps = snaps
 
     def set_linked(self, linked: bool) -> None:
-        """Zoom and pan both images together, or not."""
+        """Link or unlink zoom and pan of both images."""
         self._linked = linked
 
     def set_partner(self, partner: Partner) -> None:
-        """Say how a place of one image is found in the other."""
+        """Set the function that predicts the pixel in the other image."""
         self._partner = partner
 
     def set_loupe_wanted(self, wanted: bool) -> None:
-        """Show a magnifier at the cursor, or not."""
+        """Show or hide a magnifier at the cursor."""
         for image in self.images.values():
             image.set_loupe_wanted(wanted)
 
     def show_all(self) -> None:
-        """Show both images whole."""
+        """Fit both images into view."""
         for image in self.images.values():
             image.show_all()
 
     def center_on(self, side: Side, place: Place) -> None:
-        """Move one image, without zooming, so that a place comes into sight."""
+        """Pan one image so that a pixel becomes visible, without zooming."""
         image = self.images[side]
         rect = image.box.viewRect()
         if not rect.adjusted(rect.width() / 20, rect.height() / 20, -rect.width() / 20, -rect.height() / 20).contains(
@@ -93,7 +93,7 @@ class PairView(QWidget):
             image.show_rect(rect)
 
     def snapped(self, side: Side, place: Place) -> Place:
-        """Return the feature near a place, or the place itself."""
+        """Return the feature near a pixel, or the pixel itself."""
         picture = self._pictures[side]
         if not self._snaps or picture is None:
             return place
@@ -116,7 +116,7 @@ class PairView(QWidget):
         other.layer.set_partner(self._partner(side, (u, v)) if inside else None)
 
     def _follow(self, side: Side) -> None:
-        """Let the other image show the same part of the scene, as far as the partner of the middle is known."""
+        """Show the same part of the scene in the other image, if the partner of the centre is known."""
         if not self._linked or self._linking:
             return
         image, other = self.images[side], self.images[_other(side)]

@@ -27,9 +27,9 @@ class Picture:
     Attributes
     ----------
     pixels : uint8, shape (H, W, 4)
-        As ``QImage.Format_RGB32`` has it in memory.
+        In the memory layout of ``QImage.Format_RGB32``.
     gray : uint8, shape (H, W)
-        In which snapping looks for corners and blobs.
+        The image in which snapping searches for corners and blobs.
     """
 
     pixels: Uint8Array
@@ -37,14 +37,14 @@ class Picture:
 
 
 def image_choices(frame: SensorFrame, side: Side) -> tuple[ImageChoice, ...]:
-    """Return which images a side of a frame has."""
+    """Return the images that one side of a frame has."""
     if side == "tactile" and frame.tactile_color is None:
         return ("depth", "relative")
     return ("color", "depth", "relative")
 
 
 def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice, stretch: bool) -> Picture:
-    """Return the image of one side; a choice that it does not have becomes its first."""
+    """Return the image of one side. A choice that is not available is replaced by the first one."""
     choices = image_choices(frame, side)
     choice = choice if choice in choices else choices[0]
     if choice == "color":
@@ -58,12 +58,12 @@ def picture(frame: SensorFrame, rig: Rig, side: Side, choice: ImageChoice, stret
 
 
 def tactile_depth_at(frame: SensorFrame, rig: Rig, u: float, v: float) -> float | None:
-    """Return the raw tactile depth in metres at a place, from the pixels around it; None where there is none."""
+    """Return the raw tactile depth in metres at a pixel, from its neighbourhood; None without depth."""
     return depth_under(frame.tactile_depth, rig.tactile.depth_unit_m, u, v)
 
 
 def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
-    """Return tactile pixels and raw depths (M, 3) of every ``step``-th pixel that has a depth, metres."""
+    """Return (u, v, raw depth in metres) of every ``step``-th tactile pixel with a depth: float64 (M, 3)."""
     v, u = np.mgrid[step // 2 : frame.tactile_depth.shape[0] : step, step // 2 : frame.tactile_depth.shape[1] : step]
     counts = frame.tactile_depth[v, u]
     valid = valid_depth(counts)
@@ -71,7 +71,7 @@ def membrane_grid(frame: SensorFrame, rig: Rig, step: int) -> Float64Array:
 
 
 def pack_rgb(rgb: Uint8Array) -> Uint8Array:
-    """Return RGB (H, W, 3) as ``QImage.Format_RGB32`` has it in memory, (H, W, 4)."""
+    """Convert RGB (H, W, 3) to the memory layout of ``QImage.Format_RGB32``, (H, W, 4)."""
     return np.asarray(cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2BGRA), dtype=np.uint8)
 
 
@@ -90,7 +90,7 @@ def _depth_picture(depth_m: Float32Array, stretch: bool) -> Picture:
 
 
 def _relief_picture(depth_m: Float32Array, stretch: bool) -> Picture:
-    """Depth relative to the smooth surroundings: bumps and edges, whatever the distance."""
+    """Draw depth relative to its smoothed surroundings, which shows bumps and edges at any distance."""
     valid = np.isfinite(depth_m)
     weight = cv2.GaussianBlur(valid.astype(np.float32), (0, 0), _RELIEF_SIGMA_PX)
     smooth = cv2.GaussianBlur(np.nan_to_num(depth_m), (0, 0), _RELIEF_SIGMA_PX) / np.maximum(weight, 1e-6)
@@ -118,11 +118,11 @@ def _mapped(values: Float32Array, lut: AnyArray, low: float, high: float) -> Pic
     return Picture(pack_rgb(rgb.astype(np.uint8)), gray)
 
 
-#: How far, in image pixels, a click may jump.
+#: Largest distance that snapping moves a click, pixels.
 REACH_PX = 6.0
 
 
 def snap(picture: Picture, place: Place) -> Place | None:
-    """Return the sub-pixel corner or blob centre near a place, or None."""
+    """Return the sub-pixel corner or blob centre near a pixel, or None."""
     found = snap_to_feature(picture.gray, *place, radius=REACH_PX)
     return None if found is None else (found.u, found.v)

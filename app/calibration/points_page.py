@@ -1,4 +1,4 @@
-"""The page on which pairs of points are clicked."""
+"""The page for clicking point pairs."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class PointsPage(QWidget):
 
     def _make_tools(self) -> None:
         self.snapshot = QComboBox()
-        self.snapshot.setToolTip("The snapshot that is clicked in; points of several inflation levels span depth")
+        self.snapshot.setToolTip("The snapshot to click in; points at several inflation levels span depth")
         self.snapshot.setAccessibleName("Snapshot")
         self.snapshot.setMinimumContentsLength(14)
         self.left_image, self.right_image = QComboBox(), QComboBox()
@@ -65,7 +65,7 @@ class PointsPage(QWidget):
             box.setToolTip(f"{name}: colour shows the membrane's dots, depth the edges of a pressed object")
         self.stretch = _check("Contrast", "Stretch the contrast of both images")
         self.snap = _check(
-            "Snap", "Clicks jump to the corner or dot nearby, to a fraction of a pixel; Ctrl + click never"
+            "Snap", "Move clicks to the nearest corner or dot, with sub-pixel accuracy; Ctrl + click does not snap"
         )
         self.link = _check("Link zoom", "Zoom and pan both images together")
         self.link.setChecked(True)
@@ -76,11 +76,11 @@ class PointsPage(QWidget):
         self.arrows.setCurrentIndex(2)
         self.arrows.setAccessibleName("Residual arrows")
         self.arrows.setToolTip(
-            "Arrows in the left image point to where the fit expects each point, enlarged so many times"
+            "Arrows in the left image point from each click to its fitted position, enlarged by this factor"
         )
         self.undo = _button("Undo", "Undo (Ctrl+Z)")
         self.redo = _button("Redo", "Redo (Ctrl+Shift+Z)")
-        self.whole = _button("Whole", "Show both images whole (0)")
+        self.whole = _button("Whole", "Fit both images into view (0)")
         self.load = _button("Import…", "Read pairs from a CSV or a QGIS .points file")
         self.store = _button("Export…", "Write the pairs to a CSV or a QGIS .points file")
 
@@ -154,30 +154,30 @@ class PointsPage(QWidget):
         accept = QShortcut(QKeySequence("Ctrl+Return"), self)
         accept.activated.connect(self.accept_ghost)
 
-    # What is shown
+    # Display
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show another fit: residuals, arrows, ghost."""
+        """Show a new fit: residuals, arrows, predicted partner."""
         self._outcome = outcome
         self.fit_line.setText(outcome.sentence)
         self.fit_line.setToolTip(outcome.sentence)
         self._show_points()
 
     def partner(self, side: Side, place: Place) -> Place | None:
-        """Return where a place of one image is expected in the other, by the fit or, before it, by the rig."""
+        """Predict the pixel in the other image, from the fit or, before the first fit, from the rig."""
         snapshot = self._session.state.snapshot
         alignment = self._outcome.alignment or self._nominal
         return None if snapshot is None or alignment is None else self._expected(alignment, snapshot, side, place)
 
     def accept_ghost(self) -> None:
-        """Take the predicted place as the partner of the waiting click."""
+        """Use the predicted pixel as the partner of the pending click."""
         if self._ghost is not None:
             side, place = self._ghost
             self._session.click(side, *place)
 
     @property
     def ghost(self) -> tuple[Side, Place] | None:
-        """The predicted partner that is offered."""
+        """The predicted partner, if one is offered."""
         return self._ghost
 
     def _show_state(self, state: SessionState) -> None:
@@ -266,23 +266,25 @@ class PointsPage(QWidget):
             other = "left" if pending.proximity is None else "right"
             if self._ghost is not None:
                 return (
-                    f"Click the partner in the {other} image, or press Enter to accept the dashed ring. Esc takes back."
+                    f"Click the partner in the {other} image, or press Enter to accept the dashed ring. Esc "
+                    "removes the first click."
                 )
-            return f"Now click the same spot in the {other} image. Esc takes the first click back."
+            return f"Now click the same spot in the {other} image. Esc removes the first click."
         without = missing_depth(state)
         if without:
             names = ", ".join(str(key) for key in without[:5])
             return (
-                f"No tactile depth under point {names}: rigid cannot use it. Move it a little, or average more frames."
+                f"No tactile depth under point {names}: the rigid model cannot use it. Move it slightly, or "
+                "average more frames."
             )
         elsewhere = sum(
             1 for pair in state.pairs if not same_pixels(pair, state.choices.proximity_image, self._session.rig)
         )
         if elsewhere:
-            return f"{elsewhere} of the pairs were clicked in the other left image and are not drawn in this one."
+            return f"{elsewhere} pairs were clicked in the other left image and are not drawn here."
         return "Click a dot in one image, then the same dot in the other. Drag or arrow keys correct, Delete removes."
 
-    # What a person does
+    # Actions
 
     def _pressed(self, key: int, modifiers: Qt.KeyboardModifier) -> None:
         selected = self._session.selected
@@ -312,7 +314,7 @@ class PointsPage(QWidget):
             self._session.remove(self._session.selected)
 
     def _row_selected(self, keys: tuple[int, ...]) -> None:
-        """Select the points, and if they are elsewhere, go there."""
+        """Select the points, and pan to them if they are out of view."""
         self._session.select(keys)
         if len(keys) != 1:
             return

@@ -1,4 +1,4 @@
-"""Where the partner of a click is expected in the other image."""
+"""Prediction of a click's partner in the other image."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Alignment:
     Attributes
     ----------
     pose : float64 (4, 4) or None
-        ``T_p_t``, metres; None where this is a homography.
+        ``T_p_t``, metres; None for a homography.
     homography : float64 (3, 3) or None
         ``H_p_t``, tactile to proximity depth pixels.
     scale, offset_m : float
@@ -36,14 +36,14 @@ class Alignment:
 
 
 def nominal_alignment(rig: Rig) -> Alignment | None:
-    """Return what the rig itself states, or None."""
+    """Return the alignment stated by the rig, or None."""
     return None if rig.T_proximity_tactile is None else Alignment(pose=np.asarray(rig.T_proximity_tactile))
 
 
 def proximity_partner(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ProximityImage, place: Place
 ) -> Place | None:
-    """Return where a tactile place is expected in a proximity image; None where that cannot be told."""
+    """Predict the proximity pixel of a tactile pixel; None if that is not possible."""
     raw_m = tactile_depth_at(frame, rig, *place)
     if alignment.pose is not None:
         if raw_m is None:
@@ -67,9 +67,9 @@ def proximity_partner(
 def tactile_partner(
     alignment: Alignment, rig: Rig, frame: SensorFrame, image: ProximityImage, place: Place
 ) -> Place | None:
-    """Return where a place of a proximity image is expected in the tactile image.
+    """Predict the tactile pixel of a pixel of a proximity image.
 
-    The ray of the click is followed until it passes through the membrane as the tactile camera sees it.
+    The click's ray is followed until it intersects the membrane measured by the tactile camera.
     """
     distances = np.linspace(_NEAREST_M, _FARTHEST_M, _STEPS)
     points = _ray(rig, image, place, distances)

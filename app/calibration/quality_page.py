@@ -30,13 +30,13 @@ from .session import Session
 _STEP_PX = 8
 _COARSE = 4
 _OPACITY = 0.62
-#: The colours span the values up to this percentile: a corner far from all points shall not flatten the rest.
+#: Upper end of the colours: a percentile, so that a corner far from all points does not flatten the rest.
 _PERCENTILE = 97.0
 
 
 @dataclass(frozen=True, eq=False)
 class UncertaintyPicture:
-    """Pixels for the screen, (H, W, 4), and what the ends of the colours mean."""
+    """Pixels for the screen, (H, W, 4), and the values at the ends of the colour scale."""
 
     pixels: Uint8Array
     low: float
@@ -45,13 +45,13 @@ class UncertaintyPicture:
 
 @cache
 def uncertainty_lut() -> Uint8Array:
-    """Return the colours from certain (dark) to uncertain (bright): uint8 (256, 4)."""
+    """Return the colour map from certain (dark) to uncertain (bright): uint8 (256, 4)."""
     colors = pg.colormap.get("inferno").map(np.linspace(0.15, 0.98, 256), mode="byte")
     return np.ascontiguousarray(colors)
 
 
 def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig, unit: str) -> UncertaintyPicture:
-    """Colour the proximity colour image by the alignment error expected there.
+    """Colour the proximity colour image by the expected alignment error.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def uncertainty_picture(report: CalibrationReport, frame: SensorFrame, rig: Rig,
 
 
 def color_pixels(depth_pixels: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
-    """Take proximity depth pixels (N, 2) at distances (N,) to pixels of the proximity colour image."""
+    """Map proximity depth pixels (N, 2) at distances (N,), metres, to pixels of the proximity colour image."""
     if rig.proximity_color is None:
         return depth_pixels
     rays = rig.proximity.intrinsics.normalise(depth_pixels)
@@ -95,7 +95,7 @@ _MAP_TITLE = "Expected alignment error over the membrane"
 
 
 class QualityPage(QWidget):
-    """The uncertainty map beside the verdict in words, the numbers and the coverage."""
+    """The uncertainty map, the verdict, the numbers and the coverage."""
 
     def __init__(self, session: Session, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -161,7 +161,7 @@ class QualityPage(QWidget):
         return scroll
 
     def show_outcome(self, outcome: Outcome) -> None:
-        """Show another fit."""
+        """Show a new fit."""
         self._outcome = outcome
         report = outcome.report
         while (item := self.numbers.takeAt(0)) is not None:
@@ -171,7 +171,7 @@ class QualityPage(QWidget):
         if report is None:
             self.grade.setText("No calibration yet")
             self.why.setText("")
-            self.step.setText(outcome.sentence or "Click at least four pairs, better eight, on the page Points.")
+            self.step.setText(outcome.sentence or "Click at least four pairs, preferably eight, on the page Points.")
             self.coverage.set_coverage([], [])
             self.warnings.setText("")
         else:
@@ -179,11 +179,11 @@ class QualityPage(QWidget):
         self._draw()
 
     def close_jobs(self) -> None:
-        """Stop what is under way."""
+        """Cancel running jobs."""
         self._job.stop()
 
     def showEvent(self, event: QShowEvent | None) -> None:
-        """Draw what changed meanwhile."""
+        """Redraw what changed while the page was hidden."""
         super().showEvent(event)
         self._draw()
 
@@ -200,7 +200,7 @@ class QualityPage(QWidget):
             ("Patch boundary off by", f"{quality.effect.boundary_mm:.2f} mm"),
             ("Depth difference at contact", f"{quality.effect.depth_mm:.2f} mm"),
             ("Alignment error, 95 % bound", f"{quality.alignment_bound_95_px:.2f} px"),
-            ("Residual, RMS", "an exact fit: says nothing" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
+            ("Residual, RMS", "exact fit, not informative" if quality.rms_px is None else f"{quality.rms_px:.2f} px"),
             (
                 f"Cross-validated ({quality.cross_validation})",
                 "needs six pairs" if quality.cross_validated_px is None else f"{quality.cross_validated_px:.2f} px",
@@ -226,7 +226,7 @@ class QualityPage(QWidget):
         return list(_UNITS)[self.units.checkedId()]
 
     def _draw(self) -> None:
-        """Have the map drawn, if it is looked at and out of date."""
+        """Draw the map if it is visible and out of date."""
         report, snapshot, rig = self._outcome.report, self._session.state.snapshot, self._session.rig
         self._show_marks()
         if not self.isVisible():
@@ -258,7 +258,7 @@ class QualityPage(QWidget):
         self._show_marks()
 
     def _show_marks(self) -> None:
-        """Mark the points on the map; without one they would cover the words that stand for it."""
+        """Mark the points on the map; without a map they would cover the message."""
         if not self._mapped:
             self.map.set_marks([])
             return

@@ -1,4 +1,4 @@
-"""Does the preset's calibration still hold? The answer on the present frame, with arrows and in words."""
+"""Re-check of the preset's calibration on the current frame, shown with arrows and in words."""
 
 from __future__ import annotations
 
@@ -23,25 +23,25 @@ from .pictures import picture
 from .session import ImageChoice
 
 _FACTORS = {"Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×30": 30.0}
-_CHECKING = "Looking the points up on the present frame…"
+_CHECKING = "Searching the points in the current frame…"
 _WORST_SHARE = 0.95
 _NO_UNTOUCHED = (
     "The inflation was not checked: this preset has no untouched frame. Capture one while nothing touches the "
     "membrane, with Analysis > Capture untouched frame…"
 )
-_LOST = "The inflation was not checked: the preset's untouched frame cannot be found; capture it anew."
+_LOST = "The inflation was not checked: the preset's untouched frame cannot be found; capture it again."
 
 
 @dataclass(frozen=True)
 class Rechecked:
-    """What a check found: drift of the alignment and of the membrane, each or why not."""
+    """Result of a check: drift of the alignment and of the membrane, or for each the reason why it was not checked."""
 
     alignment: Drift | str
     membrane: MembraneDrift | str
 
 
 def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: SensorFrame) -> Rechecked:
-    """Check the alignment, and the membrane against the preset's untouched frame where it has one."""
+    """Check the alignment, and compare the membrane with the preset's untouched frame if there is one."""
     alignment: Drift | str
     membrane: MembraneDrift | str = _NO_UNTOUCHED if preset.untouched is None else _LOST
     try:
@@ -58,7 +58,7 @@ def recheck_all(preset: Preset, preset_path: Path | None, rig: Rig, frame: Senso
 
 
 class RecheckWindow(QDialog):
-    """Runs the check on a frame and shows drift, in pixels and millimetres, and whether to calibrate again.
+    """Checks a frame and shows the drift in pixels and millimetres, and whether to calibrate again.
 
     Signals
     -------
@@ -85,15 +85,17 @@ class RecheckWindow(QDialog):
         self.membrane = QLabel()
         self.membrane.setWordWrap(True)
         self.membrane.setFont(font)
-        self.membrane.setToolTip("The tactile and proximity depth of the membrane against the preset's untouched frame")
-        self.image = PointImage("Tactile camera: where the proximity camera finds each place, from where it should be")
+        self.membrane.setToolTip(
+            "Change of the membrane's tactile and proximity depth since the preset's untouched frame"
+        )
+        self.image = PointImage("Tactile camera: offset of each point from where the calibration expects it")
         self.image.set_loupe_wanted(False)
         self.numbers = QGridLayout()
         self.factor = QComboBox()
         self.factor.addItems(list(_FACTORS))
         self.factor.setCurrentIndex(1)
         self.factor.setAccessibleName("Arrows")
-        self.factor.setToolTip("Enlargement of the arrows; they are offsets in proximity pixels")
+        self.factor.setToolTip("Enlargement of the arrows, which show offsets in proximity pixels")
         self.again = push_button("Check again", "Check on the newest frame (Ctrl+R)")
         self.again.setShortcut("Ctrl+R")
         self.calibrate = push_button("Calibrate…", "Open the calibration wizard")
@@ -127,7 +129,7 @@ class RecheckWindow(QDialog):
         self._job.start(lambda _: recheck_all(preset, preset_path, rig, frame))
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Stop what is under way."""
+        """Cancel running jobs."""
         self._job.stop()
         super().closeEvent(event)
 
@@ -161,12 +163,12 @@ def _alignment_rows(drift: Drift | None) -> list[tuple[str, str]]:
         return []
     return [
         ("Drift, median", f"{drift.drift_px:.2f} px, {drift.drift_mm:.2f} mm"),
-        ("95 % of the places within", f"{drift.worst_px:.2f} px"),
+        ("95 % of the points within", f"{drift.worst_px:.2f} px"),
         (
             "Clicked points found again",
             f"{drift.found} of {drift.stored}" if drift.stored else "none stored in the preset",
         ),
-        ("Places compared", str(len(drift.tactile))),
+        ("Points compared", str(len(drift.tactile))),
     ]
 
 

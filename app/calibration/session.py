@@ -27,10 +27,10 @@ class _Frozen(BaseModel):
 
 
 class PointPair(_Frozen):
-    """The same thing clicked in both images; while one side is missing, the pair waits for its partner.
+    """A point clicked in both images. While one side is missing, the pair is pending.
 
-    ``proximity_image`` tells in whose pixels the proximity side is; ``tactile_depth_m`` is None where the
-    tactile camera has no depth there. ``snapshot`` is a digest, empty for imported pairs.
+    ``proximity_image`` names the image whose pixels the proximity side is given in. ``tactile_depth_m`` is None where
+    the tactile camera has no depth. ``snapshot`` is a digest; it is empty for imported pairs.
     """
 
     key: int
@@ -44,7 +44,7 @@ class PointPair(_Frozen):
 
     @property
     def complete(self) -> bool:
-        """Whether both sides are there."""
+        """Whether both sides are clicked."""
         return self.proximity is not None and self.tactile is not None
 
     def place(self, side: Side) -> Place | None:
@@ -53,7 +53,7 @@ class PointPair(_Frozen):
 
 
 class Choices(_Frozen):
-    """What the person chose on the pages."""
+    """The options chosen on the pages."""
 
     snapshot: str = ""
     proximity_image: ImageChoice = "color"
@@ -67,7 +67,7 @@ class Choices(_Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One averaged frame; ``moved_m`` is how far the membrane moved meanwhile."""
+    """One averaged frame. ``moved_m`` is how far the membrane moved while it was taken."""
 
     digest: str
     name: str
@@ -78,7 +78,7 @@ class Snapshot:
 
 @dataclass(frozen=True)
 class SessionState:
-    """Everything that undo brings back."""
+    """Everything that undo restores."""
 
     snapshots: tuple[Snapshot, ...] = ()
     pairs: tuple[PointPair, ...] = ()
@@ -86,7 +86,7 @@ class SessionState:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing has been done yet."""
+        """Whether there is neither a snapshot nor a pair."""
         return not self.snapshots and not self.pairs
 
     @property
@@ -96,7 +96,7 @@ class SessionState:
 
     @property
     def pending(self) -> PointPair | None:
-        """The pair that waits for its partner."""
+        """The pair whose second click is missing."""
         return next((pair for pair in self.pairs if not pair.complete), None)
 
     @property
@@ -125,7 +125,7 @@ class SessionState:
 
 
 def rig_key(rig: Rig) -> str:
-    """Return a name for a pair of cameras that serves as part of a file name."""
+    """Return a key for a pair of cameras, to be used in file names."""
     text = f"{rig.proximity.model} {rig.proximity.serial} {rig.tactile.model} {rig.tactile.serial}"
     text += f" {rig.proximity.intrinsics.shape} {rig.tactile.intrinsics.shape}"
     return hashlib.sha256(text.encode()).hexdigest()[:16]
@@ -141,12 +141,12 @@ class Session(History[SessionState]):
     ----------
     rig : Rig
     read_depth : callable
-        Tells the tactile depth in metres at a place of a snapshot, or None.
+        Returns the tactile depth in metres at a pixel of a snapshot, or None.
 
     Signals
     -------
     selectionChanged(tuple of int)
-        Other pairs are selected; selecting is no step.
+        Other pairs are selected. Selecting is not an undo step.
     """
 
     selectionChanged = pyqtSignal(object)
@@ -167,7 +167,7 @@ class Session(History[SessionState]):
         return next(pair for pair in self._state.pairs if pair.key == key)
 
     def show(self, state: SessionState) -> None:
-        """Change the state without a step; pairs that are gone are no longer selected."""
+        """Change the state without a step, and deselect pairs that no longer exist."""
         super().show(state)
         present = {pair.key for pair in state.pairs}
         self.select(key for key in self._selected if key in present)
@@ -184,7 +184,7 @@ class Session(History[SessionState]):
         self.edit("Change a choice", self._state.with_choices(**values))
 
     def look(self, **values: Any) -> None:
-        """Change what is looked at; no step of its own."""
+        """Change what is displayed, without an undo step."""
         after = self._state.with_choices(**values)
         if after != self._state:
             self.show(after)
@@ -211,7 +211,7 @@ class Session(History[SessionState]):
     # Pairs
 
     def click(self, side: Side, u: float, v: float) -> None:
-        """Take a click: it begins a pair, moves its first click, or completes it."""
+        """Process a click: it starts a pair, moves its first click, or completes the pair."""
         pending, present = self._state.pending, self._state.choices.snapshot
         if pending is None or pending.snapshot != present:
             key = self._state.next_key() if pending is None else pending.key
@@ -230,7 +230,7 @@ class Session(History[SessionState]):
         self.edit(f"Move point {key}", self._state.with_pair(moved), gesture)
 
     def cancel_pending(self) -> None:
-        """Take back a first click that waits for its partner."""
+        """Remove a pending first click."""
         if self._state.pending is not None:
             self.remove([self._state.pending.key])
 

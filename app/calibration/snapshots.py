@@ -17,7 +17,7 @@ from .session import Snapshot
 
 
 def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo, progress: Progress) -> Snapshot:
-    """Average frames to one snapshot, named by the number of its first frame, from 1."""
+    """Average frames into one snapshot, named after its first frame; frames count from 1."""
     progress(0.0, "Averaging")
     taken = take_median(frames)
     last = number + frames[-1].sequence - frames[0].sequence
@@ -28,7 +28,7 @@ def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo, 
 def moved_m(frames: Sequence[SensorFrame], unit_m: float) -> float:
     """Return how much the tactile depth changed from the first to the last frame, metres.
 
-    The 95th percentile over the pixels, so a small moving object shows and noise hardly does.
+    This is the 95th percentile over the pixels: sensitive to a small moving object, robust to noise.
     """
     before, after = frames[0].tactile_depth[::4, ::4], frames[-1].tactile_depth[::4, ::4]
     valid = valid_depth(before) & valid_depth(after)
@@ -38,20 +38,20 @@ def moved_m(frames: Sequence[SensorFrame], unit_m: float) -> float:
     return float(np.percentile(change, 95))
 
 
-#: More frames than this are never averaged: they would take gigabytes and add nothing.
+#: Upper limit of frames to average; more would take gigabytes and add nothing.
 MOST_FRAMES = 60
 _WAITING_SHARE = 0.5
 
 
 class Collector(QObject):
-    """Gathers the next frames of a feed into one snapshot.
+    """Averages the next frames of a feed into one snapshot.
 
     Signals
     -------
     progress(share: float, words: str)
     taken(Snapshot)
     failed(sentence: str)
-        Empty where it was cancelled.
+        Empty if the job was cancelled.
     """
 
     progress = pyqtSignal(float, str)
@@ -79,7 +79,7 @@ class Collector(QObject):
         return self._wanted > 0 or self._job.busy
 
     def start(self, count: int) -> None:
-        """Take the frame that is shown and those that follow it, ``count`` in all."""
+        """Use the current frame and the following ones, ``count`` in total."""
         frame, playback = self._feed.frame, self._feed.playback
         if self.busy or frame is None:
             return
@@ -99,7 +99,7 @@ class Collector(QObject):
         self._job.cancel()
 
     def close(self) -> None:
-        """Stop for good."""
+        """Stop permanently."""
         self._wanted = 0
         self._job.stop()
 

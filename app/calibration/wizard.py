@@ -1,4 +1,4 @@
-"""The window of the calibration wizard: six steps, each reachable at any time; and its launcher."""
+"""The window of the calibration wizard, with six steps in any order, and its launcher."""
 
 from __future__ import annotations
 
@@ -40,25 +40,25 @@ STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
 _TIPS = (
     "Take snapshots of the membrane, at one or several inflation levels",
     "Click the same spots in both images",
-    "Let boards, dot grids or the membrane's texture give the points",
-    "Both models side by side, and which one to take",
-    "How good the calibration is, and what to do next",
-    "See the images and the patch with the new alignment beside the old",
+    "Find points automatically on boards, dot grids or the membrane's texture",
+    "Compare both models and choose one",
+    "Quality of the calibration and the next step",
+    "Compare images and patch with the new and the old alignment",
 )
 _FILTERS = "Points (*.csv *.points);;All files (*)"
 
 
 class CalibrationWizard(QDialog):
-    """Leads from frames to a saved alignment; closing it loses nothing.
+    """Leads from frames to a saved alignment. Closing it loses nothing.
 
     Parameters
     ----------
     feed : FrameFeed
-        The present source.
+        The current source.
     document : Document
         The preset that the alignment is saved into, as one undoable step.
     folder : Path
-        Where the state is kept between openings.
+        Where the state is saved when the wizard is closed.
     native_dialogs : bool
         Use the operating system's file dialogs.
     backend : "auto", "opengl" or "software"
@@ -126,13 +126,13 @@ class CalibrationWizard(QDialog):
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = ElidedLabel()
-        self.over = push_button("Start over", "Empty the wizard; undo brings everything back")
+        self.over = push_button("Start over", "Clear the wizard; undo restores everything")
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
             "Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)"
         )
-        self.leave = push_button("Close", "Close the wizard; everything is kept and offered again")
+        self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
         footer = QHBoxLayout()
         footer.addWidget(self.over)
         footer.addWidget(self.verdict, 1)
@@ -186,7 +186,7 @@ class CalibrationWizard(QDialog):
         self.next.setEnabled(number < len(STEPS) - 1)
 
     def start_over(self) -> None:
-        """Empty the session, as one step that undo brings back."""
+        """Clear the session, as one undoable step."""
         kept_choices = SessionState().with_choices(average=self.session.state.choices.average)
         self.session.edit("Start over", kept_choices)
         self.messages.clear("kept")
@@ -199,13 +199,13 @@ class CalibrationWizard(QDialog):
         self.messages.show_message(
             "kept",
             Severity.INFO,
-            f"Here is what you left on {kept_at.astimezone():%d %B, %H:%M}: {len(state.complete_pairs)} pairs and "
-            f"{len(state.snapshots)} snapshots. Go on, or start over.",
+            f"Restored from {kept_at.astimezone():%d %B, %H:%M}: {len(state.complete_pairs)} pairs and "
+            f"{len(state.snapshots)} snapshots. Continue, or start over.",
             offers=[("Start over", self.start_over)],
         )
 
     def _offer_stored(self) -> None:
-        """Offer the points that the preset keeps, where there is nothing newer."""
+        """Offer the points stored in the preset, if there are no newer ones."""
         record = self._document.preset.alignment.calibration
         if record is None or not record.points or not self.session.state.empty:
             return
@@ -214,9 +214,9 @@ class CalibrationWizard(QDialog):
         self.messages.show_message(
             "stored",
             Severity.INFO,
-            f"The preset keeps {len(pairs)} pairs of {record.date.astimezone():%d %B %Y}. They hold as long as nothing "
-            "has been moved since.",
-            offers=[("Begin with them", lambda: self.session.add_pairs(pairs, "Take the preset's pairs"))],
+            f"The preset contains {len(pairs)} pairs of {record.date.astimezone():%d %B %Y}. They are valid if "
+            "nothing has moved since.",
+            offers=[("Use them", lambda: self.session.add_pairs(pairs, "Take the preset's pairs"))],
         )
 
     def _show_state(self, state: SessionState) -> None:
@@ -241,7 +241,7 @@ class CalibrationWizard(QDialog):
             self.messages.show_message("file", Severity.ERROR, str(error))
             return
         state = self.session.state
-        if path.suffix == ".points":  # says nothing of images, so the present ones are meant
+        if path.suffix == ".points":  # the file names no images, so the current ones are meant
             image: ProximityImage = "color" if state.choices.proximity_image == "color" else "depth"
             number = None if state.snapshot is None else state.snapshots.index(state.snapshot)
             points = [replace(point, proximity_image=image, snapshot=number) for point in points]
@@ -272,7 +272,7 @@ class CalibrationWizard(QDialog):
         return QFileDialog.Option(0) if self._native else QFileDialog.Option.DontUseNativeDialog
 
     def save_into_preset(self) -> None:
-        """Put the alignment with its record into the document, as one undoable step."""
+        """Save the alignment and its record in the document, as one undoable step."""
         report = self.outcome.report
         if report is None:
             return
@@ -282,7 +282,7 @@ class CalibrationWizard(QDialog):
             self.messages.show_message(
                 "saved",
                 Severity.INFO,
-                "The alignment is in the preset now; undo in the main window takes it out again.",
+                "The alignment is in the preset now; undo in the main window removes it.",
             )
             self.saved.emit()
 
@@ -293,14 +293,14 @@ class CalibrationWizard(QDialog):
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Escape and Enter belong to the pages: neither closes the wizard."""
+        """Pass Escape and Enter to the pages: neither closes the wizard."""
         if event is not None and event.key() in {Qt.Key.Key_Escape, Qt.Key.Key_Return, Qt.Key.Key_Enter}:
             event.accept()
             return
         super().keyPressEvent(event)
 
     def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Keep the state and stop what is under way."""
+        """Save the state and cancel running jobs."""
         self.collector.close()
         self.fitter.close()
         for page in (self.helpers, self.quality, self.check):
@@ -311,7 +311,7 @@ class CalibrationWizard(QDialog):
 
 
 def _short(report: CalibrationReport) -> str:
-    """Return the verdict in one line: the grade, the error, and the next step."""
+    """Return the verdict in one line: grade, error, next step."""
     judged, quality = grade(report.chosen), report.chosen
     word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
@@ -322,7 +322,7 @@ _NO_FRAME = "There is no frame to calibrate on yet: open a source first."
 
 
 class CalibrationLauncher(QObject):
-    """Keeps at most one wizard and one check window, and feeds them."""
+    """Opens at most one wizard and one re-check window, and passes frames to them."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -333,7 +333,7 @@ class CalibrationLauncher(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open_wizard(self) -> None:
-        """Open the wizard on the present source, or bring it to the front."""
+        """Open the wizard on the current source, or bring it to the front."""
         context = self._context
         if context.result is None:
             context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
@@ -354,7 +354,7 @@ class CalibrationLauncher(QObject):
         self.wizard.activateWindow()
 
     def open_recheck(self) -> None:
-        """Check the preset's alignment on the present frame."""
+        """Check the preset's alignment on the current frame."""
         context = self._context
         if context.result is None:
             context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
@@ -368,7 +368,7 @@ class CalibrationLauncher(QObject):
         self._check()
 
     def close(self) -> None:
-        """Close both windows; the wizard's state is kept."""
+        """Close both windows; the wizard's state is saved."""
         for opened in (self.wizard, self.recheck):
             if opened is not None:
                 opened.close()

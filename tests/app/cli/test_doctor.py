@@ -12,7 +12,6 @@ import pytest
 
 from tactune.app.cli import doctor as cli_doctor
 from tactune.app.doctor import system as doctor_system
-from tactune.app.doctor import system as doctor_window
 from tactune.app.doctor.cameras import check_cameras, check_driver, check_libraries, check_udev_rules
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
 from tactune.app.doctor.system import (
@@ -201,7 +200,7 @@ def test_qt(monkeypatch):
     def nothing(name):
         raise PackageNotFoundError(name)
 
-    monkeypatch.setattr(doctor_window, "version", nothing)
+    monkeypatch.setattr(doctor_system, "version", nothing)
     line = only(check_qt())
     assert line.state is State.WARN
     assert "tactune[gui]" in line.remedy
@@ -216,7 +215,7 @@ def test_qt_libraries(tmp_path, monkeypatch):
     assert line.remedy == "Install what is missing: sudo apt-get install libxcb-cursor0 libnew.so.3"
     assert only(check_qt_libraries(answering("\tlibc.so.6 => /lib/libc.so.6\n"), files)).state is State.OK
     assert only(check_qt_libraries(answering("", "no answer"), files)).state is State.WARN
-    monkeypatch.setattr(doctor_window.shutil, "which", lambda _: None)
+    monkeypatch.setattr(doctor_system.shutil, "which", lambda _: None)
     assert "no ldd" in only(check_qt_libraries(answering(""), files)).found
 
 
