@@ -14,9 +14,11 @@ run_pytest() { # platform, launcher, pytest's options ...
         tee "$logs/$(date +%s%N)" || status=1
 }
 
-# Kernels are compiled once, not by both processes at the same time.
-.venv/bin/tactune warmup >/dev/null || status=1
+# What is compiled or solved once, and kept on the disk, is not done by both processes at the same time.
+.venv/bin/python tests/support/prepare.py &
+prepare=$!
 if [ "${1:-}" = long ]; then
+    wait $prepare || status=1
     run_pytest offscreen "" -m "long and not gl" --numprocesses 2 --dist worksteal
 else
     if command -v xvfb-run >/dev/null 2>&1; then
@@ -27,6 +29,7 @@ else
         echo "The OpenGL tests need xvfb-run or a display: install xvfb with your package manager." >&2
         exit 1
     fi
+    wait $prepare || status=1
     run_pytest offscreen "" -m "not gl and not long" --numprocesses 2 --dist worksteal
 fi
 scripts/sum_tests.sh "$logs"/*

@@ -123,7 +123,14 @@ def test_dots_across_a_step_of_depth_are_no_neighbours():
     assert not ((u.min(axis=1) < 325) & (u.max(axis=1) > 325)).any()
 
 
-@pytest.mark.parametrize("scene", ["cup?press=low", "cup?press=medium", "cube?press=high"])
+@pytest.mark.parametrize(
+    "scene",
+    [
+        "cup?press=low",
+        pytest.param("cup?press=medium", marks=pytest.mark.long),
+        pytest.param("cube?press=high", marks=pytest.mark.long),
+    ],
+)
 def test_the_simulator_and_the_dots_agree_within_two_points(scene):
     """Against the solver's largest strain between dots that the tactile camera sees whole, up to 92 %."""
     with open_source(f"sim:{scene}&grid=dots") as source:
@@ -134,8 +141,15 @@ def test_the_simulator_and_the_dots_agree_within_two_points(scene):
     assert measured.width.largest == pytest.approx(facts.strain_width_seen, abs=0.02)
 
 
-@pytest.mark.parametrize("side", ["right", "left"])
-@pytest.mark.parametrize("shape", ["cup", "octopus"])
+@pytest.mark.parametrize(
+    ("shape", "side"),
+    [
+        ("cup", "left"),
+        pytest.param("cup", "right", marks=pytest.mark.long),
+        pytest.param("octopus", "left", marks=pytest.mark.long),
+        pytest.param("octopus", "right", marks=pytest.mark.long),
+    ],
+)
 def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape, side):
     """Up to 90 %; at the cup's sharp lip one of the dots lies at the edge. Cut dots beside have 86 to 109 %."""
     with open_source(f"sim:{shape}?press=high&side={side}&grid=dots") as source:
@@ -150,7 +164,7 @@ def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape,
     "scene",
     [
         "cup?press=high&side=left",
-        "cup?press=high&side=right&seed=3",
+        pytest.param("cup?press=high&side=right&seed=3", marks=pytest.mark.long),
         pytest.param("stiff?press=high&object=cube&seed=8", marks=pytest.mark.long),
     ],
 )

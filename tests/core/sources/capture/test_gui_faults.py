@@ -151,6 +151,7 @@ def test_the_window_stays_responsive_says_it_and_goes_on(
     assert np.all(np.diff([frame.proximity_time_s for frame in frames]) > 0)
 
 
+@pytest.mark.long
 def test_the_window_goes_through_all_faults_of_the_cameras(
     qtbot, watch: Watch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

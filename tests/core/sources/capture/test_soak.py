@@ -10,9 +10,12 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SCRIPT = Path(__file__).parents[4] / "scripts" / "soak.py"
 
 
+@pytest.mark.long
 def test_a_minute_of_capturing_recording_and_showing_leaves_nothing_behind() -> None:
     done = subprocess.run(
         [sys.executable, SCRIPT, "--minutes", "1"],
