@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from .sources.registry import open_source
 
 _HOME = {
-    "ContactPatch": ".contact.patch",
+    "ContactPatch": ".model.patch",
     "ContactPipeline": ".contact.pipeline",
     "Preset": ".preset",
     "Provenance": ".model.provenance",

@@ -19,10 +19,10 @@ import numpy as np
 from tactune.core import ContactPipeline
 from tactune.core.bench.scenes import BenchScene, make_scene
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.candidates import CandidateBuffers, CandidateFinder, drop_small_clusters
 from tactune.core.contact.flat import flat
 from tactune.core.contact.kernels.threads import available_threads, set_threads
 from tactune.core.contact.outliers.statistical import statistical_inliers
+from tactune.core.contact.tolerance import ToleranceFinder, drop_small_clusters
 
 SCENES = ("empty", "untouched", "light-touch", "cup-medium", "octopus-high", "noisy-51k", "full-contact")
 
@@ -52,15 +52,14 @@ def wall_ms(calls: dict[str, Callable[[], object]], rounds: int) -> dict[str, fl
 def measure(scene: BenchScene, rounds: int) -> None:
     """Print one scene's line of processor times and one of wall times."""
     rig, preset, frame = scene.rig, scene.preset, scene.frame
-    finder = CandidateFinder(preset, rig, make_alignment(preset.alignment, rig))
-    buffers = CandidateBuffers(rig)
+    finder = ToleranceFinder(preset, rig, make_alignment(preset.alignment, rig))
     images = flat(frame.proximity_depth), flat(frame.tactile_depth)
-    found = finder.find(frame, buffers)
+    found = finder.candidates(frame)
     lens = rig.proximity.intrinsics
     set_threads(1)
     parts = {
         "coarse": lambda: finder.coarse.tiles(*images, finder.limits),
-        "fusion": lambda: finder.find(frame, buffers),
+        "fusion": lambda: finder.candidates(frame),
         "k = 20": lambda: statistical_inliers(found.points, found.pixels, lens, 20, 2.0),
         "k = 50": lambda: statistical_inliers(found.points, found.pixels, lens, 50, 2.0),
         "clusters": lambda: drop_small_clusters(found, rig, preset.outliers),

@@ -186,7 +186,8 @@ class CheckPage(QWidget):
 
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
-        use = "" if preset.contact_test == "tolerance" else ", and the preset's membrane test does not use it"
+        used = "tolerance" in preset.test.section_names
+        use = "" if used else f", and the preset's {preset.contact_test} test does not use it"
         self.set_tolerance.setEnabled(report is not None)
         supported = "" if report is None else f" to {report.chosen.effect.supported_tolerance:.4f}"
         self.set_tolerance.setText(

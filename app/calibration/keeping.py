@@ -17,7 +17,7 @@ from ...core.errors import TactuneError
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...core.preset.calibration_record import SnapshotRecord
+from ...core.preset.alignment import SnapshotRecord
 from ..document.keeping import KeptState, check_version, lock_of, remove_unnamed, write_json
 from .session import Choices, PointPair, Session, SessionState, Snapshot, rig_key
 

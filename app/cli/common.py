@@ -210,12 +210,13 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
     """Add ``section.enabled``, or the contact test, for each section with a value, unless the person set it."""
-    from ...core.preset.preset import preset_paths
+    from ...core.preset.preset import CONTACT_TESTS, preset_paths
 
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
-    if "membrane" in sections:
-        switches["contact_test"] = "membrane"
+    _, *others = CONTACT_TESTS  # fields of the default test, the first, do not choose it
+    for name in filter(sections.__contains__, others):
+        switches["contact_test"] = name
     return switches | values
 
 

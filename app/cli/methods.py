@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from ...core.contact.pipeline import ContactPatch, ContactPipeline, averaged_frames
+from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import SourceError, TactuneError
 from ...core.evaluation.metrics import method_area_mm2
 from ...core.methods.method import MethodPatch
@@ -151,7 +151,7 @@ def frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]
 def remembered_frames(method: str, preset: Preset) -> int:
     """Return how many frames a method averages: the judged one and those before it."""
     fields = {FUSION: {}, **FUSION_FIELDS}.get(method)
-    return 1 if fields is None else averaged_frames(preset.with_values(fields))
+    return 1 if fields is None else preset.with_values(fields).averaged_frames
 
 
 def frames_between(source: FrameSource, first: int, last: int | None, before: int) -> Iterator[tuple[int, SensorFrame]]:

@@ -148,7 +148,7 @@ def schema() -> None:
 
 
 def _tell_notes(preset: Preset) -> None:
-    from ...core.preset.notes import preset_notes
+    from ...core.preset.checks import preset_notes
 
     for sentence in preset_notes(preset):
         typer.echo(f"note: {sentence}", err=True)
@@ -173,8 +173,8 @@ def _capture_into(path: Path, source_name: str, frames: int, *, force: bool) -> 
         The preset's own pipeline finds a contact patch on the membrane, unless ``force``.
     """
     from ...core.preset import now
+    from ...core.preset.checks import check_rig
     from ...core.preset.file import save_preset
-    from ...core.preset.rig_check import check_rig
     from ...core.rig.untouched import save_untouched
     from ...core.sources.presets import load_preset
 

@@ -158,7 +158,7 @@ def export_folder(
 def run_frames(options: RunOptions) -> None:
     """Compute the patch of each frame; write files, JSON lines or a summary."""
     from ...core.contact.warmup import warm_up_if_needed
-    from ...core.preset.rig_check import check_rig
+    from ...core.preset.checks import check_rig
     from ...core.sources.presets import load_preset
     from .methods import make_step, read_untouched
 

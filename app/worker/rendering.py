@@ -30,7 +30,6 @@ from ...widgets.basics.colormaps import (
 )
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
-from .no_contact import why_no_contact
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 
 
@@ -160,7 +159,7 @@ class Renderer:
             strip = draw_strip(
                 frame, patch, preset, rig, depth_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
             )
-        by_tolerance = preset.contact_test == "tolerance"
+        by_tolerance = "tolerance" in preset.test.section_names
         return Rendered(
             clouds=clouds,
             strip=strip,
@@ -171,7 +170,7 @@ class Renderer:
             depth_range_m=depth_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
             accepted=scene.accepted,
-            no_contact=why_no_contact(patch.provenance, preset.contact_test)
+            no_contact=preset.test.why_no_contact(patch.provenance)
             if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds
             else "",
         )
@@ -192,14 +191,8 @@ class Renderer:
 
 
 def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
-    """Return the relative difference up to which the contact test takes both depths for equal.
-
-    The membrane test has a gap in metres instead, here as a share of the scene's middle depth.
-    """
-    if preset.contact_test == "tolerance":
-        return preset.tolerance.t
-    middle_m = sum(depth_range_m) / 2
-    return float(f"{preset.membrane.gap_m / middle_m:.2g}") if middle_m > 0 else 0.0
+    """Return the relative difference up to which the contact test counts both depths as equal, mid-range."""
+    return preset.test.accepted_share(preset.test_section, sum(depth_range_m) / 2)
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
@@ -289,7 +282,7 @@ def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, co
 def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
     """Return the proximity counts, those of a patch at its own points, which the membrane test takes from both."""
     counts = scene.frame.proximity_depth
-    if scene.preset.contact_test == "membrane":
+    if scene.preset.test.moves_points:
         counts = counts.copy()
         counts[patch.mask] = np.rint(patch.points[:, 2] / scene.rig.proximity.depth_unit_m)
     return counts

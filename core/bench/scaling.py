@@ -9,7 +9,7 @@ from functools import partial
 import numpy as np
 
 from ..contact.kernels.threads import available_threads, get_threads, set_threads
-from ..contact.pipeline import STAGES, ContactPipeline
+from ..contact.pipeline import ContactPipeline
 from .measure import Timing, time_in_turns
 from .registry import Outcome, Progress, Runner, find_engine
 from .scenes import BenchScene, make_scene, synthetic_scene
@@ -82,7 +82,8 @@ def stage_breakdown(scenes: Sequence[str], frames: int = 60) -> list[StageRow]:
         scene = make_scene(name)
         pipeline = ContactPipeline(scene.preset, scene.rig)
         patches = [pipeline.process(replace(scene.frame, sequence=number)) for number in range(frames)]
-        medians = {stage: float(np.median([patch.stage_ms[stage] for patch in patches])) for stage in STAGES}
+        stages = patches[-1].stage_ms
+        medians = {stage: float(np.median([patch.stage_ms[stage] for patch in patches])) for stage in stages}
         rows.append(StageRow(name, len(patches[-1].points), medians))
     return rows
 

@@ -19,7 +19,7 @@ from ..contact.pipeline import ContactPatch, ContactPipeline
 from ..model.arrays import Float64Array, Uint16Array
 from ..model.frames import ColorCamera, DepthCamera, Matrix4, Rig, SensorFrame, rigid_transform
 from ..model.intrinsics import Distortion, Intrinsics
-from ..preset import Preset
+from ..preset import CONTACT_TESTS, Preset
 from .reference_pipeline import reference_patch
 
 #: A verdict involves about ten roundings after the tables, each of half an ulp of the largest number involved: the
@@ -303,7 +303,7 @@ def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
         "region.rectangle": lambda: (int(random.integers(40)), int(random.integers(30)), 50, 40),
         "alignment.model": lambda: str(random.choice(("rigid", "homography"))),
         "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
-        "contact_test": lambda: str(random.choice(("tolerance", "membrane"))),
+        "contact_test": lambda: str(random.choice(tuple(CONTACT_TESTS))),
         "membrane.gap_m": lambda: float(random.uniform(0.0, 0.005)),
         "membrane.erosion": lambda: float(random.choice((0.0, 0.9, 2.0))),
         "membrane.balance": lambda: not preset.membrane.balance,

@@ -15,7 +15,7 @@ from ..errors import CalibrationError
 from ..model.arrays import Float64Array
 from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
-from ..preset.calibration_record import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
+from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from .correspondences import Correspondence
 from .homography import HomographyFit
 from .quality import Coverage, PatchEffect, UncertaintyMap

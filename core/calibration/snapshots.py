@@ -14,7 +14,7 @@ from ..errors import CalibrationError
 from ..model.arrays import AnyArray, Float64Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
-from ..preset.calibration_record import SnapshotRecord
+from ..preset.alignment import SnapshotRecord
 
 #: Depths farther than this from the click's own belong to another surface, metres.
 _SAME_SURFACE_M = 0.004

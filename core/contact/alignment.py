@@ -16,33 +16,12 @@ from ..errors import RigMismatchError
 from ..model.arrays import Float32Array, Float64Array, IndexArray, Int32Array, Uint16Array
 from ..model.clouds import ray_table
 from ..model.frames import Rig
+from ..model.patch import AlignedDepth
 from ..preset import AlignmentSection
 from .flat import flat, planes_of
 from .kernels import chain as kernels
 from .kernels.lenses import lens_parameters
 from .kernels.threads import by_rows
-
-
-@dataclass(frozen=True, eq=False)
-class AlignedDepth:
-    """Both sides of the tolerance test, per proximity pixel; nan where there is none.
-
-    Attributes
-    ----------
-    expected_m : float32, shape (H, W)
-        dp: where the tactile camera would see the proximity point (rigid), or the proximity depth
-        itself (homography), metres.
-    measured_m : float32, shape (H, W)
-        dt: the tactile depth there, after scale and offset, metres.
-    """
-
-    expected_m: Float32Array
-    measured_m: Float32Array
-
-    @classmethod
-    def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
-        """Return two unwritten images."""
-        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
 
 
 @dataclass(frozen=True, eq=False)

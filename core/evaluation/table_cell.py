@@ -13,10 +13,10 @@ from pathlib import Path
 from statistics import median
 from typing import Any, Final, Literal
 
-from ..contact.outliers.clusters import pixel_areas_m2
 from ..errors import TactuneError
 from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import make_method, method_names
+from ..model.clouds import pixel_areas_m2
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Any
 
-from ..contact.pipeline import ContactPipeline, averaged_frames
+from ..contact.pipeline import ContactPipeline
 from ..errors import TactuneError
 from ..model.frames import Rig, SensorFrame
-from ..preset import Preset
+from ..preset import CONTACT_TESTS, Preset
 from .mechanics import MembraneMechanics
 from .method import ContactMethod, MethodPatch
 from .proximity_only import ProximityOnly
@@ -37,7 +37,7 @@ class Fusion(ContactMethod):
         self.name = name
         self._values = values
         self._pipeline = ContactPipeline(preset.with_values(values), rig)
-        self.remembers = averaged_frames(self._pipeline.preset)
+        self.remembers = self._pipeline.preset.averaged_frames
 
     def update(self, preset: Preset) -> None:
         """Take another preset, without making anew what does not depend on what has changed.
@@ -48,7 +48,7 @@ class Fusion(ContactMethod):
             As the constructor does; the old preset then stays in force.
         """
         self._pipeline.update(preset.with_values(self._values))
-        self.remembers = averaged_frames(self._pipeline.preset)
+        self.remembers = self._pipeline.preset.averaged_frames
 
     def find(self, frame: SensorFrame) -> MethodPatch:
         """Return the pipeline's patch."""
@@ -81,10 +81,11 @@ def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
         return pose
     values = FUSION_FIELDS[name]
     by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
-    own: tuple[Any, ...] = (preset.tolerance, preset.outliers)
-    if values["contact_test"] == "membrane":
-        fixed = {path.partition(".")[2]: value for path, value in values.items() if path.startswith("membrane.")}
-        own = (preset.membrane.model_copy(update=fixed),)
+    own = []
+    for section in CONTACT_TESTS[values["contact_test"]].section_names:
+        start = f"{section}."
+        fixed = {path.removeprefix(start): value for path, value in values.items() if path.startswith(start)}
+        own.append(getattr(preset, section).model_copy(update=fixed))
     return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
 
 
@@ -119,10 +120,7 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
 
 #: Which of the preset's fields each way of fusion sets.
 FUSION_FIELDS: dict[str, dict[str, Any]] = {
-    "fusion-rigid": {"contact_test": "tolerance", "alignment.model": "rigid"},
-    "fusion-homography": {"contact_test": "tolerance", "alignment.model": "homography"},
-    "fusion-membrane": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
-    "fusion-averaged": {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
+    variant.name: dict(variant.fields) for test in CONTACT_TESTS.values() for variant in test.variants
 }
 _AGAINST_UNTOUCHED: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
     "proximity-only": ProximityOnly,

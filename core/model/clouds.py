@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ..errors import SourceError
-from .arrays import BoolArray, Float32Array, IndexArray, Uint8Array, Uint16Array
+from .arrays import BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
 from .frames import NO_DEPTH_COUNTS, DepthCamera
 from .intrinsics import Intrinsics
 
@@ -82,3 +82,8 @@ def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> F
     np.multiply(ray_table(camera.intrinsics).reshape(-1, 2)[pixels], depth[:, None], out=points[:, :2])
     points[:, 2] = depth
     return points
+
+
+def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
+    """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
+    return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)

@@ -1,35 +1,27 @@
 """Presets: everything a person calibrates and tunes, as strict, frozen sections, and their files."""
 
-from .preset import (
-    AlignmentSection,
-    CameraSection,
-    CamerasSection,
-    HomographyAlignment,
-    MaskSection,
-    MembraneSection,
-    OutlierSection,
-    Preset,
-    RangeSection,
-    RegionSection,
-    RigidAlignment,
-    ToleranceSection,
-    UntouchedRecord,
-    now,
-)
+from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
+from .contact_test import ContactTest
+from .membrane import MembraneSection
+from .preset import CONTACT_TESTS, Preset, now
+from .sections import CameraSection, CamerasSection, MaskSection, RangeSection, RegionSection, UntouchedRecord
+from .tolerance import OutlierSection, ToleranceSection
 
 __all__ = [
+    "CONTACT_TESTS",
     "AlignmentSection",
-    "MembraneSection",
     "CameraSection",
     "CamerasSection",
+    "ContactTest",
     "HomographyAlignment",
     "MaskSection",
+    "MembraneSection",
     "OutlierSection",
     "Preset",
     "RangeSection",
-    "UntouchedRecord",
     "RegionSection",
     "RigidAlignment",
     "ToleranceSection",
+    "UntouchedRecord",
     "now",
 ]

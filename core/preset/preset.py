@@ -1,8 +1,4 @@
-"""The preset: everything a person calibrates and tunes, as one strict, frozen model.
-
-Each field carries its bounds, its unit and a sentence on what it does; the sliders of the GUI, the
-JSON Schema and the messages for bad values are all made from these.
-"""
+"""The preset: everything a person calibrates and tunes, as one strict, frozen model."""
 
 from __future__ import annotations
 
@@ -11,58 +7,33 @@ import json
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
-from typing import Annotated, Any, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, create_model
 
 from ..errors import PresetError
 from ..model.frames import Rig
-from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
-from .cameras import CameraSection, CamerasSection
-from .contact import MaskSection, MembraneSection, OutlierSection, RangeSection, RegionSection, ToleranceSection
-from .fields import Section, described
+from .alignment import AlignmentSection
+from .contact_test import ContactTest
+from .membrane import MEMBRANE, MembraneSection
 from .migrations import SCHEMA_VERSION, Document
+from .sections import CamerasSection, MaskSection, RangeSection, RegionSection, Section, UntouchedRecord, described
+from .tolerance import TOLERANCE, OutlierSection, ToleranceSection
+
+#: Every contact test, the default first.
+CONTACT_TESTS: Final[dict[str, ContactTest[Any]]] = {
+    test.name: test
+    for test in (
+        TOLERANCE,
+        MEMBRANE,
+    )
+}
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 
 #: A message names at most this many bad fields.
 _MAX_ERRORS: Final = 9
-
-__all__ = [
-    "AlignmentSection",
-    "MembraneSection",
-    "CameraSection",
-    "CamerasSection",
-    "HomographyAlignment",
-    "MaskSection",
-    "OutlierSection",
-    "Preset",
-    "RangeSection",
-    "UntouchedRecord",
-    "RegionSection",
-    "RigidAlignment",
-    "ToleranceSection",
-    "now",
-]
-
-
-class UntouchedRecord(Section):
-    """The untouched membrane: averaged frames in a file beside the preset."""
-
-    file: Annotated[
-        str,
-        described("File", "Name of the file in the preset's own folder.", hidden=True),
-        Field(min_length=1, max_length=255, pattern=r"^[^/\\]+$"),
-    ]
-    sha256: Annotated[
-        str,
-        described("Hash", "SHA-256 of the images in it, so that no other file is taken for it.", hidden=True),
-        Field(pattern=r"^[0-9a-f]{64}$"),
-    ]
-    frames: Annotated[
-        int, described("Frames", "How many frames were averaged.", unit="frames", hidden=True), Field(ge=1, le=100_000)
-    ]
 
 
 def now() -> datetime:
@@ -70,11 +41,14 @@ def now() -> datetime:
     return datetime.now(UTC).replace(microsecond=0)
 
 
-class Preset(Section):
-    """All that a person calibrates and tunes, plus the rig that it was made for.
+if TYPE_CHECKING:
+    _TestName = str
+else:
+    _TestName = Literal[tuple(CONTACT_TESTS)]
 
-    ``rig`` is None for a preset that serves any rig. `tactune.core.preset.file` loads and saves it.
-    """
+
+class _BeforeTests(Section):
+    """The fields that stand before the sections of the contact tests."""
 
     name: Annotated[str, Field(min_length=1, max_length=120)] = "untitled"
     notes: Annotated[str, Field(max_length=10_000)] = ""
@@ -83,17 +57,35 @@ class Preset(Section):
     rig: Rig | None = None
     alignment: AlignmentSection = AlignmentSection()
     contact_test: Annotated[
-        Literal["tolerance", "membrane"],
-        described(
-            "Contact test",
-            "tolerance: a pixel is in contact where both distances agree within t, as published. membrane: local "
-            "means of the difference tell much smaller gaps apart, and the rim that is only near is taken away.",
-        ),
-    ] = "tolerance"
+        _TestName,
+        described("Contact test", " ".join(f"{test.name}: {test.summary}" for test in CONTACT_TESTS.values())),
+    ] = next(iter(CONTACT_TESTS))
     mask: MaskSection = MaskSection(enabled=False)
-    tolerance: ToleranceSection = ToleranceSection()
-    outliers: OutlierSection = OutlierSection()
-    membrane: MembraneSection = MembraneSection()
+
+
+if TYPE_CHECKING:
+
+    class _WithTests(_BeforeTests):
+        tolerance: ToleranceSection = ToleranceSection()
+        outliers: OutlierSection = OutlierSection()
+        membrane: MembraneSection = MembraneSection()
+
+else:
+    _sections = [section for test in CONTACT_TESTS.values() for section in test.sections]
+    _WithTests = create_model(
+        "_WithTests",
+        __base__=_BeforeTests,
+        **{section.name: (section.model, section.model()) for section in _sections},
+    )
+
+
+class Preset(_WithTests):
+    """All that a person calibrates and tunes, plus the rig that it was made for.
+
+    ``rig`` is None for a preset that serves any rig. Each contact test in `CONTACT_TESTS` adds its sections.
+    `tactune.core.sources.presets` loads presets, `tactune.core.preset.file` saves them.
+    """
+
     range: RangeSection = RangeSection()
     region: RegionSection = RegionSection()
     cameras: CamerasSection = CamerasSection()
@@ -105,6 +97,21 @@ class Preset(Section):
             hidden=True,
         ),
     ] = None
+
+    @property
+    def test(self) -> ContactTest[Any]:
+        """The chosen contact test."""
+        return CONTACT_TESTS[self.contact_test]
+
+    @property
+    def test_section(self) -> Any:
+        """The first section of the chosen contact test."""
+        return getattr(self, self.contact_test)
+
+    @property
+    def averaged_frames(self) -> int:
+        """Over how many frames depth is averaged at most; with 1 no result depends on earlier frames."""
+        return int(self.value(self.test.frames_field)) if self.test.frames_field else 1
 
     def with_value(self, path: str, value: Any) -> Preset:
         """Return a copy with one field changed, validated as a whole.
@@ -139,7 +146,7 @@ class Preset(Section):
 
 
 class PresetDocument(Preset):
-    """A preset as it stands in a file: the preset and what identifies the format."""
+    """A preset file: the preset, and the name and version of the format."""
 
     schema_name: Annotated[Literal["tactune.preset"], Field(alias="schema")] = SCHEMA_NAME
     schema_version: Literal[1] = SCHEMA_VERSION

@@ -22,8 +22,6 @@ _NOT_FLAT, _NO_PLANE = 0.03, 0.1
 _TILTED_DEG, _EDGE_ON_DEG = 15.0, 70.0
 _FLAT_STEP = "No flat surface fills the region: choose a flat target, or drag the region onto one."
 _GOOD_ACCURACY = 0.02
-#: A bias below this share of the tolerance, or of the largest gap, does no harm.
-_HARMLESS_SHARE = 1 / 3
 #: Differences that scatter more than this share of the largest bias that is fair are not those of one surface.
 _ONE_SURFACE_SHARE = 1.5
 
@@ -84,27 +82,6 @@ def judge_camera(quality: CameraQuality) -> tuple[Reading, ...]:
     return tuple(readings)
 
 
-@dataclass(frozen=True)
-class _BiasLimits:
-    """The largest bias that does no harm, and the largest with which contact is still found, metres."""
-
-    good_m: float
-    fair_m: float
-    words: str
-
-
-def _bias_limits(preset: Preset, distance_m: float) -> _BiasLimits:
-    if preset.contact_test == "tolerance":
-        t = preset.tolerance.t
-        words = f"below {100 * _HARMLESS_SHARE * t:.2g} %, a third of the tolerance t"
-        return _BiasLimits(_HARMLESS_SHARE * t * distance_m, t * distance_m, words)
-    section = preset.membrane
-    third_m = _HARMLESS_SHARE * section.gap_m
-    good_m = max(section.bias_m, third_m)
-    why = "what the membrane contact test takes off" if good_m > third_m else "a third of its largest gap"
-    return _BiasLimits(good_m, section.bias_m + section.gap_m, f"below {1e3 * good_m:.2g} mm, {why}")
-
-
 def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
     """Judge the bias between both cameras by the contact test of a preset."""
     bias = quality.bias
@@ -118,15 +95,15 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
         f"scatter {1e3 * bias.spread_m:.2f} mm"
     )
     distance_m = bias.bias_m / bias.share if bias.share else math.inf
-    limits = _bias_limits(preset, distance_m)
+    limits = preset.test.bias_limits(preset.test_section, distance_m)
     if bias.spread_m > _ONE_SURFACE_SHARE * limits.fair_m:
         step = "The cameras do not see one and the same surface: put a flat, opaque target before both."
         return Reading(title, value, Verdict.UNKNOWN, step=step)
     if abs(bias.bias_m) <= limits.good_m:
-        return Reading(title, value, Verdict.GOOD, limits.words)
+        return Reading(title, value, Verdict.GOOD, limits.reason)
     verdict = Verdict.FAIR if abs(bias.bias_m) <= limits.fair_m else Verdict.POOR
     step = f"Where both see the same flat target, add {1e3 * bias.bias_m:+.1f} mm to the preset's depth offset."
-    return Reading(title, value, verdict, limits.words, step)
+    return Reading(title, value, verdict, limits.reason, step)
 
 
 def _fill(quality: CameraQuality) -> Reading:

@@ -14,7 +14,7 @@ from ..model.arrays import AnyArray
 from ..model.files import user_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from ..preset.rig_check import check_rig
+from ..preset.checks import check_rig
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.realsense_files import recording_files

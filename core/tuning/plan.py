@@ -12,7 +12,8 @@ from typing import Any, Final
 from ..evaluation.table_cell import check_methods, code_version
 from ..methods.registry import FUSION_FIELDS, method_names, needs_untouched
 from ..model.frames import SensorFrame
-from ..preset import Preset
+from ..preset import CONTACT_TESTS, Preset
+from ..preset.preset import preset_paths
 from ..sources.registry import open_source
 from .clips import FrameRange, OpenSource, Take, inspect_takes
 from .values import (
@@ -43,14 +44,13 @@ _RUNS_A_BATCH: Final = 50
 #: Pieces that each worker gets at least, so that all are busy to the end.
 _BATCHES_A_WORKER: Final = 4
 
-#: In which stage of the pipeline, after the first, a field is used; later ones vary faster.
+#: In which step of its contact test a field is first used; fields of late steps vary fastest.
 STAGE_OF: Final = {
-    **dict.fromkeys(("outliers.enabled", "outliers.k", "outliers.ratio", "membrane.bias_m", "membrane.slope"), 1),
-    **dict.fromkeys(("membrane.gap_m", "membrane.erosion", "membrane.core_share", "membrane.max_erosion_px"), 2),
-    **dict.fromkeys(("membrane.curvature", "membrane.curvature_px"), 3),
-    "membrane.balance": 4,
-    **dict.fromkeys(("outliers.min_cluster_area_mm2", "membrane.min_area_mm2"), 5),
-    **dict.fromkeys(("membrane.smooth_px", "membrane.tactile_weight"), 6),
+    path: number
+    for test in CONTACT_TESTS.values()
+    for number, step in enumerate(test.steps)
+    for path in step.fields
+    if path in preset_paths()
 }
 
 
@@ -242,22 +242,25 @@ def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
 
 def little_averaged(plan: Plan) -> list[str]:
     """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
-    averaged = {
-        setting.parameters["membrane.frames"] for setting in plan.settings
-        if setting.parameters["contact_test"] == "membrane" and not needs_untouched(setting.method)
-    }  # fmt: skip
-    most, said = max(averaged, default=1), []
+    field, most = "", 1
+    for setting in plan.settings:
+        test = CONTACT_TESTS[setting.parameters["contact_test"]]
+        if test.frames_field and not needs_untouched(setting.method):
+            field, most = max(
+                (field, most), (test.frames_field, setting.parameters[test.frames_field]), key=lambda pair: pair[1]
+            )
+    said = []
     for take in plan.takes:
         count, step = len(take.frames), take.frames.step
         if step > 1 < min(most, count):
             said.append(
-                f"{take.source} gives one frame in {step}, so membrane.frames {most} averages frames that do not "
-                "follow each other; leave the step out of --frames"
+                f"{take.source} gives one frame in {step}, so {field} {most} averages frames that do not follow each "
+                "other; leave the step out of --frames"
             )
         elif count < most:
             said.append(
-                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so membrane.frames {most} averages "
-                "no more than that; take more frames"
+                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so {field} {most} averages no more "
+                "than that; take more frames"
             )
     return list(dict.fromkeys(said))
 

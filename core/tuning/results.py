@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..contact.outliers.clusters import pixel_areas_m2
 from ..evaluation.metrics import method_area_mm2, pixel_scores, truth_cloud
 from ..methods.method import MethodPatch
 from ..model.arrays import BoolArray, Float32Array
+from ..model.clouds import pixel_areas_m2
 from ..model.frames import Rig, SensorFrame
 
 

@@ -15,7 +15,7 @@ from typing import Any, Final
 import cv2
 
 from ..contact.kernels.threads import get_threads, set_threads
-from ..contact.pipeline import ContactPipeline, averaged_frames
+from ..contact.pipeline import ContactPipeline
 from ..contact.warmup import warm_up
 from ..errors import TactuneError
 from ..evaluation.table_cell import code_version
@@ -120,7 +120,7 @@ class _OpenTake:
             preset = batch.base.with_values(values)
             if method != FUSION:
                 return _find_by(make_method(method, preset, self.source.rig, self._untouched_for(method, batch)))
-            if averaged_frames(preset) > 1:
+            if preset.averaged_frames > 1:
                 return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it remembers frames: not to be shared
             return lambda frame: shared.find(preset, frame)
         return None

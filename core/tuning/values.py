@@ -14,7 +14,7 @@ import numpy as np
 
 from ..errors import TactuneError
 from ..methods.registry import FUSION_FIELDS
-from ..preset import Preset
+from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths, set_path
 
 #: Fields that say who, when and where, and change no result.
@@ -23,7 +23,7 @@ _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calib
 _FIXED: Final = ("untouched",)
 
 #: Which contact test uses a section.
-_TEST_OF: Final = {"tolerance": "tolerance", "outliers": "tolerance", "membrane": "membrane"}
+_TEST_OF: Final = {section: test.name for test in CONTACT_TESTS.values() for section in test.section_names}
 
 #: More runs than this are a mistake, or a case for a sample.
 MOST_RUNS: Final = 100_000

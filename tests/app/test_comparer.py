@@ -13,7 +13,7 @@ from tactune.app.analysis.comparer import Comparer, Task
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
-from tactune.core.contact.membrane.average import SteadyDepth
+from tactune.core.contact.membrane.average import AveragedDepth
 from tactune.core.methods.registry import Fusion, make_method
 from tactune.core.preset import Preset
 from tiny_sensor import tiny_frame, tiny_rig
@@ -94,8 +94,8 @@ def test_the_time_after_a_step_is_that_of_a_whole_frame(preset, monkeypatch):
 
 def test_a_method_that_averages_counts_each_frame_once(preset, monkeypatch):
     added, timed = [], []
-    add = SteadyDepth.add
-    monkeypatch.setattr(SteadyDepth, "add", lambda steady, frame: added.append(frame.sequence) or add(steady, frame))
+    add = AveragedDepth.add
+    monkeypatch.setattr(AveragedDepth, "add", lambda steady, frame: added.append(frame.sequence) or add(steady, frame))
     compare = Comparer().compare
     for index in (1, 2, 3):
         for gap_m in (0.002, 0.003):

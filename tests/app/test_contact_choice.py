@@ -7,12 +7,12 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
 from hands import CONTROL, shows_preset_of_document
-from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
-from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
+from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
 from tactune.widgets.basics.colormaps import provenance_legend
 from tiny_sensor import tiny_frame, tiny_rig
 
@@ -44,7 +44,7 @@ def test_choose_tune_and_undo(window, qtbot):
     box = choose_by_keyboard(window, qtbot, Qt.Key.Key_Down)
     assert window.document.preset.contact_test == "membrane"
     assert window.document.undo_stack.undoText() == "Contact test membrane"
-    assert tuple(window.result.patch.stage_ms) == MEMBRANE_STAGES
+    assert tuple(window.result.patch.stage_ms) == MEMBRANE_TEST.step_names
     assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
     assert window.result.rendered.histogram is None
     assert not window.panel.histogram.isVisible()
@@ -85,14 +85,14 @@ def test_the_rim_has_a_colour_of_its_own_and_a_name():
 
 def test_an_empty_patch_says_what_the_membrane_test_has_dropped():
     provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert "largest gap" in why_no_contact(provenance, "membrane")
+    assert "largest gap" in MEMBRANE_TEST.why_no_contact(provenance)
     provenance[0] = Provenance.RIM
-    assert "the erosion of the rim dropped all" in why_no_contact(provenance, "membrane")
+    assert "the erosion of the rim dropped all" in MEMBRANE_TEST.why_no_contact(provenance)
     provenance[:2] = Provenance.NOT_PRESSED
-    assert "the membrane's curvature dropped all" in why_no_contact(provenance, "membrane")
+    assert "the membrane's curvature dropped all" in MEMBRANE_TEST.why_no_contact(provenance)
     provenance[0] = Provenance.RIM
     provenance[1:3] = Provenance.SMALL_CLUSTER
-    assert "dropped 10 of 15: lower the smallest contact" in why_no_contact(provenance, "membrane")
+    assert "dropped 10 of 15: lower the smallest contact" in MEMBRANE_TEST.why_no_contact(provenance)
 
 
 def test_the_colours_middle_band_is_what_the_chosen_test_accepts():

@@ -11,12 +11,12 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea, QWidget
 
-from tactune.app.worker import rendering
-from tactune.app.worker.no_contact import why_no_contact
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.model.provenance import Provenance
+from tactune.core.preset import ContactTest
+from tactune.core.preset.tolerance import TOLERANCE
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_name
 from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
@@ -86,7 +86,7 @@ def test_says_which_stage_dropped_everything(window, qtbot, path, value, words):
 def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
     """It takes longer than finding that nothing touches."""
     threads = []
-    monkeypatch.setattr(rendering, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
+    monkeypatch.setattr(ContactTest, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
     window.document.edit("tolerance.t", 0.0)
     qtbot.waitUntil(lambda: window.views.views[CloudName.PATCH].message() == "because")
     assert get_ident() not in threads
@@ -94,12 +94,14 @@ def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypat
 
 def test_the_stage_that_dropped_most_is_named():
     provenance = np.full((4, 5), Provenance.OUTSIDE_TOLERANCE, np.uint8)
-    assert why_no_contact(provenance).startswith("No contact yet")
+    assert TOLERANCE.why_no_contact(provenance).startswith("No contact yet")
     provenance[0, 0] = Provenance.OUTLIER
-    assert why_no_contact(provenance).startswith("1 point passed the contact test, but the outlier removal dropped it:")
+    assert TOLERANCE.why_no_contact(provenance).startswith(
+        "1 point passed the contact test, but the outlier removal dropped it:"
+    )
     provenance[0] = Provenance.OUTLIER
     provenance[1, :2] = Provenance.MASKED
-    assert "but the outlier removal dropped 5 of 7: raise its ratio" in why_no_contact(provenance)
+    assert "but the outlier removal dropped 5 of 7: raise its ratio" in TOLERANCE.why_no_contact(provenance)
 
 
 def test_one_camera_says_that_there_is_no_contact_to_find(make_window, qtbot):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from datetime import UTC, datetime
 
 from tactune.core.preset import Preset
-from tactune.core.preset.calibration_record import CalibrationRecord, ClickedPair, ModelSummary
+from tactune.core.preset.alignment import CalibrationRecord, ClickedPair, ModelSummary
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 
 

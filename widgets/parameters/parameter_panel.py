@@ -22,8 +22,8 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.model.arrays import AnyArray
-from ...core.preset import Preset
-from ...core.preset.calibration_record import CalibrationRecord
+from ...core.preset import CONTACT_TESTS, Preset
+from ...core.preset.alignment import CalibrationRecord
 from ..basics.collapsible import CollapsibleSection
 from ..plots.histogram import DifferenceHistogram
 from .fields import FieldSpec, field_spec, section_fields
@@ -37,18 +37,10 @@ SECTIONS = (
     ("alignment", "Alignment"),
     ("mask", "Mask"),
     ("contact_test", "Contact"),
-    ("tolerance", "Tolerance"),
-    ("outliers", "Outliers"),
-    ("membrane", "Membrane test"),
+    *((section.name, section.title) for test in CONTACT_TESTS.values() for section in test.sections),
     ("range", "Range"),
     ("region", "Region"),
 )
-
-#: The sections that have a say in each contact test only, and what else there is to say of it.
-_OF_TEST = {
-    "tolerance": (("tolerance", "outliers"), "Each pixel by itself, as published."),
-    "membrane": (("membrane",), "By mean gaps, where the membrane is pressed; tolerance and outliers have no say."),
-}
 
 _EYEDROPPERS = {
     "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc leaves."),
@@ -313,11 +305,10 @@ class ParameterPanel(QScrollArea):
         self._paint_mask_colors()
 
     def _show_contact_test(self, chosen: str) -> None:
-        for test, (sections, note) in _OF_TEST.items():
-            for name in sections:
-                self.sections[name].setVisible(test == chosen)
-            if test == chosen:
-                self._test_note.setText(note)
+        for name, test in CONTACT_TESTS.items():
+            for section in test.section_names:
+                self.sections[section].setVisible(name == chosen)
+        self._test_note.setText(CONTACT_TESTS[chosen].note)
         self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:

@@ -22,8 +22,8 @@ from ...model.frames import Rig
 from ...preset import MembraneSection
 from ..kernels import balance as balance_kernels
 from ..kernels import membrane as kernels
+from .gaps import Gaps
 from .press import Pressed, with_nearest
-from .stages import Gaps
 
 #: Over so many cells of two by two pixels the object's shape is averaged, sigma.
 _SHAPE_CELLS: Final = 2.0

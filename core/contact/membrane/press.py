@@ -21,7 +21,7 @@ from ...model.intrinsics import Intrinsics
 from ...preset import Preset
 from ..alignment import AlignmentModel
 from ..kernels import membrane as kernels
-from .stages import Gaps, near_pixels
+from .gaps import Gaps, near_pixels
 
 #: Side of the squares of tactile pixels over which depth is averaged first.
 _SIDE_PX: Final = 4
@@ -70,8 +70,7 @@ def pressed_contact(
     """
     section = preset.membrane
     too_small = min(rig.tactile.intrinsics.shape) < _SIDE_PX
-    asked = section.curvature > 0 or section.balance
-    if not asked or too_small or not contact.any():
+    if not section.measures_curvature or too_small or not contact.any():
         return Pressed(contact, np.nan)
     import cv2
 

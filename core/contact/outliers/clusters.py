@@ -6,15 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
+from ...model.arrays import BoolArray, Float32Array, IndexArray
 from ...model.intrinsics import Intrinsics
 from ..kernels.compiling import kernel
 from ..kernels.threads import scratch
-
-
-def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
-    """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
-    return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)
 
 
 def in_large_cluster(

@@ -15,7 +15,7 @@ from tactune.core.contact.membrane import balance
 from tactune.core.contact.membrane.balance import Cells, balanced_contact, left_cells, lowest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
-from tactune.core.preset.contact import MembraneSection
+from tactune.core.preset import MembraneSection
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
@@ -257,7 +257,7 @@ def test_specks_of_which_nothing_is_left_go_and_larger_groups_stay(monkeypatch, 
         seen["arguments"] = arguments
         return balanced_contact(*arguments)
 
-    monkeypatch.setattr("tactune.core.contact.pipeline.balanced_contact", remember)
+    monkeypatch.setattr("tactune.core.contact.membrane.finder.balanced_contact", remember)
     ContactPipeline(MEMBRANE, light_press.rig).process(light_press.read(0))
     pressed, *rest = seen["arguments"]
     shape = pressed.contact.shape

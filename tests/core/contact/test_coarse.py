@@ -8,17 +8,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
-from tactune.core.contact.candidates import CandidateFinder, depth_images
-from tactune.core.contact.fusion import depth_limits
+from tactune.core.contact.finder import depth_images, depth_limits
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import CoarseTest, tile_grid
 from tactune.core.contact.kernels.simd import LANES
+from tactune.core.contact.tolerance import ToleranceFinder
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
 
 def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
-    finder = CandidateFinder(preset, rig, make_alignment(preset.alignment, rig))
+    finder = ToleranceFinder(preset, rig, make_alignment(preset.alignment, rig))
     v, u = np.nonzero(finder.classify(frame) == Provenance.CONTACT)
     tiles = np.zeros(tile_grid(frame.proximity_depth.shape[1], frame.proximity_depth.shape[0]), bool)
     tiles[v // TILE_ROWS, u // LANES] = True

@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.kernels.membrane import count_gaps
-from tactune.core.contact.membrane.steps import (
+from tactune.core.contact.membrane.gaps import (
     LocalMean,
     contact_bias_m,
     erode_rim,

@@ -13,13 +13,15 @@ from hypothesis import strategies as st
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
-from tactune.core.contact.membrane.differences import DifferenceFinder
-from tactune.core.contact.pipeline import MEMBRANE_STAGES, STAGES, ContactPipeline, Still
+from tactune.core.contact.membrane.finder import MembraneFinder
+from tactune.core.contact.pipeline import ContactPipeline, Still
 from tactune.core.model.clouds import ray_table
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
+from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
+from tactune.core.preset.tolerance import TOLERANCE
 
 WIDTH, HEIGHT = 200, 120
 MEMBRANE_M = 0.3
@@ -131,10 +133,10 @@ def test_a_region_and_a_range_hold_to_the_pixel(rig, scene):
         ("membrane.curvature", 0.5, {"press", "balance", "clusters", "points"}),
         ("membrane.curvature_px", 5.0, {"press", "balance", "clusters", "points"}),
         ("membrane.bias_m", 0.001, {"gaps", "edge", "press", "balance", "clusters", "points"}),
-        ("membrane.difference_m", 0.004, set(MEMBRANE_STAGES)),
-        ("membrane.window_px", 4.0, set(MEMBRANE_STAGES)),
-        ("mask.value", (120, 255), set(MEMBRANE_STAGES)),
-        ("alignment.depth_offset_m", 0.0001, set(MEMBRANE_STAGES)),
+        ("membrane.difference_m", 0.004, set(MEMBRANE_TEST.step_names)),
+        ("membrane.window_px", 4.0, set(MEMBRANE_TEST.step_names)),
+        ("mask.value", (120, 255), set(MEMBRANE_TEST.step_names)),
+        ("alignment.depth_offset_m", 0.0001, set(MEMBRANE_TEST.step_names)),
         ("tolerance.t", 0.5, set()),
         ("outliers.k", 9, set()),
         ("outliers.min_cluster_area_mm2", 1e5, set()),
@@ -144,7 +146,7 @@ def test_a_change_repeats_only_what_comes_after_it(rig, scene, path, value, repe
     preset = masked(MEMBRANE)
     contact = ContactPipeline(preset, rig)
     first = contact.process(scene)
-    assert tuple(first.stage_ms) == MEMBRANE_STAGES
+    assert tuple(first.stage_ms) == MEMBRANE_TEST.step_names
     assert all(first.stage_ms.values())
     changed = preset.with_value(path, value)
     contact.update(changed)
@@ -159,7 +161,7 @@ def test_the_tolerance_test_does_not_care_for_the_membrane_section(rig, scene):
     first = contact.process(scene)
     contact.update(Preset().with_values({"membrane.gap_m": 0.0001, "membrane.window_px": 1.0}))
     assert contact.process(scene).points is first.points
-    assert tuple(first.stage_ms) == STAGES
+    assert tuple(first.stage_ms) == TOLERANCE.step_names
 
 
 choices = st.fixed_dictionaries(
@@ -217,7 +219,7 @@ def test_differences_are_those_of_whole_images(
         {"mask.enabled": mask, "mask.saturation": (60, 255), "alignment.model": model, "region.enabled": True,
          "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5)}
     )  # fmt: skip
-    finder = DifferenceFinder(preset, rig, make_alignment(preset.alignment, rig))
+    finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
     aligned = finder.aligned(frame)
     difference = aligned.expected_m - aligned.measured_m
     depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
@@ -231,7 +233,7 @@ def test_differences_are_those_of_whole_images(
         colors, seen = colors_at(points.astype(np.float32), np.arange(depth.size), frame.proximity_color, rig)
         usable &= ~(in_hsv_range(colors, preset.mask) & seen).reshape(usable.shape)
 
-    found = finder.find(frame)
+    found = finder.differences(frame)
     assert (found is None) == (not usable.any())
     verdicts = finder.classify(frame)
     np.testing.assert_array_equal(verdicts == Provenance.CONTACT, usable)
@@ -243,7 +245,7 @@ def test_differences_are_those_of_whole_images(
 
 def test_nothing_is_done_for_a_frame_with_nothing_near(rig, monkeypatch):
     far = frame_of(np.full((HEIGHT, WIDTH), 0.02))
-    monkeypatch.setattr(DifferenceFinder, "_look", None)
+    monkeypatch.setattr(MembraneFinder, "_look", None)
     patch = ContactPipeline(MEMBRANE, rig).process(far)
     monkeypatch.undo()
     assert [name for name, ms in patch.stage_ms.items() if ms] == ["fusion"]
@@ -296,7 +298,7 @@ def test_a_still_scene_is_computed_once_where_that_is_asked_for(rig, scene):
     again = contact.process(replace(scene, proximity_depth=moved))
     assert again.points is first.points
     assert again.skipped == ("no depth changed beyond noise",)
-    assert tuple(again.stage_ms) == MEMBRANE_STAGES
+    assert tuple(again.stage_ms) == MEMBRANE_TEST.step_names
 
 
 def test_a_homography_with_the_membrane_test_is_warned_of(rig):

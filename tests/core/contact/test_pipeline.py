@@ -7,17 +7,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.bench.reference_pipeline import reference_patch
-from tactune.core.contact import pipeline as pipeline_module
+from tactune.core.contact import tolerance as tolerance_module
 from tactune.core.contact.alignment import homography_table, tactile_homography
-from tactune.core.contact.candidates import CandidateFinder
 from tactune.core.contact.outliers import statistical
-from tactune.core.contact.pipeline import STAGES, ContactPipeline, Still
+from tactune.core.contact.pipeline import ContactPipeline, Still
+from tactune.core.contact.tolerance import ToleranceFinder
 from tactune.core.errors import FrameError, RigMismatchError, SourceError
 from tactune.core.model.clouds import deproject, valid_depth
 from tactune.core.model.frames import Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
+from tactune.core.preset.tolerance import TOLERANCE
 
 settings_of_all_kinds = st.fixed_dictionaries(
     {
@@ -85,11 +86,11 @@ def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_fr
         ("outliers.min_cluster_area_mm2", 5.0, {"clusters"}),
         ("outliers.k", 9, {"outliers", "clusters"}),
         ("outliers.ratio", 1.0, {"outliers", "clusters"}),
-        ("mask.hue", (10, 20), set(STAGES)),
-        ("tolerance.t", 0.02, set(STAGES)),
-        ("range.enabled", True, set(STAGES)),
-        ("region.enabled", True, set(STAGES)),
-        ("alignment.depth_offset_m", 0.001, set(STAGES)),
+        ("mask.hue", (10, 20), set(TOLERANCE.step_names)),
+        ("tolerance.t", 0.02, set(TOLERANCE.step_names)),
+        ("range.enabled", True, set(TOLERANCE.step_names)),
+        ("region.enabled", True, set(TOLERANCE.step_names)),
+        ("alignment.depth_offset_m", 0.001, set(TOLERANCE.step_names)),
         ("name", "other", set()),
     ],
 )
@@ -99,7 +100,7 @@ def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, v
     preset = Preset().with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
     contact = ContactPipeline(preset, rig)
     first = contact.process(frame)
-    assert set(first.stage_ms) == set(STAGES)
+    assert set(first.stage_ms) == set(TOLERANCE.step_names)
     assert all(first.stage_ms.values())
     contact.update(preset.with_value(path, value))
     assert {name for name, ms in contact.process(frame).stage_ms.items() if ms > 0} == repeated
@@ -111,9 +112,9 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     contact = ContactPipeline(Preset(), rig)
     first = contact.process(frame)
     provenance = first.provenance
-    monkeypatch.setattr(CandidateFinder, "find", None)
+    monkeypatch.setattr(ToleranceFinder, "candidates", None)
     for function in ("drop_outliers", "drop_small_clusters"):
-        monkeypatch.setattr(pipeline_module, function, None)
+        monkeypatch.setattr(tolerance_module, function, None)
     again = contact.process(frame)
     assert again.points is first.points
     assert again.provenance is provenance
@@ -165,7 +166,7 @@ def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame, 
     rig = make_rig()
     frame = make_frame(rig)
     for function in ("drop_outliers", "drop_small_clusters"):
-        monkeypatch.setattr(pipeline_module, function, None)
+        monkeypatch.setattr(tolerance_module, function, None)
     preset = Preset().with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
     patch = ContactPipeline(preset, rig).process(frame)
     assert len(patch.points) == 0

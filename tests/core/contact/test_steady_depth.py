@@ -7,9 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.core.contact.membrane.average import SteadyDepth
-from tactune.core.contact.pipeline import MEMBRANE_STAGES, ContactPipeline, Still
+from tactune.core.contact.membrane.average import AveragedDepth
+from tactune.core.contact.pipeline import ContactPipeline, Still
 from tactune.core.preset import Preset
+from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
 
 AVERAGED = Preset().with_values({"contact_test": "membrane", "membrane.frames": 10})
 
@@ -25,7 +26,7 @@ def frames_of(make_frame, rig, count: int, noise_m: float = 0.0008, share_missin
 
 def test_the_mean_is_that_of_the_frames(make_frame, rig):
     frames = frames_of(make_frame, rig, 8, share_missing=0.0)
-    steady = SteadyDepth(rig, 10)
+    steady = AveragedDepth(rig, 10)
     for frame in frames:
         shown = steady.add(frame)
     for name in ("proximity_depth", "tactile_depth"):
@@ -37,7 +38,7 @@ def test_the_mean_is_that_of_the_frames(make_frame, rig):
 def test_no_more_than_so_many_frames_weigh(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
     later = replace(still, tactile_depth=still.tactile_depth + np.uint16(3))  # 0.3 mm, below what counts as movement
-    steady = SteadyDepth(rig, 4)
+    steady = AveragedDepth(rig, 4)
     for _ in range(50):
         steady.add(still)
     shown = [int(np.median(steady.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
@@ -48,7 +49,7 @@ def test_no_more_than_so_many_frames_weigh(make_frame, rig):
 def test_noise_fades_and_holes_are_filled(make_frame, rig):
     clean = make_frame(rig, 0, 0.0, 0.0).tactile_depth.astype(float)
     frames = frames_of(make_frame, rig, 10)
-    steady = SteadyDepth(rig, 10)
+    steady = AveragedDepth(rig, 10)
     for frame in frames:
         shown = steady.add(frame)
     seen = (frames[-1].tactile_depth > 0) & (frames[-1].tactile_depth < 65535)
@@ -59,7 +60,7 @@ def test_noise_fades_and_holes_are_filled(make_frame, rig):
 
 def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = SteadyDepth(rig, 10)
+    steady = AveragedDepth(rig, 10)
     for _ in range(5):
         steady.add(still)
     pressed = still.tactile_depth.copy()
@@ -73,7 +74,7 @@ def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
 
 def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = SteadyDepth(rig, 10)
+    steady = AveragedDepth(rig, 10)
     for _ in range(5):
         steady.add(replace(still, tactile_depth=still.tactile_depth + np.uint16(2)))
     behind = still.proximity_depth.copy()
@@ -87,7 +88,7 @@ def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, 
 def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
     blind = replace(still, tactile_depth=np.full_like(still.tactile_depth, 65535))
-    steady = SteadyDepth(rig, 3)
+    steady = AveragedDepth(rig, 3)
     steady.add(still)
     steady.add(still)
     assert (steady.add(blind).tactile_depth > 0).all()
@@ -97,7 +98,7 @@ def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame
 def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
     frames = frames_of(make_frame, rig, 6)
     alone = ContactPipeline(AVERAGED.with_value("membrane.frames", 1), rig)
-    averaging, steady = ContactPipeline(AVERAGED, rig), SteadyDepth(rig, 10)
+    averaging, steady = ContactPipeline(AVERAGED, rig), AveragedDepth(rig, 10)
     for frame in frames:
         shown = steady.add(frame)
         for _ in range(3):
@@ -142,12 +143,12 @@ def test_the_average_is_a_stage_of_its_own(make_frame, rig):
     contact = ContactPipeline(AVERAGED, rig)
     contact.process(first)
     patch = contact.process(second)
-    assert tuple(patch.stage_ms) == ("average", *MEMBRANE_STAGES)
+    assert tuple(patch.stage_ms) == ("average", *MEMBRANE_TEST.step_names)
     assert patch.stage_ms["average"] > 0
     contact.update(AVERAGED.with_value("membrane.gap_m", 0.001))
     assert contact.process(second).stage_ms["average"] == 0
     contact.update(AVERAGED.with_value("membrane.frames", 1))
-    assert tuple(contact.process(second).stage_ms) == MEMBRANE_STAGES
+    assert tuple(contact.process(second).stage_ms) == MEMBRANE_TEST.step_names
 
 
 def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
@@ -168,7 +169,7 @@ def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
 def test_squares_cut_off_by_the_border_are_judged_too(make_rig, make_frame, width, height):
     rig = make_rig(width=width, height=height)
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = SteadyDepth(rig, 10)
+    steady = AveragedDepth(rig, 10)
     steady.add(still)
     moved = still.tactile_depth.copy()
     moved[-8:, -8:] += np.uint16(30)  # 3 mm
@@ -180,7 +181,7 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
     """The difference of both depths tells contact, so one may not lag behind the other."""
     still = make_frame(rig, 0, 0.0, 0.0)
     nearer = replace(still, proximity_depth=(still.proximity_depth * 0.93).astype(np.uint16))
-    steady = SteadyDepth(rig, 15)
+    steady = AveragedDepth(rig, 15)
     cameras = ("proximity_depth", rig.proximity.depth_unit_m), ("tactile_depth", rig.tactile.depth_unit_m)
     for step in range(60):
         way_m = 0.00005 * step

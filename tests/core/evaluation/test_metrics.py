@@ -11,11 +11,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 from scipy.spatial.transform import Rotation
 
-from tactune.core.contact.alignment import AlignedDepth
 from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.evaluation.metrics import PixelScores, compare_with_truth, pixel_scores, symmetric_rmse_m, truth_cloud
 from tactune.core.model.frames import DepthCamera, GroundTruth, Rig
 from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
 
 LENS = Intrinsics(

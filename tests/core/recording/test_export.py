@@ -12,12 +12,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
-from tactune.core.contact.alignment import AlignedDepth
 from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.patch import AlignedDepth
 from tactune.core.model.provenance import Provenance
 from tactune.core.recording.cloud_files import patch_cloud, read_cloud, write_cloud
 

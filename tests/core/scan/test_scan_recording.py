@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from tactune.app.cli.main import main
-from tactune.core.contact.outliers.clusters import pixel_areas_m2
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.evaluation.metrics import cloud_distances, compare_with_truth, truth_cloud
 from tactune.core.methods.registry import make_method, method_names, needs_untouched
+from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.recording.writer import SessionWriter
 from tactune.core.scan.paint import PaintSettings, contact_points, painted_contact, scan_truth
 from tactune.core.scan.pose import HEADER, load_transform, pose_from_pairs, transformed

@@ -1,106 +1,24 @@
-"""The parts of a preset that decide which pixels are contact."""
+"""The membrane test: contact by local means of the gap and by the shape of the membrane."""
 
 from __future__ import annotations
 
 from typing import Annotated
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field
 
-from .fields import Section, described
-
-_Hue = Annotated[int, Field(ge=0, le=179)]
-_Byte = Annotated[int, Field(ge=0, le=255)]
-
-
-class MaskSection(Section):
-    """The colour of the bare membrane: such pixels reflect infrared and would pass as contact."""
-
-    enabled: Annotated[
-        bool, described("Use the mask", "Drop pixels whose colour is the bare membrane's; they reflect infrared.")
-    ] = True
-    hue: Annotated[
-        tuple[_Hue, _Hue],
-        described(
-            "Hue",
-            "Hue range of the bare membrane, OpenCV convention 0-179. A low end above the high end wraps "
-            "around through red.",
-            unit="deg/2",
-            wraps=True,
-        ),
-    ] = (0, 179)
-    saturation: Annotated[
-        tuple[_Byte, _Byte], described("Saturation", "Saturation range of the bare membrane, 0 grey to 255 pure.")
-    ] = (0, 255)
-    value: Annotated[
-        tuple[_Byte, _Byte], described("Value", "Brightness range of the bare membrane, 0 black to 255 brightest.")
-    ] = (0, 255)
-
-    @model_validator(mode="after")
-    def _ordered(self) -> MaskSection:
-        for name in ("saturation", "value"):
-            low, high = getattr(self, name)
-            if low > high:
-                raise ValueError(
-                    f"{name} has its low end {low} above its high end {high}; only hue wraps around, swap them"
-                )
-        return self
-
-
-class ToleranceSection(Section):
-    """The contact test |dp - dt| <= t |dp|."""
-
-    t: Annotated[
-        float,
-        described(
-            "Tolerance t",
-            "A pixel is in contact where both distances agree within this share of the distance.",
-            scale="log",
-            slider=(0.001, 0.3),
-            step=0.001,
-        ),
-        Field(ge=0.0, le=1.0),
-    ] = 0.03
-
-
-class OutlierSection(Section):
-    """Statistical outlier removal (Open3D's definition) and the smallest cluster kept."""
-
-    enabled: Annotated[
-        bool, described("Remove outliers", "Drop points that lie unusually far from their neighbours.")
-    ] = True
-    k: Annotated[
-        int,
-        described(
-            "Neighbours k",
-            "Number of nearest points averaged for each point. The point itself counts as one, as in Open3D; "
-            "PCL counts one less.",
-            unit="points",
-            slider=(1, 100),
-        ),
-        Field(ge=1, le=1000),
-    ] = 20
-    ratio: Annotated[
-        float,
-        described(
-            "Ratio",
-            "Points whose mean neighbour distance exceeds the mean by this many standard deviations are dropped.",
-            unit="sigma",
-            slider=(0.1, 5.0),
-            step=0.1,
-        ),
-        Field(gt=0.0, le=100.0),
-    ] = 2.0
-    min_cluster_area_mm2: Annotated[
-        float,
-        described(
-            "Smallest cluster",
-            "Connected groups of contact pixels with a smaller area are dropped. 0 keeps all.",
-            unit="mm2",
-            slider=(0.0, 500.0),
-            step=5.0,
-        ),
-        Field(ge=0.0, le=1e6),
-    ] = 0.0
+from ..model.provenance import Provenance
+from .contact_test import (
+    HARMLESS_SHARE,
+    MASK_REASON,
+    PIXEL_FIELDS,
+    BiasLimits,
+    ContactTest,
+    DropReason,
+    FusionVariant,
+    Step,
+    TestSection,
+)
+from .sections import Section, described
 
 
 class MembraneSection(Section):
@@ -256,39 +174,81 @@ class MembraneSection(Section):
         Field(ge=0.0, le=1.0),
     ] = 0.5
 
+    @property
+    def window_reach_px(self) -> float:
+        """The wider of the two windows around each pixel, sigma."""
+        return max(self.window_px, self.smooth_px)
 
-class RangeSection(Section):
-    """The working range: proximity depths outside it are never contact."""
-
-    enabled: Annotated[bool, described("Limit the range", "Ignore points nearer or farther than the range.")] = False
-    limits_m: Annotated[
-        tuple[Annotated[float, Field(ge=0.0, le=10.0)], Annotated[float, Field(ge=0.0, le=10.0)]],
-        described("Range", "Nearest and farthest proximity depth considered.", unit="m", slider=(0.0, 1.0), step=0.001),
-    ] = (0.1, 0.5)
-
-    @field_validator("limits_m")
-    @classmethod
-    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
-        if value[0] >= value[1]:
-            raise ValueError(f"the near limit {value[0]} m is not below the far limit {value[1]} m; swap them")
-        return value
+    @property
+    def measures_curvature(self) -> bool:
+        """Whether anything depends on the free membrane's curvature."""
+        return self.curvature > 0 or self.balance
 
 
-_Pixel = Annotated[int, Field(ge=0, le=16384)]
+class MembraneTest(ContactTest[MembraneSection]):
+    """Contact where the mean gap is small and the membrane's shape shows that something presses."""
+
+    name = "membrane"
+    implementation = "tactune.core.contact.membrane.finder:MembraneFinder"
+    sections = (TestSection("membrane", "Membrane test", MembraneSection),)
+    steps = (
+        Step("fusion", (*PIXEL_FIELDS, "membrane.difference_m", "membrane.window_reach_px")),
+        Step("gaps", ("membrane.window_px", "membrane.bias_m", "membrane.slope")),
+        Step("edge", ("membrane.gap_m", "membrane.erosion", "membrane.core_share", "membrane.max_erosion_px")),
+        Step("press", ("membrane.curvature", "membrane.curvature_px", "membrane.measures_curvature")),
+        Step("balance", ("membrane.balance",)),
+        Step("clusters", ("membrane.min_area_mm2",)),
+        Step("points", ("membrane.smooth_px", "membrane.tactile_weight")),
+    )
+    summary = (
+        "local means of the difference resolve much smaller gaps, and the rim that is near without touching is eroded."
+    )
+    note = "By mean gaps, where the membrane is pressed. Tolerance and Outliers are ignored."
+    near_words = "came near the object"
+    looser_words = "raise the largest gap"
+    drop_reasons = {
+        Provenance.MASKED: MASK_REASON,
+        Provenance.RIM: DropReason("the erosion of the rim", "right while nothing touches; else lower it"),
+        Provenance.NOT_PRESSED: DropReason(
+            "the membrane's curvature", "right while nothing presses; else raise the largest one"
+        ),
+        Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
+    }
+    variants = (
+        FusionVariant(
+            "fusion-membrane",
+            {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 1},
+            "Both cameras: where the mean of their difference is small and the membrane is pressed",
+            (0, 158, 115),
+        ),
+        FusionVariant(
+            "fusion-averaged",
+            {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
+            "As fusion-membrane, on the mean of up to 15 frames while the membrane is still",
+            (119, 68, 255),
+        ),
+    )
+    frames_field = "membrane.frames"
+    unmasked_note = (
+        "makes the membrane test without the mask, so parts of the membrane that reflect infrared, such as prints, "
+        "pass as contact; set mask.hue, mask.saturation and mask.value to their colour."
+    )
+    homography_note = (
+        "tests contact by gaps of a millimetre, which a homography resolves on one plane only; choose the rigid "
+        "alignment, or the tolerance test."
+    )
+    moves_points = True
+
+    def accepted_share(self, section: MembraneSection, distance_m: float) -> float:
+        """Return the largest gap over the distance."""
+        return float(f"{section.gap_m / distance_m:.2g}") if distance_m > 0 else 0.0
+
+    def bias_limits(self, section: MembraneSection, distance_m: float) -> BiasLimits:
+        """Return what the test corrects or a third of its largest gap, and that plus the largest gap."""
+        third_m = HARMLESS_SHARE * section.gap_m
+        good_m = max(section.bias_m, third_m)
+        why = "what the membrane contact test takes off" if good_m > third_m else "a third of its largest gap"
+        return BiasLimits(good_m, section.bias_m + section.gap_m, f"below {1e3 * good_m:.2g} mm, {why}")
 
 
-class RegionSection(Section):
-    """A rectangle of proximity pixels; nothing outside it is computed."""
-
-    enabled: Annotated[bool, described("Limit the region", "Ignore pixels outside the rectangle.")] = False
-    rectangle: Annotated[
-        tuple[_Pixel, _Pixel, _Pixel, _Pixel],
-        described("Rectangle", "Left, top, width and height in proximity pixels.", unit="px"),
-    ] = (0, 0, 640, 480)
-
-    @field_validator("rectangle")
-    @classmethod
-    def _not_empty(cls, value: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
-        if value[2] == 0 or value[3] == 0:
-            raise ValueError(f"the region is {value[2]} x {value[3]} pixels and so empty; give it a size")
-        return value
+MEMBRANE = MembraneTest()

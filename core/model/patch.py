@@ -1,25 +1,25 @@
-"""The contact patch: what the pipeline gives back, computed as far as it is asked for."""
+"""The contact patch: what the pipeline returns, computed as far as it is read."""
 
 from __future__ import annotations
 
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from functools import cached_property
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 import numpy as np
 
-from ..model.arrays import BoolArray, Float32Array, Uint8Array
-from ..model.frames import Rig
-from ..model.provenance import Provenance
-from .alignment import AlignedDepth
-from .outliers.clusters import pixel_areas_m2
+from .arrays import BoolArray, Float32Array, IndexArray, Uint8Array
+from .clouds import pixel_areas_m2
+from .frames import Rig
+from .provenance import Provenance
 
 T = TypeVar("T")
 
 
-class Once(Generic[T]):
-    """A value that is computed when it is first asked for, once only, by whatever thread asks."""
+class Lazy(Generic[T]):
+    """A value that is computed once, when it is first read; safe to read from any thread."""
 
     def __init__(self, compute: Callable[[], T]) -> None:
         self._compute: Callable[[], T] | None = compute
@@ -34,6 +34,74 @@ class Once(Generic[T]):
             return self._value
 
 
+@dataclass(frozen=True, eq=False)
+class AlignedDepth:
+    """Both sides of the tolerance test, per proximity pixel; nan where there is none.
+
+    Attributes
+    ----------
+    expected_m : float32, shape (H, W)
+        dp: where the tactile camera would see the proximity point (rigid), or the proximity depth
+        itself (homography), metres.
+    measured_m : float32, shape (H, W)
+        dt: the tactile depth there, after scale and offset, metres.
+    """
+
+    expected_m: Float32Array
+    measured_m: Float32Array
+
+    @classmethod
+    def empty(cls, shape: tuple[int, int]) -> AlignedDepth:
+        """Return two unwritten images."""
+        return cls(np.empty(shape, np.float32), np.empty(shape, np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Candidates:
+    """Pixels that may be contact, with their points.
+
+    Attributes
+    ----------
+    pixels : int, shape (N,)
+        Flat proximity pixel numbers, ascending.
+    points : float32, shape (N, 3)
+        Metres, proximity depth frame.
+    """
+
+    pixels: IndexArray
+    points: Float32Array
+
+    def __len__(self) -> int:
+        return len(self.pixels)
+
+    def mask(self, shape: tuple[int, int]) -> BoolArray:
+        """Return the pixels as an image of this shape."""
+        image = np.zeros(shape, np.bool_)
+        image.reshape(-1)[self.pixels] = True
+        return image
+
+
+NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
+
+
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a contact test found in a frame.
+
+    Attributes
+    ----------
+    contact : Candidates
+    make_provenance : callable
+        Computes the verdict on each pixel, uint8 (H, W), when it is read.
+    skipped : tuple of str
+        As in `ContactPatch`.
+    """
+
+    contact: Candidates
+    make_provenance: Callable[[], Uint8Array]
+    skipped: tuple[str, ...] = ()
+
+
 class ContactPatch:
     """Where the membrane touches the object, and why every other pixel was dropped.
 
@@ -45,26 +113,26 @@ class ContactPatch:
     sequence : int
         The frame's number.
     points, provenance, aligned, mask
-        As the attributes of these names, or `Once`; without a mask it follows from the provenance.
+        As the attributes of these names, or `Lazy`; without a mask it follows from the provenance.
     rig : Rig
     stage_ms : mapping of str to float
-        Milliseconds of each of `pipeline.stages_of` the preset; 0 for a stage that was cached or skipped.
+        Milliseconds of each step of the contact test; 0 for a step that was cached or skipped.
     skipped : tuple of str
-        What this frame did not need, in words, such as "no tile can hold contact".
+        What this frame did not need, in words, such as "no candidates".
     averaged_frames : int
-        Over how many frames the depths were averaged, this one included.
+        Number of frames over which depth was averaged, this one included.
     """
 
     def __init__(
         self,
         sequence: int,
-        points: Float32Array | Once[Float32Array],
-        provenance: Uint8Array | Once[Uint8Array],
-        aligned: AlignedDepth | Once[AlignedDepth],
+        points: Float32Array | Lazy[Float32Array],
+        provenance: Uint8Array | Lazy[Uint8Array],
+        aligned: AlignedDepth | Lazy[AlignedDepth],
         rig: Rig,
         stage_ms: Mapping[str, float],
         skipped: tuple[str, ...] = (),
-        mask: Once[BoolArray] | None = None,
+        mask: Lazy[BoolArray] | None = None,
         averaged_frames: int = 1,
     ) -> None:
         self.sequence = sequence
@@ -87,17 +155,17 @@ class ContactPatch:
     @property
     def points(self) -> Float32Array:
         """Float32 (N, 3), metres, proximity depth frame, in row-major pixel order."""
-        return self._points.get() if isinstance(self._points, Once) else self._points
+        return self._points.get() if isinstance(self._points, Lazy) else self._points
 
     @property
     def provenance(self) -> Uint8Array:
         """Uint8 (H, W), values of `Provenance`."""
-        return self._provenance.get() if isinstance(self._provenance, Once) else self._provenance
+        return self._provenance.get() if isinstance(self._provenance, Lazy) else self._provenance
 
     @property
     def aligned(self) -> AlignedDepth:
         """Both sides of the tolerance test."""
-        return self._aligned.get() if isinstance(self._aligned, Once) else self._aligned
+        return self._aligned.get() if isinstance(self._aligned, Lazy) else self._aligned
 
     @cached_property
     def mask(self) -> BoolArray:

@@ -1,4 +1,4 @@
-"""Tell whether a preset belongs to the rig at hand."""
+"""Checks of a preset: what it is probably not meant for, and whether it belongs to a rig."""
 
 from __future__ import annotations
 
@@ -7,8 +7,24 @@ import numpy as np
 from ..errors import RigMismatchError
 from ..model.frames import ColorCamera, DepthCamera, Rig
 from ..model.intrinsics import Intrinsics
-from .notes import homography_notes
 from .preset import Preset
+
+
+def preset_notes(preset: Preset) -> list[str]:
+    """Return sentences on combinations that work but are probably not intended; most presets give none."""
+    return mask_notes(preset) + homography_notes(preset)
+
+
+def mask_notes(preset: Preset) -> list[str]:
+    """Return a sentence if the contact test needs the mask and the preset has it turned off."""
+    note = preset.test.unmasked_note
+    return [] if preset.mask.enabled or not note else [f"Preset {preset.name!r} {note}"]
+
+
+def homography_notes(preset: Preset) -> list[str]:
+    """Return a sentence if the contact test needs an alignment that is exact beyond one plane."""
+    note = preset.test.homography_note
+    return [] if preset.alignment.model != "homography" or not note else [f"Preset {preset.name!r} {note}"]
 
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:

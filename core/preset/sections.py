@@ -1,0 +1,154 @@
+"""The sections that every preset has: cameras, mask, range, region and the untouched frame.
+
+A section is a frozen, strict model. Each field carries its bounds, unit, title and tooltip; the parameter panel, the
+JSON Schema and the messages about bad values are made from them.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+
+_Hue = Annotated[int, Field(ge=0, le=179)]
+_Byte = Annotated[int, Field(ge=0, le=255)]
+_Pixel = Annotated[int, Field(ge=0, le=16384)]
+
+
+def described(title: str, description: str, *, unit: str = "", **extra: Any) -> Any:
+    """Return a field with what the GUI shows of it: title, tooltip, unit and the slider's scale."""
+    return Field(title=title, description=description, json_schema_extra={"unit": unit, **extra})
+
+
+class Section(BaseModel):
+    """A frozen, strict part of a preset."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class MaskSection(Section):
+    """The colour of the bare membrane: such pixels reflect infrared and would pass as contact."""
+
+    enabled: Annotated[
+        bool, described("Use the mask", "Drop pixels whose colour is the bare membrane's; they reflect infrared.")
+    ] = True
+    hue: Annotated[
+        tuple[_Hue, _Hue],
+        described(
+            "Hue",
+            "Hue range of the bare membrane, OpenCV convention 0-179. A low end above the high end wraps "
+            "around through red.",
+            unit="deg/2",
+            wraps=True,
+        ),
+    ] = (0, 179)
+    saturation: Annotated[
+        tuple[_Byte, _Byte], described("Saturation", "Saturation range of the bare membrane, 0 grey to 255 pure.")
+    ] = (0, 255)
+    value: Annotated[
+        tuple[_Byte, _Byte], described("Value", "Brightness range of the bare membrane, 0 black to 255 brightest.")
+    ] = (0, 255)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> MaskSection:
+        for name in ("saturation", "value"):
+            low, high = getattr(self, name)
+            if low > high:
+                raise ValueError(
+                    f"{name} has its low end {low} above its high end {high}; only hue wraps around, swap them"
+                )
+        return self
+
+
+class RangeSection(Section):
+    """The working range: proximity depths outside it are never contact."""
+
+    enabled: Annotated[bool, described("Limit the range", "Ignore points nearer or farther than the range.")] = False
+    limits_m: Annotated[
+        tuple[Annotated[float, Field(ge=0.0, le=10.0)], Annotated[float, Field(ge=0.0, le=10.0)]],
+        described("Range", "Nearest and farthest proximity depth considered.", unit="m", slider=(0.0, 1.0), step=0.001),
+    ] = (0.1, 0.5)
+
+    @field_validator("limits_m")
+    @classmethod
+    def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
+        if value[0] >= value[1]:
+            raise ValueError(f"the near limit {value[0]} m is not below the far limit {value[1]} m; swap them")
+        return value
+
+
+class RegionSection(Section):
+    """A rectangle of proximity pixels; nothing outside it is computed."""
+
+    enabled: Annotated[bool, described("Limit the region", "Ignore pixels outside the rectangle.")] = False
+    rectangle: Annotated[
+        tuple[_Pixel, _Pixel, _Pixel, _Pixel],
+        described("Rectangle", "Left, top, width and height in proximity pixels.", unit="px"),
+    ] = (0, 0, 640, 480)
+
+    @field_validator("rectangle")
+    @classmethod
+    def _not_empty(cls, value: tuple[int, int, int, int]) -> tuple[int, int, int, int]:
+        if value[2] == 0 or value[3] == 0:
+            raise ValueError(f"the region is {value[2]} x {value[3]} pixels and so empty; give it a size")
+        return value
+
+
+class CameraSection(Section):
+    """Which of the connected devices is one of the two cameras, and how it is set up."""
+
+    serial: Annotated[
+        str,
+        described(
+            "Serial number",
+            "Serial number of the camera. Empty: the only connected one of a fitting model.",
+            hidden=True,
+        ),
+        Field(max_length=64, pattern=r"^[0-9A-Za-z_.-]*$"),
+    ] = ""
+    options: Annotated[
+        dict[Annotated[str, Field(min_length=1, max_length=80)], float],
+        described(
+            "Options",
+            "Settings of the camera by the driver's own names, such as laser_power; "
+            "what is not named here stays as the camera has it.",
+            hidden=True,
+        ),
+    ] = Field(default_factory=dict)
+
+
+class CamerasSection(Section):
+    """The two cameras of a live source. Recordings ignore it."""
+
+    proximity: CameraSection = CameraSection()
+    tactile: CameraSection = CameraSection()
+    tactile_delay_s: Annotated[
+        float,
+        described(
+            "Tactile delay",
+            "How much later than the proximity camera's images with equal time stamps the tactile camera's show "
+            "the same moment; it is taken off their time stamps before images are paired.",
+            unit="s",
+            step=0.001,
+            hidden=True,
+        ),
+        Field(ge=-2.0, le=2.0),
+    ] = 0.0
+
+
+class UntouchedRecord(Section):
+    """The untouched membrane: averaged frames in a file beside the preset."""
+
+    file: Annotated[
+        str,
+        described("File", "Name of the file in the preset's own folder.", hidden=True),
+        Field(min_length=1, max_length=255, pattern=r"^[^/\\]+$"),
+    ]
+    sha256: Annotated[
+        str,
+        described("Hash", "SHA-256 of the images in it, so that no other file is taken for it.", hidden=True),
+        Field(pattern=r"^[0-9a-f]{64}$"),
+    ]
+    frames: Annotated[
+        int, described("Frames", "How many frames were averaged.", unit="frames", hidden=True), Field(ge=1, le=100_000)
+    ]
