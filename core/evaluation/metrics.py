@@ -19,16 +19,16 @@ from ..model.frames import GroundTruth, Rig
 
 @dataclass(frozen=True)
 class PixelScores:
-    """How a mask agrees with the true mask, pixel by pixel.
+    """Agreement of a mask with the true mask, pixel by pixel.
 
     Attributes
     ----------
     iou : float
-        Pixels in both over pixels in either; 1 where both masks are empty.
+        Intersection over union; 1 if both masks are empty.
     precision : float
-        Share of the mask that is true; 1 where the mask is empty (it claims nothing false).
+        Share of the mask that is true; 1 if the mask is empty.
     recall : float
-        Share of the truth that is in the mask; 1 where the truth is empty (nothing is missed).
+        Share of the truth that is in the mask; 1 if the truth is empty.
     """
 
     iou: float
@@ -60,8 +60,8 @@ def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
 def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     """Return the average symmetric root mean square distance of two clouds, in their unit (metres).
 
-    The mean of the two directed values, each the root mean square over one cloud's points of the
-    distance to the nearest point of the other cloud.
+    Mean of both directed values; each is the root mean square distance of one cloud's points to their nearest
+    neighbours in the other cloud.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:
     Returns
     -------
     float
-        0 for the same cloud; nan where either cloud is empty, since then there is no distance.
+        0 for equal clouds; nan if either cloud is empty.
     """
     return cloud_distances(first, second).symmetric_rmse_m
 
@@ -81,7 +81,7 @@ def truth_cloud(truth: GroundTruth, rig: Rig) -> PointCloud:
     Returns
     -------
     PointCloud
-        Metres, proximity depth frame, row-major pixel order; empty where the truth has no depth.
+        Metres, proximity depth frame, row-major pixel order; empty if the truth has no depth.
     """
     if truth.depth_m is None:
         return PointCloud(np.empty((0, 3), np.float32))
@@ -98,7 +98,7 @@ def compare_with_truth(patch: ContactPatch | MethodPatch, truth: GroundTruth, ri
     -------
     dict
         ``iou``, ``precision``, ``recall`` as in `PixelScores`, and ``rmse_mm``, the average symmetric
-        RMSE of the patch's points and `truth_cloud` in millimetres, nan where either is empty.
+        RMSE of the patch's points and `truth_cloud` in millimetres, nan if either is empty.
     """
     scores = pixel_scores(patch.mask, truth.contact)
     rmse_mm = 1e3 * symmetric_rmse_m(patch.points, truth_cloud(truth, rig).points)
@@ -108,7 +108,8 @@ def compare_with_truth(patch: ContactPatch | MethodPatch, truth: GroundTruth, ri
 def method_area_mm2(patch: MethodPatch, rig: Rig) -> float:
     """Return a patch's area, projected on the plane across the optical axis.
 
-    The area of its proximity pixels at its mean square depth: the points may be another camera's pixels.
+    Number of proximity pixels times the pixel area at the points' mean square depth. (The points may come from the
+    other camera's pixels, so they are not counted.)
     """
     if len(patch.points) == 0:
         return 0.0
@@ -123,22 +124,22 @@ def _share(part: int, whole: int) -> float:
 
 @dataclass(frozen=True)
 class CloudDistances:
-    """How far two clouds lie from each other, in their own unit (metres); nan where either is empty.
+    """Distances between two clouds, metres; nan if either is empty.
 
-    Directed values are over the nearest neighbours of each point of the one cloud in the other.
+    A directed distance is that of each point of one cloud to its nearest neighbour in the other.
 
     Attributes
     ----------
     patch_to_truth_rms_m, truth_to_patch_rms_m : float
         Root mean square of the directed distances.
     symmetric_rmse_m : float
-        The mean of these two, as in Yin et al.
+        Mean of these two, as in Yin et al.
     hausdorff_m : float
-        The largest distance of either direction.
+        Largest directed distance of both directions.
     percentile_95_m : float
-        The larger of both directions' 95th percentiles, a Hausdorff distance without the outliers.
+        Larger of both directions' 95th percentiles: a Hausdorff distance without outliers.
     chamfer_m : float
-        The mean of the two mean directed distances.
+        Mean of the two mean directed distances.
     """
 
     patch_to_truth_rms_m: float
@@ -155,7 +156,7 @@ def cloud_distances(patch: npt.ArrayLike, truth: npt.ArrayLike) -> CloudDistance
     Parameters
     ----------
     patch, truth : array_like, shape (N, 3) and (M, 3)
-        Metres, one frame.
+        Metres, in the same coordinate frame.
     """
     a, b = np.asarray(patch, np.float64).reshape(-1, 3), np.asarray(truth, np.float64).reshape(-1, 3)
     if len(a) == 0 or len(b) == 0:
@@ -173,15 +174,15 @@ def cloud_distances(patch: npt.ArrayLike, truth: npt.ArrayLike) -> CloudDistance
 
 
 def area_error_mm2(patch_mm2: float, truth_mm2: float) -> float:
-    """Return how much larger the patch is than the truth, mm^2; negative where it is smaller."""
+    """Return the patch area minus the true area, mm^2."""
     return patch_mm2 - truth_mm2
 
 
 def boundary_distance_px(patch: BoolArray, truth: BoolArray) -> float:
-    """Return the average symmetric distance of the outlines of two masks, pixels; nan where either is empty.
+    """Return the average symmetric distance of the outlines of two masks, pixels; nan if either is empty.
 
-    The mean of both directed mean distances from each outline pixel to the nearest of the other
-    outline. An outline pixel is one of the mask with a 4-neighbour outside it.
+    Mean of both directed mean distances from the pixels of one outline to the nearest of the other. An outline pixel
+    is a mask pixel with a 4-neighbour outside the mask.
 
     Parameters
     ----------

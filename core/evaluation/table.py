@@ -1,6 +1,6 @@
-"""The paper's table: methods on scenes with known truth, and what the cells say together.
+"""The paper's table: methods on scenes with ground truth, with averages over scenes and seeds.
 
-Cells are measured one by one and kept, so a table can be cancelled at any time and goes on where it was.
+Cells are measured one by one and stored, so a cancelled table can be resumed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from .table_cell import (
     table_methods,
 )
 
-#: Symmetric RMSE in mm at low, medium and high strain, and seconds a frame, as Yin et al. print them.
+#: Symmetric RMSE in mm at low, medium and high strain, and seconds a frame, as in Yin et al.
 PAPER_RMSE_MM: Final = {
     "fusion": (2.70, 2.33, 2.78),
     "proximity-only": (3.73, 5.33, 4.33),
@@ -42,7 +42,7 @@ PAPER_RMSE_MM: Final = {
 }
 PAPER_SECONDS: Final = {"fusion": 0.07, "proximity-only": 0.03, "tactile-only": 0.03, "mechanics": 0.3}
 
-#: Numbers of a cell that are averaged over the scenes with contact.
+#: Fields of a cell that are averaged over the scenes with contact.
 MEASURES: Final = (
     "rmse_mm", "iou", "precision", "recall", "hausdorff_mm", "p95_mm", "chamfer_mm", "area_error_mm2", "boundary_px",
 )  # fmt: skip
@@ -51,7 +51,7 @@ CONFIDENCE: Final = 0.95
 
 
 def paper_method(method: str) -> str:
-    """Return which of the paper's methods a method stands beside."""
+    """Return the method of the paper that a method is compared with."""
     if method in PAPER_RMSE_MM:
         return method
     return "tactile-only" if method.startswith("tactile") else "fusion"
@@ -59,19 +59,19 @@ def paper_method(method: str) -> str:
 
 @dataclass(frozen=True)
 class TablePlan:
-    """What to measure, and with what.
+    """Methods, scenes and seeds of a table.
 
     Attributes
     ----------
     methods : tuple of str
-        Of `table_methods`.
+        Names from `table_methods`.
     scenes : tuple of PlannedScene
     seeds : tuple of int
-        One choice of noise each.
+        Noise seeds.
     preset : Preset
-        Of all methods; the straight one takes its own alignment and tolerance.
+        Used by all methods; `STRAIGHT` replaces its alignment model and tolerance.
     work : Path
-        Where finished cells are kept.
+        Folder of finished cells.
     """
 
     methods: tuple[str, ...]
@@ -82,7 +82,7 @@ class TablePlan:
 
     @property
     def count(self) -> int:
-        """How many cells there are."""
+        """Number of cells."""
         return len(self.methods) * len(self.scenes) * len(self.seeds)
 
 
@@ -91,14 +91,14 @@ def measure_table(
     make: MakeMethod = make_method,
     open_scene: Callable[[str], FrameSource] = open_source,
 ) -> Iterator[TableCell]:
-    """Yield cell after cell, taking from ``plan.work`` what was measured before.
+    """Yield the cells of a table; cells stored in ``plan.work`` are not measured again.
 
-    To cancel, stop iterating: each cell that came out is kept.
+    Stop iterating to cancel: all yielded cells are stored.
 
     Raises
     ------
     TactuneError
-        A scene cannot be opened or a cell cannot be kept.
+        A scene cannot be opened or a cell cannot be stored.
     """
     folder = TableCellFolder(plan.work, plan.preset)
     for scene in plan.scenes:
@@ -113,9 +113,9 @@ def measure_table(
 
 
 class _SceneFrames(ExitStack):
-    """Frames of one scene, of one seed at a time, opened only when something must be measured.
+    """Frames of one scene, one seed at a time, opened only if a cell must be measured.
 
-    The sources of all seeds stay open until the end, since they share what was solved.
+    The sources of all seeds stay open until the end because they share the solved membrane.
     """
 
     def __init__(self, scene: PlannedScene, open_scene: Callable[[str], FrameSource]) -> None:
@@ -143,12 +143,12 @@ class Average:
     Attributes
     ----------
     mean : float
-        nan where every cell failed.
+        nan if every cell failed.
     half_width : float
-        Of the 95 % confidence interval of the mean over seeds, by Student's t-distribution; nan with fewer
-        than two seeds.
+        Half width of the 95 % confidence interval of the mean over seeds (Student's t-distribution); nan for a single
+        seed.
     failed, cells : int
-        How many cells failed, of how many.
+        Number of failed cells, and of all cells.
     """
 
     mean: float
@@ -168,9 +168,9 @@ class Average:
 
 
 def average(cells: Iterable[TableCell], measure: str) -> Average:
-    """Average a measure of cells: over sides, then over scenes, then over seeds.
+    """Average a field of cells: over sides, then over scenes, then over seeds.
 
-    Failed cells and those without this measure are left out, and failures counted.
+    Cells without this field, such as failed ones, are left out; failed cells are counted.
     """
     cells = list(cells)
     by_seed: dict[int, dict[tuple[str, str], list[float]]] = {}
@@ -189,7 +189,7 @@ def average(cells: Iterable[TableCell], measure: str) -> Average:
 
 @dataclass(frozen=True)
 class Table:
-    """Finished cells, and what they say together."""
+    """Finished cells and their averages."""
 
     cells: list[TableCell] = field(default_factory=list)
 
@@ -210,12 +210,12 @@ class Table:
         return list(dict.fromkeys((cell.row, cell.press) for cell in self.cells if cell.group == group))
 
     def presses(self) -> list[str]:
-        """Return the presses of the paper's cells."""
+        """Return the presses of the paper's scenes."""
         found = {press for _, press in self.rows("main")}
         return [press for press in PRESSES if press in found]
 
     def pick(self, method: str, group: str, row: str | None = None, press: str | None = None) -> list[TableCell]:
-        """Return the cells of a method."""
+        """Return the cells of a method in a group, optionally of one row and press only."""
         return [
             cell
             for cell in self.cells
@@ -223,17 +223,17 @@ class Table:
         ]
 
     def median_ms(self, method: str) -> float:
-        """Return the median time of a frame in milliseconds; nan where nothing was timed."""
+        """Return the median time per frame, milliseconds; nan if nothing was timed."""
         times = [cell.ms for cell in self.cells if cell.method == method and cell.ms is not None]
         return median(times) if times else math.nan
 
 
 def seeds_from(first: int, count: int) -> tuple[int, ...]:
-    """Return ``count`` seeds from the first."""
+    """Return ``count`` consecutive seeds."""
     return tuple(range(first, first + count))
 
 
 def contacts_right(cells: Sequence[TableCell]) -> float:
-    """Return the share of cells with as many separate contacts as truth; nan without a cell."""
+    """Return the share of cells whose patch has the true number of separate contacts; nan without cells."""
     judged = [cell.contacts == cell.true_contacts and not cell.failure for cell in cells]
     return sum(judged) / len(judged) if judged else math.nan

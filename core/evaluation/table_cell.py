@@ -35,16 +35,16 @@ Group = Literal["main", "extra", "hover"]
 
 PRESSES: Final = ("low", "medium", "high")
 OBJECTS: Final = ("octopus", "cup", "cube")
-#: How far the object of the false-positive test stays away from the membrane.
+#: Gaps between object and membrane in the false-positive test, millimetres.
 GAPS_MM: Final = (1, 2, 3, 5, 10, 20)
-#: Held-out seeds begin here, so that no seed of development is among them.
+#: First seed of held-out tables; development uses smaller seeds only.
 FIRST_HELD_OUT_SEED: Final = 100
-#: What the paper has: its alignment and its tolerance.
+#: The paper's method: homography alignment and the paper's tolerance.
 STRAIGHT: Final = "straight"
 STRAIGHT_T: Final = 0.03
 
-#: Frames that a method is shown, each once, since the pipeline computes no frame twice. The first loads
-#: code and tables and is not timed; the last is judged. Only methods that remember frames are shown all.
+#: Frames per table cell. A method gets each frame once. The first one loads code and tables and is not timed; the last
+#: one is scored. Methods without memory get only the last `_FRAMES_WITHOUT_MEMORY`.
 FRAMES_PER_CELL: Final = 16
 _FRAMES_WITHOUT_MEMORY: Final = 4
 
@@ -60,15 +60,15 @@ class PlannedScene:
     Attributes
     ----------
     name : str
-        The simulator's scene.
+        Name of the simulator's scene.
     object : str
-        What is pressed in.
+        Name of the pressed object.
     press : str
-        ``low``, ``medium``, ``high``; a gap in millimetres for ``hover``.
+        ``low``, ``medium``, ``high``; for ``hover`` the gap in millimetres.
     side : str
-        ``left`` or ``right`` for high presses, which are off the middle; else empty.
+        ``left`` or ``right`` for high presses, which are off-centre; otherwise empty.
     group : {"main", "extra", "hover"}
-        Whether it is one of the paper's cells, a scene beyond them, or one without contact.
+        The paper's scenes, further scenes, and scenes without contact.
     """
 
     name: str
@@ -79,12 +79,12 @@ class PlannedScene:
 
     @property
     def row(self) -> str:
-        """What the table calls it, the press apart: the object, or the special scene."""
+        """Name of the table row: the object, or the special scene."""
         return self.object if self.name == self.object else self.name
 
     @property
     def source(self) -> str:
-        """The source's name without a seed, as `open_source` takes it."""
+        """Source string for `open_source`, without a seed."""
         options = [f"gap={self.press}" if self.group == "hover" else f"press={self.press}"]
         options += [f"side={self.side}"] * bool(self.side) + [f"object={self.object}"] * (self.name != self.object)
         return f"sim:{self.name}?{'&'.join(options)}"
@@ -98,23 +98,23 @@ def plan_scenes(
     Parameters
     ----------
     objects, presses : sequence of str
-        The paper's are the default.
+        Default: those of the paper.
     extra : bool
-        Also a membrane of varied stiffness, a wrinkled one, two objects at once, and objects that hover.
+        Add a membrane of varying stiffness, a wrinkled membrane, two objects at once, and hovering objects.
     held_out : bool
-        The objects are held out of development: they may be planned, and no other.
+        Allow the objects held out of development, and only those.
 
     Raises
     ------
     TactuneError
-        An object or press that there is not, or a held-out object where none is wanted.
+        An object or press is unknown, or a held-out object is given without ``held_out``.
     """
     known = HELD_OUT if held_out else (*OBJECTS, "two")
     for what, names, allowed in (("object", objects, known), ("press", presses, PRESSES)):
         for name in names:
             if name not in allowed:
-                hint = "; it is kept for --held-out" if name in HELD_OUT else ""
-                raise TactuneError(f"the table has no {what} {name!r}{hint}; choose of {', '.join(allowed)}")
+                hint = "; it needs --held-out" if name in HELD_OUT else ""
+                raise TactuneError(f"the table has no {what} {name!r}{hint}; choose from {', '.join(allowed)}")
     scenes = [scene for name in dict.fromkeys(objects) for press in dict.fromkeys(presses)
               for scene in _still(name, press)]  # fmt: skip
     if extra:
@@ -133,28 +133,28 @@ def _still(name: str, press: str, group: Group = "main") -> list[PlannedScene]:
 
 @dataclass(frozen=True)
 class TableCell:
-    """What was measured; numbers are None where they do not exist, such as distances to an empty patch.
+    """Result of one method on one scene with one seed. Numbers that do not exist are None.
 
     Attributes
     ----------
     method, row, object, press, side, group, source, seed
-        What was measured; as in `PlannedScene`.
+        Method, scene (see `PlannedScene`) and noise seed.
     rmse_mm, hausdorff_mm, p95_mm, chamfer_mm : float or None
-        As in `CloudDistances`.
+        Distances to the true contact; see `CloudDistances`.
     iou, precision, recall : float or None
-        In proximity pixels.
+        See `PixelScores`; over proximity pixels.
     area_error_mm2, boundary_px : float or None
-        As in `area_error_mm2` and `boundary_distance_px`.
+        See the functions `area_error_mm2` and `boundary_distance_px`.
     points : int
-        Of the patch; where nothing touches, each is false.
+        Number of points of the patch; without contact, all of them are false.
     max_strain, strain_length, strain_width : float or None
-        Largest in-plane strain of the scene, as in `TrueStrain`; None where nobody knows.
+        Largest in-plane strain of the scene (see `TrueStrain`); None if unknown.
     contacts, true_contacts : int
-        Separate contacts in the patch and in truth.
+        Number of separate contacts in the patch, and in the truth.
     ms : float or None
-        Median computation time of a frame.
+        Median computation time per frame.
     failure : str
-        Why the method gave no patch; empty where it did.
+        Why the method returned no patch; empty if it did.
     """
 
     method: str
@@ -185,17 +185,17 @@ class TableCell:
 
 
 def table_methods() -> tuple[str, ...]:
-    """Return the names that the table knows: the paper's straight method, then all others."""
+    """Return the names of the table's methods: the paper's own (`STRAIGHT`), then all of the registry."""
     return (STRAIGHT, *method_names())
 
 
 def check_methods(names: Sequence[str], known: Sequence[str]) -> None:
-    """Refuse a method that there is not.
+    """Check that all methods exist.
 
     Raises
     ------
     TactuneError
-        Names the method and the known ones.
+        A name is unknown; the message lists the known ones.
     """
     for name in names:
         if name not in known:
@@ -205,7 +205,7 @@ def check_methods(names: Sequence[str], known: Sequence[str]) -> None:
 def build_method(
     name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None, make: MakeMethod = make_method
 ) -> ContactMethod:
-    """Build a method of the table by its name; raises as `make_method` does."""
+    """Build a method of the table by its name. Errors: see `make_method`."""
     if name == STRAIGHT:
         return make("fusion-homography", preset.with_values({"tolerance.t": STRAIGHT_T}), rig, untouched)
     return make(name, preset, rig, untouched)
@@ -219,14 +219,14 @@ def measure_cell(
     frames: Sequence[SensorFrame],
     rig: Rig,
 ) -> TableCell:
-    """Measure one method on frames of one still scene; the last one is judged.
+    """Measure one method on frames of one still scene; its patch in the last frame is scored.
 
-    A method that cannot be built, or gives up, makes a cell with its failure in words.
+    If the method cannot be built or fails, the cell holds the error message.
 
     Raises
     ------
     TactuneError
-        The scene knows no truth.
+        The scene has no ground truth.
     """
     where = (name, scene.row, scene.object, scene.press, scene.side, scene.group, scene.source, seed)
     strain = _strain(frames[-1])
@@ -252,9 +252,9 @@ def _strain(frame: SensorFrame) -> dict[str, Any]:
 
 
 def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
-    """Compare a patch with its frame's truth."""
+    """Score a patch against its frame's ground truth."""
     if frame.truth is None:
-        raise TactuneError("the scene knows no truth, so no method can be judged on it; choose a simulated one")
+        raise TactuneError("the scene has no ground truth, so no method can be scored on it; choose a simulated one")
     truth = truth_cloud(frame.truth, rig).points
     true_contacts = separate_contacts(frame.truth.contact)
     if patch.failure or (len(patch.points) == 0 and len(truth) > 0):
@@ -279,14 +279,14 @@ def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
 
 
 class TableCellFolder:
-    """Keeps finished cells, one JSON file each, so that an interrupted table goes on where it was.
+    """Stores finished cells, one JSON file each, so that an interrupted table can be resumed.
 
     Parameters
     ----------
     folder : path
-        Made when the first cell is kept.
+        Created with the first stored cell.
     preset : Preset
-        Of all methods. With another preset, or after a change of the program, cells are measured anew.
+        Used by all methods. Cells of another preset or another program version are not reused.
     """
 
     def __init__(self, folder: Path, preset: Preset) -> None:
@@ -295,7 +295,7 @@ class TableCellFolder:
         self._settings = f"{settings} {STRAIGHT_T} {FRAMES_PER_CELL} {code_version()}"
 
     def load(self, method: str, scene: PlannedScene, seed: int) -> TableCell | None:
-        """Return a cell, or None where it is not kept or its file is damaged."""
+        """Return a stored cell, or None if it is not stored or its file is damaged."""
         try:
             found = json.loads(self._path(method, scene, seed).read_text(encoding="utf-8"))
             cell = table_cell_from_json(found)
@@ -304,7 +304,7 @@ class TableCellFolder:
         return cell if (cell.method, cell.source, cell.seed) == (method, scene.source, seed) else None
 
     def save(self, cell: TableCell, scene: PlannedScene) -> None:
-        """Keep a cell; the file appears whole or not at all.
+        """Store a cell; the file is written atomically.
 
         Raises
         ------
@@ -320,16 +320,16 @@ class TableCellFolder:
 
 
 def table_cell_from_json(found: Any) -> TableCell:
-    """Return the cell that a JSON object tells.
+    """Return the cell from a JSON object.
 
     Raises
     ------
     ValueError
-        The object is no cell: a field is missing, unknown or of another type.
+        A field is missing, unknown or of another type.
     """
     names = {field.name: field.type for field in fields(TableCell)}
     if not isinstance(found, dict) or found.keys() != names.keys():
-        raise ValueError("it has not the fields of a cell")
+        raise ValueError("its fields are not those of a table cell")
     for name, kind in names.items():
         value = found[name]
         allowed = {"str": (str,), "int": (int,)}.get(str(kind), (int, float, type(None)))
@@ -340,7 +340,7 @@ def table_cell_from_json(found: Any) -> TableCell:
 
 @cache
 def code_version() -> str:
-    """Return a hash of everything that can change a result: the source code of the core."""
+    """Return a hash of the core's source code, on which every result depends."""
     digest = hashlib.sha256()
     core = Path(__file__).parents[1]
     for file in sorted(core.rglob("*.py")):

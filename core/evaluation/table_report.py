@@ -47,16 +47,16 @@ _NOTE = (
     "high presses are averaged first. Averages of a press are over its objects. Fail: no patch in any of the cells;\n"
     "* no patch in some of them, which are left out. The paper's figures are of other, real objects."
 )
-#: Truth and, by method, points or the reason why there are none.
+#: The true points, and by method either its points or an error message.
 Panel = tuple[Float32Array, dict[str, Float32Array | str]]
 
-#: Where the colours end, millimetres.
+#: Upper end of the colour scale, millimetres.
 FARTHEST_MM: Final = 10.0
 _SUFFIXES = (".png", ".svg", ".pdf")
 
 
 def table_as_text(table: Table) -> str:
-    """Return the whole table for a person."""
+    """Return the whole table as text."""
     parts = [_averages(table), _rmse(table, "main"), _other_measures(table)]
     parts += [_rmse(table, "extra"), _false_points(table), _strains(table), _failures(table)]
     seeds = f"{len(table.seeds)} seeds" if len(table.seeds) != 1 else "1 seed"
@@ -64,7 +64,7 @@ def table_as_text(table: Table) -> str:
 
 
 def table_as_json(table: Table) -> dict[str, Any]:
-    """Return averages and cells, ready for JSON; what does not exist is None."""
+    """Return averages and cells as JSON values; missing numbers are None."""
     return {
         "seeds": table.seeds,
         "confidence": {"level": CONFIDENCE, "method": "Student's t-distribution over seeds"},
@@ -80,12 +80,12 @@ def table_as_json(table: Table) -> dict[str, Any]:
 
 
 def write_csv(table: Table, path: Path) -> None:
-    """Write a line a cell, empty where a number does not exist; the file appears whole or not at all.
+    """Write a CSV file with one line per cell, atomically; missing numbers are empty.
 
     Raises
     ------
     ExportError
-        The place cannot be written.
+        The file cannot be written.
     """
     with atomic_path(path) as temporary, temporary.open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, [field.name for field in fields(TableCell)])
@@ -94,7 +94,7 @@ def write_csv(table: Table, path: Path) -> None:
 
 
 def _averages(table: Table) -> str:
-    """Averages per press and times, the paper's beside them."""
+    """Return averages per press and times, with the paper's numbers."""
     presses = table.presses()
     if not presses:
         return ""
@@ -112,7 +112,7 @@ def _averages(table: Table) -> str:
 
 
 def _rmse(table: Table, group: str) -> str:
-    """RMSE of each scene of a group."""
+    """Return the RMSE of each scene of a group."""
     rows = table.rows(group)
     if not rows:
         return ""
@@ -124,7 +124,7 @@ def _rmse(table: Table, group: str) -> str:
 
 
 def _other_measures(table: Table) -> str:
-    """All other measures, over all of the paper's cells."""
+    """Return all other measures, averaged over the paper's scenes."""
     if not table.rows("main"):
         return ""
     digits = {"iou": 3, "precision": 3, "recall": 3, "area_error_mm2": 0}
@@ -138,7 +138,7 @@ def _other_measures(table: Table) -> str:
 
 
 def _false_points(table: Table) -> str:
-    """Points where nothing touches."""
+    """Return the number of false points of each gap without contact."""
     rows = table.rows("hover")
     if not rows:
         return ""
@@ -150,7 +150,7 @@ def _false_points(table: Table) -> str:
 
 
 def _strains(table: Table) -> str:
-    """The largest in-plane strain of each scene."""
+    """Return the largest in-plane strain of each scene."""
     scenes = scene_strains(table)
     if not scenes:
         return ""
@@ -162,7 +162,7 @@ def _strains(table: Table) -> str:
 
 
 def scene_strains(table: Table) -> list[dict[str, Any]]:
-    """Return the solver's largest in-plane strain of each scene with contact where it is known, 0.1 for 10 %."""
+    """Return the solver's largest in-plane strain of each scene with contact, where it is known; 0.1 is 10 %."""
     found: dict[tuple[str, str, str], dict[str, Any]] = {}
     for cell in table.cells:
         if cell.group != "hover" and cell.max_strain is not None:
@@ -173,7 +173,7 @@ def scene_strains(table: Table) -> list[dict[str, Any]]:
 
 
 def _failures(table: Table) -> str:
-    """Every reason for a failure, once a method."""
+    """Return the failures of each method, equal ones once."""
     found: dict[tuple[str, str], list[str]] = {}
     for cell in table.cells:
         if cell.failure:
@@ -233,12 +233,12 @@ def _aligned(lines: Sequence[Line]) -> str:
 
 
 def check_plot(path: Path) -> None:
-    """Refuse before anything is measured what could not be drawn afterwards.
+    """Check, before anything is measured, that the figure can be drawn.
 
     Raises
     ------
     ExportError
-        The suffix is none that can be drawn.
+        The suffix is not supported.
     MissingExtraError
         matplotlib is not installed.
     """
@@ -256,12 +256,12 @@ def draw_patches(
     make: MakeMethod = make_method,
     open_scene: Callable[[str], FrameSource] = open_source,
 ) -> None:
-    """Draw the patches of one seed: a row a method under the truth, a column an object and press.
+    """Draw the patches of one seed: the truth in the first row, then one row per method; one column per scene.
 
     Raises
     ------
     ExportError, MissingExtraError
-        As `check_plot`, or the place cannot be written.
+        See `check_plot`; or the file cannot be written.
     """
     check_plot(path)
     columns = [scene for scene in scenes if scene.side != "left" and scene.group != "hover"]
@@ -295,12 +295,12 @@ def draw_patches(
 
 
 def _draw_one(axis: Any, points: Float32Array | str, truth: Float32Array) -> Any:
-    """Draw one method's patch, and its RMSE or why there is none."""
+    """Draw one method's patch with its RMSE, or 'Fail'."""
     if isinstance(points, str):
         axis.text(0.5, 0.5, "Fail", transform=axis.transAxes, ha="center", va="center", color="crimson", fontsize=11)
         return None
     away_mm = 1e3 * np.asarray(cKDTree(truth).query(points)[0])
-    order = np.argsort(away_mm)  # the worst on top
+    order = np.argsort(away_mm)  # largest distances on top
     drawn = axis.scatter(
         1e3 * points[order, 0], 1e3 * points[order, 1], c=away_mm[order], s=0.3, linewidths=0,
         cmap="viridis", vmin=0, vmax=FARTHEST_MM,
@@ -317,12 +317,12 @@ def _panel(
     make: MakeMethod,
     open_scene: Callable[[str], FrameSource],
 ) -> Panel:
-    """Find every method's patch in the frame of a scene that the table judges."""
+    """Return the truth and every method's patch in the scored frame of a scene."""
     with open_scene(f"{scene.source}&seed={seed}") as source:
         untouched, frames = untouched_frame(source), list(itertools.islice(source, FRAMES_PER_CELL))
         if not frames or frames[-1].truth is None:
             raise TactuneError(
-                f"{source.name} gives no frame with truth, so it cannot be drawn; choose a simulated one"
+                f"{source.name} gives no frame with ground truth, so it cannot be drawn; choose a simulated source"
             )
         truth = truth_cloud(frames[-1].truth, source.rig).points
         found: dict[str, Float32Array | str] = {}
@@ -338,7 +338,7 @@ def _panel(
 
 
 def _limits(clouds: Sequence[Float32Array]) -> list[tuple[float, float]]:
-    """Return limits of x and y in mm that show all clouds."""
+    """Return limits of x and y, millimetres, that contain all clouds."""
     everything = np.concatenate([cloud[:, :2] for cloud in clouds]) * 1e3
     low, high = everything.min(axis=0) - 5.0, everything.max(axis=0) + 5.0
     return list(zip(low.tolist(), high.tolist(), strict=True))

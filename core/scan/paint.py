@@ -22,32 +22,32 @@ from .pose import transformed
 from .scan import Scan
 
 SPACING_M: Final = 0.0005
-_MOST_POINTS: Final = 5_000_000
+_MAX_POINTS: Final = 5_000_000
 
-#: Steps of the sequence of points that fills a square evenly: powers of 1 over the root of x^3 = x + 1 (Roberts' R2).
+#: Steps of the R2 low-discrepancy sequence (Roberts 2018): powers of 1 / x, where x^3 = x + 1.
 _PLASTIC: Final = 1.3247179572447460
 _STEPS: Final = (1 / _PLASTIC, 1 / _PLASTIC**2)
 
 
 @dataclass(frozen=True)
 class PaintSettings:
-    """Which colour means contact, and which spots are believed.
+    """Colour of the touched paint, and the clean-up of its spots.
 
     Attributes
     ----------
     hue : tuple of int
-        Range of the touched paint, OpenCV's 0 to 179; a low end above the high end wraps around through red.
+        Hue range of the touched paint, 0 to 179 (OpenCV). A low end above the high end wraps around through red.
     saturation, value : tuple of int
         Ranges, 0 to 255.
     least_area_mm2 : float
-        Smaller spots are dropped and smaller holes filled.
+        Smaller spots are removed and smaller holes filled.
     largest : int
-        How many spots are kept, the largest first; 0 keeps all.
+        Number of spots to keep, largest first; 0 keeps all.
 
     Raises
     ------
     TactuneError
-        A range or number that cannot be.
+        A range or number is invalid.
     """
 
     hue: tuple[int, int] = (150, 179)
@@ -64,20 +64,20 @@ class PaintSettings:
         self.color_range()
 
     def color_range(self) -> MaskSection:
-        """Return the range of colours, checked."""
+        """Return the colour range, validated."""
         try:
             return MaskSection(hue=self.hue, saturation=self.saturation, value=self.value)
         except ValidationError as error:
             first = error.errors()[0]
             name = ".".join(map(str, first["loc"])) or "range"
-            raise TactuneError(f"the paint's {name} cannot be: {first['msg']}; it is {first['input']!r}") from error
+            raise TactuneError(f"the paint's {name} is invalid: {first['msg']}; it is {first['input']!r}") from error
 
 
 def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
-    """Tell which vertices have the touched paint's colour, after the clean-up.
+    """Tell which vertices have the colour of touched paint, after the clean-up.
 
-    Holes and then spots of less than the least area change sides; of what remains, the largest spots are
-    kept. A spot is connected by the mesh's edges, and a vertex has a third of its triangles' area.
+    First holes below the least area are filled, then spots below it are removed, then the largest spots are kept.
+    Spots are connected along mesh edges. The area of a vertex is a third of the area of its triangles.
 
     Returns
     -------
@@ -92,27 +92,27 @@ def painted_contact(scan: Scan, paint: PaintSettings) -> BoolArray:
 
 
 def contact_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M) -> Float32Array:
-    """Return points that cover the surface in contact evenly, by area, the same for the same arguments.
+    """Return evenly spread points on the surface in contact; deterministic.
 
-    Between vertices contact is interpolated and ends at one half.
+    Contact is interpolated linearly between vertices and ends at 0.5.
 
     Parameters
     ----------
     scan : Scan
     contact : bool, shape (N,)
-        As from `painted_contact`.
+        From `painted_contact`.
     spacing_m : float
-        A point has the area of a square of this side, metres.
+        Each point represents a square of this side length, metres.
 
     Returns
     -------
     float32, shape (K, 3)
-        Metres, the scan's frame; empty where nothing is in contact.
+        Metres, in the scan's frame; empty without contact.
 
     Raises
     ------
     TactuneError
-        ``contact`` belongs to another scan, or the spacing gives no or far too many points.
+        ``contact`` has another number of vertices, or the spacing is invalid or gives too many points.
     """
     return surface_points(scan, contact, spacing_m)[0].astype(np.float32)
 
@@ -122,16 +122,16 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
     if contact.shape != (len(scan.vertices_m),):
         raise TactuneError(
             f"contact has the shape {contact.shape}, but the scan has {len(scan.vertices_m)} vertices; "
-            "take it from this scan"
+            "compute it from this scan"
         )
     touching = np.flatnonzero(contact[scan.triangles].any(axis=1))
     areas = scan.areas_m2[touching]
     if not (math.isfinite(spacing_m) and spacing_m > 0):
         raise TactuneError(f"the spacing is {spacing_m} m; give the distance of neighbouring points, such as 0.0005")
-    if areas.sum() / spacing_m**2 > _MOST_POINTS:
+    if areas.sum() / spacing_m**2 > _MAX_POINTS:
         raise TactuneError(
-            f"the painted contact is {1e4 * areas.sum():.3g} cm2 on a scan of {scan.size_m:.3g} m, too much for points "
-            f"{1e3 * spacing_m:g} mm apart; check the scan's unit and the paint's colour"
+            f"the painted contact is {1e4 * areas.sum():.3g} cm2 on a scan of {scan.size_m:.3g} m, too large for "
+            f"points {1e3 * spacing_m:g} mm apart; check the scan's unit and the paint's colour"
         )
     if len(touching) == 0:
         return np.empty((0, 3)), np.empty((0, 3))
@@ -150,7 +150,7 @@ def surface_points(scan: Scan, contact: BoolArray, spacing_m: float = SPACING_M)
 
 
 def _spread_weights(count: int) -> Float64Array:
-    """Return barycentric weights, (count, 3), that fill a triangle evenly."""
+    """Return barycentric weights, (count, 3), spread evenly over a triangle."""
     numbers = np.arange(1, count + 1)
     s, t = ((0.5 + step * numbers) % 1.0 for step in _STEPS)
     folded = s + t > 1.0
@@ -175,13 +175,13 @@ def _spots(scan: Scan, marked: BoolArray) -> tuple[int, AnyArray]:
 
 
 def _small(scan: Scan, marked: BoolArray, shares: Float64Array, least_m2: float) -> BoolArray:
-    """Tell which marked vertices belong to a group of less than an area."""
+    """Tell which marked vertices belong to a spot smaller than an area, m^2."""
     count, labels = _spots(scan, marked)
     return np.asarray(marked & (np.bincount(labels, shares, minlength=count)[labels] < least_m2))
 
 
 def _among_largest(scan: Scan, marked: BoolArray, shares: Float64Array, most: int) -> BoolArray:
-    """Tell which vertices belong to the largest groups of marked ones."""
+    """Tell which marked vertices belong to the largest spots."""
     count, labels = _spots(scan, marked)
     areas = np.bincount(labels, shares * marked, minlength=count)
     kept = np.argsort(-areas, kind="stable")[:most]
@@ -190,14 +190,14 @@ def _among_largest(scan: Scan, marked: BoolArray, shares: Float64Array, most: in
 
 @dataclass(frozen=True, eq=False)
 class ScanTruth:
-    """The true contact that a scan shows.
+    """True contact from a painted scan.
 
     Attributes
     ----------
     points : float64, shape (K, 3)
-        Evenly spread over the contact, metres, proximity depth frame.
+        Points spread evenly over the contact, metres, proximity depth frame.
     area_mm2 : float
-        As for patches: projected on the plane across the optical axis.
+        Area projected on the plane across the optical axis, as for patches.
     """
 
     points: Float64Array
@@ -205,7 +205,7 @@ class ScanTruth:
 
 
 def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float = SPACING_M) -> ScanTruth:
-    """Place a scan's contact in the proximity frame.
+    """Transform a scan's contact to the proximity frame.
 
     Parameters
     ----------
@@ -215,12 +215,12 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float =
     pose : 4 x 4
         ``T_proximity_scan``.
     spacing_m : float
-        A point has the area of a square of this side.
+        Each point represents a square of this side length, metres.
 
     Raises
     ------
     TactuneError
-        The pose puts contact behind the camera; and as `contact_points` does.
+        The pose puts contact behind the camera; also see `contact_points`.
     """
     found, normals = surface_points(scan, contact, spacing_m)
     points = transformed(pose, found)
@@ -230,19 +230,19 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float =
             "metres, to the proximity depth frame"
         )
     turned = normals @ np.asarray(pose)[:3, :3].T
-    # What a pixel sees of a tilted surface, n, along its ray, p: p / p_z is 1 long across the axis.
+    # projected area of a surface element with normal n seen along ray p: |n . p| / p_z
     projected = np.abs((turned * points).sum(axis=1)) / points[:, 2]
     return ScanTruth(points, float(projected.sum()) * 1e6 * spacing_m**2)
 
 
 def score_against_scan(patch: npt.ArrayLike, area_mm2: float, truth: ScanTruth) -> dict[str, float]:
-    """Compare a patch, (N, 3) in metres, and its area with the truth.
+    """Score a patch, (N, 3) in metres, and its area against the true contact.
 
     Returns
     -------
     dict
-        `CloudDistances` in millimetres, ``patch_to_truth_rms_mm`` and so on, nan where either is empty, and
-        ``area_error_mm2``, how much larger the patch is.
+        The fields of `CloudDistances` in millimetres, such as ``patch_to_truth_rms_mm`` (nan if either is empty), and
+        ``area_error_mm2``, patch minus truth.
     """
     apart = asdict(cloud_distances(patch, truth.points))
     scores = {f"{name.removesuffix('_m')}_mm": 1e3 * value for name, value in apart.items()}

@@ -20,34 +20,34 @@ from ..model.arrays import Float64Array, IndexArray
 from ..model.files import atomic_path, user_path
 from ..model.frames import Matrix4, rigid_transform
 
-_LEAST_PAIRS: Final = 3
-#: Points this near to a line, as a share of their spread along it, leave the turn about it open.
+_MIN_PAIRS: Final = 3
+#: Points count as collinear if their spread across the line is below this share of the spread along it.
 _ON_A_LINE: Final = 0.02
-#: Points that lie so near together are one, metres.
+#: Points within this distance count as coincident, metres.
 _ONE_PLACE_M: Final = 1e-4
-#: A scan this many times larger or smaller than the patch has another unit.
+#: Size ratio between scan and patch beyond which the unit must be wrong.
 _OTHER_UNIT: Final = 3.0
-#: Points of each cloud that ICP takes, evenly spread in their order.
+#: ICP uses at most this many points of each cloud, every n-th.
 _ICP_POINTS: Final = 20_000
-#: ICP has converged when no point moves farther in a round, metres.
-_STILL_M: Final = 1e-7
+#: ICP has converged if no point moves farther than this in an iteration, metres.
+_CONVERGED_M: Final = 1e-7
 _FILE_BYTES: Final = 100_000
 
-#: Told the rounds done and the present RMSE in metres; returns whether to go on.
+#: Called with the number of iterations and the RMSE in metres; returns False to stop.
 GoOn = Callable[[int, float], bool]
 HEADER: Final = ("scan_x", "scan_y", "scan_z", "patch_x_m", "patch_y_m", "patch_z_m")
 _PAIRS_FILE_BYTES: Final = 10_000_000
 
 
 def pose_from_pairs(scan_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Matrix4:
-    """Fit the scan's pose to picked pairs of points, by least squares and without scale.
+    """Fit the scan's pose to picked point pairs by least squares, without scale.
 
-    Kabsch's solution (1976), the one of Umeyama (1991) with the scale held at 1.
+    Kabsch (1976); the same as Umeyama (1991) with scale 1.
 
     Parameters
     ----------
     scan_points, patch_points : array_like, shape (N, 3), N >= 3
-        The same places on the scan, in its frame, and on the patch, in the proximity frame; metres.
+        Corresponding points on the scan (scan frame) and on the patch (proximity frame), metres.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def pose_from_pairs(scan_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> 
     Raises
     ------
     CalibrationError
-        Fewer than three pairs, points that coincide or lie on a line, or of another unit.
+        There are fewer than three pairs, the points coincide or are collinear, or the unit is wrong.
     """
     scan, patch = _pairs(scan_points, patch_points)
     for points, name in ((scan, "on the scan"), (patch, "on the patch")):
@@ -72,31 +72,31 @@ def pose_from_pairs(scan_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> 
 
 
 def pair_errors_m(pose: Matrix4, scan_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> Float64Array:
-    """Return how far each pair's points lie apart in a pose, metres, shape (N,)."""
+    """Return the distance between the points of each pair under a pose, metres, shape (N,)."""
     apart = transformed(pose, scan_points) - np.asarray(patch_points, np.float64).reshape(-1, 3)
     return np.asarray(np.linalg.norm(apart, axis=1))
 
 
 def transformed(pose: Matrix4, points: npt.ArrayLike) -> Float64Array:
-    """Return points, (N, 3), taken from the scan's frame to the proximity frame."""
+    """Transform points, (N, 3), from the scan's frame to the proximity frame."""
     matrix = np.asarray(pose)
     return np.asarray(np.asarray(points, np.float64).reshape(-1, 3) @ matrix[:3, :3].T + matrix[:3, 3])
 
 
 @dataclass(frozen=True)
 class RefinedPose:
-    """What ICP found.
+    """Result of ICP.
 
     Attributes
     ----------
     T_proximity_scan : 4 x 4
     rmse_m : float
-        Root mean square distance of the pairs that were used, in this pose.
+        Root mean square distance of the pairs used, under this pose.
     pairs : int
-        How many those are.
+        Number of pairs used.
     iterations : int
     converged : bool
-        False where the rounds ran out or it was told to stop.
+        False if the iterations ran out or the callback stopped them.
     """
 
     T_proximity_scan: Matrix4
@@ -119,49 +119,49 @@ def refine_pose(
 ) -> RefinedPose:
     """Refine a pose by trimmed ICP, point to point (Besl and McKay 1992; Chetverikov et al. 2005).
 
-    Each contact point is paired with the nearest patch point, and each patch point with the nearest contact
-    point. Contact is smooth, so mostly its outline tells where it lies sideways, and where one cloud lies within
-    the other, only the pairs of the larger one feel that. On the simulator's cup and cube, medium press, starts
-    of 1 to 28 mm end 0.7 to 0.9 mm off; with pairs of one way 0.7 to 2.0 mm.
+    Each contact point is paired with the nearest patch point, and each patch point with the nearest contact point.
+    Contact is smooth, so mainly its outline determines the lateral position. If one cloud lies within the other, only
+    the pairs that start at the larger cloud show the offset. On the simulator's cup and cube at medium press, initial
+    errors of 1 to 28 mm end at 0.7 to 0.9 mm; with pairs in one direction only, at 0.7 to 2.0 mm.
 
     Parameters
     ----------
     contact_points : array_like, shape (K, 3)
-        The scan's contact in its own frame, metres.
+        Contact on the scan, in the scan's frame, metres.
     patch_points : array_like, shape (N, 3)
-        Proximity frame, metres.
+        Patch in the proximity frame, metres.
     start : 4 x 4
-        ``T_proximity_scan`` to start from, such as from `pose_from_pairs`.
+        Initial ``T_proximity_scan``, such as from `pose_from_pairs`.
     both_ways : bool
-        False pairs contact points with patch points only, for a patch that shows much more than the scan.
+        False pairs contact points with patch points only; for a patch that extends far beyond the scan.
     overlap : float
-        Share of the pairs within reach that is used, the nearest, above 0 to 1: less than 1 where each cloud
-        has a part that the other has not.
+        Share of the pairs within reach that is used, nearest first; above 0, up to 1. Use less than 1 if each cloud
+        has a part that the other lacks.
     farthest_m : float
-        Pairs farther apart are not used; should exceed the start's error.
+        Maximum distance of a pair, metres; should exceed the initial error.
     most_iterations : int
     go_on : callable, optional
-        Told the rounds done and the present RMSE in metres before each round; to return False ends it.
+        Called before each iteration with the number of iterations done and the RMSE in metres; False stops.
 
     Raises
     ------
     CalibrationError
-        A cloud is empty, no clouds within reach of each other, or a parameter is out of its range.
+        A cloud is too small, the clouds are out of reach of each other, or a parameter is out of range.
     ValueError
         ``start`` is no rigid transform.
     """
     if not (0 < overlap <= 1 and farthest_m > 0 and most_iterations >= 1):
         raise CalibrationError(
-            f"ICP needs an overlap in 0...1, a reach above 0 m and at least one round; got {overlap}, {farthest_m}, "
-            f"{most_iterations}"
+            "ICP needs an overlap above 0 up to 1, a reach above 0 m and at least one iteration; "
+            f"got {overlap}, {farthest_m}, {most_iterations}"
         )
     contact, patch = _thinned(contact_points, "the scan's contact"), _thinned(patch_points, "the patch")
     pairing = _Pairing(contact, patch, both_ways, overlap, farthest_m)
     pose, shift, iteration = rigid_transform(start), math.inf, 0
     while True:
         pairs = pairing.nearest(pose)
-        if shift < _STILL_M or iteration == most_iterations or (go_on and not go_on(iteration, pairs.rmse_m)):
-            return RefinedPose(pose, pairs.rmse_m, len(pairs.contact), iteration, shift < _STILL_M)
+        if shift < _CONVERGED_M or iteration == most_iterations or (go_on and not go_on(iteration, pairs.rmse_m)):
+            return RefinedPose(pose, pairs.rmse_m, len(pairs.contact), iteration, shift < _CONVERGED_M)
         better = _best_pose(pairs)
         shift = float(np.abs(transformed(better, contact) - transformed(pose, contact)).max())
         pose, iteration = better, iteration + 1
@@ -169,7 +169,7 @@ def refine_pose(
 
 @dataclass(frozen=True, eq=False)
 class _Pairs:
-    """Points that belong together, (N, 3) each, and their RMSE."""
+    """Paired points, (N, 3) each, and their RMSE."""
 
     contact: Float64Array
     patch: Float64Array
@@ -177,7 +177,7 @@ class _Pairs:
 
 
 class _Pairing:
-    """Finds which points of two clouds belong together in a pose."""
+    """Pairs the points of two clouds under a pose."""
 
     def __init__(
         self, contact: Float64Array, patch: Float64Array, both_ways: bool, overlap: float, farthest_m: float
@@ -187,7 +187,7 @@ class _Pairing:
         self._both_ways, self._overlap, self._farthest_m = both_ways, overlap, farthest_m
 
     def nearest(self, pose: Matrix4) -> _Pairs:
-        """Pair the points within reach, and keep the share of them that lie nearest."""
+        """Pair the points within reach and keep the nearest share of the pairs."""
         used, nearest, distances = self._one_way(self._patch_tree, transformed(pose, self._contact))
         contact, patch = self._contact[used], self._patch[nearest]
         if self._both_ways:
@@ -197,7 +197,7 @@ class _Pairing:
             patch = np.concatenate([patch, self._patch[used]])
             distances = np.concatenate([distances, apart])
         best = np.argsort(distances, kind="stable")[: math.ceil(self._overlap * len(distances))]
-        if len(best) < _LEAST_PAIRS:
+        if len(best) < _MIN_PAIRS:
             raise CalibrationError(
                 f"the scan's contact is nowhere within {1e3 * self._farthest_m:g} mm of the patch; "
                 "align it better by hand first"
@@ -206,7 +206,7 @@ class _Pairing:
         return _Pairs(contact[best], patch[best], rmse_m)
 
     def _one_way(self, tree: cKDTree, points: Float64Array) -> tuple[IndexArray, IndexArray, Float64Array]:
-        """Return the points within reach of a tree's points, the nearest of these, and the distances."""
+        """Return indices of the points within reach of the tree, of their nearest neighbours, and the distances."""
         found = tree.query(points, distance_upper_bound=self._farthest_m)
         distances, nearest = np.asarray(found[0], np.float64), np.asarray(found[1], np.intp)
         used = np.flatnonzero(np.isfinite(distances))
@@ -215,19 +215,19 @@ class _Pairing:
 
 def _best_pose(pairs: _Pairs) -> Matrix4:
     if _spread(pairs.contact)[1] < _ONE_PLACE_M / 10:
-        raise CalibrationError("the contact within reach of the patch lies on one line; align it better by hand first")
+        raise CalibrationError("the contact within reach of the patch is collinear; align it better by hand first")
     contact, patch = pairs.contact.mean(axis=0), pairs.patch.mean(axis=0)
     rotation, _ = Rotation.align_vectors(pairs.patch - patch, pairs.contact - contact)
     return _pose(rotation, patch - rotation.apply(contact))
 
 
 def save_transform(path: Path | str, pose: Matrix4) -> None:
-    """Write a pose as JSON, ``{"T_proximity_scan": 4 x 4}``; the file appears whole or not at all.
+    """Write a pose as JSON, ``{"T_proximity_scan": 4 x 4}``, atomically.
 
     Raises
     ------
     ExportError
-        The place cannot be written.
+        The file cannot be written.
     """
     rows = ",\n    ".join(json.dumps(row) for row in rigid_transform(pose))
     with atomic_path(path) as temporary:
@@ -235,12 +235,12 @@ def save_transform(path: Path | str, pose: Matrix4) -> None:
 
 
 def load_transform(path: Path | str) -> Matrix4:
-    """Read a pose: what `save_transform` writes, or four lines of four numbers.
+    """Read a pose from a file of `save_transform`, or from four lines of four numbers.
 
     Raises
     ------
     SourceError
-        No such file, or it holds no rigid transform in metres.
+        The file cannot be read or holds no rigid transform in metres.
     """
     path = user_path(path)
     try:
@@ -296,8 +296,8 @@ def _pairs(scan_points: npt.ArrayLike, patch_points: npt.ArrayLike) -> tuple[Flo
         raise CalibrationError(
             f"points on the scan {scan.shape} and on the patch {patch.shape} make no pairs; give (N, 3)"
         )
-    if len(scan) < _LEAST_PAIRS:
-        raise CalibrationError(f"a pose needs at least {_LEAST_PAIRS} pairs of points, not {len(scan)}; pick more")
+    if len(scan) < _MIN_PAIRS:
+        raise CalibrationError(f"a pose needs at least {_MIN_PAIRS} pairs of points, not {len(scan)}; pick more")
     if not (np.isfinite(scan).all() and np.isfinite(patch).all()):
         raise CalibrationError("a picked point is nan or infinite; pick it again")
     return scan, patch
@@ -308,18 +308,18 @@ def _check_spread(points: Float64Array, where: str) -> None:
     if along < _ONE_PLACE_M:
         raise CalibrationError(f"the points {where} all lie at one place; pick some that are far apart")
     if across < _ON_A_LINE * along:
-        raise CalibrationError(f"the points {where} lie on one line, about which it could turn; pick one beside it")
+        raise CalibrationError(f"the points {where} are collinear and leave a rotation open; pick one beside the line")
 
 
 def _spread(points: Float64Array) -> tuple[float, float]:
-    """Return the root mean square extent along the longest direction and along the second."""
+    """Return the RMS extent along the first and along the second principal direction."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) / math.sqrt(len(points))
     return float(values[0]), float(values[1])
 
 
 def _thinned(points: npt.ArrayLike, name: str) -> Float64Array:
     array = np.asarray(points, np.float64).reshape(-1, 3)
-    if len(array) < _LEAST_PAIRS:
+    if len(array) < _MIN_PAIRS:
         raise CalibrationError(f"{name} has {len(array)} points, too few to align; check the paint or the patch")
     if not np.isfinite(array).all():
         raise CalibrationError(f"{name} has a point that is nan or infinite")
@@ -328,13 +328,13 @@ def _thinned(points: npt.ArrayLike, name: str) -> Float64Array:
 
 
 def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Float64Array]:
-    """Read pairs for `pose_from_pairs`.
+    """Read point pairs for `pose_from_pairs` from a CSV file.
 
     Parameters
     ----------
     path : path
-        A header ``scan_x,scan_y,scan_z,patch_x_m,patch_y_m,patch_z_m`` and a line for each pair: a place in the
-        scan's frame and unit, as a mesh program shows it, and the same one in the proximity depth frame in metres.
+        CSV with the header ``scan_x,scan_y,scan_z,patch_x_m,patch_y_m,patch_z_m``. Each line is a point in the scan's
+        frame and unit, as a mesh viewer shows it, and the same point in the proximity depth frame in metres.
     unit_m : float
         Length of the scan's unit in metres.
 
@@ -346,7 +346,7 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     Raises
     ------
     SourceError
-        No such file, another header, or something that is no finite number.
+        The file cannot be read, has another header, or a value that is no finite number.
     """
     path = user_path(path)
     try:
@@ -359,7 +359,7 @@ def read_pairs(path: Path | str, unit_m: float = 1.0) -> tuple[Float64Array, Flo
     except (UnicodeDecodeError, csv.Error) as error:
         raise SourceError(f"{path} is no CSV file; write the pairs as text") from error
     if not rows or tuple(word.strip() for word in rows[0][1]) != HEADER:
-        raise SourceError(f"{path} has not the header {','.join(HEADER)}; put it into the first line")
+        raise SourceError(f"{path} lacks the header {','.join(HEADER)}; put it into the first line")
     for number, row in rows[1:]:
         if len(row) != len(HEADER) or not all(map(_finite, row)):
             raise SourceError(f"{path}, line {number}: {','.join(row)[:80]!r} is no pair; give six finite numbers")

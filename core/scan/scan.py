@@ -1,7 +1,7 @@
 """The coloured 3D scan of an object: a triangle mesh with a colour at each vertex.
 
-PLY and OBJ are read by trimesh (extra ``scan``). A texture usually shows more than the mesh's vertices:
-such a mesh is cut finer when it is read, so that from there on the colour of vertices is enough.
+PLY and OBJ are read by trimesh (extra ``scan``). A texture usually has more detail than the vertices, so a textured
+mesh is subdivided when it is read; afterwards only vertex colours are used.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ SUFFIXES: Final = (".ply", ".obj")
 #: Units of files by name, metres.
 UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
 
-#: Objects that a hand-sized sensor can touch are neither larger nor smaller.
-_LARGEST_M: Final = 3.0
-_SMALLEST_M: Final = 0.002
+#: Plausible size of an object that a hand-sized sensor can touch.
+_MAX_SIZE_M: Final = 3.0
+_MIN_SIZE_M: Final = 0.002
 _FILE_BYTES: Final = 2_000_000_000
-_MOST_TRIANGLES: Final = 20_000_000
+_MAX_TRIANGLES: Final = 20_000_000
 
-#: Textured triangles are cut until no edge is longer, metres, unless so many triangles come of it.
+#: Textured triangles are subdivided to this edge length, metres, within this total number of triangles.
 _TEXTURE_EDGE_M: Final = 0.0008
 _TEXTURE_TRIANGLES: Final = 3_000_000
-_MOST_CUTS: Final = 24
+_MAX_CUTS: Final = 24
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +60,7 @@ class Scan:
 
     @property
     def size_m(self) -> float:
-        """Diagonal of the box around it, metres."""
+        """Diagonal of the bounding box, metres."""
         return _size(self.vertices_m)
 
 
@@ -83,14 +83,14 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
     Returns
     -------
     Scan
-        Vertices at the same place are one, whatever texture seam lies there; triangles without area are
-        left out. A mesh with a texture is cut to edges of 0.8 mm, a large one to three million triangles.
+        Coincident vertices are merged, also across texture seams; triangles without area are dropped. A textured mesh
+        is subdivided to edges of 0.8 mm, or coarser to stay below three million triangles.
 
     Raises
     ------
     SourceError
-        No such file, none that can be read, no triangles or colours, a vertex that is no number, or a
-        size that no object has, which tells that the unit is another.
+        The file cannot be read, has no triangles or no colours, a vertex is not finite, or the size is implausible,
+        probably because of a wrong unit.
     MissingExtraError
         trimesh or Pillow is not installed.
     """
@@ -103,7 +103,7 @@ def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
         scan = _joined(parts, path)
     except TactuneError:
         raise
-    except Exception as error:  # trimesh hands on whatever its parsers trip over
+    except Exception as error:  # trimesh does not wrap the errors of its parsers
         detail = " ".join(str(error).split())[:200] or type(error).__name__
         raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
     return scan
@@ -125,7 +125,7 @@ def _check_file(path: Path) -> None:
 def _meshes(path: Path) -> list[Any]:
     """Return trimesh's meshes of a file, each with at most one texture."""
     try:
-        import PIL.Image  # noqa: F401  # trimesh says nothing where it is missing, and loads no texture
+        import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
         import trimesh
     except ModuleNotFoundError as error:
         raise MissingExtraError(
@@ -136,16 +136,16 @@ def _meshes(path: Path) -> list[Any]:
     meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
     if not meshes:
         raise SourceError(f"{path} has no triangles; export the scan as a mesh, not as points")
-    if sum(len(mesh.faces) for mesh in meshes) > _MOST_TRIANGLES:
-        raise SourceError(f"{path} has more than {_MOST_TRIANGLES} triangles; export it coarser")
+    if sum(len(mesh.faces) for mesh in meshes) > _MAX_TRIANGLES:
+        raise SourceError(f"{path} has more than {_MAX_TRIANGLES} triangles; export it coarser")
     return meshes
 
 
 def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
-    """Return one mesh of a file with the colours of its vertices."""
+    """Return one mesh of a file with vertex colours."""
     vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
     if triangles.min() < 0 or triangles.max() >= len(vertices):
-        raise SourceError(f"{path} has a triangle with a vertex that there is not; export it again")
+        raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
     used = np.unique(triangles)
     if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
         raise SourceError(f"{path} has {wrong} vertices that are nan or infinite; export it again")
@@ -160,38 +160,38 @@ def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
 
 
 def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, path: Path) -> Scan:
-    """Cut a mesh until its vertices are as close as its texture's detail matters, and colour them."""
+    """Subdivide a mesh to the detail of its texture and colour its vertices."""
     import trimesh
 
     remesh: Any = trimesh.remesh
     material = mesh.visual.material
     image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
-    if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's stand-in comes from no file
+    if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's placeholder has no format
         raise SourceError(
             f"{path} has a texture that is missing or cannot be read; "
             "put its image (and an .obj's .mtl) into the same folder"
         )
     edge = _cut_edge(vertices, triangles)
-    # It cuts by the length of the first three columns and halves all of them.
+    # edge lengths are those of the first three columns; all columns are interpolated
     cut, finer = remesh.subdivide_to_size(
-        np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MOST_CUTS
+        np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MAX_CUTS
     )
     colors = trimesh.visual.color.uv_to_color(np.nan_to_num(cut[:, 3:]), image)
     return Scan(np.ascontiguousarray(cut[:, :3]), finer.astype(np.int32), np.asarray(colors, np.uint8)[:, :3])
 
 
 def _cut_edge(vertices: Float64Array, triangles: Int64Array) -> float:
-    """Return how long edges may stay, so that cutting makes not too many triangles."""
+    """Return the edge length to which a mesh can be subdivided within the limit of triangles."""
     sides = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
     longest, edge = np.linalg.norm(sides, axis=2).max(axis=1), _TEXTURE_EDGE_M
-    # Each cut halves the edges of a triangle and makes at most four of it.
+    # each subdivision halves the edges of a triangle and makes at most four of it
     while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(_TEXTURE_TRIANGLES, len(triangles)):
         edge *= 1.2
     return edge
 
 
 def _joined(parts: list[Scan], path: Path) -> Scan:
-    """Make one mesh of several: vertices at the same place are one, triangles without area go."""
+    """Join meshes: merge coincident vertices, drop triangles without area."""
     starts = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
     vertices, first, number = np.unique(
         np.concatenate([part.vertices_m for part in parts]), axis=0, return_index=True, return_inverse=True
@@ -205,13 +205,13 @@ def _joined(parts: list[Scan], path: Path) -> Scan:
     used, renumbered = np.unique(triangles, return_inverse=True)
     vertices = vertices[used]
     _check_largest(vertices, path)
-    if (size := _size(vertices)) < _SMALLEST_M:
+    if (size := _size(vertices)) < _MIN_SIZE_M:
         raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit to m")
     return Scan(vertices, renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
 
 
 def _check_largest(vertices: Float64Array, path: Path) -> None:
-    if (size := _size(vertices)) > _LARGEST_M:
+    if (size := _size(vertices)) > _MAX_SIZE_M:
         raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit to mm")
 
 

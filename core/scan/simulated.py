@@ -27,24 +27,24 @@ from .scan import SUFFIXES
 PINK: Final = (235, 110, 170)
 PURPLE: Final = (90, 50, 140)
 
-#: Sides of the mesh's quads, metres: fine enough for colours of vertices, and coarse with a texture.
+#: Default side of the mesh's quads, metres: with vertex colours, and with a texture.
 FINE_M: Final = 0.0008
 COARSE_M: Final = 0.004
 _FINEST_M, _COARSEST_M = 0.0003, 0.010
-#: Texels along a quad's side; the outermost only repeat their neighbours'.
+#: Texels along a quad's side; the outermost repeat their neighbours.
 _BLOCK: Final = 14
-#: The film is this near to the surface that it touches, along the camera's axis: between the membrane's
-#: nodes, and where the surface is steep within a pixel. The other side of any object is farther away.
+#: Largest distance between membrane and touched surface along the camera's axis, metres: covers interpolation between
+#: nodes and steep pixels. The far side of every object is farther away.
 _NEAR_M: Final = 0.003
 _SPECK_RADIUS_M: Final = 0.0012
-#: Half the side of a cube about the origin that holds any object with some room, metres.
+#: Half side of a cube around the origin that contains every object, metres.
 _HALF_M: Final = 0.084
 _IDENTITY: Final = np.eye(4)[:3].copy()
 
 
 @dataclass(frozen=True)
 class PaintFlaws:
-    """How a real scan's colours differ from two pure ones.
+    """Deviations of a real scan's colours from two pure ones.
 
     Attributes
     ----------
@@ -71,34 +71,34 @@ def export_painted_scan(
 ) -> list[Path]:
     """Write the object of a simulated frame as a scan, pink where the membrane touches it, and its true pose.
 
-    Contact is the frame's truth, projected from the proximity camera onto the object: what the camera cannot
-    see stays purple.
+    Contact is the frame's ground truth, projected from the proximity camera onto the object. Surface that the camera
+    does not see stays purple.
 
     Parameters
     ----------
     source : FrameSource
         A `SimulatorSource`.
     index : int
-        Which frame.
+        Index of the frame.
     path : path
         ``.ply`` with vertex colours; with ``texture`` ``.obj``, and a ``.mtl`` and ``.png`` beside it.
     texture : bool
-        A coarse mesh with a fine texture instead of a fine mesh with vertex colours.
+        Write a coarse mesh with a fine texture instead of a fine mesh with vertex colours.
     spacing_m : float, optional
-        Side of the mesh's quads; 0.8 mm, or 4 mm with a texture, unless given.
+        Side of the mesh's quads, metres; default 0.0008, with a texture 0.004.
     flaws : PaintFlaws, optional
 
     Returns
     -------
     list of Path
-        The scan, its further files and last ``NAME.transform.json``, as `load_transform` reads it.
+        The scan, its companion files, and last ``NAME.transform.json`` for `load_transform`.
 
     Raises
     ------
     SourceError
         The source is no simulator or has no such frame.
     ExportError
-        Another suffix or spacing, or a place that cannot be written.
+        The suffix or spacing is invalid, or a file cannot be written.
     MissingExtraError
         trimesh or Pillow is not installed.
     """
@@ -129,7 +129,7 @@ def export_painted_scan(
 
 @dataclass(frozen=True, eq=False)
 class _Painter:
-    """Tells the colour of places on the object of one frame."""
+    """Colours points on the object of one frame."""
 
     kind: int
     T_proximity_object: Matrix4
@@ -150,11 +150,11 @@ class _Painter:
         return np.asarray(facing & (share >= 0.5) & (np.abs(seen[:, 2] - film) < _NEAR_M))
 
     def colors(self, points: Float64Array) -> Uint8Array:
-        """Return the paint's colour, uint8 (N, 3), of points of the surface, flaws included."""
+        """Return the paint's colour with flaws, uint8 (N, 3), of points on the surface."""
         touched, random = self.touched(points), np.random.default_rng(self.flaws.seed)
         if self.flaws.specks:
-            middles = points[random.integers(len(points), size=self.flaws.specks)]
-            hit = np.unique(np.concatenate(cKDTree(points).query_ball_point(middles, _SPECK_RADIUS_M)))
+            centres = points[random.integers(len(points), size=self.flaws.specks)]
+            hit = np.unique(np.concatenate(cKDTree(points).query_ball_point(centres, _SPECK_RADIUS_M)))
             touched[hit.astype(np.intp)] ^= True
         colors = np.where(touched[:, None], PINK, PURPLE).astype(np.float64)
         colors += self.flaws.noise * random.standard_normal(colors.shape)
@@ -163,7 +163,7 @@ class _Painter:
 
 def _looked_up(image: Float32Array, u: Float32Array, v: Float32Array, how: int) -> Float32Array:
     """Return an image's values at pixels, (N,), 0 outside."""
-    rows = 4096  # OpenCV takes no more than 32767 columns
+    rows = 4096  # OpenCV allows at most 32767 columns
     wide = [np.pad(where, (0, -len(where) % rows)).reshape(-1, rows) for where in (u, v)]
     found = cv2.remap(image, wide[0], wide[1], how, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0)
     return np.asarray(found, np.float32).reshape(-1)[: len(u)]
@@ -187,7 +187,7 @@ def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, paint
     blocks = np.zeros((down, _BLOCK, across, _BLOCK, 3), np.uint8)
     blocks[row, :, column] = colors
     image = blocks.reshape(down * _BLOCK, size, 3)
-    ends = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (_BLOCK - 3) + 1.5  # middles of texels
+    ends = np.array([(0, 0), (1, 0), (1, 1), (0, 1)]) * (_BLOCK - 3) + 1.5  # texel centres
     x, y = (np.stack([column, row], axis=1)[:, None] * _BLOCK + ends).reshape(-1, 2).T
     material = trimesh.visual.material.SimpleMaterial(name=path.stem, image=PIL.Image.fromarray(image))
     uv = np.column_stack([x / size, 1 - y / len(image)])
@@ -204,9 +204,9 @@ def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, paint
 
 
 def _places(corners: Float64Array, s: Float64Array) -> Float64Array:
-    """Return places on quads, (N, 4, 3), by their shares of both sides: (N, rows, columns, 3).
+    """Return points on quads (N, 4, 3) at fractions ``s`` of both sides: (N, rows, columns, 3).
 
-    A quad is two flat triangles, cut from its first corner to its third.
+    A quad consists of two flat triangles, split from its first to its third corner.
     """
     a, b, c, d = (corners[:, None, None, k] for k in range(4))
     right, down = s[None, None, :, None], s[None, :, None, None]
@@ -239,29 +239,28 @@ def _trimesh() -> Any:
 def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Array]:
     """Return the surface of an object, in its own frame, as quads of about equal size.
 
-    Surface nets (Gibson 1998): a vertex in each cell of a grid that the surface passes, in the middle of
-    its crossings of the cell's edges, and a quad around each edge that it crosses; the vertices are then
-    moved onto the surface.
+    Surface nets (Gibson 1998): each voxel that the surface crosses gets a vertex at the mean of the crossed edges, and
+    each crossed edge gets a quad. The vertices are then moved onto the surface.
 
     Parameters
     ----------
     kind : int
         One of the simulator's objects.
     spacing_m : float
-        Side of a cell.
+        Side of a voxel, metres.
 
     Returns
     -------
     vertices : float64, shape (N, 3)
         Metres.
     quads : int64, shape (M, 4)
-        Vertex numbers, counter-clockwise seen from outside.
+        Vertex indices, counter-clockwise seen from outside.
     """
     count = 2 * math.ceil(_HALF_M / spacing_m) + 2
     axis = np.asarray((np.arange(count) - (count - 1) / 2) * spacing_m, np.float64)
     values = np.empty((count, count, count), np.float32)
     _fill(kind, _IDENTITY, axis, values)
-    number = _cell_numbers(values < 0)
+    number = _voxel_numbers(values < 0)
     sums, crossings, quads = np.zeros((number.max() + 1, 3)), np.zeros(number.max() + 1), []
     for along in range(3):
         step, beside, before = np.roll(np.eye(3, dtype=np.int64), -along, axis=0)
@@ -277,8 +276,8 @@ def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Arra
     return vertices, np.concatenate(quads)
 
 
-def _cell_numbers(inside: BoolArray) -> Int64Array:
-    """Number the cells that the surface passes: those with corners on both sides; the others have -1."""
+def _voxel_numbers(inside: BoolArray) -> Int64Array:
+    """Number the voxels with corners on both sides of the surface; -1 for all others."""
     side = len(inside) - 1
     within = np.zeros((side, side, side), np.int8)
     for i, j, k in np.ndindex(2, 2, 2):
@@ -290,7 +289,7 @@ def _cell_numbers(inside: BoolArray) -> Int64Array:
 
 
 def _crossed_edges(values: Float32Array, along: int) -> Int64Array:
-    """Return where the edges along one axis begin that the surface crosses, (N, 3)."""
+    """Return the start indices, (N, 3), of the grid edges along one axis that the surface crosses."""
     ahead = np.moveaxis(values < 0, along, 0)
     crossed = np.moveaxis(ahead[:-1] != ahead[1:], 0, along)
     return np.argwhere(crossed)

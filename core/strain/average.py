@@ -1,4 +1,4 @@
-"""Frames of a membrane at rest become one with less noise, from which strain is measured better."""
+"""Temporal average of frames in which the membrane is at rest, to measure strain with less noise."""
 
 from __future__ import annotations
 
@@ -12,27 +12,27 @@ from ..model.arrays import Float64Array
 from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 
-#: Movement is looked for in the means over squares of so many pixels, whose noise is some tenths of a millimetre.
+#: Movement test: the mean depth of image tiles of this side length, pixels; its noise is a few tenths of a millimetre.
 _TILE_PX: Final = 32
-#: Frames differ where a square has moved by more than this share of its depth, 1.2 mm at 300 mm.
+#: The membrane has moved if the mean depth of a tile changes by more than this share (1.2 mm at 300 mm).
 _MOVED_SHARE: Final = 0.004
 
 
 def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame, int]:
-    """Take the median of the newest frame and of those before it in which the membrane had the same shape.
+    """Return the pixelwise median of the newest frame and the frames before it in which the membrane is at rest.
 
     Parameters
     ----------
     frames : sequence of SensorFrame
-        In the order of time, at least one.
+        At least one, oldest first.
     rig : Rig
 
     Returns
     -------
     frame : SensorFrame
-        With the number, time stamps and truth of the newest.
+        With the sequence number, time stamps and truth of the newest frame.
     count : int
-        How many frames are in it.
+        Number of averaged frames.
 
     Raises
     ------
@@ -49,14 +49,14 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
         same.append(frame)
     if len(same) == 1:
         return newest, 1
-    quiet = take_snapshot(same).frame
+    median = take_snapshot(same).frame
     return (
         SensorFrame(
             newest.sequence,
-            quiet.proximity_depth,
-            quiet.tactile_depth,
-            quiet.proximity_color,
-            quiet.tactile_color,
+            median.proximity_depth,
+            median.tactile_depth,
+            median.proximity_color,
+            median.tactile_color,
             newest.proximity_time_s,
             newest.tactile_time_s,
             newest.truth,
@@ -66,7 +66,7 @@ def average_still(frames: Sequence[SensorFrame], rig: Rig) -> tuple[SensorFrame,
 
 
 def _moved(frame: SensorFrame, newest: SensorFrame) -> bool:
-    """Whether the tactile depth has changed, on the mean over any square of which half has depth in both."""
+    """Tell whether the mean tactile depth of any tile has changed. Tiles need depth in half of their pixels."""
     before, now = frame.tactile_depth, newest.tactile_depth
     valid = valid_depth(before) & valid_depth(now)
     change = np.where(valid, before.astype(np.float64) - now, 0.0)

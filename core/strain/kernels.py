@@ -1,4 +1,4 @@
-"""What is done for each dot and each pair of dots, compiled: fits of inverse depth, and steps between two pixels."""
+"""Compiled kernels: fits of inverse depth around dots, and the search for depth steps between two pixels."""
 
 from __future__ import annotations
 
@@ -10,28 +10,28 @@ import numpy as np
 from ..contact.kernels.compiling import inline, kernel
 from ..model.arrays import Float64Array, Int64Array
 
-#: Terms of a quadratic, and the shape of a fit's equations: right-hand sides are the values', and that of 1 at 0.
+#: Terms of a quadratic, and shape of the normal equations. Both right-hand sides: the values, and the unit vector e0.
 _TERMS: Final = 6
 SCRATCH_SHAPE: Final = (_TERMS, _TERMS + 2)
-#: The median of so many nearest depths tells on which side of an edge a dot lies.
+#: The median of this many nearest depths decides on which side of an edge a dot lies.
 NEAREST: Final = 9
-#: From this radius on every other row and column does, since neighbouring pixels share their noise.
+#: From this radius on only every other row and column is used: the noise of neighbouring pixels is correlated.
 _SPARSE_FROM_PX: Final = 8
-#: Stereo matching smears noise over a window; so many pixels count as one measurement.
+#: Stereo matching correlates noise within its window; this many pixels count as one measurement.
 _PIXELS_A_SAMPLE: Final = 70.0
-#: Pixels farther from the middle's median than so much of the depth belong to something else.
+#: Pixels whose inverse depth differs from the central median by more than this share belong to another surface.
 _SAME_SURFACE: Final = 0.04
-#: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
+#: A wider fit is accepted if it agrees with the narrower ones within this many standard deviations.
 _AGREES_WITHIN: Final = 1.5
-_FEWEST_SHARE: Final = 0.35
-_FEWEST: Final = _TERMS + 3
-#: A pivot below this, of equations whose first entry is the number of pixels, means pixels in a line.
-_LEAST_PIVOT: Final = 1e-9
+_MIN_SHARE: Final = 0.35
+_MIN_COUNT: Final = _TERMS + 3
+#: A smaller pivot means collinear pixels. The first entry of the equations is the number of pixels.
+_MIN_PIVOT: Final = 1e-9
 
 
 @inline
 def _nearest_first(distances: Any, values: Any, count: int, distance: float, value: float) -> None:
-    """Put a value among those that are nearest so far, nearest first."""
+    """Insert a value into the list of nearest values, sorted by distance."""
     place = count
     if count == len(values):
         if distance >= distances[count - 1]:
@@ -45,10 +45,10 @@ def _nearest_first(distances: Any, values: Any, count: int, distance: float, val
 
 @inline
 def _solve(equations: Any) -> bool:
-    """Solve symmetric equations with two right-hand sides in place; False where they say too little."""
+    """Solve symmetric equations with two right-hand sides in place; False if they are singular."""
     for column in range(_TERMS):
         pivot = equations[column, column]
-        if not pivot > _LEAST_PIVOT:
+        if not pivot > _MIN_PIVOT:
             return False
         for row in range(column + 1, _TERMS):
             share = equations[row, column] / pivot
@@ -69,7 +69,7 @@ def _stride(radius: int) -> int:
 
 @inline
 def _find_nearest(inverse: Any, u: float, v: float, radius: int, nearest: Any) -> int:
-    """Write distances and values of the nearest pixels with depth, and return how many a disc has."""
+    """Write distances and values of the nearest pixels with depth; return how many pixels of the disc have depth."""
     middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
     known = 0
     for row in range(max(middle_v - radius, 0), min(middle_v + radius + 1, inverse.shape[0]), _stride(radius)):
@@ -83,7 +83,7 @@ def _find_nearest(inverse: Any, u: float, v: float, radius: int, nearest: Any) -
 
 @inline
 def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, equations: Any) -> int:
-    """Write the equations of a fit to the pixels of a disc that belong to one surface, and return how many do."""
+    """Write the normal equations of a fit to the pixels of a disc on one surface; return their number."""
     middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
     equations[:] = 0.0
     equations[0, _TERMS + 1] = 1.0
@@ -105,7 +105,7 @@ def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, equati
 
 @inline
 def _median(values: Any, count: int) -> float:
-    """Sort the first values in place and return the middle one, the upper of two."""
+    """Sort the first ``count`` values in place and return their upper median."""
     for i in range(1, count):
         value, j = values[i], i
         while j > 0 and values[j - 1] > value:
@@ -125,9 +125,9 @@ def fit_inverse_depths(
     nearest: Float64Array,
     out: Float64Array,
 ) -> None:
-    """Fit quadratics to inverse depth around dots, over ever wider discs while they agree (Lepski's rule).
+    """Fit quadratics to inverse depth in growing discs around dots, while the fits agree (Lepski 1991).
 
-    Discs of which a hole leaves too little are passed over, until one has enough.
+    Discs with too few pixels with depth are skipped.
 
     Parameters
     ----------
@@ -138,11 +138,11 @@ def fit_inverse_depths(
     noise : float
         Standard deviation of inverse depth, 1/m.
     radii : int64, shape (K,)
-        Of the discs, pixels.
+        Radii of the discs, pixels, ascending.
     scratch, nearest : float64, shapes `SCRATCH_SHAPE` and (2, NEAREST)
-        Overwritten.
+        Work arrays, overwritten.
     out : float64, shape (N, 2)
-        Takes inverse depth under each dot and its standard deviation; nan without depth.
+        Output: inverse depth at each dot and its standard deviation, 1/m; nan without depth.
     """
     for dot in range(len(pixels)):
         u, v = pixels[dot, 0], pixels[dot, 1]
@@ -151,14 +151,14 @@ def fit_inverse_depths(
         for radius in radii:
             stride = _stride(radius)
             known, same = _find_nearest(inverse, u, v, radius, nearest), 0
-            if known * stride**2 >= _FEWEST_SHARE * math.pi * radius**2 and known >= _FEWEST:
+            if known * stride**2 >= _MIN_SHARE * math.pi * radius**2 and known >= _MIN_COUNT:
                 same = _gather(inverse, u, v, radius, _median(nearest[1], min(known, NEAREST)), scratch)
-            if same < max(_FEWEST_SHARE * known, _FEWEST) or not _solve(scratch):
+            if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(scratch):
                 if math.isnan(out[dot, 0]):
                     continue
                 break
             fit, share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
-            if share > 1.0:  # more noise than one pixel has: the dot lies in a hole, where this fit only extrapolates
+            if share > 1.0:  # noisier than one pixel: the dot lies in a hole and the fit extrapolates
                 continue
             sigma = noise * min(math.sqrt(share * max(_PIXELS_A_SAMPLE / stride**2, 1.0)), 1.0)
             low, high = max(low, fit - _AGREES_WITHIN * sigma), min(high, fit + _AGREES_WITHIN * sigma)
@@ -171,7 +171,7 @@ def fit_inverse_depths(
 def is_smooth_between(
     depth_m: Float64Array, focal_px: float, start: Float64Array, end: Float64Array, steepest: float, apart: int
 ) -> bool:
-    """Tell whether depth is known on half of the way between two pixels at least, and never changes too steeply.
+    """Tell whether at least half of the line between two pixels has depth, and no slope on it is too steep.
 
     Parameters
     ----------
@@ -181,9 +181,9 @@ def is_smooth_between(
     start, end : float64, shape (2,)
         ``(u, v)``.
     steepest : float
-        Steepest slope against the image plane.
+        Largest slope against the image plane, metres per metre.
     apart : int
-        The slope is taken over so many pixels that are seen.
+        Slopes are taken over this many pixels with depth.
     """
     height, width = depth_m.shape
     count = max(int(math.hypot(end[0] - start[0], end[1] - start[1])), 1) + 1

@@ -1,4 +1,4 @@
-"""Which dot of a printed grid is which: rows and columns, grown from seeds along local lattice vectors."""
+"""Row and column of each dot of a printed grid: region growing from seeds along local lattice vectors."""
 
 from __future__ import annotations
 
@@ -14,45 +14,45 @@ from ..model.arrays import BoolArray, Float64Array, IndexArray, Int64Array
 
 Cell = tuple[int, int]
 
-#: A dot is accepted so far from where its neighbours predict it, in lattice steps; seeds are stricter.
+#: Largest distance of a dot from its predicted place, in lattice steps.
 _REACH: Final = 0.38
-#: Where a seed's neighbours are looked for, in lattice steps, and how far from there they may be. What stays in
-#: no order, such as the few dots on top of a pressed-in object, has a chance with the four nearest alone.
+#: Expected places of a seed's neighbours, in lattice steps, and the largest distance from them. Dots that are not
+#: ordered by the first pattern, such as the few on top of a pressed object, are tried with the four nearest alone.
 _SEEDS: Final = (
     (((-1, -1), (-1, 0), (-1, 1), (0, -1), (0, 1), (1, -1), (1, 0), (1, 1)), 0.16),
     (((-1, 0), (0, -1), (0, 1), (1, 0)), 0.16),
 )
-#: Dots below which a piece of lattice is not believed.
-_FEWEST_DOTS: Final = 9
+#: Pieces with fewer dots are dropped.
+_MIN_DOTS: Final = 9
 _NEIGHBOURS: Final = 12
 _STEPS: Final = ((0, 1), (0, -1), (1, 0), (-1, 0))
 
-#: Tells whether two dots may be neighbours, given their numbers.
+#: Tells whether two dots, given by index, may be neighbours.
 Linked = Callable[[int, int], bool]
 
 
 @dataclass
 class DotLattice:
-    """A grid in order. Steep walls may cut it into pieces whose cells do not continue each other's.
+    """Rows and columns of a grid. Steep walls may cut it into pieces, each with its own row and column numbers.
 
     Attributes
     ----------
     cells : int64, shape (N, 2)
-        Row and column of every dot within its piece.
+        Row and column of each dot within its piece.
     piece : int64, shape (N,)
-        Number of the piece, the largest first; -1 for dots that belong to none.
+        Piece of each dot, numbered by descending size from 0; -1 for dots without a piece.
     """
 
     cells: Int64Array
     piece: Int64Array
 
     def neighbours(self, axis: int) -> Int64Array:
-        """Return pairs of dots that are next to each other, int64, shape (M, 2).
+        """Return the indices of neighbouring dots, int64, shape (M, 2).
 
         Parameters
         ----------
         axis : int
-            1: along a row, from a column to the next; 0: along a column.
+            1: along the rows, from each column to the next; 0: along the columns.
         """
         places = {
             (int(piece), int(row), int(column)): number
@@ -70,7 +70,7 @@ class DotLattice:
 
 @dataclass
 class _Piece:
-    """Cells and the dots in them while a piece grows, both ways."""
+    """A growing piece: dot by cell, and cell by dot."""
 
     dots: dict[Cell, int] = field(default_factory=dict)
     cells: dict[int, Cell] = field(default_factory=dict)
@@ -83,15 +83,15 @@ class _Piece:
 def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotLattice:
     """Find rows and columns.
 
-    A piece starts at a dot whose eight neighbours sit symmetrically around it and takes in, always
-    the surest first, whichever dot lies where the differences between its ordered neighbours predict
-    it. Missing dots are walked around. Rows are what runs more along the image's u axis.
+    A piece starts at a dot with eight symmetric neighbours. It then grows by the dot nearest to its predicted place;
+    the prediction is the mean step between ordered dots nearby. Growth passes around missing dots. Rows are the
+    direction nearer to the image's u axis.
 
     Parameters
     ----------
     pixels : float64, shape (N, 2)
     linked : callable
-        Forbids neighbours across a hidden part of the surface.
+        Called with two indices; returns False if part of the surface between the dots is hidden.
     """
     cells, piece = np.zeros((len(pixels), 2), np.int64), np.full(len(pixels), -1, np.int64)
     free = np.ones(len(pixels), bool)
@@ -99,7 +99,7 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
     found: list[_Piece] = []
     for looked, (steps, reach) in enumerate(_SEEDS):
         left = np.flatnonzero(free)
-        if len(left) < _FEWEST_DOTS or (looked and len(left) > len(pixels) / 2):  # chance alone orders a few spots
+        if len(left) < _MIN_DOTS or (looked and len(left) > len(pixels) / 2):  # chance alone orders a few spots
             break
         tree = cKDTree(pixels[left])
         for _, number, right, down in sorted(_seeds(pixels[left], tree, steps, reach), key=lambda entry: entry[0]):
@@ -107,7 +107,7 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
                 continue
             vectors = _like(axes[0], right, down) if axes else (right, down)
             grown = _grow(pixels, left, tree, free, linked, int(left[number]), vectors)
-            if len(grown.dots) >= _FEWEST_DOTS:
+            if len(grown.dots) >= _MIN_DOTS:
                 free[list(grown.cells)] = False
                 axes.append(vectors)
                 found.append(grown)
@@ -120,7 +120,7 @@ def order_dots(pixels: Float64Array, linked: Linked = lambda a, b: True) -> DotL
 def _seeds(
     pixels: Float64Array, tree: cKDTree, steps: Sequence[Cell], reach: float
 ) -> Iterator[tuple[float, int, Float64Array, Float64Array]]:
-    """Yield dots in the middle of regular neighbours, how irregular these are, and the lattice vectors."""
+    """Yield seeds: irregularity of the neighbours in lattice steps, index of the dot, and both lattice vectors."""
     near = np.asarray(tree.query(pixels, min(_NEIGHBOURS + 1, len(pixels)))[1])
     for dot in range(len(pixels)):
         around = pixels[near[dot, 1:]] - pixels[dot]
@@ -138,7 +138,7 @@ def _seeds(
 
 
 def _upright(first: Float64Array, second: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Return both vectors as the one that runs more to the right, and the one that runs down."""
+    """Return both vectors ordered and signed: the one that points right, and the one that points down."""
     right, down = (
         (first, second) if abs(first[0]) * np.hypot(*second) >= abs(second[0]) * np.hypot(*first) else (second, first)
     )
@@ -148,7 +148,7 @@ def _upright(first: Float64Array, second: Float64Array) -> tuple[Float64Array, F
 def _like(
     axes: tuple[Float64Array, Float64Array], right: Float64Array, down: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return both vectors so that they run along those of another piece."""
+    """Return both vectors ordered and signed like those of another piece."""
     if abs(float(right @ axes[0])) / np.hypot(*right) < abs(float(down @ axes[0])) / np.hypot(*down):
         right, down = down, right
     return right * (1 if right @ axes[0] >= 0 else -1), down * (1 if down @ axes[1] >= 0 else -1)
@@ -163,7 +163,7 @@ def _grow(
     seed: int,
     vectors: tuple[Float64Array, Float64Array],
 ) -> _Piece:
-    """Take in dot after dot of those in the tree, numbered by ``left``, the one nearest to its prediction first."""
+    """Grow a piece from a seed, always by the dot nearest to its prediction. ``left`` maps tree indices to dots."""
     piece = _Piece()
     waiting: list[tuple[float, int, Cell, int]] = [(0.0, seed, (0, 0), seed)]
     while waiting:
@@ -187,7 +187,7 @@ def _grow(
 def _vector(
     pixels: Float64Array, piece: _Piece, cell: Cell, step: Cell, vectors: tuple[Float64Array, Float64Array]
 ) -> Float64Array:
-    """Return the way from a cell to one beside it: the mean of what the ordered dots around say."""
+    """Return the predicted step from a cell to its neighbour: the mean of parallel steps nearby."""
     row, column = cell
     aside = (step[1], step[0])
     ways = []

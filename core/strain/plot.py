@@ -20,17 +20,17 @@ def draw_strain(
     path: Path,
     solver_percent: Sequence[tuple[float, float]] = (),
 ) -> None:
-    """Draw strain against displacement, and beside it the strain at each dot of the last frame.
+    """Draw strain against displacement, and the strain at each dot of the last frame.
 
     Parameters
     ----------
     displacement_mm, length_percent, width_percent : sequence of float
-        One value a frame.
+        One value per frame.
     last : StrainMeasurement
     path : Path
         A .png file.
     solver_percent : sequence of (float, float)
-        The true strain along length and width between dots that are seen, one pair a frame; empty where unknown.
+        True strain along length and width between visible dots, per frame; empty if unknown.
 
     Raises
     ------

@@ -21,30 +21,31 @@ from .dots import DOT_WIDTHS_PX, Spots, find_dots
 from .lattice import DotLattice, order_dots
 from .surface import SeenSurface, dot_covariance, dot_points, surface_between, whole_dots
 
-#: Distance of neighbouring dots on the flat sheet, metres, unless said otherwise.
+#: Default distance of neighbouring dots on the flat sheet, metres.
 SPACING_M: Final = 0.010
 SPACING_RANGE_M: Final = (0.001, 0.1)
-#: Dots in order below which there is no grid, and their share of all dark spots where they are.
-_FEWEST_DOTS, _FEWEST_SHARE = 16, 0.5
-#: A spot so near to the middle between two, as a share of their distance, lies between them.
+#: A grid has at least this many ordered dots, and at least this share of all dark spots.
+_MIN_DOTS, _MIN_SHARE = 16, 0.5
+#: A spot lies between two dots if it is this near to their midpoint, as a share of their distance.
 _BETWEEN_SHARE: Final = 0.25
-#: Spots of different sizes that are nearer are one.
+#: Spots found at two dot sizes are the same spot if they are nearer than this.
 _SAME_SPOT_PX: Final = 3.0
-#: Depth is averaged over this much before indentations are compared, as a Gaussian's sigma, pixels.
+#: Sigma of the Gaussian that smooths the change of depth before its maximum is taken, pixels.
 _INDENTATION_SIGMA_PX: Final = 4.0
-#: Half the sides of the squares of pairs over which strain is fitted, and the terms of the fits.
-_REACHES: Final = ((1, 1), (1, 3), (2, 6), (3, 6))
-#: A wider fit is believed while it agrees with the narrower ones within so many standard deviations.
+#: Windows for the smoothing of strain: half side length in grid steps, and number of polynomial terms.
+_WINDOWS: Final = ((1, 1), (1, 3), (2, 6), (3, 6))
+#: A wider window is accepted if its fit agrees with the narrower ones within this many standard deviations.
 _AGREES_WITHIN: Final = 3.5
-_FEWEST_OVER_TERMS: Final = 3
-#: A pair whose length over that of the pairs around it is beyond this, or one over it, is misread.
-_LARGEST_RATIO: Final = 1.35
-#: Rows and columns cross at right angles on the sheet. Where the cosine in space is beyond this, a diagonal of the
-#: grid, or a spot that is no dot, has been taken for a side; and each side is crossed at least so often.
-_LARGEST_COSINE: Final = 0.5
-_FEWEST_CROSSINGS: Final = 2
-#: What no average over neighbours takes away: noise that is fixed to the scene, and bends of the strain between dots.
-_LASTING_SIGMA: Final = 0.007
+#: A fit needs this many more neighbour pairs than terms.
+_MIN_SURPLUS: Final = 3
+#: A neighbour pair is an outlier if its length differs from those around it by more than this ratio.
+_MAX_RATIO: Final = 1.35
+#: Rows and columns cross at right angles on the flat sheet. A larger cosine in space means that a diagonal of the grid
+#: or a spot that is no dot was taken for a side. Each side needs this many crossing sides.
+_MAX_COSINE: Final = 0.5
+_MIN_CROSSINGS: Final = 2
+#: Standard deviation that smoothing cannot reduce: noise fixed to the scene, and variation of strain between dots.
+_SYSTEMATIC_SIGMA: Final = 0.007
 
 
 class StrainError(TactuneError):
@@ -53,18 +54,18 @@ class StrainError(TactuneError):
 
 @dataclass(frozen=True, eq=False)
 class StrainMeasurement:
-    """Strain of one frame. All dots are in the tactile camera.
+    """Strain of one frame, measured at dots seen by the tactile camera.
 
     Attributes
     ----------
     pixels : float64, shape (N, 2)
-        Dots in order, ``(u, v)``.
+        Centroids of the dots that have a place in the grid, ``(u, v)``.
     points_m : float64, shape (N, 3)
-        The same in the tactile camera's frame; nan where there is no depth.
+        The same dots in the tactile camera's frame, metres; nan without depth.
     lattice : DotLattice
-        Rows, columns and pieces.
+        Row, column and grid piece of each dot.
     length, width : AxisStrain
-        Along the rows, which run more along u, and along the columns.
+        Strain along the rows (the direction nearer to the image's u axis) and along the columns.
     """
 
     pixels: Float64Array
@@ -75,16 +76,16 @@ class StrainMeasurement:
 
     @property
     def dots(self) -> int:
-        """Number of dots in order."""
+        """Number of dots that have a place in the grid."""
         return len(self.pixels)
 
     def at_dots(self) -> Float64Array:
-        """Return the strain map: mean strain between each dot and its neighbours, along length and width.
+        """Return the mean strain between each dot and its neighbours, along length and width.
 
         Returns
         -------
         float64, shape (N, 2)
-            nan where there is no neighbour.
+            nan for dots without neighbours.
         """
         columns = []
         for axis in (self.length, self.width):
@@ -97,7 +98,7 @@ class StrainMeasurement:
 
 @dataclass(frozen=True, eq=False)
 class _Grid:
-    """Dots in order, where they are in space, and the neighbours along length and width that are believed."""
+    """Dots with places in the grid and in space, and the accepted neighbour pairs along length and width."""
 
     surface: SeenSurface
     pixels: Float64Array
@@ -116,12 +117,12 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         With a tactile colour image.
     rig : Rig
     spacing_m : float
-        Distance of neighbouring dots on the flat sheet.
+        Distance of neighbouring dots on the flat sheet, metres.
 
     Raises
     ------
     StrainError
-        The frame has no tactile colour, or no grid is found, or there is no depth where it is.
+        The frame has no tactile colour image, no grid is found, or the grid has no depth.
     FrameError
         The frame belongs to another rig.
     """
@@ -129,7 +130,7 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
     frame.check_against(rig)
     if frame.tactile_color is None:
         raise StrainError(
-            f"frame {frame.sequence} has no tactile colour image; record the tactile camera's colour, too"
+            f"frame {frame.sequence} has no tactile colour image; record the tactile camera with its colour image"
         )
     height, width = frame.tactile_color.shape[:2]
     if (height, width) != frame.tactile_depth.shape:
@@ -150,20 +151,20 @@ def measure_strain(frame: SensorFrame, rig: Rig, spacing_m: float = SPACING_M) -
         strain = axis_strain(pairs, grid.points_m, covariance_m2, spacing_m, places)
         if len(strain.pairs) == 0:
             raise StrainError(
-                f"frame {frame.sequence}: {len(grid.pixels)} dots are seen, but no neighbours along the {name} have "
-                "depth; see that the tactile camera's depth covers the membrane"
+                f"frame {frame.sequence}: {len(grid.pixels)} dots are found, but no neighbours along the {name} have "
+                "depth; check that the tactile depth image covers the membrane"
             )
         axes.append(strain)
     return StrainMeasurement(grid.pixels, grid.points_m, lattice, *axes)
 
 
 def check_spacing(spacing_m: float) -> None:
-    """Refuse a spacing that cannot be meant.
+    """Check the spacing of the dots on the flat sheet.
 
     Raises
     ------
     StrainError
-        It is not between 1 and 100 mm.
+        The spacing is not between 1 and 100 mm.
     """
     low, high = SPACING_RANGE_M
     if not (math.isfinite(spacing_m) and low <= spacing_m <= high):
@@ -174,9 +175,9 @@ def check_spacing(spacing_m: float) -> None:
 
 
 def indentation_m(frame: SensorFrame, untouched: SensorFrame, rig: Rig) -> float:
-    """Return how far the membrane has come towards the tactile camera where it came farthest, metres.
+    """Return the largest displacement of the membrane towards the tactile camera, metres, at least 0.
 
-    Noise is averaged over some pixels first; 0 where nothing came nearer.
+    The change of depth is smoothed by a Gaussian first.
 
     Raises
     ------
@@ -207,7 +208,7 @@ def _linked(depth_m: Float64Array, focal_px: float, pixels: Float64Array, first:
 
 
 def _usable(depth_m: Float64Array, focal_px: float, pixels: Float64Array, points: Float64Array) -> bool:
-    """Whether two neighbours have places in space and the surface between them is seen."""
+    """Tell whether both neighbours have depth and the surface between them is visible."""
     return bool(np.isfinite(points).all()) and surface_between(depth_m, focal_px, pixels[0], pixels[1])
 
 
@@ -219,7 +220,7 @@ def _sides(
     points: Float64Array,
     all_spots: cKDTree,
 ) -> tuple[Int64Array, Int64Array]:
-    """Return the neighbours along the length and along the width whose distance can be believed."""
+    """Return the accepted neighbour pairs along the length and along the width, each int64, shape (M, 2)."""
     usable = []
     for axis in (1, 0):
         pairs = _without_one_between(lattice.neighbours(axis), pixels, all_spots)
@@ -230,22 +231,22 @@ def _sides(
 
 
 def _without_one_between(pairs: Int64Array, pixels: Float64Array, all_spots: cKDTree) -> Int64Array:
-    """Return the pairs that skip no dot: rows that have grown apart by a wrong step may do where they meet."""
+    """Return the neighbour pairs without a dot between them; pieces that meet shifted by a row have such pairs."""
     ends = pixels[pairs]
     gap, _ = all_spots.query(ends.mean(axis=1)) if len(pairs) else (np.empty(0), None)
     kept: Int64Array = pairs[gap > _BETWEEN_SHARE * np.hypot(*(ends[:, 1] - ends[:, 0]).T)]
     return kept
 
 
-def _ordered_anew(
+def _reordered(
     lattice: DotLattice,
     loose: Int64Array,
     linked: Callable[[Float64Array, int, int], bool],
     pixels: Float64Array,
 ) -> DotLattice:
-    """Put dots without a neighbour in order once more, among themselves.
+    """Search for grid pieces once more among dots without an accepted neighbour.
 
-    Where a piece has grown over a steep wall by a wrong step, everything behind is sheared by a row.
+    If a piece grows across a steep wall by a wrong step, all dots behind the wall are shifted by a row.
     """
     again = order_dots(pixels[loose], partial(linked, pixels[loose]))
     found = again.piece >= 0
@@ -256,7 +257,7 @@ def _ordered_anew(
 
 
 def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -> _Grid:
-    """Return the dots in order, from the dot size, or all together, that gives most neighbours to believe."""
+    """Find the grid at each dot size, and at all sizes together; return the one with most accepted neighbour pairs."""
     assert frame.tactile_color is not None
     surface = SeenSurface.of(depth_m, camera.intrinsics)
     found = [find_dots(frame.tactile_color, width_px, surface) for width_px in DOT_WIDTHS_PX]
@@ -264,7 +265,7 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
     for spots in [*found, _merged(found)]:
         lattice = order_dots(spots.pixels, partial(_linked, depth_m, camera.intrinsics.fx, spots.pixels))
         ordered = lattice.piece >= 0
-        if ordered.sum() >= max(_FEWEST_DOTS, _FEWEST_SHARE * len(spots)):
+        if ordered.sum() >= max(_MIN_DOTS, _MIN_SHARE * len(spots)):
             kept = DotLattice(lattice.cells[ordered], lattice.piece[ordered])
             tree = cKDTree(spots.pixels)
             grids.append(_in_space(spots.some(ordered), tree, kept, frame.tactile_depth, surface, camera))
@@ -272,7 +273,7 @@ def _find_grid(frame: SensorFrame, depth_m: Float64Array, camera: DepthCamera) -
         most = max(map(len, found))
         raise StrainError(
             f"frame {frame.sequence}: no grid of dots is seen in the tactile colour image ({most} dark spots, not in "
-            "rows and columns); print a square grid of dark dots on the membrane, lit evenly and in focus "
+            "rows and columns); print a square grid of dark dots on the membrane, light it evenly and focus the camera "
             "(simulated: sim:cup?grid=dots)"
         )
     return max(grids, key=lambda grid: sum(map(len, grid.sides)))
@@ -286,12 +287,12 @@ def _in_space(
     surface: SeenSurface,
     camera: DepthCamera,
 ) -> _Grid:
-    """Bring dots into space, and those that no neighbour there confirms in order once more."""
+    """Deproject dots, reorder those without accepted neighbours, and drop pairs with partly hidden dots."""
     pixels, focal_px, depth_m = spots.pixels, camera.intrinsics.fx, surface.depth_m
     points, sigma = dot_points(counts, camera, pixels)
     sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     loose = np.setdiff1d(np.arange(len(pixels)), np.concatenate(sides))
-    lattice = _ordered_anew(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
+    lattice = _reordered(lattice, loose, partial(_linked, depth_m, focal_px), pixels)
     whole = whole_dots(lattice, points, spots.area_m2, spots.at_step)
     sides = _sides(lattice, depth_m, focal_px, pixels, points, all_spots)
     along, across = (pairs[whole[pairs].all(axis=1)] for pairs in sides)
@@ -299,7 +300,7 @@ def _in_space(
 
 
 def _merged(found: list[Spots]) -> Spots:
-    """Return spots of all sizes, each once."""
+    """Return the spots found at all sizes, without duplicates."""
     together = found[0]
     for more in found[1:]:
         spots = more
@@ -315,18 +316,18 @@ def _merged(found: list[Spots]) -> Spots:
 
 @dataclass(frozen=True, eq=False)
 class AxisStrain:
-    """Strain along one direction of the grid.
+    """Strain along one direction of the grid, over M pairs of neighbouring dots.
 
     Attributes
     ----------
     pairs : int64, shape (M, 2)
-        Numbers of neighbouring dots.
+        Indices of both dots.
     strain : float64, shape (M,)
-        Distance over spacing, minus 1, noise averaged.
+        Distance over spacing, minus 1, smoothed over neighbouring pairs.
     sigma : float64, shape (M,)
         Standard deviation of ``strain``.
     raw : float64, shape (M,)
-        The same as ``strain`` from both dots alone.
+        Distance over spacing, minus 1, without smoothing.
     """
 
     pairs: Int64Array
@@ -352,18 +353,18 @@ def axis_strain(
     spacing_m: float,
     places: Int64Array,
 ) -> AxisStrain:
-    """Compare distances between neighbours with their spacing on the flat sheet.
+    """Compare the distances of neighbouring dots with their spacing on the flat sheet.
 
     Parameters
     ----------
     pairs : int64, shape (M, 2)
     points_m : float64, shape (N, 3)
-        The dots in the camera's frame.
+        Dots in the camera's frame, metres.
     covariance_m2 : float64, shape (N, 3, 3)
-        How well each is known.
+        Covariance of each point.
     spacing_m : float
     places : int64, shape (N, 3)
-        Piece, row and column of each dot.
+        Grid piece, row and column of each dot.
     """
     start, end = points_m[pairs[:, 0]], points_m[pairs[:, 1]]
     length = np.linalg.norm(end - start, axis=1)
@@ -375,16 +376,16 @@ def axis_strain(
     kept = _plausible(where, raw)
     pairs, raw, sigma, where = pairs[kept], raw[kept], sigma[kept], where[kept]
     strain, spread = _smoothed(where, raw, sigma)
-    return AxisStrain(pairs, strain, np.hypot(spread, _LASTING_SIGMA), raw)
+    return AxisStrain(pairs, strain, np.hypot(spread, _SYSTEMATIC_SIGMA), raw)
 
 
 def crossed(pairs: Int64Array, crossing: Int64Array, points_m: Float64Array) -> BoolArray:
-    """Tell which neighbours are crossed at their ends by neighbours of the other direction, nearly at right angles.
+    """Tell which neighbour pairs are crossed at their ends by pairs of the other direction, nearly at right angles.
 
     Parameters
     ----------
     pairs, crossing : int64, shape (M, 2) and (K, 2)
-        Of one direction and of the other.
+        Neighbour pairs of one direction, and of the other.
     points_m : float64, shape (N, 3)
 
     Returns
@@ -400,24 +401,24 @@ def crossed(pairs: Int64Array, crossing: Int64Array, points_m: Float64Array) -> 
     for number, (start, end) in enumerate(pairs):
         met = at.get(int(start), []) + at.get(int(end), [])
         cosines = np.abs(across[met] @ along[number]).tolist()
-        kept[number] = len(met) >= _FEWEST_CROSSINGS and median(cosines) <= _LARGEST_COSINE
+        kept[number] = len(met) >= _MIN_CROSSINGS and median(cosines) <= _MAX_COSINE
     return kept
 
 
 def _directions(ends: Float64Array) -> Float64Array:
-    """Return unit vectors from the first to the second of points, shape (M, 2, 3)."""
+    """Return unit vectors, (M, 3), from the first to the second point of each pair, (M, 2, 3)."""
     ways = ends[:, 1] - ends[:, 0]
     return np.asarray(ways / np.maximum(np.linalg.norm(ways, axis=1), 1e-12)[:, None])
 
 
 def _around(where: Int64Array, number: int, reach: int) -> IndexArray:
-    """Return the numbers of the pairs in a square around one, of the same piece."""
+    """Return the indices of the pairs of the same piece in a square window around one pair."""
     apart = np.abs(where - where[number])
     return np.flatnonzero((apart[:, 0] == 0) & (apart[:, 1] <= reach) & (apart[:, 2] <= reach))
 
 
 def _plausible(where: Int64Array, raw: Float64Array) -> BoolArray:
-    """Tell the pairs whose length some neighbours on the grid confirm that are confirmed themselves."""
+    """Tell the pairs whose length agrees with most pairs around them; outliers are removed until none is left."""
     kept, before = np.ones(len(raw), bool), -1
     while np.count_nonzero(kept) != before:
         before = int(np.count_nonzero(kept))
@@ -431,19 +432,23 @@ def _confirmed(where: Int64Array, raw: Float64Array) -> BoolArray:
     for number in range(len(raw)):
         around = raw[_around(where, number, 1)]
         ratio = (1.0 + around) / (1.0 + raw[number])
-        alike = (ratio < _LARGEST_RATIO) & (ratio > 1.0 / _LARGEST_RATIO)
+        alike = (ratio < _MAX_RATIO) & (ratio > 1.0 / _MAX_RATIO)
         kept[number] = np.count_nonzero(alike) > 2 and 2 * np.count_nonzero(alike) > len(around)
     return kept
 
 
 def _smoothed(where: Int64Array, raw: Float64Array, sigma: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Fit polynomials around each pair, the wider ones while they agree with the narrower (Lepski's rule)."""
+    """Return smoothed strain and its standard deviation, each (M,).
+
+    Polynomials are fitted in windows around each pair; wider windows are used while they agree with the narrower ones
+    (Lepski 1991).
+    """
     strain, spread = raw.copy(), sigma.copy()
     for number in range(len(raw)):
         low, high = raw[number] - _AGREES_WITHIN * sigma[number], raw[number] + _AGREES_WITHIN * sigma[number]
-        for reach, terms in _REACHES:
+        for reach, terms in _WINDOWS:
             around = _around(where, number, reach)
-            if len(around) < terms + _FEWEST_OVER_TERMS:
+            if len(around) < terms + _MIN_SURPLUS:
                 break
             row, column = (where[around, 1:] - where[number, 1:]).T.astype(np.float64)
             design = np.stack(
@@ -465,14 +470,14 @@ def _smoothed(where: Int64Array, raw: Float64Array, sigma: Float64Array) -> tupl
 
 @dataclass(frozen=True, eq=False)
 class GridCells:
-    """Squares of the grid of which all four dots are seen.
+    """Grid cells: squares of the grid whose four dots are found.
 
     Attributes
     ----------
     corners : int64, shape (K, 4)
-        Numbers of the dots, once around.
+        Indices of the four dots, in order around the cell.
     length, width : float64, shape (K,)
-        Mean strain of the two sides along the length and along the width.
+        Mean strain of both sides along the length, and along the width.
     """
 
     corners: Int64Array
@@ -481,12 +486,12 @@ class GridCells:
 
     @property
     def largest(self) -> Float64Array:
-        """The larger of both, shape (K,)."""
+        """The larger of both strains, shape (K,)."""
         return np.maximum(self.length, self.width)
 
 
 def grid_cells(measured: StrainMeasurement) -> GridCells:
-    """Return the squares whose four sides have been measured."""
+    """Return the grid cells whose four sides are measured."""
     along, across = _strain_by_pair(measured.length), _strain_by_pair(measured.width)
     below = dict(across.keys())
     corners = [

@@ -16,39 +16,39 @@ from ..model.intrinsics import Intrinsics
 from .kernels import NEAREST, SCRATCH_SHAPE, fit_inverse_depths, is_smooth_between
 from .lattice import DotLattice
 
-#: Radii of the surroundings over which inverse depth is fitted, pixels.
+#: Radii of the discs in which inverse depth is fitted, pixels.
 _RADII_PX: Final = np.array((2, 3, 5, 8, 12, 18))
-#: Noise is the scatter over surroundings of this radius, of every other row and column.
+#: Radius of the discs in which noise is estimated, pixels, from every other row and column.
 _NOISE_RADIUS_PX: Final = 12
-#: Steepest surface on which neighbouring dots can still be told apart, as a slope against the image plane.
+#: Steepest surface on which neighbouring dots can still be separated: slope against the image plane.
 STEEPEST: Final = 3.0
-#: Depths farther apart are not averaged before slopes are taken over so many pixels.
+#: Bilateral filter before slopes are taken: depth difference, metres, and radius, pixels; then the slope's step.
 _EDGE_M: Final = 0.003
 _SLOPE_SIGMA_PX: Final = 2.0
 _SLOPE_STEP_PX: Final = 2
-#: Over this many pixels the slope between two dots is taken.
+#: Slopes between two dots are taken over this many pixels.
 _SLOPE_PX: Final = 3
-#: Neighbouring pixels whose slope against the image plane is beyond this show different parts of the surface.
+#: Depth step: neighbouring pixels whose slope against the image plane exceeds this.
 _STEP: Final = 2 * STEEPEST
-#: So near to a step slopes are fitted to the own side of it, pixels.
+#: Within this distance of a step, slopes are fitted to the pixel's own side, pixels.
 _SLOPES_NEAR_PX: Final = 5
-#: Radius of those fits, pixels, the fewest pixels in them, and the depth over which a side reaches at most, as a share.
+#: Those fits: radius, pixels; fewest pixels; largest depth difference within a side, as a share.
 _RADIUS_PX: Final = 3
-_FEWEST_PX: Final = 10
+_MIN_PX: Final = 10
 _SAME_SIDE: Final = 0.04
-#: A spot at a step is a whole dot where its area, over that of the square of the grid around it, is within these
-#: multiples of what it is elsewhere; below, a part is hidden, and beyond, more than a dot is in it.
+#: A spot at a step is a whole dot if its area relative to the grid cells around it is within these multiples of the
+#: median. Below, part of the dot is hidden; above, the spot contains more than the dot.
 _WHOLE_AREA: Final = (0.75, 1.8)
-#: Standard deviation of a centroid, pixels: elsewhere, and within so many pixels of a step of depth.
+#: Standard deviation of a centroid, pixels: in general, and within `_EDGE_NEAR_PX` of a depth step.
 _CENTROID_SIGMA_PX, _EDGE_SIGMA_PX = 0.07, 0.12
 _EDGE_NEAR_PX: Final = 8
 
 
 def dot_points(counts: Uint16Array, camera: DepthCamera, pixels: Float64Array) -> tuple[Float64Array, Float64Array]:
-    """Deproject dots.
+    """Deproject dots to points in the camera's frame.
 
-    The inverse of the depth, in which a stereo camera's noise is the same everywhere, is fitted by a
-    polynomial over ever wider surroundings, as long as the surface is smooth there (Lepski's rule).
+    Inverse depth, in which the noise of a stereo camera is uniform, is fitted by polynomials in growing discs as long
+    as the surface is smooth (Lepski 1991).
 
     Parameters
     ----------
@@ -76,7 +76,7 @@ def dot_points(counts: Uint16Array, camera: DepthCamera, pixels: Float64Array) -
 
 
 def _inverse_noise(inverse: Float64Array, pixels: Float64Array) -> float:
-    """Return the standard deviation of one over the depth, 1/m: the scatter about local fits around pixels, (N, 2)."""
+    """Return the standard deviation of inverse depth, 1/m: the residual of local fits around pixels, (N, 2)."""
     scatter = []
     for u, v in pixels[:: max(len(pixels) // 100, 1)]:
         top, left = max(round(v) - _NOISE_RADIUS_PX, 0), max(round(u) - _NOISE_RADIUS_PX, 0)
@@ -93,9 +93,9 @@ def _inverse_noise(inverse: Float64Array, pixels: Float64Array) -> float:
 
 
 def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
-    """Tell how much of the surface each pixel shows, square metres: the more, the steeper it is seen.
+    """Return the surface area that each pixel shows, square metres; it grows with the slope.
 
-    Slopes are taken to the side on which the depth changes less, so never across an edge.
+    Slopes are taken towards the side with the smaller change of depth, so never across an edge.
 
     Parameters
     ----------
@@ -106,7 +106,7 @@ def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
     Returns
     -------
     float64, shape (H, W)
-        As if seen straight on where there is no depth.
+        Pixels without depth count as perpendicular to the line of sight.
     """
     known = np.isfinite(depth_m)
     depth = _smooth_depth(depth_m)
@@ -117,7 +117,7 @@ def surface_area(depth_m: Float64Array, intrinsics: Intrinsics) -> Float64Array:
 
 
 def _smooth_depth(depth_m: Float64Array) -> Float64Array:
-    """Return depth, metres, averaged over some pixels but not over edges; the median where there is none.
+    """Return depth, metres, smoothed by a bilateral filter; pixels without depth get the median.
 
     Parameters
     ----------
@@ -125,7 +125,7 @@ def _smooth_depth(depth_m: Float64Array) -> Float64Array:
         nan where there is no depth.
     """
     known = np.isfinite(depth_m)
-    filled = np.where(known, depth_m, 0.0).astype(np.float32)  # so far away that the filter leaves it out
+    filled = np.where(known, depth_m, 0.0).astype(np.float32)  # 0 differs so much that the filter ignores it
     smooth = cv2.bilateralFilter(filled, -1, _EDGE_M, _SLOPE_SIGMA_PX).astype(np.float64)
     return np.where(known, smooth, np.nanmedian(depth_m))
 
@@ -133,18 +133,18 @@ def _smooth_depth(depth_m: Float64Array) -> Float64Array:
 def area_of_slopes(
     depth_m: Float64Array, rays: Float64Array, slopes_m: Float64Array, intrinsics: Intrinsics, steepest: float
 ) -> Float64Array:
-    """Return how much of the surface pixels show, square metres, shape (...).
+    """Return the surface area that pixels show, square metres, shape (...).
 
     Parameters
     ----------
     depth_m : float64, shape (...)
     rays : float64, shape (..., 2)
-        Their directions, at depth 1.
+        Rays ``(x / z, y / z)`` of the pixels.
     slopes_m : float64, shape (..., 2)
         Change of depth to the next pixel along u and v.
     intrinsics : Intrinsics
     steepest : float
-        Steeper slopes against the image plane count as this one.
+        Slopes against the image plane are limited to this value.
     """
     side = depth_m / intrinsics.fx
     limit = (steepest * side)[..., None]
@@ -154,14 +154,14 @@ def area_of_slopes(
 
 
 def _slope(depth: Float64Array, axis: int) -> Float64Array:
-    """Return the change of depth from pixel to pixel along an axis, the smaller of both sides'."""
+    """Return the change of depth per pixel along an axis: the smaller of both one-sided differences."""
     ahead = (np.roll(depth, -_SLOPE_STEP_PX, axis) - depth) / _SLOPE_STEP_PX
     back = np.roll(ahead, _SLOPE_STEP_PX, axis)
     return np.where(np.abs(ahead) < np.abs(back), ahead, back)
 
 
 def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array, end: Float64Array) -> bool:
-    """Whether the surface between two pixels is seen: no step of depth, behind which further dots may hide.
+    """Tell whether the surface between two pixels is visible: no depth step, behind which further dots may be hidden.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def surface_between(depth_m: Float64Array, focal_px: float, start: Float64Array,
 
 @dataclass(frozen=True, eq=False)
 class SeenSurface:
-    """The surface in one image of depth.
+    """The surface in one depth image.
 
     Attributes
     ----------
@@ -184,9 +184,9 @@ class SeenSurface:
         nan where there is none.
     intrinsics : Intrinsics
     area_m2 : float64, shape (H, W)
-        How much of the surface each pixel shows.
+        Surface area that each pixel shows, square metres.
     step_right, step_down : bool, shape (H, W - 1) and (H - 1, W)
-        Where two pixels beside, or below each other show different parts of it.
+        Depth steps between horizontal, and between vertical neighbours.
     """
 
     depth_m: Float64Array
@@ -197,7 +197,7 @@ class SeenSurface:
 
     @classmethod
     def of(cls, depth_m: Float64Array, intrinsics: Intrinsics) -> SeenSurface:
-        """Find steps, and slopes."""
+        """Find the depth steps and the surface area of each pixel, from depth in metres (H, W), nan without depth."""
         right, down = (_steps(depth_m, axis, intrinsics.fx) for axis in (1, 0))
         area = surface_area(depth_m, intrinsics)
         rows, columns = np.nonzero(_near(right, down, _SLOPES_NEAR_PX) & np.isfinite(depth_m))
@@ -211,17 +211,17 @@ class SeenSurface:
         return cls(depth_m, intrinsics, area, right, down)
 
     def slopes(self, pixels: Float64Array) -> Float64Array:
-        """Return the changes of depth, metres, to the next pixel along u and v at pixels, (N, 2); 0 where not known."""
+        """Return the change of depth per pixel along u and v, metres, at pixels (N, 2); 0 where unknown."""
         columns, rows = np.rint(pixels).astype(np.intp).T
         slopes, enough = _slopes_of_own_side(self.depth_m, rows, columns)
         return np.where(enough[:, None], slopes, 0.0)
 
     def near_step(self, reach_px: int) -> BoolArray:
-        """Tell the pixels so near to a step, shape (H, W)."""
+        """Tell the pixels within a distance of a depth step, bool, shape (H, W)."""
         return _near(self.step_right, self.step_down, reach_px)
 
     def regions(self, inside: BoolArray) -> tuple[Int32Array, Int32Array]:
-        """Number connected pixels; what is on the other side of a step is not connected.
+        """Label connected regions; pixels on both sides of a depth step are not connected.
 
         Parameters
         ----------
@@ -234,7 +234,7 @@ class SeenSurface:
         stats : int32, shape (K, 5)
             Left, top, width, height and number of pixels of each region, the outside first.
         """
-        links = np.zeros((2 * inside.shape[0] - 1, 2 * inside.shape[1] - 1), np.uint8)  # pixels, and between them
+        links = np.zeros((2 * inside.shape[0] - 1, 2 * inside.shape[1] - 1), np.uint8)  # pixels, and links between them
         links[::2, ::2] = inside
         links[::2, 1::2] = inside[:, 1:] & inside[:, :-1] & ~self.step_right
         links[1::2, ::2] = inside[1:] & inside[:-1] & ~self.step_down
@@ -247,7 +247,7 @@ class SeenSurface:
         return labels, stats
 
     def part(self, part: tuple[slice, slice]) -> SeenSurface:
-        """Return a part of it, of rows and columns; its pixels are numbered anew, so it has no rays."""
+        """Return a window of rows and columns. Its pixel coordinates start at 0, so its rays are not valid."""
         rows, columns = part
         depth = self.depth_m[part]
         height, width = depth.shape
@@ -260,7 +260,7 @@ class SeenSurface:
         )
 
     def side_of(self, spot: BoolArray) -> BoolArray:
-        """Tell the pixels of the surface that a spot is on: about as far, and no step between; shape (H, W)."""
+        """Tell the pixels on the same side as a spot: similar depth and no step between; bool, shape (H, W)."""
         known = self.depth_m[spot & np.isfinite(self.depth_m)]
         middle = float(np.median(known)) if len(known) else np.nan
         labels, _ = self.regions(np.abs(self.depth_m - middle) <= _SAME_SIDE * middle)
@@ -270,16 +270,16 @@ class SeenSurface:
 
 
 def whole_dots(lattice: DotLattice, points_m: Float64Array, area_m2: Float64Array, at_step: BoolArray) -> BoolArray:
-    """Tell the dots of which nothing is hidden, by their area: the grid around tells how much they are stretched.
+    """Tell the dots that are completely visible, by their area relative to the stretched grid around them.
 
     Parameters
     ----------
     lattice : DotLattice
     points_m : float64, shape (N, 3)
     area_m2 : float64, shape (N,)
-        That each spot shows.
+        Area of each spot.
     at_step : bool, shape (N,)
-        Others are whole.
+        Spots at a depth step; all others count as whole.
 
     Returns
     -------
@@ -340,7 +340,7 @@ def _steps(depth_m: Float64Array, axis: int, focal_px: float) -> BoolArray:
 
 
 def _near(step_right: BoolArray, step_down: BoolArray, reach_px: int) -> BoolArray:
-    """Tell the pixels that are at most so far from one beside a step."""
+    """Tell the pixels within a distance of a pixel beside a step."""
     beside = np.zeros((step_right.shape[0], step_down.shape[1]), np.uint8)
     beside[:, :-1] |= step_right
     beside[:, 1:] |= step_right
@@ -350,7 +350,7 @@ def _near(step_right: BoolArray, step_down: BoolArray, reach_px: int) -> BoolArr
 
 
 def _slopes_of_own_side(depth_m: Float64Array, rows: AnyArray, columns: AnyArray) -> Any:
-    """Return changes of depth from pixel to pixel along u and v, (M, 2), by quadratics, and where these had enough."""
+    """Return the change of depth per pixel along u and v, (M, 2), from quadratic fits, and which had enough pixels."""
     down, right = np.mgrid[-_RADIUS_PX : _RADIUS_PX + 1, -_RADIUS_PX : _RADIUS_PX + 1]
     round_ = down**2 + right**2 <= (_RADIUS_PX + 0.5) ** 2
     down, right = down[round_], right[round_]
@@ -364,4 +364,4 @@ def _slopes_of_own_side(depth_m: Float64Array, rows: AnyArray, columns: AnyArray
     design = np.stack([np.ones(len(down)), right, down, right**2, right * down, down**2], axis=1)
     normal = np.einsum("nk,ki,kj->nij", weight, design, design) + 1e-6 * np.eye(6)
     fits = np.linalg.solve(normal, ((weight * np.where(same, rise, 0.0)) @ design)[..., None])[..., 0]
-    return fits[:, 1:3], same.sum(axis=1) >= _FEWEST_PX
+    return fits[:, 1:3], same.sum(axis=1) >= _MIN_PX

@@ -30,7 +30,7 @@ def lines(text: str) -> list[dict]:
     [
         (["--methods", "fuson"], "no method 'fuson'; known are straight, fusion-rigid"),
         (["--methods", ","], "--methods is ','"),
-        (["--objects", "mug"], "no object 'mug'; it is kept for --held-out"),
+        (["--objects", "mug"], "no object 'mug'; it needs --held-out"),
         (["--held-out", "--objects", "cup"], "no object 'cup'"),
         (["--presses", "hard"], "no press 'hard'"),
         (["--plot", "figure.xyz"], "suffix '.xyz'"),

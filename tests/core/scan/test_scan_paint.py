@@ -135,7 +135,7 @@ def test_contact_ends_between_vertices():
 
 def test_arguments_that_do_not_fit_are_refused():
     scan = plate(disc(50, 50, 20))
-    with pytest.raises(TactuneError, match="take it from this scan"):
+    with pytest.raises(TactuneError, match="compute it from this scan"):
         contact_points(scan, np.ones(7, bool))
     everywhere = np.ones(len(scan.vertices_m), bool)
     for spacing in (0.0, -1.0, np.nan):

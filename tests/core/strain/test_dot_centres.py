@@ -1,4 +1,4 @@
-"""Middles of dots on bends: a sheet that folds away before a step of depth, with dots printed on it unrolled."""
+"""Centroids of dots on bends: a sheet that folds away before a step of depth, with dots printed on it unrolled."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _FINE = 6
 
 @dataclass(frozen=True)
 class Scene:
-    """A rendered sheet: ``true`` are the pixels of the printed middles, ``shown`` those of what is seen of the dots."""
+    """A rendered sheet. ``true``: pixels of the printed centroids; ``shown``: centroids of the visible parts."""
 
     depth_m: npt.NDArray[np.float64]
     gray: npt.NDArray[np.uint8]
@@ -124,10 +124,10 @@ def across(*along):
 @pytest.mark.parametrize("shift", [(0.0, 0.0), (0.3, 0.25), (0.6, 0.5), (0.15, 0.75)])
 @pytest.mark.parametrize("way", ["down", "up", "right", "left"])
 @pytest.mark.parametrize("fold, along", [(ROUND, (0.0006, 0.0013, 0.0021)), (SHARP, (-0.0001, 0.0009, 0.0013))])
-def test_a_middle_on_a_bend_is_that_of_what_is_printed(fold, along, way, shift, unrefined):
+def test_a_centroid_on_a_bend_is_that_of_what_is_printed(fold, along, way, shift, unrefined):
     scene = turned(render(across(*along, *along), fold, shift=shift), way)
     assert (off(find_dots(scene.gray, 21, scene.surface), scene.true) < 0.15).all()
-    assert (np.hypot(*(scene.shown - scene.true).T) > 0.3).all()  # the middles of what the picture shows
+    assert (np.hypot(*(scene.shown - scene.true).T) > 0.3).all()  # the centroids of what the picture shows
     assert off(unrefined(scene.gray, 21, scene.surface), scene.true).max() > 0.3
 
 
@@ -198,17 +198,17 @@ def one_dot():
 def look(depth_m, scene, labels, pixels, ink=INK):
     surface = SeenSurface.of(depth_m, scene.lens)
     near = surface.near_step(8)[tuple(np.rint(pixels[0, ::-1]).astype(int))]
-    middles, printed = centroids_on_bends(surface, scene.gray, labels, np.array([1]), pixels, ink)
-    return near, middles, printed.all()
+    centroids, printed = centroids_on_bends(surface, scene.gray, labels, np.array([1]), pixels, ink)
+    return near, centroids, printed.all()
 
 
-def test_only_the_middle_that_is_asked_for_is_moved_and_no_array_is_changed(one_dot):
+def test_only_the_requested_centroid_moves_and_no_array_is_changed(one_dot):
     scene, labels, pixels = one_dot
     arrays = [scene.depth_m, scene.gray, labels, pixels]
     copies = [array.copy() for array in arrays]
-    near, middles, printed = look(scene.depth_m, scene, labels, pixels)
+    near, centroids, printed = look(scene.depth_m, scene, labels, pixels)
     assert near and printed
-    assert np.hypot(*(middles - scene.true)[0]) < 0.15 < np.hypot(*(pixels - scene.true)[0])
+    assert np.hypot(*(centroids - scene.true)[0]) < 0.15 < np.hypot(*(pixels - scene.true)[0])
     assert all((array == copy).all() for array, copy in zip(arrays, copies, strict=True))
     assert not look(scene.depth_m, scene, labels, pixels, ink=3.0)[2]  # by far not as dark as others
 
@@ -217,8 +217,8 @@ def test_a_spot_without_bare_surface_around_stays_where_it_is(one_dot):
     """As between spots that nearly touch it."""
     scene, labels, pixels = one_dot
     crowded = np.where(labels == 0, 2, labels)
-    near, middles, printed = look(scene.depth_m, scene, crowded, pixels, ink=3.0)
-    assert near and printed and (middles == pixels).all()
+    near, centroids, printed = look(scene.depth_m, scene, crowded, pixels, ink=3.0)
+    assert near and printed and (centroids == pixels).all()
 
 
 @pytest.mark.parametrize("around_px", [0, 1, 2])
@@ -231,8 +231,8 @@ def test_a_spot_without_depth_around_stays_where_it_is(one_dot, around_px):
     depth[(away >= around_px - 0.5) & (away < 4.5)] = np.nan
     if around_px == 0:
         depth[labels > 0] = np.nan
-    near, middles, printed = look(depth, scene, labels, pixels)
-    assert near and printed and (middles == pixels).all()
+    near, centroids, printed = look(depth, scene, labels, pixels)
+    assert near and printed and (centroids == pixels).all()
 
 
 def test_a_hole_in_the_depth_of_a_dot_changes_little():
@@ -255,5 +255,5 @@ def test_a_spot_in_a_corner_of_the_image_is_no_mistake(one_dot, corner):
     labels[v, u] = 1
     depth = np.full(scene.gray.shape, FAR_M)
     depth[max(v - 4, 0) : v + 5, max(u - 4, 0) : u + 5] = NEAR_M
-    near, middles, _ = look(depth, scene, labels, np.array([(u, v)], float))
-    assert near and np.isfinite(middles).all() and np.abs(middles - (u, v)).max() <= 1.0
+    near, centroids, _ = look(depth, scene, labels, np.array([(u, v)], float))
+    assert near and np.isfinite(centroids).all() and np.abs(centroids - (u, v)).max() <= 1.0

@@ -36,7 +36,7 @@ def lip(angle):
 
 
 @pytest.mark.parametrize("angle", [0, 40, 50, -50, 60])
-def test_the_middle_of_a_dot_on_a_bent_surface_is_the_one_on_the_surface(angle):
+def test_the_centroid_of_a_dot_on_a_bent_surface_is_the_one_on_the_surface(angle):
     depth, image, (u, v), inside = lip(angle)
     spots = find_dots(image, 21, SeenSurface.of(depth, LENS))
     assert len(spots) == 1
