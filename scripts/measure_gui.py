@@ -1,8 +1,10 @@
 """Measure the real window on a source: frames shown, heartbeat of the GUI thread, time per stage.
 
-Run it alone on the machine; nothing in it is a test. For example::
+With ``--compare N``, measure instead what an open Compare tab costs the window. Both states alternate N times, so that
+other load on the machine affects both. Run it alone on the machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
+    QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium'
     xvfb-run -a -s "-screen 0 1920x1080x24" python scripts/measure_gui.py --theme dark
 """
 
@@ -15,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import cast
 
@@ -23,18 +25,48 @@ import numpy as np
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
 from PyQt6.QtWidgets import QWidget
 
+from tactune.app.analysis.compare_tab import CompareTab
+from tactune.app.cli.common import default_preset
 from tactune.app.gui import make_application, start_with
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import Result
+from tactune.core.methods.registry import method_names
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30
 
 
+class Heart(QObject):
+    """A timer on the GUI thread that reports the time between its beats, in ms."""
+
+    def __init__(self, parent: QObject, beat: Callable[[float], None]) -> None:
+        super().__init__(parent)
+        self._beat = beat
+        self._last_s = 0.0
+        self._timer = QTimer(self)
+        self._timer.setTimerType(Qt.TimerType.PreciseTimer)
+        self._timer.setInterval(HEARTBEAT_MS)
+        self._timer.timeout.connect(self._tick)
+
+    def start(self) -> None:
+        """Start beating, or forget the time since the last beat."""
+        self._last_s = time.perf_counter()
+        self._timer.start()
+
+    def stop(self) -> None:
+        """Stop beating."""
+        self._timer.stop()
+
+    def _tick(self) -> None:
+        now = time.perf_counter()
+        self._beat(1e3 * (now - self._last_s))
+        self._last_s = now
+
+
 class Meter(QObject):
-    """Collects what happens in a window from its first warm frame on."""
+    """Collects times and counts in a window after its warm-up frames."""
 
     def __init__(self, window: MainWindow, seconds: float) -> None:
         super().__init__(window)
@@ -44,20 +76,16 @@ class Meter(QObject):
         self.gaps_ms: list[float] = []
         self.paints = 0
         self.painted_s: list[float] = []
-        self._last_beat_s = 0.0
         self._started_s = 0.0
         self._cpu_s = 0.0
-        self._heart = QTimer(self)
-        self._heart.setTimerType(Qt.TimerType.PreciseTimer)
-        self._heart.setInterval(HEARTBEAT_MS)
-        self._heart.timeout.connect(self._beat)
-        window.frameShown.connect(self._frame_shown)
+        self._heart = Heart(self, self.gaps_ms.append)
+        window.context.frameShown.connect(self._frame_shown)
         canvas = window.views.views["patch"].findChild(QWidget, "canvas")
         if canvas is not None:
             canvas.installEventFilter(self)
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Count how often the patch is really painted."""
+        """Count the paint events of the patch view."""
         if self._started_s and event is not None and event.type() == QEvent.Type.Paint:
             self.paints += 1
         return False
@@ -68,23 +96,18 @@ class Meter(QObject):
             return
         now = time.perf_counter()
         if not self._started_s:
-            self._started_s = self._last_beat_s = now
+            self._started_s = now
             self._cpu_s = -time.process_time()
             self._heart.start()
         self.results.append((now, result))
         if now - self._started_s >= self._seconds:
-            self._window.frameShown.disconnect(self._frame_shown)
+            self._window.context.frameShown.disconnect(self._frame_shown)
             self._heart.stop()
             self._cpu_s += time.process_time()
             self._window.close()
 
-    def _beat(self) -> None:
-        now = time.perf_counter()
-        self.gaps_ms.append(1e3 * (now - self._last_beat_s))
-        self._last_beat_s = now
-
     def report(self) -> str:
-        """Write all numbers in words."""
+        """Return all numbers as text."""
         first, last = self.results[0], self.results[-1]
         seconds = last[0] - first[0]
         processed = last[1].processed - first[1].processed
@@ -113,36 +136,112 @@ class Meter(QObject):
         return "\n".join(lines)
 
 
+class Rounds(QObject):
+    """Shows and hides the analysis window alternately and measures both states."""
+
+    def __init__(self, window: MainWindow, rounds: int, seconds: float) -> None:
+        super().__init__(window)
+        self._window, self._rounds, self._left, self._seconds = window, rounds, 2 * rounds, seconds
+        self._comparing = False
+        self.gaps_ms: dict[bool, list[float]] = {False: [], True: []}
+        self.frames = {False: 0, True: 0}
+        self.comparisons = 0
+        window.analysis.open("compare")
+        analysis = window.analysis.window
+        assert analysis is not None
+        self._analysis = analysis
+        tab = analysis.made["compare"]
+        assert isinstance(tab, CompareTab)
+        self._tab = tab
+        self._heart = Heart(self, self._beat)
+        self._turns = QTimer(self)
+        self._turns.setInterval(round(1e3 * seconds))
+        self._turns.timeout.connect(self._turn)
+        self._ready = QTimer(self)
+        self._ready.setInterval(100)
+        self._ready.timeout.connect(self._begin_when_ready)
+        self._ready.start()
+
+    def _begin_when_ready(self) -> None:
+        comparison = self._tab.comparison
+        if comparison is None or self._tab.untouched.searching or comparison.task.no_untouched:
+            return
+        self._ready.stop()
+        self._window.context.frameShown.connect(self._frame_shown)
+        self._tab.shown.connect(self._compared)
+        self._analysis.hide()
+        self._heart.start()
+        self._turns.start()
+
+    def _turn(self) -> None:
+        self._left -= 1
+        if self._left == 0:
+            self._heart.stop()
+            self._turns.stop()
+            self._window.close()
+            return
+        self._comparing = not self._comparing
+        self._analysis.setVisible(self._comparing)
+        self._heart.start()
+
+    def _beat(self, gap_ms: float) -> None:
+        self.gaps_ms[self._comparing].append(gap_ms)
+
+    def _frame_shown(self) -> None:
+        self.frames[self._comparing] += 1
+
+    def _compared(self) -> None:
+        self.comparisons += 1
+
+    def report(self) -> str:
+        """Return all numbers as text."""
+        alone, beside = (np.percentile(self.gaps_ms[state], (50, 95, 100)) for state in (False, True))
+        seconds = self._rounds * self._seconds
+        lines = [f"{'':<22}{'without':>9}{'with':>9}{'ratio':>8}"]
+        shown = [self.frames[state] / seconds for state in (False, True)]
+        rows = [("frames shown a second", *shown)]
+        rows += [
+            (f"heartbeat {name}, ms", *pair) for name, *pair in zip(("p50", "p95", "max"), alone, beside, strict=True)
+        ]
+        lines += [f"{name:<22}{first:9.1f}{second:9.1f}{second / first:8.2f}" for name, first, second in rows]
+        return "\n".join([*lines, f"comparisons a second  {self.comparisons / seconds:18.1f}"])
+
+
 def _spread(values: Iterable[float]) -> str:
     half, most, highest = np.percentile(list(values), (50, 95, 100))
     return f"p50 {half:5.1f}   p95 {most:5.1f}   max {highest:5.1f}"
 
 
 def main() -> int:
-    """Run the window for a while and print what was measured."""
+    """Run the window and print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", default="sim")
     parser.add_argument("--preset", default=None, help="a file or a shipped name; default: as the window chooses")
-    parser.add_argument("--seconds", type=float, default=15.0)
+    parser.add_argument("--seconds", type=float, default=15.0, help="with --compare: of each state in a round")
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
+    parser.add_argument("--compare", type=int, default=0, metavar="ROUNDS", help="measure the cost of the Compare tab")
+    parser.add_argument("--methods", default=",".join(method_names()), help="the methods that are compared")
     options = parser.parse_args()
-    preset, _ = start_with(options.preset, options.source)
+    preset, _ = start_with(options.preset or default_preset(options.source))
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
-        window = MainWindow(preset, Settings(Path(folder) / "window.ini"), Path(folder), backend=options.backend)
+        settings = Settings(Path(folder) / "window.ini")
+        settings.set("compare/methods", options.methods)
+        window = MainWindow(preset, settings, Path(folder), backend=options.backend)
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))
         window.resize(width, height)
         window.error_hook.install()
-        meter = Meter(window, options.seconds)
+        meter = Meter(window, options.seconds) if not options.compare else None
         window.show()
         window.open_source(options.source)
+        measured = meter or Rounds(window, options.compare, options.seconds)
         application.exec()
     sys.stdout.write(
         f"machine           {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}, Python {platform.python_version()}, "
-        f"{application.platformName()}\n{meter.report()}\n"
+        f"{application.platformName()}\n{measured.report()}\n"
     )
     return 0
 

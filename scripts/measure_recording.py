@@ -1,4 +1,4 @@
-"""Record a minute of the simulator, play it back, compare every bit, and say what it costs.
+"""Record a minute of the simulator, play it back, compare every bit, and print the cost.
 
 Frames are handed over at 30 Hz at most, as a live rig does, so that the writing thread's CPU time is
 what a recording adds to a running application.
@@ -29,7 +29,7 @@ RATE_HZ = 30.0
 
 
 def endless(scene: str) -> Iterator[SensorFrame]:
-    """Yield the press of a scene again and again, each time with other noise, at 30 Hz of source time."""
+    """Yield the press of a scene repeatedly, with new noise each time, at 30 Hz of source time."""
     count = itertools.count()
     for seed in itertools.count():
         with open_source(f"{scene}?seed={seed}") as source:
@@ -40,7 +40,7 @@ def endless(scene: str) -> Iterator[SensorFrame]:
 
 
 def images_of(frame: SensorFrame) -> list[npt.NDArray[Any]]:
-    """Return all that a frame holds."""
+    """Return all images of a frame and of its truth."""
     truth = frame.truth
     images = [frame.proximity_depth, frame.tactile_depth, frame.proximity_color, frame.tactile_color]
     images += [] if truth is None else [truth.contact, truth.depth_m]
@@ -48,7 +48,7 @@ def images_of(frame: SensorFrame) -> list[npt.NDArray[Any]]:
 
 
 def fingerprint(frame: SensorFrame, pipeline: ContactPipeline) -> bytes:
-    """Hash the number, the times and the images of a frame, and the patch made of it."""
+    """Hash the number, times and images of a frame and its patch."""
     patch = pipeline.process(frame)
     digest = hashlib.blake2b(repr((frame.sequence, frame.proximity_time_s, frame.tactile_time_s)).encode())
     for array in (*images_of(frame), patch.points, patch.provenance):
@@ -58,11 +58,13 @@ def fingerprint(frame: SensorFrame, pipeline: ContactPipeline) -> bytes:
 
 
 def main() -> int:
-    """Measure; return 1 where a frame is missing or a bit differs."""
+    """Measure; return 1 if a frame is missing or a bit differs."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=1800, help="how many; 1800 are a minute")
+    parser.add_argument("--frames", type=int, default=1800, help="number of frames; 1800 are a minute")
     parser.add_argument("--scene", default="sim:cup", help="such as sim:cube")
-    parser.add_argument("--folder", type=Path, help="where the temporary recording goes; default: the system's")
+    parser.add_argument(
+        "--folder", type=Path, help="folder of the temporary recording; default: the system temporary folder"
+    )
     options = parser.parse_args()
 
     preset = load_preset("simulator")
@@ -105,11 +107,11 @@ def main() -> int:
     print(f"file           {status.bytes / 1e6:.0f} MB, {100 * status.bytes / raw_bytes:.0f} % of the images")
     print(f"data rate      {status.bytes / 1e6 / seconds:.1f} MB/s written, {raw_bytes / 1e6 / seconds:.1f} MB/s raw")
     print(
-        f"writing thread {1e3 * writer_s / options.frames:.1f} ms a frame, {100 * writer_s / seconds:.0f} % of a core"
+        f"writing thread {1e3 * writer_s / options.frames:.1f} ms per frame, {100 * writer_s / seconds:.0f} % of a core"
     )
-    print(f"caller         {1e3 * caller_s / options.frames:.2f} ms a frame")
+    print(f"caller         {1e3 * caller_s / options.frames:.2f} ms per frame")
     print(f"opening        {1e3 * opening_s:.0f} ms")
-    print(f"playing        {1e3 * reading_s / len(played):.1f} ms a frame, with the patch and this comparison")
+    print(f"playing        {1e3 * reading_s / len(played):.1f} ms per frame, with the patch and this comparison")
     print(f"wall time      {wall_s:.0f} s for {seconds:.0f} s of frames")
     return int(status.frames != options.frames or played != expected or not same_rig)
 
