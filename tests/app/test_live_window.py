@@ -11,6 +11,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
 from fake_cameras import FakeCameras
+from patience import load_factor
 from tactune.app.window.frame_presenter import badge, source_sentence
 from tactune.app.worker import reading
 from tactune.app.worker.results import CloudName, SourceState
@@ -193,7 +194,7 @@ def test_the_window_stays_awake_in_a_storm_of_faults(window, cameras, qtbot):
             QTest.qWait(60)
     heart.stop()
     # A window that waited for anything would do so in each of the six rounds; a busy machine does now and then.
-    assert sorted(gaps)[-4] < 0.2
+    assert sorted(gaps)[-4] < 0.2 * load_factor()
     newest = len(cameras.given)
     qtbot.waitUntil(lambda: window.result.frame.sequence >= newest)
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})

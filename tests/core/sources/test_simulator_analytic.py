@@ -50,7 +50,7 @@ def contact_area_m2(cells, depth_m=0.012):
 
 
 def test_ball_s_contact_area_hardly_depends_on_the_mesh_and_its_force_is_pressure_times_area():
-    coarse, middle, fine = (contact_area_m2(cells) for cells in ((44, 26), (88, 52), (176, 104)))
+    coarse, middle, fine = (contact_area_m2(cells) for cells in ((44, 26), (88, 52), (132, 78)))
     assert coarse[0] == pytest.approx(fine[0], rel=0.02)
     assert middle[0] == pytest.approx(fine[0], rel=0.02)
     assert fine[1].reaction_n.sum() == pytest.approx(middle[1].reaction_n.sum(), rel=0.02)

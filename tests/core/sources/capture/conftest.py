@@ -14,18 +14,20 @@ def nothing_left() -> Iterator[None]:
     """Check that no process, thread, descriptor or shared-memory segment is left by a test."""
     before = _open_things()
     yield
-    deadline_s = time.monotonic() + 5
+    deadline_s = time.monotonic() + 60
     while (left := _open_things() - before) and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert not left
 
 
 def _open_things() -> Counter[str]:
+    """Count this process's threads, descriptors, child processes and mappings of shared memory."""
     tasks = list(Path("/proc/self/task").iterdir())
     children = [number for task in tasks if task.exists() for number in (task / "children").read_text().split()]
     counted = Counter(thread=threading.active_count(), descriptor=len(list(Path("/proc/self/fd").iterdir())))
     counted.update(f"process {number}" for number in children)
-    counted.update(f"segment {path.name}" for path in Path("/dev/shm").iterdir())
+    mappings = Path("/proc/self/maps").read_text().splitlines()
+    counted.update(line.split(maxsplit=5)[-1] for line in mappings if "/dev/shm/" in line or "memfd:tactune" in line)
     return counted
 
 
@@ -33,7 +35,7 @@ def _open_things() -> Counter[str]:
 def until() -> Callable[[Callable[[], bool]], float]:
     """Wait until something holds and return how long that took; generous, since machines are busy."""
 
-    def wait(holds: Callable[[], bool], seconds: float = 30.0) -> float:
+    def wait(holds: Callable[[], bool], seconds: float = 60.0) -> float:
         began_s = time.monotonic()
         while not holds():
             assert time.monotonic() - began_s < seconds, "it did not happen in time"

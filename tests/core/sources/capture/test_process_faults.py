@@ -17,6 +17,7 @@ import pytest
 
 import capture_sources
 from capture_sources import make_frame, make_rig, open_recorded, open_troubled
+from patience import load_factor
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
@@ -92,7 +93,9 @@ def test_it_is_told_and_mended(
         assert not told.ok
         assert [camera.state for camera in told.cameras] in (["stalled"], ["streaming"])
         took_s += until(lambda: not source.health().stale)
-        assert took_s < 20  # 3 s in words of a person; on a busy machine 0.3 s, 1.2 s or 1.7 s were measured
+        assert (
+            took_s < 20 * load_factor()
+        )  # 3 s in words of a person; on a busy machine 0.3 s, 1.2 s or 1.7 s were measured
         after = take(source, 30)
         assert source.capture_pid not in (None, pid)
         assert all(map(is_whole, before + after))

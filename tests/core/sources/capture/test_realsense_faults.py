@@ -14,6 +14,7 @@ import pytest
 
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
+from patience import load_factor
 from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
@@ -22,8 +23,8 @@ from tactune.core.sources.base import Health
 from tactune.core.sources.process import ProcessSource
 from tactune.core.sources.registry import open_source
 
-#: What a person is promised. A machine may be too busy once, but not each time; waiting itself ends much later.
-PROMISED_S, ATTEMPTS, ALLOWED_S = 3.0, 3, 20.0
+#: Longest recovery on an idle machine, tries of it, and when waiting gives up, in seconds.
+PROMISED_S, ATTEMPTS, ALLOWED_S = 3.0, 3, 60.0
 
 
 class Session:
@@ -90,19 +91,19 @@ def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
         SessionWriter(path, source.rig) as writer,
     ):
         session = Session(tmp_path, source, writer)
-        session.record(60)
+        session.record(15)
         assert source.health().message == ""
         for _ in range(ATTEMPTS):
             session.until(lambda health: health.message == "")
             told_s, mended_s = session.go_through(told_of)
             recovered_s = mended_s if told_of.mend is not None else told_s + mended_s
-            if recovered_s < PROMISED_S:
+            if recovered_s < PROMISED_S * load_factor():
                 break
-        session.record(30)
+        session.record(15)
         status = writer.close()
     with capsys.disabled():
         print(f"\n{fault}: told after {told_s:.1f} s, mended after {mended_s:.1f} s", end=" ")  # noqa: T201
-    assert recovered_s < PROMISED_S
+    assert recovered_s < PROMISED_S * load_factor()
     assert (status.error, status.dropped, status.frames) == ("", 0, len(session.frames))
     with open_source(str(path)) as recording:
         kept = list(recording)
@@ -120,4 +121,6 @@ def test_no_camera_is_told_at_once(nothing_left: None, tmp_path: Path) -> None:
     began_s = time.monotonic()
     with pytest.raises(SourceError, match=r"^realsense:f0090001,130322270002: .*not connected|^realsense:.* connected"):
         open_source("realsense:f0090001,130322270002")
-    assert time.monotonic() - began_s < 12.0  # the driver itself would search for 15 s; on a quiet machine it takes 1 s
+    assert (
+        time.monotonic() - began_s < 12.0 * load_factor()
+    )  # the driver itself would search for 15 s; on a quiet machine it takes 1 s

@@ -23,7 +23,7 @@ class Session:
     def order(self, command) -> None:
         self._commands.put(command)
 
-    def until(self, holds: Callable[[Health], bool], timeout_s: float = 20.0) -> Health:
+    def until(self, holds: Callable[[Health], bool], timeout_s: float = 60.0) -> Health:
         """Read frames until the health is so."""
         deadline_s = time.monotonic() + timeout_s
         while not holds(health := self.source.health()):
@@ -34,7 +34,7 @@ class Session:
     def read(self, count: int) -> list[SensorFrame]:
         """Read so many more frames."""
         wanted = len(self.frames) + count
-        deadline_s = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + 60.0
         while len(self.frames) < wanted:
             assert time.monotonic() < deadline_s, f"no frames: {self.source.health()}"
             self._read_one()

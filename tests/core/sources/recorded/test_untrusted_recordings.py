@@ -186,7 +186,7 @@ def test_a_bag_whose_recorder_was_killed_plays_up_to_its_last_whole_chunk(
 def test_refusing_takes_no_time(tmp_path: Path) -> None:
     path = tmp_path / "noise.bag"
     path.write_bytes(b"#ROSBAG V2.0\n" + np.random.default_rng(0).bytes(20_000_000))
-    start = time.perf_counter()
+    start = time.process_time()
     with pytest.raises(SourceError):
         BagSource(path)
-    assert time.perf_counter() - start < 5
+    assert time.process_time() - start < 5

@@ -1,0 +1,10 @@
+"""How much longer things may take on a machine that has other work."""
+
+from __future__ import annotations
+
+import os
+
+
+def load_factor() -> float:
+    """Return the running processes per processor over the last minute, at least 1."""
+    return max(1.0, os.getloadavg()[0] / (os.cpu_count() or 1))
