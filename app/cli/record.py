@@ -85,7 +85,7 @@ def convert(
     force: _Force = False,
 ) -> None:
     """Convert any recording to MCAP or to a folder of PNG images, without loss."""
-    from ...core.recording.convert import export_mcap
+    from ...core.recording.writer import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
     from ...core.sources.presets import load_preset

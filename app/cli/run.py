@@ -194,7 +194,7 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
     if out is None:
         yield lambda patch, frame: None
     elif out.suffix == MCAP_SUFFIX:
-        from ...core.recording.patches import PatchWriter
+        from ...core.recording.bag import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)

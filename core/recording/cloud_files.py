@@ -1,4 +1,4 @@
-"""Point clouds as files: PLY, PCD, NPZ and CSV.
+"""Point clouds as files: PLY, PCD, NPZ and CSV; reading also PLY and PCD of other programs, binary or text.
 
 PLY and PCD are written here, binary and little-endian, rather than by a library: a frame without
 contact is an empty cloud, which Open3D refuses to write, and a robot needs neither Open3D nor PCL.
@@ -6,13 +6,16 @@ contact is an empty cloud, which Open3D refuses to write, and a robot needs neit
 
 from __future__ import annotations
 
+import io
+import math
 import re
 import struct
+import warnings
 import zipfile
 import zlib
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,9 +23,9 @@ import numpy.typing as npt
 from ..contact.masking import colors_at
 from ..contact.pipeline import ContactPatch
 from ..errors import ExportError, SourceError
-from ..model.arrays import AnyArray
+from ..model.arrays import AnyArray, Float64Array
 from ..model.clouds import PointCloud
-from ..model.files import atomic_path
+from ..model.files import atomic_path, refuse_devices
 from ..model.frames import Rig, SensorFrame
 
 #: Every column of a cloud by name, in the order of the file.
@@ -43,6 +46,9 @@ _PLY_TYPES = {
 _PCD_TYPES = ("F4", "F8", "I1", "I2", "I4", "I8", "U1", "U2", "U4", "U8")
 _PLY_NAMES = {np.dtype(code): name for name, code in reversed(_PLY_TYPES.items())}
 _CSV_FORMATS = {"f4": "%.9g", "f8": "%.17g"}
+#: A header is shorter; more is not searched for its end.
+_HEADER_BYTES: Final = 100_000
+_ENDS: Final = {".ply": rb"^end_header\s*?\n", ".pcd": rb"^DATA ascii\s*?\n"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
@@ -187,7 +193,7 @@ def _read_ply(path: Path) -> Columns:
     if strange := [words for words in properties if len(words) != 2 or words[0] not in _PLY_TYPES]:
         raise ValueError(f"its vertices have the property {' '.join(strange[0])!r}, which is of no known type")
     layout = np.dtype([(name, _PLY_TYPES[kind]) for kind, name in properties])
-    return _unpack(body, layout, whole_number(header[elements[0]].split()[2:], "points"))
+    return _unpack(body, layout, _whole_number(header[elements[0]].split()[2:], "points"))
 
 
 def _write_pcd(path: Path, columns: Columns) -> None:
@@ -216,7 +222,7 @@ def _write_pcd(path: Path, columns: Columns) -> None:
 
 def _read_pcd(path: Path) -> Columns:
     lines, body = _split(path.read_bytes(), b"DATA binary")
-    header = pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
+    header = _pcd_header(lines, ("FIELDS", "SIZE", "TYPE", "COUNT", "POINTS"))
     if set(header["COUNT"]) != {"1"}:
         raise ValueError(f"its fields have the counts {' '.join(header['COUNT'])}, only 1 is known")
     if not len(header["FIELDS"]) == len(header["TYPE"]) == len(header["SIZE"]):
@@ -226,14 +232,14 @@ def _read_pcd(path: Path) -> Columns:
         raise ValueError(f"it has a field of the type {strange[0]}, which is not known")
     fields = zip(header["FIELDS"], header["TYPE"], header["SIZE"], strict=True)
     layout = np.dtype([(name, "<u4" if name == "rgb" else f"<{kind.lower()}{size}") for name, kind, size in fields])
-    columns = _unpack(body, layout, whole_number(header["POINTS"], "points"))
+    columns = _unpack(body, layout, _whole_number(header["POINTS"], "points"))
     if "rgb" in columns:
         packed = columns.pop("rgb")
         columns |= {name: packed >> shift & 255 for name, shift in zip(_RGB, (16, 8, 0), strict=True)}
     return columns
 
 
-def pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
+def _pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
     """Return the words of each line of a PCD header by the line's first one.
 
     Raises
@@ -247,7 +253,7 @@ def pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[st
     return header
 
 
-def whole_number(words: Sequence[str], what: str) -> int:
+def _whole_number(words: Sequence[str], what: str) -> int:
     """Return the number that the first word of a header is.
 
     Raises
@@ -343,3 +349,116 @@ _FORMATS: dict[str, tuple[Callable[[Path, Columns], None], Callable[[Path], Colu
     ".npz": (_write_npz, _read_npz),
     ".csv": (_write_csv, _read_csv),
 }
+
+
+def read_points(path: Path | str) -> tuple[Float64Array, int]:
+    """Read the points of a cloud file.
+
+    Parameters
+    ----------
+    path : path
+        ``.ply`` and ``.pcd``, binary or text, ``.npz``, ``.csv``.
+
+    Returns
+    -------
+    points : float64, shape (N, 3)
+        In the file's unit, without points that have a nan: PCD marks missing points so.
+    dropped : int
+        Number of points with a nan.
+
+    Raises
+    ------
+    SourceError
+        No such file, or none that can be read, or a coordinate is infinite.
+    """
+    path = Path(path)
+    refuse_devices(path, SourceError)
+    header, rows = _text_of(path)
+    if header is None:
+        points = read_cloud(path).points.astype(np.float64)
+    else:
+        try:
+            points = _ply_points(header, rows) if path.suffix.lower() == ".ply" else _pcd_points(header, rows)
+        except (ValueError, KeyError, IndexError, UnicodeDecodeError) as error:
+            detail = " ".join(str(error).split())
+            raise SourceError(f"{path} is no readable {path.suffix} cloud ({detail}); export it again") from error
+    if np.isinf(points).any():
+        raise SourceError(f"{path} holds an infinite coordinate; export it again")
+    known = ~np.isnan(points).any(axis=1)
+    return points[known], int(np.count_nonzero(~known))
+
+
+def _text_of(path: Path) -> tuple[list[str] | None, bytes]:
+    """Return the header's lines and the rest of a PLY or PCD written as text, else None."""
+    end = _ENDS.get(path.suffix.lower())
+    if end is None:
+        return None, b""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    match = re.search(end, data[:_HEADER_BYTES], re.MULTILINE)
+    if match is None:
+        return None, b""
+    header = data[: match.start()].decode("ascii", "replace").splitlines()
+    if path.suffix.lower() == ".ply" and "format ascii 1.0" not in [line.strip() for line in header]:
+        return None, b""
+    return header, data[match.end() :]
+
+
+def _ply_points(header: list[str], rows: bytes) -> Float64Array:
+    words = [line.split() for line in header]
+    elements = [index for index, line in enumerate(words) if line[:1] == ["element"]]
+    if words[:1] != [["ply"]] or not elements or words[elements[0]][1:2] != ["vertex"]:
+        raise ValueError("its first element is not vertex")
+    last = elements[1] if len(elements) > 1 else None
+    names = [line[-1] for line in words[elements[0] : last] if line[:1] == ["property"]]
+    return _text_points(rows, names, _whole_number(words[elements[0]][2:], "points"), len(header) + 2)
+
+
+def _pcd_points(header: list[str], rows: bytes) -> Float64Array:
+    facts = _pcd_header(header, ("FIELDS", "POINTS"))
+    counts = [_whole_number([count], "values a field") for count in facts.get("COUNT", ["1"] * len(facts["FIELDS"]))]
+    if len(counts) != len(facts["FIELDS"]):
+        raise ValueError(f"it has {len(facts['FIELDS'])} fields and {len(counts)} counts")
+    names = [name for name, count in zip(facts["FIELDS"], counts, strict=True) for _ in range(count)]
+    return _text_points(rows, names, _whole_number(facts["POINTS"], "points"), len(header) + 2)
+
+
+def _text_points(rows: bytes, names: list[str], count: int, first_line: int) -> Float64Array:
+    """Return x, y and z of ``count`` rows of text; ``first_line`` is their line number in the file."""
+    if missing := [name for name in ("x", "y", "z") if name not in names]:
+        raise ValueError(f"it has no {missing[0]}")
+    if not 0 <= count <= len(rows):
+        raise ValueError(f"it claims {count} points in {len(rows)} bytes")
+    if count == 0:
+        return np.empty((0, 3))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # an empty body is told below
+        places = [names.index(name) for name in ("x", "y", "z")]
+        try:
+            table = np.loadtxt(io.StringIO(rows.decode("ascii")), max_rows=count, usecols=places, ndmin=2)
+        except ValueError as error:
+            raise ValueError(_bad_line(rows, places, first_line)) from error
+    if len(table) != count:
+        raise ValueError(f"it ends after {len(table)} of {count} points")
+    return np.asarray(table, np.float64)
+
+
+def _bad_line(rows: bytes, places: list[int], first_line: int) -> str:
+    """Return a clause that names the line without a point."""
+    for number, line in enumerate(rows.decode("ascii", "replace").splitlines(), first_line):
+        words = line.split()
+        try:
+            [float(words[place]) for place in places if words]
+        except (ValueError, IndexError):
+            return f"line {number} is {line[:80]!r}, not numbers with x, y and z"
+    return "its points cannot be read"
+
+
+def unit_doubt(points: Float64Array, path: Path) -> str:
+    """Return a sentence if a non-empty cloud is unlikely to be in metres, else an empty string."""
+    size = math.dist(points.min(axis=0), points.max(axis=0))
+    if size > 5.0:
+        return f"{path} is {size:.0f} m across if its unit is metres; if it is millimetres, divide by 1000 first"
+    return ""

@@ -13,7 +13,7 @@ from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_left
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.sources.mcap import container
+from tactune.core.recording import bag
 from tactune.core.sources.registry import open_source
 from tiny_sensor import HangingSource, TinySource, tiny_frame, tiny_rig
 
@@ -185,7 +185,7 @@ def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras
     def refuse(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(container.McapWriter, "write_chunk", refuse)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", refuse)
     press_record(window)
     qtbot.waitUntil(lambda: window.recording.running)
     cameras.release()

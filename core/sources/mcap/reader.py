@@ -15,20 +15,21 @@ from typing import Any, Final
 
 import lz4.frame
 import numpy as np
+from mcap.opcode import Opcode
 
 from ...errors import SourceError
 from ...model.arrays import Uint64Array
-from . import container as mcap
 
 if sys.version_info >= (3, 14):
     from compression import zstd
 else:
     from backports import zstd
 
-#: Stands for the number of a chunk where a message lies outside of chunks.
+MAGIC: Final = b"\x89MCAP0\r\n"
+#: Chunk number of a message that lies outside of chunks.
 _OUTSIDE: Final = 2**64 - 1
 
-_FOOTER_BYTES: Final = 9 + 20 + len(mcap.MAGIC)
+_FOOTER_BYTES: Final = 9 + 20 + len(MAGIC)
 _LARGEST_CHUNK: Final = 2**30
 _CACHED_CHUNKS: Final = 8
 
@@ -83,7 +84,7 @@ class McapFile:
         try:
             with self._damage_told():
                 self._size = self._file.seek(0, 2)
-                if self._read(0, min(len(mcap.MAGIC), self._size)) != mcap.MAGIC:
+                if self._read(0, min(len(MAGIC), self._size)) != MAGIC:
                     raise SourceError(f"{path} is no MCAP file; choose a recording")
                 self.complete = self._from_summary() or self._from_scan()
                 known = self._channels.keys()
@@ -113,7 +114,7 @@ class McapFile:
                 return memoryview(self._read(offset + 31, length - 22))
             data = self._chunk_data(chunk)
             opcode, length = struct.unpack_from("<BQ", data, offset)
-            if opcode != mcap.MESSAGE or not 22 <= length <= len(data) - offset - 9:
+            if opcode != Opcode.MESSAGE or not 22 <= length <= len(data) - offset - 9:
                 raise ValueError("its index points nowhere")
             return data[offset + 31 : offset + 9 + length]
 
@@ -155,11 +156,11 @@ class McapFile:
         return False
 
     def _read_summary(self) -> bool:
-        if self._size < _FOOTER_BYTES + len(mcap.MAGIC):
+        if self._size < _FOOTER_BYTES + len(MAGIC):
             return False
         footer = self._read(self._size - _FOOTER_BYTES, _FOOTER_BYTES)
         opcode, length, start, _, checksum = struct.unpack_from("<BQQQI", footer)
-        if footer[-8:] != mcap.MAGIC or (opcode, length) != (mcap.FOOTER, 20) or not 0 < start < self._size:
+        if footer[-8:] != MAGIC or (opcode, length) != (Opcode.FOOTER, 20) or not 0 < start < self._size:
             return False
         summary = self._read(start, self._size - _FOOTER_BYTES - start)
         if checksum and zlib.crc32(summary + footer[:25]) != checksum:
@@ -168,15 +169,15 @@ class McapFile:
         expected = -1
         for opcode, offset, length in _records(memoryview(summary)):
             body = _Cursor(memoryview(summary)[offset : offset + length])
-            if opcode == mcap.CHUNK_INDEX:
+            if opcode == Opcode.CHUNK_INDEX:
                 chunk_indexes.append(body)
-            elif opcode == mcap.ATTACHMENT_INDEX:
+            elif opcode == Opcode.ATTACHMENT_INDEX:
                 position, size, *_ = body.take("<QQQQQ")
                 self._attachments[body.text()] = position + 9, size - 9
-            elif opcode == mcap.METADATA_INDEX:
+            elif opcode == Opcode.METADATA_INDEX:
                 position, size = body.take("<QQ")
                 self._add_metadata(position + 9, size - 9)
-            elif opcode == mcap.STATISTICS:
+            elif opcode == Opcode.STATISTICS:
                 expected = body.take("<QHIIII")[-1]
             else:
                 self._declare(opcode, body)
@@ -198,36 +199,36 @@ class McapFile:
             return
         body = memoryview(self._read(position + chunk_length, length))
         for opcode, offset, size in _records(body):
-            if opcode == mcap.MESSAGE_INDEX:
+            if opcode == Opcode.MESSAGE_INDEX:
                 self._add_places(body[offset : offset + size])
 
     def _scan(self) -> bool:
         """Visit the head of every record; return whether there is a footer."""
-        offset = len(mcap.MAGIC)
+        offset = len(MAGIC)
         indexed: list[bytes] = []  # of the last chunk, so far
         while offset + 9 <= self._size:
             opcode, length = struct.unpack("<BQ", self._read(offset, 9))
             start = offset + 9
             if opcode == 0 or length > self._size - start:
                 break
-            if opcode in (mcap.CHUNK, mcap.FOOTER):
+            if opcode in (Opcode.CHUNK, Opcode.FOOTER):
                 self._take_indexes(indexed)
                 indexed = []
-            if opcode == mcap.FOOTER:
+            if opcode == Opcode.FOOTER:
                 return True
-            if opcode == mcap.CHUNK:
+            if opcode == Opcode.CHUNK:
                 self._tell(offset / self._size)
                 self._chunks.append((start, length))
-            elif opcode == mcap.MESSAGE_INDEX:
+            elif opcode == Opcode.MESSAGE_INDEX:
                 indexed.append(self._read(start, length))
-            elif opcode == mcap.MESSAGE:
+            elif opcode == Opcode.MESSAGE:
                 channel, _, log_time_ns = struct.unpack("<HIQ", self._read(start, 14))
                 self._places.setdefault(channel, array("Q")).extend((log_time_ns, _OUTSIDE, offset))
-            elif opcode == mcap.ATTACHMENT:
+            elif opcode == Opcode.ATTACHMENT:
                 self._attachments[_Cursor(self._read(start, min(length, 4096)), 16).text()] = start, length
-            elif opcode == mcap.METADATA:
+            elif opcode == Opcode.METADATA:
                 self._add_metadata(start, length)
-            elif opcode in (mcap.SCHEMA, mcap.CHANNEL):
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._declare(opcode, _Cursor(self._read(start, length)))
             offset = start + length
         return False
@@ -247,7 +248,7 @@ class McapFile:
         """Decompress a chunk to find its messages."""
         data = self._chunk_data(chunk)
         for opcode, offset, length in _records(data):
-            if opcode == mcap.MESSAGE:
+            if opcode == Opcode.MESSAGE:
                 channel, _, log_time_ns = struct.unpack_from("<HIQ", data, offset)
                 self._places.setdefault(channel, array("Q")).extend((log_time_ns, chunk, offset - 9))
             else:
@@ -267,10 +268,10 @@ class McapFile:
 
     def _declare(self, opcode: int, body: _Cursor) -> None:
         """Take up a schema or a channel; other records say nothing about topics."""
-        if opcode == mcap.SCHEMA:
+        if opcode == Opcode.SCHEMA:
             (number,) = body.take("<H")
             self._schemas[number] = body.text()
-        elif opcode == mcap.CHANNEL:
+        elif opcode == Opcode.CHANNEL:
             number, schema = body.take("<HH")
             self._channels[number] = Channel(body.text(), self._schemas.get(schema, ""), body.text())
 

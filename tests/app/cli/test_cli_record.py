@@ -176,16 +176,15 @@ def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactu
 def test_dropped_frames_are_told(
     tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactune.core.recording import writer
-    from tactune.core.sources.mcap import container
+    from tactune.core.recording import bag, writer
 
-    write_chunk = container.McapWriter.write_chunk
+    write_chunk = bag.McapWriter.write_chunk
 
-    def slowly(self: container.McapWriter, messages: Any) -> None:
+    def slowly(self: bag.McapWriter, messages: Any) -> None:
         time.sleep(0.1)
         write_chunk(self, messages)
 
-    monkeypatch.setattr(container.McapWriter, "write_chunk", slowly)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
     monkeypatch.setattr(writer.SessionWriter.__init__, "__kwdefaults__", {
         **writer.SessionWriter.__init__.__kwdefaults__, "queue_bytes": 1
     })  # fmt: skip
@@ -198,19 +197,19 @@ def test_dropped_frames_are_told(
 def test_a_full_disk_is_told_with_what_was_kept(
     tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactune.core.sources.mcap import container
+    from tactune.core.recording import bag
 
-    write_chunk = container.McapWriter.write_chunk
+    write_chunk = bag.McapWriter.write_chunk
     chunks = 0
 
-    def fill(self: container.McapWriter, messages: Any) -> None:
+    def fill(self: bag.McapWriter, messages: Any) -> None:
         nonlocal chunks
         chunks += 1
         if chunks == 3:
             raise OSError(28, "No space left on device")
         write_chunk(self, messages)
 
-    monkeypatch.setattr(container.McapWriter, "write_chunk", fill)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", fill)
     out = tmp_path / "a.mcap"
     sentence = tactune("record", "-s", recording, "-o", out).sentence
     assert sentence == (

@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from tactune.core import load_preset
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.preset.file import preset_json
-from tactune.core.recording.patches import PatchWriter
+from tactune.core.recording.bag import PatchWriter
 
 Decoded = dict[str, list[tuple[Any, Any]]]
 
@@ -76,7 +76,7 @@ def test_the_container_has_all_that_readers_seek_by(path: Path) -> None:
     assert {channel.topic for channel in summary.channels.values()} == set(TYPES)
     assert summary.statistics.message_count == 2 + COUNT * (len(TYPES) - 2)
     assert summary.statistics.chunk_count == len(summary.chunk_indexes) == COUNT
-    assert {index.compression for index in summary.chunk_indexes} == {"zstd"}
+    assert {index.compression for index in summary.chunk_indexes} == {"lz4"}
     assert attachments["preset.json"].data.decode() == preset_json(load_preset("default"))
     assert attachments["rig.json"].media_type == "application/json"
     assert metadata["tactune"]["frame_rate_hz"] == "30.0"

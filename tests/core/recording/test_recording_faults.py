@@ -19,10 +19,12 @@ import pytest
 
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
-from tactune.core.recording import RecordingStatus, SessionWriter
+from tactune.core.recording import RecordingStatus, SessionWriter, bag
 from tactune.core.sources.folder import FolderSource, export_folder
-from tactune.core.sources.mcap import container
+from tactune.core.sources.mcap.reader import MAGIC
 from tactune.core.sources.mcap.source import McapSource
+
+LZ4_MAGIC = b"\x04\x22\x4d\x18"
 
 Frames = Callable[[int], list[SensorFrame]]
 Same = Callable[[SensorFrame, SensorFrame], bool]
@@ -107,7 +109,7 @@ def test_a_hole_that_a_power_failure_left_ends_the_recording(
     frames = make_frames(4)
     record(tmp_path / "whole.mcap", rig, frames)
     data = (tmp_path / "whole.mcap").read_bytes()
-    starts = [offset for offset in range(len(data)) if data[offset : offset + 4] == b"\x28\xb5\x2f\xfd"]
+    starts = [offset for offset in range(len(data)) if data[offset : offset + 4] == LZ4_MAGIC]
     assert len(starts) == 4
     for hole in (data[: starts[3]] + bytes(len(data) - starts[3]), data[: starts[2] - 200] + bytes(5000)):
         (tmp_path / "hole.mcap").write_bytes(hole)
@@ -120,7 +122,7 @@ def test_a_damaged_frame_is_told_and_the_others_play(
     frames = make_frames(3)
     record(tmp_path / "whole.mcap", rig, frames)
     data = bytearray((tmp_path / "whole.mcap").read_bytes())
-    second = [offset for offset in range(len(data)) if data[offset : offset + 4] == b"\x28\xb5\x2f\xfd"][1]
+    second = [offset for offset in range(len(data)) if data[offset : offset + 4] == LZ4_MAGIC][1]
     data[second + 300] ^= 0xFF
     (tmp_path / "bad.mcap").write_bytes(data)
     with McapSource(tmp_path / "bad.mcap") as source:
@@ -154,9 +156,9 @@ def test_flipped_bytes_are_never_more_than_one_sentence(
 def test_a_rate_that_cannot_be_is_not_believed(
     tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, monkeypatch: pytest.MonkeyPatch, rate: str
 ) -> None:
-    add_metadata = container.McapWriter.add_metadata
+    add_metadata = bag.McapWriter.add_metadata
     monkeypatch.setattr(
-        container.McapWriter,
+        bag.McapWriter,
         "add_metadata",
         lambda self, name, values: add_metadata(self, name, values | {"frame_rate_hz": rate}),
     )
@@ -172,9 +174,9 @@ def test_a_rate_that_cannot_be_is_not_believed(
         (b"", r"is no MCAP file; choose a recording"),
         (b"\x89PNG", r"is no MCAP file; choose a recording"),
         (b"#ROSBAG V2.0\n" + bytes(4096), r"is no MCAP file; choose a recording"),
-        (container.MAGIC, r"holds no frame: there is no image on /proximity/depth/image \(it has no messages\)"),
-        (container.MAGIC + b"\x01" + b"\xff" * 8, r"holds no frame"),
-        (container.MAGIC + os.urandom(10000), r"holds no frame|is damaged"),
+        (MAGIC, r"holds no frame: there is no image on /proximity/depth/image \(it has no messages\)"),
+        (MAGIC + b"\x01" + b"\xff" * 8, r"holds no frame"),
+        (MAGIC + os.urandom(10000), r"holds no frame|is damaged"),
     ],
 )
 def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, sentence: str) -> None:
@@ -190,9 +192,9 @@ def test_a_full_disk_ends_the_recording_in_words_and_the_file_is_complete(
 ) -> None:
     frames = make_frames(12)
     written = 0
-    write_chunk = container.McapWriter.write_chunk
+    write_chunk = bag.McapWriter.write_chunk
 
-    def count(self: container.McapWriter, messages: Any) -> None:
+    def count(self: bag.McapWriter, messages: Any) -> None:
         nonlocal written
         write_chunk(self, messages)
         written += 1
@@ -200,7 +202,7 @@ def test_a_full_disk_ends_the_recording_in_words_and_the_file_is_complete(
             resource.setrlimit(resource.RLIMIT_FSIZE, (self.size + 500, hard))
 
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    monkeypatch.setattr(container.McapWriter, "write_chunk", count)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", count)
     try:
         writer = SessionWriter(tmp_path / "full.mcap", rig)
         accepted = sum(writer.put(frame, wait=True) for frame in frames)
@@ -218,10 +220,10 @@ def test_a_full_disk_ends_the_recording_in_words_and_the_file_is_complete(
 def test_a_file_without_room_for_its_index_plays(
     tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def refuse(_: container.McapWriter) -> None:
+    def refuse(_: bag.McapWriter) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(container.McapWriter, "finish", refuse)
+    monkeypatch.setattr(bag.McapWriter, "finish", refuse)
     with SessionWriter(tmp_path / "full.mcap", rig) as writer:
         for frame in make_frames(3):
             writer.put(frame, wait=True)
@@ -234,13 +236,13 @@ def test_a_full_queue_drops_and_counts_or_waits(
     tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     go = threading.Event()
-    write_chunk = container.McapWriter.write_chunk
+    write_chunk = bag.McapWriter.write_chunk
 
-    def slowly(self: container.McapWriter, messages: Any) -> None:
+    def slowly(self: bag.McapWriter, messages: Any) -> None:
         assert go.wait(30)
         write_chunk(self, messages)
 
-    monkeypatch.setattr(container.McapWriter, "write_chunk", slowly)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
     frames = make_frames(6)
     writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
     assert writer.put(frames[0], wait=True)
@@ -268,7 +270,7 @@ def test_an_error_of_the_thread_is_told_and_nobody_waits_for_it(
     def fail(*_: object) -> None:
         raise MemoryError("no memory")
 
-    monkeypatch.setattr(container.McapWriter, "write_chunk", fail)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", fail)
     writer = SessionWriter(tmp_path / "a.mcap", rig, queue_bytes=1)
     accepted = [writer.put(frame, wait=True) for frame in make_frames(4)]
     status = writer.close()
