@@ -20,7 +20,7 @@ from ..core.sources.presets import load_preset
 from ..widgets.basics.theme import ThemeChoice
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
-from .worker.threads import wait_for_left
+from .worker.threads import wait_for_abandoned
 
 #: A screenshot waits no longer than this for its frames; opening a source does not count.
 PATIENCE_MS = 60_000
@@ -87,7 +87,7 @@ def run_gui(
 
 def _ended(status: int) -> int:
     """Return the exit status once no thread works any more; where one goes on and on, end the program here."""
-    if not wait_for_left(LAST_PATIENCE_S):
+    if not wait_for_abandoned(LAST_PATIENCE_S):
         sys.stdout.flush()
         sys.stderr.flush()
         os._exit(status)  # the interpreter's own end can hang in a thread that computes

@@ -27,7 +27,7 @@ from ...widgets.basics.colormaps import Theme, patch_index
 from ...widgets.clouds.cloud_data import DepthCloud
 from ..worker.errors import explain
 from ..worker.results import Result
-from ..worker.threads import Mailbox, leave_behind, leave_room_for_the_window
+from ..worker.threads import Mailbox, abandon, leave_room_for_the_window
 from .method_looks import CONTACT_ROW, FALSE_ROW, HIDDEN_ROW, MISSED_ROW, TRUTH, agreement_lut, method_lut
 
 _IDENTITY = np.eye(4)
@@ -386,7 +386,7 @@ class CompareThread(QThread):
         """Stop after the present frame, for good; nobody waits for that, and nothing is emitted any more."""
         self._stopping.set()
         self._wake.set()
-        leave_behind(self)
+        abandon(self)
 
     def run(self) -> None:
         """Compare frame after frame until told to stop."""

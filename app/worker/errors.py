@@ -1,4 +1,4 @@
-"""Errors for the person: uncaught exceptions reach the window, and every error becomes one sentence."""
+"""Errors as the user sees them: uncaught exceptions reach the window, and each error becomes one sentence."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ ExceptionHook = Callable[[type[BaseException], BaseException, TracebackType | No
 
 
 class ErrorHook(QObject):
-    """Reports uncaught exceptions as a signal and passes them on to the hook that was there.
+    """Emits uncaught exceptions as a signal and passes them on to the previous hook.
 
-    PyQt aborts the program on an exception in a slot unless a hook is installed; pyqtgraph installs
-    one that only prints. Without a window to show errors, nothing is swallowed either.
+    Without a hook, PyQt aborts the program after an exception in a slot; pyqtgraph installs a hook that
+    only prints.
 
     Signals
     -------
@@ -38,7 +38,7 @@ class ErrorHook(QObject):
             sys.excepthook = self._handle
 
     def remove(self) -> None:
-        """Give `sys.excepthook` back."""
+        """Restore the previous `sys.excepthook`."""
         if self._previous is not None:
             if sys.excepthook == self._handle:
                 sys.excepthook = self._previous
@@ -54,7 +54,7 @@ class ErrorHook(QObject):
 
 
 def guarded(act: Callable[[], object]) -> None:
-    """Do something on a thread that must not end by it; what goes wrong is reported as an uncaught exception is."""
+    """Call ``act``; an exception is reported to `sys.excepthook` and does not end the caller."""
     try:
         act()
     except Exception as error:
@@ -62,7 +62,7 @@ def guarded(act: Callable[[], object]) -> None:
 
 
 def explain(error: Exception, what: str) -> str:
-    """Turn an error into one sentence; the tool's own errors speak for themselves."""
+    """Return an error as one sentence: the message of a `TactuneError`, else ``what`` failed and the error."""
     if isinstance(error, TactuneError):
         return str(error)
     return f"{what[0].upper()}{what[1:]} ({type(error).__name__}: {error})."

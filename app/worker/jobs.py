@@ -9,7 +9,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.errors import TactuneError
-from .threads import leave_behind
+from .threads import abandon
 
 Progress = Callable[[float, str], None]
 Work = Callable[[Progress], Any]
@@ -96,7 +96,7 @@ class Job(QObject):
         """Cancel; the work ends by itself where it does not report, and nothing is emitted any more."""
         self.cancel()
         if self._thread is not None:
-            leave_behind(self._thread)
+            abandon(self._thread)
             self._thread = None
 
     def _finished(self) -> None:

@@ -1,4 +1,4 @@
-"""When the next frame is due, and which one it is; plain arithmetic without threads or clocks."""
+"""Playback: which frame is next and when it is due. Plain arithmetic without threads or clocks."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ SPEEDS = (0.25, 0.5, 1.0, 2.0)
 
 @dataclass(frozen=True)
 class PlaybackState:
-    """What the controls show.
+    """The state that the playback controls show.
 
-    ``index`` is the frame shown last (-1: none yet); ``length`` is None for a live source.
+    ``index`` is the last frame shown (-1: none yet); ``length`` is None for a live source.
     """
 
     index: int = -1
@@ -23,12 +23,12 @@ class PlaybackState:
 
     @property
     def running(self) -> bool:
-        """Whether another frame will follow by itself."""
+        """Whether the next frame comes without an order."""
         return self.playing and not self.frozen
 
     @property
     def seekable(self) -> bool:
-        """Whether one can step and seek."""
+        """Whether stepping and seeking are possible."""
         return self.length is not None
 
     @property
@@ -38,11 +38,10 @@ class PlaybackState:
 
 
 class Playback:
-    """Paces a source at its own frame rate times a speed factor.
+    """Paces a recording at its frame rate times a speed factor.
 
-    A recording is never skipped through: where a frame takes longer than its period, the recording
-    plays slower, and after a hold-up it does not race to catch up. Live sources pace themselves: of
-    them only whether they run is kept here.
+    No frame is skipped: if processing takes longer than the frame period, the recording plays slower,
+    and after a delay it does not catch up. A live source paces itself; only whether it runs is kept here.
     """
 
     def __init__(self) -> None:
@@ -67,7 +66,7 @@ class Playback:
         return 1.0 / (self._frame_rate_hz * self.speed)
 
     def start_source(self, length: int | None, frame_rate_hz: float) -> None:
-        """Begin with a source that has just been opened, before its first frame."""
+        """Start playing a source that was just opened."""
         self.index = -1
         self.length = length
         self._frame_rate_hz = max(frame_rate_hz, 1e-3)
@@ -76,7 +75,7 @@ class Playback:
         self._due_s = 0.0
 
     def play(self) -> None:
-        """Play on; at the end of a recording, from its beginning."""
+        """Continue; at the end of a recording, start from its beginning."""
         if self.length == 1:
             return
         if not self.loop and self.state.at_end:
@@ -89,26 +88,26 @@ class Playback:
         self.playing = False
 
     def wait_s(self, now_s: float) -> float | None:
-        """Seconds until the next frame of a recording is due (0: now); None while nothing is to be played."""
+        """Seconds until the next frame of a recording is due (0: now); None while nothing plays."""
         if self.length is None or not self.playing or self.frozen or self.held:
             return None
         return max(0.0, self._due_s - now_s)
 
     def following_index(self) -> int | None:
-        """Index of the frame of a recording that comes next, or None at the end."""
+        """Index of the next frame of a recording; None at the end."""
         following = self.index + 1
         if self.length is not None and following < self.length:
             return following
         return 0 if self.loop else None
 
     def next_index(self) -> int | None:
-        """Index of the frame to play next, or None at the end (which also pauses)."""
+        """Index of the frame to play next; None at the end, which also pauses."""
         following = self.following_index()
         self.playing = following is not None
         return following
 
     def step_index(self, by: int) -> int | None:
-        """Index of the frame ``by`` steps away, or None where there is none."""
+        """Index of the frame ``by`` steps away; None if there is no such frame."""
         if self.length is None:
             return None
         target = self.index + by
@@ -117,7 +116,7 @@ class Playback:
         return target if 0 <= target < self.length else None
 
     def shown(self, index: int, now_s: float) -> None:
-        """Note that a frame was taken at this moment and when the next one is due."""
+        """Note that a frame was read at ``now_s``, and when the next one is due."""
         self.index = index
         if now_s - self._due_s > self.period_s:
             self._due_s = now_s

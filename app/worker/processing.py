@@ -1,4 +1,4 @@
-"""One frame on its way to the window: the patch, and the pictures of what is looked at."""
+"""Processes one frame: finds the contact patch and draws what is visible."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .results import RateMeter, Result, SourceInfo, Wanted
 
 
 class FrameProcessor:
-    """Keeps the pipeline of the present source, and counts what it has processed."""
+    """Holds the pipeline of the present source and counts processed frames."""
 
     def __init__(self) -> None:
         self._renderer = Renderer()
@@ -23,7 +23,7 @@ class FrameProcessor:
         self._rate = RateMeter()
 
     def forget(self) -> None:
-        """Begin with another source."""
+        """Discard the pipeline before another source."""
         self._pipeline = None
 
     def process(
@@ -38,12 +38,12 @@ class FrameProcessor:
         unmatched: int = 0,
         read_ms: float = 0.0,
     ) -> Result:
-        """Return all that is to be seen of a frame.
+        """Return the patch and everything the window shows of a frame.
 
         Raises
         ------
         Exception
-            Whatever the pipeline or the drawing raises, other than that preset and rig do not go together.
+            Any exception of pipeline or drawing, except that preset and rig do not fit: that is `Result.problem`.
         """
         patch, problem = self._find_patch(info, frame, preset)
         started = time.perf_counter()
@@ -72,7 +72,7 @@ class FrameProcessor:
         )
 
     def _find_patch(self, info: SourceInfo, frame: SensorFrame, preset: Preset) -> tuple[ContactPatch | None, str]:
-        """Return the patch, or None and why this preset cannot be used with this rig."""
+        """Return the patch; or None and the reason why this preset cannot be used with this rig."""
         try:
             if self._pipeline is None:
                 self._pipeline = ContactPipeline(preset, info.rig)

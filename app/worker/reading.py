@@ -22,9 +22,9 @@ _PROGRESS_INTERVAL_S = 0.05
 
 @dataclass(frozen=True)
 class SourceRequest:
-    """A source to open: what to call it meanwhile and how to open it.
+    """A source to open: its name for messages, and a function that opens it.
 
-    ``exclusive`` is for cameras, which only one can have: the present source is closed first.
+    ``exclusive`` is for cameras, which only one process can open: the present source is closed first.
     """
 
     name: str
@@ -33,20 +33,20 @@ class SourceRequest:
 
 
 class OpeningCancelledError(TactuneError):
-    """Opening was given up because nobody wants the source any more."""
+    """Opening was cancelled by the user or by another request."""
 
 
 def open_requested(
     request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
 ) -> FrameSource:
-    """Compile the pipeline where that is still to do, open a source, and report progress now and then.
+    """Compile the pipeline if necessary, open a source, and report progress.
 
     Raises
     ------
     OpeningCancelledError
-        ``wanted`` has become false.
+        ``wanted`` returned False.
     Exception
-        Whatever opening it raises.
+        Any exception of ``request.open``.
     """
     last_report_s = 0.0
 
@@ -70,8 +70,8 @@ def open_requested(
 class FrameReader:
     """Owns an open recording; only its own thread touches it.
 
-    Reading one frame ahead uses a second processor core, for the simulator's noise or for decoding
-    images. A frame that was read ahead and is not wanted after all (the person seeks) is dropped.
+    Reading one frame ahead uses a second core for the simulator's noise or for decoding images. After
+    a seek, the frame that was read ahead is dropped.
     """
 
     def __init__(self, source: FrameSource) -> None:
@@ -85,7 +85,7 @@ class FrameReader:
         Raises
         ------
         Exception
-            Whatever the source raises.
+            Any exception of the source.
         """
         ahead, self._ahead = self._ahead, None
         if ahead is not None and ahead[0] == index:
@@ -93,16 +93,16 @@ class FrameReader:
         return self._thread.submit(self._read, index).result()
 
     def read_ahead(self, index: int | None) -> None:
-        """Begin to read a frame that will probably be wanted next; what goes wrong appears when it is."""
+        """Start reading the frame that is probably next; `read` raises its errors."""
         if self._ahead is None and index is not None:
             self._ahead = index, self._thread.submit(self._read, index)
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None where the recording has none."""
+        """Return a frame of the untouched membrane, or None if the recording has none."""
         return self._thread.submit(self.source.untouched).result()
 
     def close(self) -> None:
-        """Release the source, after whatever is being read."""
+        """Close the source after the read in progress."""
         self._thread.submit(self.source.close)
         self._thread.shutdown(wait=True)
 
@@ -112,38 +112,38 @@ class FrameReader:
         return self.source.next_frame()
 
 
-#: Orders (close, an option) wait no longer than this while no frame comes.
+#: Longest wait for a frame before orders (close, set an option) are obeyed.
 POLL_S = 0.05
 HEALTH_INTERVAL_S = 0.2
-#: What is older than this is no longer what the cameras see, whatever the source says of itself.
+#: Age after which the last frame counts as stale, even if the source reports no problem.
 STALE_AFTER_S = 1.0
-#: A source that fails is asked again after this time.
+#: Delay before a failed read is retried.
 RETRY_S = 0.25
-#: A driver that hangs is left behind after this time, so that the window can close.
+#: Grace period before a hung driver is abandoned, so that the window can close.
 PATIENCE_S = 5.0
 
 
 class LiveListener(Protocol):
-    """Who is told, on the reader's thread; nothing here may take long."""
+    """Receives events on the reader's thread; every method must return at once."""
 
     def frame_arrived(self, reader: LiveReader) -> None:
-        """Note that `LiveReader.take` has something new."""
+        """`LiveReader.take` has a new frame."""
 
     def state_changed(self, reader: LiveReader, state: SourceState) -> None:
-        """Note how the source is doing now."""
+        """The state of the source changed."""
 
     def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
-        """Note the settings of the cameras."""
+        """The cameras or their settings changed."""
 
     def option_refused(self, reader: LiveReader, sentence: str) -> None:
-        """Note that a setting could not be changed."""
+        """A setting could not be changed."""
 
 
 class LiveReader:
     """Owns an open live source; only its own thread touches it.
 
     Every frame goes to ``record``; the newest waits for `take`, older ones are dropped and counted.
-    An error of the source is part of its state, and the source is asked again: cameras come back.
+    An error becomes part of the source's state, and reading is retried, because cameras reconnect.
     """
 
     def __init__(self, source: FrameSource, record: Callable[[SensorFrame], None], listener: LiveListener) -> None:
@@ -166,7 +166,7 @@ class LiveReader:
 
     @property
     def dropped(self) -> int:
-        """Frames that nobody took before the next one came."""
+        """Number of frames that were replaced before `take` was called."""
         return self._frames.dropped
 
     def take(self) -> SensorFrame | None:
@@ -174,10 +174,10 @@ class LiveReader:
         return self._frames.take()
 
     def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
-        """Change a setting of a camera between two frames; while one is dragged, the newest value counts.
+        """Change a camera setting between two frames; of several waiting values, the newest is used.
 
-        A setting that is changed for a while only is given ``at_close``, the value that it gets when the
-        source is closed before it is set again.
+        ``at_close`` is for a temporary change: the value to restore if the source closes before the setting
+        is changed again.
         """
         with self._wishes_lock:
             self._wishes[camera, name] = value
@@ -205,7 +205,7 @@ class LiveReader:
             self.source.close()
 
     def _read(self) -> None:
-        """Read one frame, if one comes within the time of a poll."""
+        """Read one frame if it arrives within `POLL_S`."""
         if self._ended:
             self._closing.wait(POLL_S)
             return
@@ -228,7 +228,7 @@ class LiveReader:
             self._listener.frame_arrived(self)
 
     def _look_after(self) -> None:
-        """Now and then see how the source is doing, and tell what has changed."""
+        """Check the source every `HEALTH_INTERVAL_S` and report changes."""
         now = time.monotonic()
         if self._told is not None and now - self._looked_s < HEALTH_INTERVAL_S:
             return
@@ -240,7 +240,7 @@ class LiveReader:
                 self._cameras = cameras
                 self._listener.options_changed(self, self.source.options())
         except Exception as error:
-            health = Health(ok=False, message=explain(error, f"{self.source.name} does not say how it is doing"))
+            health = Health(ok=False, message=explain(error, f"{self.source.name} does not report its state"))
         stale = health.stale or self._ended or now - self._last_frame_s > STALE_AFTER_S
         state = SourceState(health, stale, self._problem, self._last_frame_s if stale else 0.0)
         if state != self._told:
@@ -261,4 +261,4 @@ class LiveReader:
         try:
             self._listener.options_changed(self, self.source.options())
         except Exception as error:
-            self._listener.option_refused(self, explain(error, f"{self.source.name} does not tell its settings"))
+            self._listener.option_refused(self, explain(error, f"{self.source.name} does not report its settings"))

@@ -1,4 +1,4 @@
-"""The recording that is running, if any: frames go in from the thread that reads them."""
+"""Records frames into a file, from the thread that reads them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from .errors import explain
 
 
 class Writer(Protocol):
-    """What a recorder asks of a file that is being written; see `SessionWriter`."""
+    """A file that is being written; see `SessionWriter`."""
 
     def put(self, frame: SensorFrame, *, wait: bool) -> bool:
-        """Take a frame; False where there was no room for it."""
+        """Write a frame; False if the queue is full."""
 
     def status(self) -> RecordingStatus:
-        """Return how far the file is."""
+        """Return the frames and bytes written so far."""
 
     def close(self) -> RecordingStatus:
         """Finish the file."""
@@ -30,7 +30,7 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class RecordingRequest:
-    """What to record into which file."""
+    """A file to record, and what stands at its beginning."""
 
     path: Path
     rig: Rig
@@ -41,7 +41,7 @@ class RecordingRequest:
 
 @dataclass(frozen=True)
 class RecordingEnd:
-    """How a recording ended: the finished file, and why where nobody asked for it."""
+    """The finished file, and the reason if the recording stopped by itself."""
 
     status: RecordingStatus
     reason: str = ""
@@ -49,14 +49,14 @@ class RecordingEnd:
 
 @dataclass(frozen=True)
 class _Watcher:
-    """Somebody who is shown every frame."""
+    """A listener that sees every frame."""
 
     see: Callable[[SensorFrame], object]
     failed: Callable[[str], object]
 
 
 def open_writer(request: RecordingRequest) -> Writer:
-    """Begin a file."""
+    """Start a file."""
     return SessionWriter(
         request.path,
         request.rig,
@@ -72,7 +72,7 @@ class Recorder:
     Parameters
     ----------
     ended : callable
-        Told of each finished file, on a thread of its own: finishing one takes as long as its disk.
+        Called for each finished file, on its own thread, because the disk may be slow.
     writer : callable
         Makes the writer of a file.
     """
@@ -86,7 +86,7 @@ class Recorder:
         self._writer: Writer | None = None
         self._refused = 0
         self._watcher: _Watcher | None = None
-        #: The preset's untouched frame, which recordings hold instead of the source's.
+        #: The preset's untouched frame; recordings store it instead of the source's.
         self.untouched: SensorFrame | None = None
         self._finishing: list[Thread] = []
 
@@ -96,12 +96,12 @@ class Recorder:
         return self._writer is not None
 
     def status(self) -> RecordingStatus | None:
-        """Return how far the recording is, or None where there is none."""
+        """Return the state of the recording; None if nothing is recorded."""
         writer = self._writer
         return None if writer is None else self._with_refused(writer.status())
 
     def start(self, request: RecordingRequest) -> None:
-        """Begin a file; a recording that is running goes on instead.
+        """Start a file; does nothing while a recording runs.
 
         Raises
         ------
@@ -122,26 +122,26 @@ class Recorder:
                 ) from error
 
     def watch(self, see: Callable[[SensorFrame], object], failed: Callable[[str], object]) -> None:
-        """Show every frame to somebody else, too, on the thread that reads it.
+        """Pass every frame to ``see`` too, on the thread that reads it.
 
-        Whoever cannot take a frame is told why through ``failed``, on that thread, and is shown no more.
+        If ``see`` raises, ``failed`` gets the reason on the same thread and no more frames follow.
         """
         self._watcher = _Watcher(see, failed)
 
     def unwatch(self) -> None:
-        """Show frames to nobody else any more."""
+        """Stop passing frames to `watch`'s listener."""
         self._watcher = None
 
     def put(self, frame: SensorFrame, number: int | None = None, *, wait: bool = False) -> None:
-        """Record a frame, if there is a recording; one that does not fit its rig counts as dropped.
+        """Record a frame if a recording runs; a frame that does not fit its rig counts as dropped.
 
         Parameters
         ----------
         frame : SensorFrame
         number : int, optional
-            As windows show it, for messages; default: that of a live frame.
+            Frame number for messages, counted from 1. Default: ``frame.sequence + 1``.
         wait : bool
-            Wait while the disk is behind. Live frames do not wait: what finds no room is counted.
+            Wait while the queue is full. Live frames do not wait; if the queue is full they are dropped and counted.
         """
         number = frame.sequence + 1 if number is None else number
         self._show(frame, number)
@@ -160,7 +160,7 @@ class Recorder:
             self.stop(problem)
 
     def stop(self, reason: str = "") -> None:
-        """Take no more frames and finish the file; ``ended`` is told once that is done."""
+        """Stop recording and finish the file; ``ended`` is called when that is done."""
         with self._lock:
             writer, self._writer = self._writer, None
             if writer is None:
@@ -170,7 +170,7 @@ class Recorder:
             thread.start()
 
     def close(self) -> None:
-        """Finish the file and wait until it lies on the disk."""
+        """Finish the file and wait until it is on the disk."""
         self.stop()
         with self._lock:
             finishing, self._finishing = self._finishing, []
@@ -186,7 +186,7 @@ class Recorder:
         except Exception as error:  # the thread that reads must go on
             if self._watcher is watcher:
                 self._watcher = None
-            watcher.failed(explain(error, f"frame {number} could not be watched"))
+            watcher.failed(explain(error, f"frame {number} could not be used"))
 
     def _finish(self, writer: Writer, reason: str) -> None:
         try:

@@ -43,10 +43,10 @@ def draw_strip(
     accepted: float,
     width_hint: int,
 ) -> RenderedStrip:
-    """Return the four panes, with both sides of the tolerance test as depths, so that they compare.
+    """Return the four images of the strip: colour, expected and measured depth, relative difference.
 
-    ``accepted`` is the relative difference that counts as none, ``width_hint`` is how many screen pixels an
-    image takes across; 0 draws all pixels.
+    ``accepted`` is the largest relative difference that counts as equal. ``width_hint`` is the width of an
+    image on the screen in pixels; 0 draws all pixels.
     """
     typical_m = (depth_range_m[0] + depth_range_m[1]) / 2
     height, width = frame.proximity_depth.shape
@@ -80,8 +80,8 @@ def aligned_color(
 ) -> Uint8Array:
     """Return the proximity colour in every ``stride``-th proximity depth pixel: uint8 (h, w, 3).
 
-    A pixel without a depth is looked up at ``typical_m``, which shows the picture almost in place;
-    where the colour camera does not see, the picture is black.
+    A pixel without depth is looked up at the depth ``typical_m``, so its colour is slightly displaced;
+    pixels outside the colour camera's view are black.
     """
     if rig.proximity_color is None:
         return frame.proximity_color[::stride, ::stride]
@@ -104,14 +104,14 @@ def _pixels(count: int) -> IndexArray:
     return np.arange(count)
 
 
-#: First row of a value in a table that begins with the shades of the context.
+#: First row of the values in a colour table that begins with the shades of the context.
 VALUE_ROWS = 128
 HISTOGRAM_BINS = 160
 HISTOGRAM_LIMIT = 0.1
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
-#: The depth colours span these percentiles of the membrane's depth, and some of the space around it, as
-#: shares of that span: objects are behind the membrane.
+#: The depth colours span these percentiles of the membrane's depth, extended by these shares of the span
+#: on the near and far side: objects are behind the membrane.
 _PERCENTILES = (1.0, 99.0)
 _NEARER, _FARTHER = 0.1, 0.75
 _SMALLEST_SPAN_M = 0.02
@@ -119,7 +119,7 @@ _SMALLEST_SPAN_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One frame with all that decides how it looks."""
+    """One frame with everything that decides how it is drawn."""
 
     frame: SensorFrame
     patch: ContactPatch | None
@@ -136,7 +136,7 @@ class Scene:
 
 
 class Renderer:
-    """Draws frame after frame; keeps the depth colours steady within one source."""
+    """Draws frames; the depth colours of one source keep their range."""
 
     def __init__(self) -> None:
         self._rig: Rig | None = None
@@ -145,7 +145,7 @@ class Renderer:
     def render(
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
     ) -> Rendered:
-        """Return the pictures that are wanted; without a patch, what the cameras alone can show."""
+        """Return the wanted images; without a patch, only those that need none."""
         sample_m = membrane_sample_m(frame, preset, rig)
         depth_range_m = self._steady_depth_range(rig, sample_m)
         theme: Theme = "dark" if wanted.dark else "light"
@@ -153,7 +153,7 @@ class Renderer:
         clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
         for cloud in clouds.values():
             if cloud is not None:
-                _ = cloud.point_count  # counted here, so that the window need not
+                _ = cloud.point_count  # counted on this thread, so the window does not have to
         strip = None
         if wanted.strip:
             strip = draw_strip(
@@ -176,7 +176,7 @@ class Renderer:
         )
 
     def _steady_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
-        """Return a depth range that only ever widens while the source stays the same."""
+        """Return a depth range that only widens while the source stays the same."""
         if rig is not self._rig:
             self._rig, self._depth_range_m = rig, None
         if len(sample_m) == 0:
@@ -191,15 +191,14 @@ class Renderer:
 
 
 def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:
-    """Return the relative difference up to which the contact test counts both depths as equal, mid-range."""
+    """Return the relative difference up to which the contact test treats both depths as equal, at mid-range."""
     return preset.test.accepted_share(preset.test_section, sum(depth_range_m) / 2)
 
 
 def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Array:
-    """Return the membrane's depth in every few pixels, metres, 1-D; enough for ranges and medians.
+    """Return the membrane's depth at every sixth row and column, metres (N,); enough for ranges and medians.
 
-    The tactile camera sees the membrane and nothing else. Without any tactile depth, what the
-    proximity camera sees has to do.
+    The tactile camera sees only the membrane. Without tactile depth, the proximity depth is used.
     """
     alignment = preset.alignment
     sample = frame.tactile_depth[::_SAMPLE, ::_SAMPLE]
@@ -280,7 +279,7 @@ def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, co
 
 
 def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
-    """Return the proximity counts, those of a patch at its own points, which the membrane test takes from both."""
+    """Return the proximity counts; if the contact test moves points, patch pixels get the depth of the patch's points."""
     counts = scene.frame.proximity_depth
     if scene.preset.test.moves_points:
         counts = counts.copy()
@@ -289,13 +288,13 @@ def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
 
 
 def verdicts_of(patch: ContactPatch) -> frozenset[Provenance]:
-    """Return the values of provenance that occur in a frame."""
+    """Return the provenance values that occur in a frame."""
     counts = np.bincount(patch.provenance.ravel(), minlength=len(Provenance))
     return frozenset(verdict for verdict in Provenance if counts[verdict])
 
 
 def patch_difference_limit(t: float) -> float:
-    """Return the end of the colour scale inside the patch, where all differences are within ±t."""
+    """Return the end of the colour scale inside the patch: there all differences are within ±t."""
     return max(t, 1e-4)
 
 
@@ -347,6 +346,6 @@ def patch_depth_lut(theme: Theme) -> Uint8Array:
 def _half_relief(lut: Uint8Array, theme: Theme) -> Uint8Array:
     """Return every other row of the context's shades, then every other row of a table: uint8 (256, 4)."""
     mixed = np.concatenate([patch_lut(theme)[::2], lut[::2]])
-    mixed[VALUE_ROWS - 1] = mixed[VALUE_ROWS - 2]  # the last shade's place is the colour of contact
+    mixed[VALUE_ROWS - 1] = mixed[VALUE_ROWS - 2]  # the last shade is the colour of contact
     mixed.flags.writeable = False
     return mixed

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from ...widgets.clouds.cloud_data import DepthCloud
     from ...widgets.images.strip_render import RenderedStrip
 
-#: Gives the untouched frame for a preset and its file; may take long, and raises a `TactuneError`.
+#: Returns the untouched frame for a preset and its file; may take long and raise a `TactuneError`.
 FindUntouched = Callable[[Preset, Path | None, Progress], FoundUntouched]
 
 
@@ -34,15 +34,15 @@ def no_untouched(_preset: Preset, _path: Path | None, _progress: Progress) -> Fo
 
 
 def untouched_finder(source: FrameSource) -> FindUntouched:
-    """Return what finds an untouched frame as `find_untouched` does, on any thread, while the source is being read.
+    """Return a function like `find_untouched` that may run on any thread while the source is being read.
 
-    What the source keeps is read here and now, by whoever owns it. The simulator's is measured when it
-    is asked for, in a scene of its own.
+    The source's own untouched frame is read now, on the thread that owns the source. The simulator's is
+    measured when it is asked for, in its own scene.
     """
     kept = _Kept(source)
 
     def find(preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
-        from ...core.sources.simulator.source import SimulatorSource  # other sources need not wait for it
+        from ...core.sources.simulator.source import SimulatorSource  # not imported for other sources
 
         return find_untouched(preset, path, source if isinstance(source, SimulatorSource) else kept, progress)
 
@@ -50,7 +50,7 @@ def untouched_finder(source: FrameSource) -> FindUntouched:
 
 
 class _Kept(FrameSource):
-    """Stands for a source as far as its untouched frame is concerned."""
+    """A source reduced to its untouched frame."""
 
     def __init__(self, source: FrameSource) -> None:
         self.name, self._rig = source.name, source.rig
@@ -67,11 +67,11 @@ class _Kept(FrameSource):
         return self._rig
 
     def next_frame(self) -> SensorFrame | None:
-        """Return nothing: frames are another thread's."""
+        """Return None: the frames belong to another thread."""
         return None
 
     def untouched(self) -> SensorFrame | None:
-        """Return what the source kept when it was opened."""
+        """Return the untouched frame that the source had when it was opened."""
         if self._problem is not None:
             raise self._problem
         return self._untouched
@@ -100,9 +100,9 @@ class ColorBy(StrEnum):
 
 @dataclass(frozen=True)
 class Wanted:
-    """What the window shows now; nothing else is computed for it.
+    """What the window shows now; nothing else is drawn.
 
-    ``strip_width`` is how many screen pixels one image of the strip takes across; 0 draws all pixels.
+    ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
@@ -113,7 +113,7 @@ class Wanted:
     dark: bool = False
 
     def while_running(self) -> Wanted:
-        """Return what is enough while frames follow each other: the strip a little coarser."""
+        """Return what is drawn while frames play: the strip a little coarser."""
         return replace(self, strip_width=round(_RUNNING_SHARE * self.strip_width))
 
 
@@ -127,11 +127,10 @@ class Histogram:
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """The pictures of one frame; what nobody wanted is missing.
+    """The images of one frame; those that are not visible are missing.
 
-    ``verdicts`` are the values of `Provenance` that occur, where points are coloured by them; ``accepted`` is the
-    relative difference up to which the contact test takes depths for equal; ``no_contact`` says why an empty patch
-    that is looked at is empty.
+    ``verdicts`` are the `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative
+    difference up to which the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -146,7 +145,7 @@ class Rendered:
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """What is known of a source once it is open."""
+    """Facts about an open source."""
 
     name: str
     rig: Rig
@@ -157,7 +156,7 @@ class SourceInfo:
 
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
-        """Ask a source; a preset that cannot be used counts as none."""
+        """Return the facts about a source; an unusable preset becomes None."""
         try:
             preset = source.preset()
         except PresetError:
@@ -174,16 +173,16 @@ class SourceInfo:
 
 @dataclass(frozen=True)
 class SourceState:
-    """How the source is doing, told apart from its frames because it matters most while none come.
+    """State of the source, sent separately from its frames because it matters most while none come.
 
     Attributes
     ----------
     health : Health
-        What the source says of itself.
+        The source's own report.
     stale : bool
-        The frame that was read last is old.
+        Whether the last frame is too old to show the present.
     problem : str
-        Why no frame can be read, in one sentence.
+        Why no frame can be read, as one sentence.
     last_frame_s : float
         When the last frame came, by ``time.monotonic``; only while ``stale``.
     """
@@ -201,13 +200,13 @@ class Result:
     Attributes
     ----------
     patch : ContactPatch or None
-        None where the preset cannot be used with this rig; ``problem`` says why.
+        None if the preset cannot be used with this rig; ``problem`` says why.
     warnings : tuple of str
-        What the pipeline has to say about the preset and the rig, such as another serial.
+        The pipeline's warnings about preset and rig, such as another serial number.
     playback : PlaybackState
-        As it was when the frame was taken.
+        The state of playback when the frame was read.
     processed, dropped : int
-        Frames processed since the start, and those never shown because newer ones came first.
+        Frames processed since the start, and frames that were replaced by newer ones before they were shown.
     unmatched : int
         Images without a partner from the other camera.
     """
@@ -230,7 +229,7 @@ class Result:
 
     @property
     def frame_number(self) -> int:
-        """Number of the frame within its source as windows show it, from 1; files and commands count from 0."""
+        """Number of the frame in its source as windows show it, counted from 1; files and commands count from 0."""
         return self.playback.index + 1
 
 
@@ -247,7 +246,7 @@ class RateMeter:
         self._times.append(time.perf_counter())
 
     def rate(self) -> float:
-        """Return the events per second; 0 once the last one is older than the window."""
+        """Return the events per second; 0 if the last one is older than `WINDOW_S`."""
         now = time.perf_counter()
         while self._times and now - self._times[0] > self.WINDOW_S:
             self._times.popleft()

@@ -16,13 +16,15 @@ T = TypeVar("T")
 
 
 class Mailbox(Generic[T]):
-    """Hands the newest item from one thread to another.
+    """Passes the newest item from one thread to another; older items are dropped and counted.
+
+    A queue between a fast producer and a slow consumer grows and shows the past; one slot shows the present.
 
     Parameters
     ----------
     improves : callable, optional
-        Tells whether the second item is only a better version of the first, which is then not
-        counted as dropped.
+        Returns whether the second item is a better version of the first; the first then does not
+        count as dropped.
     """
 
     def __init__(self, improves: Callable[[T, T], bool] = lambda _old, _new: False) -> None:
@@ -32,13 +34,13 @@ class Mailbox(Generic[T]):
         self._dropped = 0
 
     def put(self, item: T) -> bool:
-        """Leave an item, replacing one that nobody took.
+        """Store an item; an item that nobody took is replaced.
 
         Returns
         -------
         bool
-            True where the slot was empty, so that the consumer needs waking; one wake-up is
-            enough for any number of items.
+            True if the slot was empty, so the consumer must be woken; one wake-up is enough for any
+            number of items.
         """
         with self._lock:
             waiting, self._item = self._item, item
@@ -47,45 +49,45 @@ class Mailbox(Generic[T]):
         return waiting is None
 
     def take(self) -> T | None:
-        """Take the newest item, or None where there is none."""
+        """Return the newest item and empty the slot; None if it is empty."""
         with self._lock:
             item, self._item = self._item, None
         return item
 
     @property
     def dropped(self) -> int:
-        """How many items were replaced before anybody took them."""
+        """Number of items that were replaced before anybody took them."""
         with self._lock:
             return self._dropped
 
 
-#: Qt aborts where a thread's object is deleted while it runs, so these are kept.
-_left: list[QThread] = []
+#: Abandoned threads. Qt aborts if the object of a running thread is deleted, so they are kept here.
+_abandoned: list[QThread] = []
 
 
-def leave_behind(thread: QThread) -> None:
-    """Let a thread end by itself, silently, while its owner closes without waiting for it."""
-    _left[:] = [old for old in _left if not old.isFinished()]
+def abandon(thread: QThread) -> None:
+    """Abandon a thread: its signals are blocked, its owner closes without waiting, and it ends by itself."""
+    _abandoned[:] = [old for old in _abandoned if not old.isFinished()]
     thread.blockSignals(True)
     thread.setParent(None)
-    _left.append(thread)
+    _abandoned.append(thread)
 
 
-def wait_for_left(limit_s: float) -> bool:
-    """Wait until those threads have ended, but no longer than a limit in all; return whether they have."""
+def wait_for_abandoned(limit_s: float) -> bool:
+    """Wait until all abandoned threads have ended, at most ``limit_s`` in total; return whether they have."""
     until = time.monotonic() + limit_s
-    return all(thread.wait(max(0, round(1e3 * (until - time.monotonic())))) for thread in _left)
+    return all(thread.wait(max(0, round(1e3 * (until - time.monotonic())))) for thread in _abandoned)
 
 
-#: Python's 5 ms between thread switches would make the window wait for the other threads' Python code.
+#: With Python's default of 5 ms the window would wait for the Python code of other threads.
 _SWITCH_INTERVAL_S: Final = 0.0005
 
 
 def leave_room_for_the_window() -> None:
-    """Let compiled kernels of the calling thread use all cores but one, and let threads take turns more often.
+    """Let kernels called from this thread use all cores but one, and let Python switch threads more often.
 
-    The window draws on that one. Kernels that wait for a thread which the window keeps from running
-    take several times longer than on one core alone.
+    The window draws on the remaining core. A parallel kernel whose threads compete with the window takes
+    several times longer than the same kernel on one core.
     """
     sys.setswitchinterval(_SWITCH_INTERVAL_S)
     set_threads(available_threads() - 1)

@@ -1,9 +1,9 @@
-"""The worker: reads frames, finds the contact patch, draws what is looked at.
+"""The worker thread: reads frames, finds the contact patch, draws what is visible.
 
-A recording is read when a frame is due. A live source is drained by a thread of its own, which
-leaves the newest frame and wakes the worker, so that orders are obeyed at once while no frame comes.
+A recording is read when a frame is due. A live source is read on its own thread, which stores the newest
+frame and wakes the worker, so orders are obeyed at once while no frame comes.
 
-The window never waits for it. Orders go in through a queue; results come out of a one-slot mailbox.
+The window never waits for the worker. Orders go in through a queue; results come out of a one-slot mailbox.
 """
 
 from __future__ import annotations
@@ -27,9 +27,9 @@ from .processing import FrameProcessor
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
 from .recorder import Recorder, RecordingRequest
 from .results import Result, SourceInfo, SourceState, Wanted
-from .threads import Mailbox, leave_behind, leave_room_for_the_window
+from .threads import Mailbox, abandon, leave_room_for_the_window
 
-#: What does not end so long after it was told to is left behind; a live source that hangs is, too, by then.
+#: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
 _PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
 
 
@@ -39,19 +39,19 @@ class Worker(QThread):
     Signals
     -------
     resultReady()
-        `take` has something new.
+        `take` has a new result.
     opening(name: str, fraction: float, text: str)
     opened(SourceInfo)
     openFailed(name: str, sentence: str)
-        The sentence is empty where opening was cancelled. The former source goes on.
+        The sentence is empty if opening was cancelled. The former source continues.
     failed(sentence: str)
-        Reading or processing a frame failed. A recording is paused; a live source goes on.
+        Reading or processing a frame failed. A recording pauses; a live source continues.
     recovered()
         A frame of a live source was processed again.
     playbackChanged(PlaybackState)
-        Playing, looping, frozen or the speed changed; the frame number comes with each result.
+        Playing, looping, frozen or speed changed; each result carries its frame number.
     stateChanged(SourceState)
-        How the source is doing, also while no frame comes.
+        The state of the source changed, also while no frame comes.
     optionsChanged(options: tuple[CameraOption, ...])
         The settings of the source's cameras; empty for recordings.
     optionRefused(sentence: str)
@@ -98,35 +98,35 @@ class Worker(QThread):
     # Orders, from any thread
 
     def take(self) -> Result | None:
-        """Take the newest result, or None."""
+        """Return the newest result once; None if there is no new one."""
         return self._mailbox.take()
 
     def open(self, request: SourceRequest) -> None:
         """Open a source and, once that has succeeded, play it instead of the present one.
 
-        A source that is still being opened is given up.
+        A source that is still opening is cancelled.
         """
         self._request = request
         self._orders.put(lambda: self._open(request))
 
     def cancel_open(self) -> None:
-        """Stop opening; the present source goes on."""
+        """Cancel opening; the present source continues."""
         self._request = None
 
     def set_preset(self, preset: Preset) -> None:
-        """Use another preset from the next frame on; a frame that stands still is done again."""
+        """Use another preset from the next frame on; a paused frame is processed again."""
         self._orders.put(lambda: self._change("_preset", preset))
 
     def set_wanted(self, wanted: Wanted) -> None:
-        """Say what is looked at; a frame that stands still is drawn again."""
+        """Set what is visible; a paused frame is drawn again."""
         self._orders.put(lambda: self._change("_wanted", wanted))
 
     def play(self) -> None:
-        """Play on from the present frame."""
+        """Continue from the present frame."""
         self._orders.put(self._playback.play)
 
     def pause(self) -> None:
-        """Stand still at the present frame; a live source goes on behind it."""
+        """Pause at the present frame; a live source keeps streaming."""
         self._orders.put(self._stand_still)
 
     def step(self, by: int) -> None:
@@ -138,7 +138,7 @@ class Worker(QThread):
         self._orders.put(lambda: self._show(index))
 
     def set_loop(self, loop: bool) -> None:
-        """Start over at the end of a recording, or stop there."""
+        """Start again at the end of a recording, or stop there."""
         self._orders.put(lambda: setattr(self._playback, "loop", loop))
 
     def set_speed(self, speed: float) -> None:
@@ -146,11 +146,11 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self._playback, "speed", speed))
 
     def set_frozen(self, frozen: bool) -> None:
-        """Hold the present frame while a live source goes on; a recording waits."""
+        """Hold the present frame; a live source keeps streaming, a recording waits."""
         self._orders.put(lambda: self._freeze(frozen))
 
     def set_held(self, held: bool) -> None:
-        """Make a recording wait while the person drags its slider."""
+        """Make a recording wait while its slider is dragged."""
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
     def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
@@ -158,21 +158,23 @@ class Worker(QThread):
         self._orders.put(lambda: self._set_option(camera, name, value, at_close))
 
     def start_recording(self, path: Path) -> None:
-        """Record into a file every frame that the source delivers: of a recording, those that are played."""
+        """Record every frame of a live source into a file, or every frame of a recording that is played."""
         self._orders.put(lambda: self._start_recording(path))
 
     def stop_recording(self, reason: str = "") -> None:
-        """Finish the file; `recordingEnded` tells when that is done."""
+        """Finish the file; `recordingEnded` is emitted when that is done."""
         self._orders.put(lambda: self.recorder.stop(reason))
 
     def shut_down(self) -> None:
-        """Stop, finish a recording, release the source; a source that does not let go is left behind."""
+        """Stop, finish a recording and close the source; a hung source is abandoned."""
         self._request = None
         self._orders.put(lambda: setattr(self, "_stopping", True))
-        self.recorder.close()  # what was recorded is kept, however long its disk takes
+        self.recorder.close()  # the recorded frames are kept, however slow the disk is
         if not self.wait(_PATIENCE_MS):
-            logging.getLogger(__name__).warning("The source was given up: it is still busy, and the window closes.")
-            leave_behind(self)
+            logging.getLogger(__name__).warning(
+                "The source is still busy while the window closes; its thread was abandoned."
+            )
+            abandon(self)
 
     # The thread
 
@@ -192,7 +194,7 @@ class Worker(QThread):
             self.recorder.close()
 
     def _carry_on(self) -> None:
-        """Do what is due now: a new frame, or the present one again."""
+        """Process what is due: a new frame, or the present one again."""
         newest = self._newest
         if newest is not None and newest is not self._frame and self._playback.state.running:
             self._playback.shown(newest.sequence, time.perf_counter())
@@ -206,20 +208,20 @@ class Worker(QThread):
             self._advance()
 
     def _tell_playback(self) -> None:
-        """Tell of another mode of playback; the frame number comes with each result."""
+        """Emit `playbackChanged` if anything but the frame number changed."""
         mode = replace(self._playback.state, index=-1)
         if mode != self._told:
             self._told = mode
             self.playbackChanged.emit(self._playback.state)
 
     def _idle_s(self) -> float | None:
-        """How long there is nothing to do but wait for orders; None: for ever."""
+        """Seconds until the next frame is due; None: wait for orders only."""
         if self._redo and self._frame is not None:
             return 0.0
         return self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
 
     def _obey(self, idle_s: float | None) -> None:
-        """Carry out all orders that are waiting; wait for the first one as long as nothing else is due."""
+        """Wait up to ``idle_s`` for the first order, then obey all that are waiting."""
         try:
             order = self._orders.get(timeout=idle_s) if idle_s != 0.0 else self._orders.get_nowait()
             while True:
@@ -265,7 +267,7 @@ class Worker(QThread):
             self._show(0)
 
     def _close_source(self, reason: str = "") -> None:
-        """Let go of the present source, and finish its recording."""
+        """Close the present source and finish its recording."""
         self.recorder.stop(reason)
         for reader in (self._live, self._reader):
             if reader is not None:
@@ -273,22 +275,22 @@ class Worker(QThread):
         self._live, self._reader, self._frame, self._newest = None, None, None, None
         self._state = SourceState()
 
-    # What the reader of a live source tells, on its own thread
+    # Events of the live reader, on its thread
 
     def frame_arrived(self, reader: LiveReader) -> None:
-        """Take the newest frame as soon as the worker has time for it."""
+        """Take the newest frame when the worker has time."""
         self._orders.put(lambda: self._take_newest(reader))
 
     def state_changed(self, reader: LiveReader, state: SourceState) -> None:
-        """Tell how the source is doing."""
+        """Pass on the state of the source."""
         self._orders.put(lambda: self._tell_state(state) if reader is self._live else None)
 
     def options_changed(self, reader: LiveReader, options: tuple[CameraOption, ...]) -> None:
-        """Tell the settings of the cameras."""
+        """Pass on the settings of the cameras."""
         self._orders.put(lambda: self.optionsChanged.emit(options) if reader is self._live else None)
 
     def option_refused(self, reader: LiveReader, sentence: str) -> None:
-        """Tell that a setting could not be changed."""
+        """Pass on that a setting could not be changed."""
         self._orders.put(lambda: self.optionRefused.emit(sentence) if reader is self._live else None)
 
     # Steps
@@ -306,7 +308,7 @@ class Worker(QThread):
         if self._live is not None:
             self._live.set_option(camera, name, value, at_close)
         else:
-            self.optionRefused.emit("No camera is open that could be set: open one in the Source menu.")
+            self.optionRefused.emit("No camera is open: open one in the Source menu to change its settings.")
 
     def _start_recording(self, path: Path) -> None:
         if self._info is None or (self._live is None and self._reader is None):
@@ -320,12 +322,14 @@ class Worker(QThread):
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return
         if self._live is None and self._frame is not None:
-            self.recorder.put(self._frame, self._playback.state.index + 1, wait=True)  # begins with what is shown
+            self.recorder.put(
+                self._frame, self._playback.state.index + 1, wait=True
+            )  # the recording starts with the frame on the screen
         self.recordingStarted.emit(path)
 
     def _stand_still(self) -> None:
         self._playback.pause()
-        self._redo = True  # what stands still is drawn in full
+        self._redo = True  # a paused frame is drawn in full resolution
 
     def _freeze(self, frozen: bool) -> None:
         self._playback.frozen = frozen
@@ -389,6 +393,6 @@ class Worker(QThread):
         if self._live is None:
             self._playback.pause()
         elif self._failing:
-            return  # frame after frame fails: saying it once is enough
+            return  # every frame fails: report it once
         self._failing = self._live is not None
         self.failed.emit(sentence)

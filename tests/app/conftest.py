@@ -18,7 +18,7 @@ from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
-from tactune.app.worker.threads import wait_for_left
+from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.preset import Preset
@@ -77,7 +77,7 @@ def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[...
         if window.worker.isRunning():
             window.close_without_asking()
             qtbot.waitUntil(window.worker.isFinished)  # a recording is finished first
-    wait_for_left(60.0)  # what goes on would take its time from the next test
+    wait_for_abandoned(60.0)  # what goes on would take its time from the next test
     for window in windows:
         window.deleteLater()
     QApplication.processEvents()

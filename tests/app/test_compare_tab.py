@@ -22,7 +22,7 @@ from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.reading import SourceRequest
 from tactune.app.worker.results import SourceInfo, Wanted, untouched_finder
-from tactune.app.worker.threads import wait_for_left
+from tactune.app.worker.threads import wait_for_abandoned
 from tactune.core.errors import SourceError
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.methods.registry import make_method, method_names
@@ -406,6 +406,6 @@ def test_closing_does_not_wait_for_a_method_that_takes_long(qtbot, window, monke
     qtbot.waitUntil(begun.is_set)
     window.close_without_asking()
     assert not window.isVisible() and thread.isRunning()
-    assert not wait_for_left(0.0)
+    assert not wait_for_abandoned(0.0)
     go_on.set()
-    assert wait_for_left(10.0)
+    assert wait_for_abandoned(10.0)

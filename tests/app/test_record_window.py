@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QPushButton
 from fake_cameras import FakeCameras
 from tactune.app.window import recording
 from tactune.app.worker import worker
-from tactune.app.worker.threads import wait_for_left
+from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.recording import bag
 from tactune.core.sources.registry import open_source
@@ -261,4 +261,4 @@ def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(wind
     (path,) = folder.glob("*.mcap")
     assert len(frames_of(path)) >= 2
     source.go_on.set()
-    assert wait_for_left(20.0)
+    assert wait_for_abandoned(20.0)

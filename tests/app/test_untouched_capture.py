@@ -12,7 +12,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from tactune.app.worker.threads import wait_for_left
+from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.model.frames import SensorFrame
@@ -349,7 +349,7 @@ def test_closing_does_not_wait_for_what_is_still_being_computed(qtbot, window, m
     qtbot.waitUntil(begun.is_set)
     QTest.mouseClick(opened.leave, Qt.MouseButton.LeftButton)
     assert window.untouched.window is None
-    assert not wait_for_left(0.0)
+    assert not wait_for_abandoned(0.0)
     go_on.set()
-    assert wait_for_left(10.0)
+    assert wait_for_abandoned(10.0)
     assert window.document.preset.untouched is None

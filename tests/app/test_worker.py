@@ -5,7 +5,7 @@ import pytest
 
 from tactune.app.worker import worker as worker_module
 from tactune.app.worker.results import CloudName, ColorBy, Wanted
-from tactune.app.worker.threads import Mailbox, wait_for_left
+from tactune.app.worker.threads import Mailbox, wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest, Worker
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError
@@ -239,7 +239,7 @@ def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_i
     qtbot.waitUntil(lambda: source.hangs.is_set() and watched.shows(2))
     watched.worker.seek(5)  # the worker itself is stuck now, before it is told to stop
     watched.worker.shut_down()
-    assert watched.worker.isRunning() and not wait_for_left(0.0)
+    assert watched.worker.isRunning() and not wait_for_abandoned(0.0)
     assert not watched.worker.recorder.running, "the file is finished"
     assert [record.levelname for record in caplog.records] == ["WARNING"]
     assert "source was given up" in caplog.text
@@ -247,7 +247,7 @@ def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_i
     assert kept.length >= 2
     kept.close()
     source.go_on.set()
-    assert wait_for_left(20.0)
+    assert wait_for_abandoned(20.0)
 
 
 def test_a_preset_for_another_size_is_said_and_the_cameras_still_show(watched, qtbot, preset):
