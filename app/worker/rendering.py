@@ -279,7 +279,7 @@ def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, co
 
 
 def _depth_with_patch(scene: Scene, patch: ContactPatch) -> Uint16Array:
-    """Return the proximity counts; if the contact test moves points, patch pixels get the depth of the patch's points."""
+    """Return the proximity counts; where the contact test moves points, patch pixels get their depth."""
     counts = scene.frame.proximity_depth
     if scene.preset.test.moves_points:
         counts = counts.copy()
