@@ -2,8 +2,8 @@
 
 The definitions are those of librealsense's tools/depth-quality (readme.md and rs-depth-quality.cpp): fill rate,
 plane-fit RMS error, subpixel RMS error, Z accuracy and temporal noise over 40 frames. Two differences: 65535 counts
-are no depth, as everywhere in this package, and a pixel that never had a depth counts in the fill rate
-only, where the tool lets it pull the temporal noise towards zero.
+are no depth, as everywhere in this package, and a pixel that never had depth counts in the fill rate only, while the
+tool includes it in the temporal noise and so lowers that.
 """
 
 from __future__ import annotations
@@ -28,39 +28,39 @@ from ..sources.base import CameraRole
 #: Left, top, width, height in pixels.
 Rectangle = tuple[int, int, int, int]
 
-#: Frames over which the tool takes the temporal noise.
+#: Number of frames for the temporal noise, as in the tool.
 NOISE_FRAMES = 40
-#: A standard deviation from fewer depths than this says nothing.
-_LEAST_DEPTHS = 5
+#: Fewest depths for a standard deviation.
+_MIN_DEPTHS = 5
 #: Baselines of Intel's stereo cameras, metres, from their data sheets.
 _BASELINES_M = {"D405": 0.018, "D415": 0.055, "D430": 0.050, "D435": 0.050, "D455": 0.095, "D456": 0.095}
-#: The tool leaves out this share of the points at either end of the depths before it takes a mean square.
+#: Share of the points at either end of the depth range that the mean squares leave out, as in the tool.
 CLIPPED_SHARE = 1 / 200
-_LEAST_POINTS = 3
+_MIN_POINTS = 3
 
 
 @dataclass(frozen=True)
 class CameraQuality:
-    """What one camera measures in a region; nan where it cannot be said.
+    """Depth quality of one camera in a region; nan for unknown values.
 
     Attributes
     ----------
     region : (int, int, int, int)
         Left, top, width, height in this camera's pixels.
     frames : int
-        How many frames the temporal noise was taken over.
+        Number of frames for the temporal noise.
     fill_rate : float
-        Share of the region's pixels with a depth, newest frame, 0 to 1.
+        Share of the region's pixels with depth in the newest frame, 0 to 1.
     distance_m : float
-        Of the camera from the fitted plane, metres.
+        Distance of the camera from the fitted plane, metres.
     angle_deg : float
-        Between the plane's normal and the optical axis.
+        Angle between the plane's normal and the optical axis, degrees.
     plane_rms_m, plane_rms_share : float
         Root mean square distance of the points from the plane, metres and as a share of ``distance_m``.
     subpixel_rms_px : float
-        The same as disparity, pixels; stereo cameras only.
+        Root mean square distance as disparity, pixels; stereo cameras only.
     z_accuracy : float
-        Signed error of the plane's distance as a share of the true distance; positive: too far.
+        Signed error of the plane's distance as a share of the true distance; positive: measured too far.
     temporal_noise_share : float
         Median over the pixels of (standard deviation / median) over the frames.
     temporal_noise_m : float
@@ -84,7 +84,7 @@ class CameraQuality:
 
 @dataclass(frozen=True)
 class CameraBias:
-    """How much farther the proximity camera reads than the tactile one on the same place.
+    """Bias of the proximity camera's depth against the tactile camera's at the same place.
 
     Attributes
     ----------
@@ -93,9 +93,9 @@ class CameraBias:
     share : float
         ``bias_m`` over the median of ``dp``.
     spread_m : float
-        1.4826 times the median absolute deviation from that median: how much places differ, metres.
+        Robust scatter over the pixels: 1.4826 times the median absolute deviation, metres.
     pixels : int
-        Compared.
+        Number of compared pixels per frame.
     """
 
     bias_m: float
@@ -106,7 +106,7 @@ class CameraBias:
 
 @dataclass(frozen=True)
 class DepthQuality:
-    """Both cameras and the bias between them; ``bias_problem`` says why there is none."""
+    """Depth quality of both cameras and the bias between them; ``bias_problem`` says why ``bias`` is None."""
 
     proximity: CameraQuality
     tactile: CameraQuality
@@ -114,41 +114,41 @@ class DepthQuality:
     bias_problem: str = ""
 
     def to_json(self) -> dict[str, Any]:
-        """Return everything as JSON can hold it; what is not known is null."""
+        """Return everything as JSON values; unknown numbers are null."""
         return {name: _without_nan(value) for name, value in asdict(self).items()}
 
 
 def fill_rate(counts: Uint16Array) -> float:
-    """Return the share of pixels with a depth, 0 to 1: neither 0 nor 65535 counts."""
+    """Return the share of pixels with depth, 0 to 1; 0 and 65535 counts are no depth."""
     return float(valid_depth(counts).mean())
 
 
 def temporal_noise(stack: Sequence[Uint16Array] | Uint16Array, unit_m: float) -> tuple[float, float]:
-    """Return how much a pixel's depth changes from frame to frame while nothing moves.
+    """Return the temporal noise of depth in a static scene.
 
-    For each pixel, the standard deviation (over all its depths, divided by their number) and the median of its
-    depths over the frames; frames in which it has none are left out. The result is the median over the pixels.
+    The standard deviation (normalised by N) and the median of each pixel's valid depths over the frames; the result is
+    the median over the pixels.
 
     Parameters
     ----------
     stack : uint16, N images (H, W)
-        Raw counts of one region; the tool takes 40.
+        Raw counts of one region; the tool uses 40 frames.
     unit_m : float
 
     Returns
     -------
     (float, float)
-        Noise as a share of the distance, and in metres; nan where no pixel has five depths.
+        Noise as a share of the distance, and in metres; nan if no pixel has five depths.
     """
     counts = np.asarray(stack)
     valid = valid_depth(counts)
-    enough = valid.sum(axis=0) >= _LEAST_DEPTHS
+    enough = valid.sum(axis=0) >= _MIN_DEPTHS
     if not enough.any():
         return float("nan"), float("nan")
     depths = counts[:, enough].astype(np.float32)
     missing = ~valid[:, enough]
     number = (~missing).sum(axis=0)
-    # Centred on a depth of each pixel's own, float32 loses nothing.
+    # centred on one depth of each pixel, so that float32 is precise enough
     origin = np.where(missing, np.float32(0.0), depths).max(axis=0)
     centred = np.where(missing, np.float32(0.0), depths - origin)
     mean = centred.sum(axis=0) / number
@@ -159,14 +159,14 @@ def temporal_noise(stack: Sequence[Uint16Array] | Uint16Array, unit_m: float) ->
 
 
 def _median_of_valid(depths: Float32Array, missing: BoolArray, number: Int64Array) -> Float32Array:
-    """Return each column's median without its missing entries."""
+    """Return each column's median over its valid entries."""
     ordered = np.sort(np.where(missing, np.float32(np.inf), depths), axis=0)
     columns = np.arange(depths.shape[1])
     return np.asarray((ordered[(number - 1) // 2, columns] + ordered[number // 2, columns]) / np.float32(2.0))
 
 
 def stereo_baseline_m(model: str) -> float | None:
-    """Return the baseline of a stereo camera by its model name, metres; None for others."""
+    """Return the baseline of a stereo camera from its model name, metres; None for other cameras."""
     found = re.search(r"D4\d\d", model.upper())
     return _BASELINES_M.get(found[0]) if found else None
 
@@ -180,8 +180,8 @@ def camera_quality(
 ) -> CameraQuality:
     """Measure one camera in a region.
 
-    All but the temporal noise is taken from the last image. The plane is fitted to all points of the region; then
-    the nearest and farthest 0.5 % are left out of the mean squares.
+    Everything but the temporal noise is computed from the last image. The plane is fitted to all points of the region;
+    the mean squares leave out the nearest and farthest 0.5 %.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def camera_quality(
     region : (int, int, int, int)
         Left, top, width, height in the camera's pixels.
     true_distance_m : float, optional
-        Measured by other means, from the camera along its axis to the target, for the Z accuracy.
+        Independently measured distance from the camera to the target along the optical axis, for the Z accuracy.
 
     Raises
     ------
@@ -202,7 +202,7 @@ def camera_quality(
     window = _window(region, camera, role)
     newest = images[-1][window]
     noise_share, noise_m = temporal_noise([image[window] for image in images], camera.depth_unit_m)
-    several = len(images) >= _LEAST_DEPTHS
+    several = len(images) >= _MIN_DEPTHS
     quality = CameraQuality(
         role=role,
         model=camera.model,
@@ -240,13 +240,13 @@ def camera_quality(
 def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSection, region: Rectangle) -> CameraBias:
     """Compare both cameras on the aligned pair, pixel by pixel, in a region of the proximity image.
 
-    ``dp`` and ``dt`` are the two sides of the tolerance test, depth scale and offset included. The result means
-    something only where both cameras see one and the same surface, such as a flat, opaque target.
+    ``dp`` and ``dt`` are the two sides of the tolerance test, including depth scale and offset. The result is valid
+    only if both cameras see the same surface, such as a flat, opaque target.
 
     Raises
     ------
     RigMismatchError
-        Neither preset nor rig knows how the cameras stand to each other.
+        Neither preset nor rig has the pose between the cameras.
     FrameError
         The region does not lie within the image, or no pixel of it has a depth in both cameras.
     """
@@ -275,15 +275,14 @@ def camera_bias(frames: Sequence[SensorFrame], rig: Rig, section: AlignmentSecti
 
 
 def tactile_region(frame: SensorFrame, rig: Rig, section: AlignmentSection, region: Rectangle) -> Rectangle:
-    """Return the rectangle of the tactile image that sees what a region of the proximity image sees.
+    """Return the rectangle of the tactile image that corresponds to a region of the proximity image.
 
-    The region's corners are put at the median proximity depth within it and projected (rigid), or taken
-    through the homography.
+    The region's corners are projected at the region's median proximity depth (rigid) or mapped by the homography.
 
     Raises
     ------
     RigMismatchError
-        Neither preset nor rig knows how the cameras stand to each other.
+        Neither preset nor rig has the pose between the cameras.
     FrameError
         The region does not lie within the image, has no depth, or lies outside the tactile image.
     """
@@ -322,10 +321,10 @@ def measure_quality(
     Parameters
     ----------
     frames : sequence of SensorFrame
-        Oldest first, at least one; the last 40 are used.
+        At least one, oldest first; the last 40 are used.
     rig : Rig
     section : AlignmentSection
-        The preset's; without any pose the tactile camera is measured in the same rectangle, and there is no bias.
+        The preset's alignment. Without a pose the tactile camera is measured in the same rectangle, without bias.
     region : (int, int, int, int)
         Left, top, width, height in proximity pixels.
     true_distance_m : float, optional
@@ -366,7 +365,7 @@ def _window(region: Rectangle, camera: DepthCamera, role: CameraRole) -> tuple[s
 
 
 def _cut(region: Rectangle, camera: DepthCamera) -> Rectangle:
-    """Return a region cut to an image; all of the image where nothing remains."""
+    """Return a region clipped to an image."""
     size = camera.intrinsics
     left, top = min(region[0], size.width - 1), min(region[1], size.height - 1)
     return left, top, min(region[2], size.width - left), min(region[3], size.height - top)
@@ -385,9 +384,9 @@ class Plane:
     Attributes
     ----------
     normal : (float, float, float)
-        Of length 1, away from the camera (z > 0).
+        Unit normal, pointing away from the camera (z > 0).
     distance_m : float
-        Of the camera's origin from the plane, which the tool calls distance to target.
+        Distance of the camera's origin from the plane; the tool's "distance to target".
     """
 
     normal: tuple[float, float, float]
@@ -403,17 +402,16 @@ class Plane:
         return self.distance_m / self.normal[2]
 
     def signed_distances(self, points: npt.ArrayLike) -> Float64Array:
-        """Return how far points (N, 3) lie behind the plane, metres; negative: nearer to the camera."""
+        """Return the signed distances of points (N, 3) from the plane, metres; negative is nearer to the camera."""
         return np.asarray(np.asarray(points, np.float64) @ np.asarray(self.normal) - self.distance_m)
 
 
 def fit_plane(points: npt.ArrayLike) -> Plane | None:
     """Fit a plane by least squares along the axis that the points spread over least.
 
-    With the centred second moments of the points, the axis is the one whose 2 x 2 minor of the other two is
-    largest; the residuals along it are made least. For a wall in front of a camera that is ordinary least
-    squares ``z = a x + b y + c`` (librealsense, tools/depth-quality/depth-metrics.h, ``plane_from_points``). All
-    points count; clipping comes afterwards.
+    The axis is the one whose complementary 2 x 2 minor of the second moments is largest; residuals along it are
+    minimised. For a wall in front of a camera this is ordinary least squares ``z = a x + b y + c`` (librealsense,
+    tools/depth-quality/depth-metrics.h, ``plane_from_points``). All points are used; clipping comes afterwards.
 
     Parameters
     ----------
@@ -423,10 +421,10 @@ def fit_plane(points: npt.ArrayLike) -> Plane | None:
     Returns
     -------
     Plane or None
-        None where fewer than three points, or points on one line, or a plane seen edge on, determine none.
+        None for fewer than three points, collinear points, or a plane seen edge-on.
     """
     array = np.asarray(points, dtype=np.float64)
-    if len(array) < _LEAST_POINTS:
+    if len(array) < _MIN_POINTS:
         return None
     centroid = array.mean(axis=0)
     centred = array - centroid
@@ -450,8 +448,7 @@ def fit_plane(points: npt.ArrayLike) -> Plane | None:
 def clip_depths(points: Float64Array) -> Float64Array:
     """Return the points without the nearest and the farthest 0.5 %, ordered by depth.
 
-    That is the tool's only guard against outliers (rs-depth-quality.cpp: "Remove outliers [below 0.5% and
-    above 99.5%)").
+    This is the tool's only outlier removal (rs-depth-quality.cpp: "Remove outliers [below 0.5% and above 99.5%)").
     """
     ordered = points[np.argsort(points[:, 2], kind="stable")]
     cut = int(len(ordered) * CLIPPED_SHARE)
@@ -467,8 +464,8 @@ def subpixel_errors(points: Float64Array, plane: Plane, focal_px: float, baselin
     """Return the disparity of each point minus that of its foot on the plane, pixels.
 
     ``D_i - D'_i = f b / z_i - f b / z'_i``, where ``z'_i`` is the depth of the point's orthogonal projection on
-    the plane: the definition in the tool's own description of its metric. (Its code divides by the points'
-    distances from the camera instead of their depths, which makes the result smaller towards the image's rim.)
+    the plane, as the tool's documentation defines it. (The tool's code divides by the points' distances from the
+    camera instead of their depths, which lowers the result towards the image border.)
 
     Parameters
     ----------
@@ -477,7 +474,7 @@ def subpixel_errors(points: Float64Array, plane: Plane, focal_px: float, baselin
     focal_px : float
         Horizontal focal length of the depth image, pixels.
     baseline_m : float
-        Between both imagers of the stereo pair, metres.
+        Stereo baseline, metres.
     """
     foot_z = points[:, 2] - plane.signed_distances(points) * plane.normal[2]
     return np.asarray(focal_px * baseline_m * (1.0 / points[:, 2] - 1.0 / foot_z))

@@ -15,34 +15,34 @@ from ..model.clouds import ray_table, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import Preset
 
-#: Changes from which methods that compare with the untouched frame go wrong: half of proximity-only's margin.
+#: Largest harmless change: half the margin of the method proximity-only, which compares with the untouched frame.
 LIMIT_M: Final = 0.001
 
 Verdict = Literal["fine", "inflation", "camera", "touched"]
 
 _NORMAL: Final = 1.4826
-#: What no change of pressure or pose explains is a touch, where it is so large in such a share of the membrane.
+#: Touch: a residual that neither pressure nor pose explains, above this depth in more than this share of the membrane.
 _DENT_M: Final = 0.003
 _DENT_SHARE: Final = 0.02
-#: The proximity camera sees the membrane itself only on prints: where it agrees with the tactile camera.
+#: The proximity camera sees the membrane itself only on prints, where both depths agree within this.
 _SAME_SURFACE_M: Final = 0.006
-#: A membrane that is flatter than this has no bulge to tell a change of inflation by.
-_LEAST_BULGE_M: Final = 0.005
-_FEWEST_PIXELS: Final = 200
-_MOST_PIXELS: Final = 20_000
+#: Smallest bulge by which a change of inflation can be detected, metres.
+_MIN_BULGE_M: Final = 0.005
+_MIN_PIXELS: Final = 200
+_MAX_PIXELS: Final = 20_000
 _ROUNDS: Final = 4
 
 
 @dataclass(frozen=True)
 class DepthChange:
-    """How one camera sees the membrane change, present minus untouched frame; positive is farther away.
+    """Change of the membrane's depth in one camera, present minus untouched frame; positive is farther away.
 
     Attributes
     ----------
     median_m, spread_m : float
-        Median and robust spread (1.4826 median absolute deviations) over the pixels of the membrane.
+        Median and robust spread (1.4826 median absolute deviations) over the membrane's pixels, metres.
     moved_m : float
-        Root mean square of the part that is a plane over the image, as when a camera moves.
+        Root mean square of the planar part of the change, as a moving camera causes it, metres.
     pixels : int
     """
 
@@ -54,18 +54,18 @@ class DepthChange:
 
 @dataclass(frozen=True)
 class MembraneDrift:
-    """What has changed since the untouched frame was captured.
+    """Drift of the membrane since the untouched frame was captured.
 
     Attributes
     ----------
     tactile : DepthChange
     proximity : DepthChange or None
-        None where the proximity camera sees too little of the membrane itself.
+        None if the proximity camera sees too little of the membrane itself.
     inflation_m : float
-        How much farther the middle stands from the rim.
+        Change of the apex's height above the rim, metres; positive is farther from the cameras.
     verdict : {"fine", "inflation", "camera", "touched"}
     sentence : str
-        All that in words, with what to do.
+        The result in words, with what to do.
     """
 
     tactile: DepthChange
@@ -78,38 +78,37 @@ class MembraneDrift:
 def compare_with_untouched(preset: Preset, rig: Rig, frame: SensorFrame, untouched: SensorFrame) -> MembraneDrift:
     """Compare the present untouched membrane with the untouched frame.
 
-    The change of the tactile depth is taken apart, robustly, into a multiple of the membrane's own bulge, which
-    a change of pressure makes, and a plane over the image, which a camera that moves or drifts makes; what
-    is left over in one place is a touch.
+    The change of the tactile depth is fitted robustly by a multiple of the membrane's own bulge (a change of pressure)
+    plus a plane over the image (a camera that moves or drifts). A local residual is a touch.
 
     Parameters
     ----------
     preset : Preset
-        Its alignment tells where the proximity camera sees the membrane.
+        Its alignment relates the two cameras.
     rig : Rig
     frame : SensorFrame
-        One frame while nothing touches, or the median of several.
+        One frame without contact, or the median of several.
     untouched : SensorFrame
 
     Raises
     ------
     CalibrationError
-        Both frames share too little tactile depth.
+        The frames have too few pixels with tactile depth in common.
     FrameError
-        One of them is of another rig.
+        A frame is of another rig.
     RigMismatchError
-        The preset leaves the pose to a rig that has none.
+        Neither preset nor rig has the pose between the cameras.
     """
     for one in (frame, untouched):
         one.check_against(rig)
     change, x, y, before = _changes(frame.tactile_depth, untouched.tactile_depth, rig.tactile)
-    if len(change) < _FEWEST_PIXELS:
+    if len(change) < _MIN_PIXELS:
         raise CalibrationError(
             f"the tactile camera sees only {len(change)} pixels of the membrane both now and in the untouched frame; "
-            "check that it sees the membrane, or capture the untouched frame anew"
+            "check that it sees the membrane, or capture the untouched frame again"
         )
     rim, apex = np.quantile(before, [0.02, 0.98])
-    inflated = apex - rim >= _LEAST_BULGE_M
+    inflated = apex - rim >= _MIN_BULGE_M
     bulge = (before - rim) / (apex - rim) if inflated else np.zeros_like(before)
     fitted = _fit(change, np.column_stack([np.ones_like(x), x, y, bulge]))
     inflation_m = float(fitted[3]) if inflated else 0.0
@@ -128,16 +127,16 @@ def _proximity_change(
     untouched: SensorFrame,
     inflation_m: float,
 ) -> DepthChange | None:
-    """Return the change where the proximity camera sees the membrane, less what the inflation explains."""
+    """Return the change where the proximity camera sees the membrane, minus that of the inflation; None if too few."""
     view = MembraneView(preset.alignment, rig)
     membrane = view.depth_m(untouched.tactile_depth)
     with np.errstate(invalid="ignore"):
         seen = np.abs(untouched.proximity_depth * rig.proximity.depth_unit_m - membrane) < _SAME_SURFACE_M
     where = np.where(seen, untouched.proximity_depth, np.uint16(0))
     change, x, y, before = _changes(frame.proximity_depth, where, rig.proximity)
-    if len(change) < _FEWEST_PIXELS:
+    if len(change) < _MIN_PIXELS:
         return None
-    rim, apex = np.nanquantile(membrane, [0.02, 0.98])  # as this camera sees them
+    rim, apex = np.nanquantile(membrane, [0.02, 0.98])  # in the proximity camera
     bulge = (before - rim) / (apex - rim) if inflation_m else np.zeros_like(before)
     fitted = _fit(change - inflation_m * bulge, np.column_stack([np.ones_like(x), x, y]))
     return _sum_up(change, fitted[0] + fitted[1] * x + fitted[2] * y)
@@ -146,16 +145,16 @@ def _proximity_change(
 def _changes(
     now: Uint16Array, then: Uint16Array, camera: DepthCamera
 ) -> tuple[Float64Array, Float64Array, Float64Array, Float64Array]:
-    """Return the changes of depth in metres where both have one, the pixels' rays x and y, and the depth before."""
+    """Return change of depth, ray x and y, and depth before, each (M,) in metres, at pixels with depth in both."""
     pixels = np.flatnonzero(valid_depth(now) & valid_depth(then))
-    pixels = pixels[:: max(1, len(pixels) // _MOST_PIXELS)]
+    pixels = pixels[:: max(1, len(pixels) // _MAX_PIXELS)]
     before, after = (image.reshape(-1)[pixels].astype(np.float64) * camera.depth_unit_m for image in (then, now))
     rays = ray_table(camera.intrinsics).reshape(-1, 2)[pixels].astype(np.float64)
     return after - before, rays[:, 0], rays[:, 1], before
 
 
 def _fit(change: Float64Array, columns: Float64Array) -> Float64Array:
-    """Return the least-squares coefficients over the pixels that agree with each other."""
+    """Return robust least-squares coefficients: outliers are dropped and the fit is repeated."""
     kept = np.abs(change - np.median(change)) <= 3 * _spread(change) + LIMIT_M
     fitted: Float64Array = np.zeros(columns.shape[1])
     for _ in range(_ROUNDS):
@@ -189,28 +188,28 @@ def _judge(
         cameras = f"The {next(iter(moved))} camera has" if len(moved) == 1 else "Both cameras have"
         return "camera", (
             f"{cameras} moved, or drifted with temperature: the membrane's depth is off by {by} up to its rim; "
-            "calibrate again, then capture the untouched frame anew."
+            "calibrate again, then capture the untouched frame again."
         )
     if abs(inflation_m) > LIMIT_M:
         return "inflation", (
-            f"The inflation has changed: the middle of the membrane stands {1e3 * abs(inflation_m):.1f} mm "
+            f"The inflation has changed: the apex of the membrane stands {1e3 * abs(inflation_m):.1f} mm "
             f"{'farther out' if inflation_m > 0 else 'farther in'} than in the untouched frame; inflate it as before, "
-            "or capture the untouched frame anew."
+            "or capture the untouched frame again."
         )
     numbers = ", ".join(f"{name} {1e3 * change.median_m:+.2f} mm" for name, change in known.items())
-    unseen = "" if proximity else "; the proximity camera sees too little of the membrane itself to be judged"
+    unseen = "" if proximity else "; not checked: the proximity camera, which sees too little of the membrane itself"
     return "fine", f"The membrane is as in the untouched frame (median change: {numbers}){unseen}."
 
 
 @dataclass(frozen=True)
 class TouchDoubt:
-    """Why something seems to touch the membrane.
+    """A sign that something touches the membrane.
 
     Attributes
     ----------
     sentence : str
     certain : bool
-        False where something else than a touch explains it as well.
+        False if there is another possible explanation.
     """
 
     sentence: str
@@ -218,17 +217,17 @@ class TouchDoubt:
 
 
 def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame | None) -> list[TouchDoubt]:
-    """Return what speaks against a membrane that is said to be untouched; nothing where all is well.
+    """Return signs that a membrane said to be untouched is touched; empty if there are none.
 
     Parameters
     ----------
     preset : Preset
-        Its pipeline should find no patch.
+        Its pipeline should find no contact.
     rig : Rig
     membrane : SensorFrame
         One frame, or the median of several.
     earlier : SensorFrame or None
-        The preset's present untouched frame.
+        The preset's current untouched frame.
 
     Raises
     ------
@@ -237,15 +236,17 @@ def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: Senso
     """
     try:
         patch = ContactPipeline(preset, rig).process(membrane)
-    except RigMismatchError:  # a preset for another sensor can tell nothing
+    except RigMismatchError:  # the preset is for another sensor
         return []
     doubts = []
     if len(patch.points):
-        found = f"the preset finds a contact patch of {patch.area_mm2 / 100:.1f} cm2 on what should be untouched"
+        found = (
+            f"the preset finds a contact patch of {patch.area_mm2 / 100:.1f} cm2 on a membrane that should be untouched"
+        )
         doubts.append(
-            TouchDoubt(f"{found}; take away what touches the membrane or is close to it, and capture again", True)
+            TouchDoubt(f"{found}; remove what touches the membrane or is close to it, and capture again", True)
             if preset.mask.enabled
-            else TouchDoubt(f"{found}; that may be its prints, since the mask is off, or something touches it", False)
+            else TouchDoubt(f"{found}; the mask is off, so these may be its prints, or a touch", False)
         )
     if earlier is not None and (dent := _dent(preset, rig, membrane, earlier)):
         doubts.append(TouchDoubt(dent, False))
@@ -255,11 +256,11 @@ def touch_doubts(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: Senso
 def _dent(preset: Preset, rig: Rig, membrane: SensorFrame, earlier: SensorFrame) -> str:
     try:
         drift = compare_with_untouched(preset, rig, membrane, earlier)
-    except (CalibrationError, FrameError):  # of another sensor, or blind: nothing to learn from it
+    except (CalibrationError, FrameError):  # of another sensor, or without depth
         return ""
     if drift.verdict != "touched":
         return ""
     return (
-        "in places the membrane is over 3 mm from where the preset's present untouched frame has it; one of both is "
+        "in places the membrane is more than 3 mm away from the preset's current untouched frame; one of the two is "
         "touched"
     )

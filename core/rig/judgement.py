@@ -1,8 +1,8 @@
-"""Depth quality in words: each number with what is good, and the next step where it is not.
+"""Depth quality in words: each number with its limit, and what to do if it is exceeded.
 
 The limits of fill rate, plane fit and temporal noise follow the depth quality that Intel's data sheet of the D400
 family promises (fill rate 99 %, spatial and temporal noise in the order of 1 to 2 % of the distance); the bias is
-judged by the preset's own contact test: by the tolerance, or by what the membrane test takes off and its largest gap.
+judged by the preset's contact test: by its tolerance, or by the membrane test's bias and largest gap.
 """
 
 from __future__ import annotations
@@ -17,17 +17,17 @@ from .depth_quality import NOISE_FRAMES, CameraQuality, DepthQuality
 _GOOD_FILL, _FAIR_FILL = 0.99, 0.95
 _GOOD_NOISE, _FAIR_NOISE = 0.01, 0.02
 _GOOD_SUBPIXEL_PX, _FAIR_SUBPIXEL_PX = 0.1, 0.3
-#: Points that lie this far apart are hardly those of one plane, and certainly not.
+#: Plane-fit error as a share of the distance: probably not flat, and certainly not one plane.
 _NOT_FLAT, _NO_PLANE = 0.03, 0.1
 _TILTED_DEG, _EDGE_ON_DEG = 15.0, 70.0
 _FLAT_STEP = "No flat surface fills the region: choose a flat target, or drag the region onto one."
 _GOOD_ACCURACY = 0.02
-#: Differences that scatter more than this share of the largest bias that is fair are not those of one surface.
+#: If the scatter exceeds this multiple of the fair bias, the cameras do not see the same surface.
 _ONE_SURFACE_SHARE = 1.5
 
 
 class Verdict(StrEnum):
-    """How good a value is; ``UNKNOWN`` where it cannot be said yet."""
+    """Grade of a value."""
 
     GOOD = "good"
     FAIR = "fair"
@@ -37,19 +37,19 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class Reading:
-    """One value for the person.
+    """One value with its grade.
 
     Attributes
     ----------
     title : str
         Such as ``"Fill rate"``.
     value : str
-        With unit; empty where unknown.
+        With unit; empty if unknown.
     verdict : Verdict
     limit : str
-        What would be good.
+        Limit of a good value.
     step : str
-        What to do next; empty where nothing needs doing.
+        What to do next; empty if nothing needs to be done.
     """
 
     title: str
@@ -60,19 +60,19 @@ class Reading:
 
     @property
     def line(self) -> str:
-        """All of it in one line."""
+        """Everything in one line."""
         value = f"{self.title}: {self.value}" if self.value else self.title
         limit = f" ({self.limit_words})" if self.limit else ""
         return f"{value} – {self.verdict}{limit}." + (f" {self.step}" if self.step else "")
 
     @property
     def limit_words(self) -> str:
-        """The limit, with what it is a limit of where the value does not keep it."""
+        """The limit, marked as that of a good value if the value exceeds it."""
         return self.limit if self.verdict is Verdict.GOOD or not self.limit else f"good: {self.limit}"
 
 
 def judge_camera(quality: CameraQuality) -> tuple[Reading, ...]:
-    """Return the readings of one camera, in the order in which they are looked at."""
+    """Return the readings of one camera, in display order."""
     readings = [_fill(quality), _plane(quality)]
     if math.isfinite(quality.subpixel_rms_px) and readings[-1].verdict is not Verdict.UNKNOWN:
         readings.append(_subpixel(quality))
@@ -83,7 +83,7 @@ def judge_camera(quality: CameraQuality) -> tuple[Reading, ...]:
 
 
 def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
-    """Judge the bias between both cameras by the contact test of a preset."""
+    """Grade the bias between both cameras by the contact test of a preset."""
     bias = quality.bias
     title = "Bias between the cameras"
     if bias is None:
@@ -97,12 +97,12 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
     distance_m = bias.bias_m / bias.share if bias.share else math.inf
     limits = preset.test.bias_limits(preset.test_section, distance_m)
     if bias.spread_m > _ONE_SURFACE_SHARE * limits.fair_m:
-        step = "The cameras do not see one and the same surface: put a flat, opaque target before both."
+        step = "The cameras do not see the same surface: put a flat, opaque target in front of both."
         return Reading(title, value, Verdict.UNKNOWN, step=step)
     if abs(bias.bias_m) <= limits.good_m:
         return Reading(title, value, Verdict.GOOD, limits.reason)
     verdict = Verdict.FAIR if abs(bias.bias_m) <= limits.fair_m else Verdict.POOR
-    step = f"Where both see the same flat target, add {1e3 * bias.bias_m:+.1f} mm to the preset's depth offset."
+    step = f"If both see the same flat target, add {1e3 * bias.bias_m:+.1f} mm to the preset's depth offset."
     return Reading(title, value, verdict, limits.reason, step)
 
 
@@ -121,7 +121,9 @@ def _fill(quality: CameraQuality) -> Reading:
 def _plane(quality: CameraQuality) -> Reading:
     share = quality.plane_rms_share
     if not math.isfinite(share):
-        return Reading("Plane fit", "", Verdict.UNKNOWN, step="There are too few depths in the region for a plane.")
+        return Reading(
+            "Plane fit", "", Verdict.UNKNOWN, step="Too few pixels in the region have depth for a plane fit."
+        )
     if share > _NO_PLANE or quality.angle_deg > _EDGE_ON_DEG:
         return Reading("Plane fit", "no flat surface", Verdict.UNKNOWN, step=_FLAT_STEP)
     value = (
@@ -147,19 +149,19 @@ def _subpixel(quality: CameraQuality) -> Reading:
     if verdict is not Verdict.GOOD:
         step = "Give the flat target a fine, irregular texture; if that does not help, recalibrate the camera."
         if quality.plane_rms_share > _FAIR_NOISE:
-            step = "This says something on a flat target only."
+            step = "This value is meaningful on a flat target only."
     return Reading("Subpixel RMS", f"{error:.3f} px", verdict, f"below {_GOOD_SUBPIXEL_PX} px", step)
 
 
 def _noise(quality: CameraQuality) -> Reading:
     share = quality.temporal_noise_share
     if not math.isfinite(share):
-        step = f"It takes {NOISE_FRAMES} frames of a scene at rest; let the source play."
+        step = f"It needs {NOISE_FRAMES} frames of a static scene; let the source play."
         return Reading("Temporal noise", "", Verdict.UNKNOWN, step=step)
     value = f"{1e3 * quality.temporal_noise_m:.2f} mm, {100 * share:.2f} %, over {quality.frames} frames"
     limit = f"below {100 * _GOOD_NOISE:.0f} % at this distance"
     verdict = _high_end(share, _GOOD_NOISE, _FAIR_NOISE)
-    step = "" if verdict is Verdict.GOOD else "Nothing may move meanwhile; otherwise improve light and texture."
+    step = "" if verdict is Verdict.GOOD else "Keep the scene static; if it is, improve light and texture."
     return Reading("Temporal noise", value, verdict, limit, step)
 
 

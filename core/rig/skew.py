@@ -1,17 +1,20 @@
-"""The delay between both cameras, from what they show: the same motion, seen by both, shifted in time.
+"""The delay between both cameras, measured from a motion that both of them see.
 
-Time stamps tell when a driver believes an image was taken. Here the motion itself tells: how far the object is
-pressed in is correlated between both cameras over a range of delays, and the peak is refined by a parabola.
+Time stamps state when the driver believes an image was taken. Here the delay is measured: the indentation by an object
+is correlated between both cameras over a range of delays, and the peak is refined by a parabola.
 
-Both cameras average over different places and one of them drifts, so that a millimetre here need not be one there.
-The change of the tactile depth over a tenth of a second is therefore compared with the change of the best function
-of the proximity depth (piecewise linear), and the correlation is that of this best prediction, the coefficient of
-multiple correlation. With a wrong delay no function fits, because the tactile depth then differs between pressing in
-and pulling out at the same proximity depth: the two draw a loop, which only the right delay closes.
+Both cameras see different surfaces until they touch: the proximity camera the object, the tactile camera the membrane.
+They share the depth of the indentation. For the tactile camera it is the distance of the membrane from its rest
+position; for the proximity camera, the distance of the object behind that rest position, or 0 before it. The rest
+position is the farthest depth that the tactile camera has seen at each pixel, so no untouched frame is needed.
 
-The uncertainty comes from leaving out one stretch of time after the other (the delete-a-group jackknife), so that
-motion which fits badly somewhere makes it large. No answer is given where there is little motion, where both
-series do not agree, or where several delays fit almost equally well.
+The cameras average over different places and one of them drifts, so their scales may differ. The change of the tactile
+depth over 0.1 s is therefore predicted by a piecewise linear function of the proximity depth, and the coefficient of
+multiple correlation of the best function is used. With a wrong delay, the tactile depth differs between pressing and
+releasing at the same proximity depth (a loop), so no function fits.
+
+The uncertainty is the delete-a-group jackknife over stretches of time. No delay is returned if there is too little
+motion, if both series disagree, or if several delays fit almost equally well.
 """
 
 from __future__ import annotations
@@ -33,47 +36,47 @@ from ..model.intrinsics import Intrinsics
 from ..preset import AlignmentSection
 from ..sources.base import Progress
 
-#: Delays that are looked for, seconds.
+#: Largest delay that is searched, seconds.
 LARGEST_DELAY_S = 0.75
-#: What a measurement needs at least.
+#: Shortest time and smallest motion for a measurement.
 LEAST_TIME_S = 2.0
 LEAST_WAY_M = 0.004
-#: Time is not bridged over a longer gap between two frames, seconds.
+#: Longest gap between two frames that is interpolated, seconds.
 LARGEST_GAP_S = 0.25
-_LEAST_NOISE_RATIO = 5.0
-_LEAST_CORRELATION = 0.8
-#: Another delay that leaves less than this many times the unexplained variance makes the answer ambiguous.
+_MIN_NOISE_RATIO = 5.0
+_MIN_CORRELATION = 0.8
+#: The result is ambiguous if another delay leaves less than this many times the unexplained variance.
 _AMBIGUOUS_RATIO = 3.0
-_LARGEST_UNCERTAINTY_S = 0.015
+_MAX_UNCERTAINTY_S = 0.015
 
 _DELAY_STEP_S = 0.002
 _GRID_STEP_S = 0.01
-#: Depths are compared by how much they change over this time, so that slow drifts matter little.
+#: Depth changes over this time are compared, which suppresses slow drift, seconds.
 _CHANGE_OVER_S = 0.1
 _KNOTS = 14
-#: How far a shortened series' peak may lie from that of the whole.
+#: Largest distance of a jackknife peak from that of the whole series, seconds.
 _REACH_S = 0.06
-#: Share of the time and of the motion that must remain where both series overlap.
-_LEAST_OVERLAP = 0.5
-_LEAST_VARIANCE = 0.25
+#: Share of the time, and of the variance, that must remain in the overlap of both series.
+_MIN_OVERLAP = 0.5
+_MIN_VARIANCE = 0.25
 _GROUPS = 10
-#: What reading between frames costs at least, added to what the jackknife tells.
+#: Uncertainty of interpolation between frames, added to the jackknife, seconds.
 _INTERPOLATION_S = 0.001
-_LEAST_PAIRS = 20
-_LEAST_STRETCH = 6
-#: Every n-th pixel in both directions is enough for a mean, and keeps ten seconds below 50 MB.
+_MIN_SAMPLES = 20
+_MIN_STRETCH = 6
+#: Images are subsampled by this factor, which keeps 10 s below 50 MB.
 STEP = 4
 _REST_SHARE = 0.95
-#: Pixels that come at least this share of the deepest way belong to the object.
+#: Pixels with at least this share of the largest indentation belong to the object.
 _CORE_SHARE = 0.5
 _DEEPEST_SHARE = 0.98
 _SEEN_SHARE = 0.8
 _TRIMMED_SHARE = 0.05
-_LEAST_PIXELS = 20
+_MIN_PIXELS = 20
 
 
 class SkewError(TactuneError):
-    """No delay can be told from this motion; the message says why and what to do."""
+    """The delay cannot be measured; the message says why and what to do."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +86,18 @@ class Skew:
     Attributes
     ----------
     delay_s : float
-        How much later the tactile camera's time stamp is than the proximity camera's for the same moment. To be
-        taken off the tactile time stamps: the preset's ``cameras.tactile_delay_s``.
+        Tactile minus proximity time stamp for the same moment, seconds. Subtract it from the tactile time stamps:
+        preset field ``cameras.tactile_delay_s``.
     uncertainty_s : float
-        95 %, seconds.
+        95 % uncertainty, seconds.
     correlation : float
-        At the peak, -1 to 1.
+        Multiple correlation at the peak, 0 to 1.
     delays_s, correlations : float64, shape (K,)
-        The curve; nan where too little of both series overlaps.
+        The correlation curve; nan where both series overlap too little.
     proximity, tactile : MotionSeries
-        What was compared.
+        The compared series.
     stamped_s : float
-        Median of tactile minus proximity time stamp, which pairing already knows of.
+        Median of tactile minus proximity time stamp within the frames, seconds.
     """
 
     delay_s: float
@@ -108,15 +111,15 @@ class Skew:
 
     @property
     def agrees(self) -> bool:
-        """Whether no delay can be told from none."""
+        """Whether the delay is 0 within its uncertainty."""
         return abs(self.delay_s) <= self.uncertainty_s
 
     @property
     def sentence(self) -> str:
-        """All that in words."""
+        """The result in words."""
         about = f"± {max(1e3 * self.uncertainty_s, 0.1):.1f} ms"
         if self.agrees:
-            return f"Both cameras' time stamps agree as far as can be told: {1e3 * self.delay_s:+.1f} {about}."
+            return f"Both cameras' time stamps agree within the uncertainty: {1e3 * self.delay_s:+.1f} {about}."
         later = "later" if self.delay_s > 0 else "earlier"
         return (
             f"The tactile camera's time stamps are {1e3 * abs(self.delay_s):.1f} {about} {later} "
@@ -127,25 +130,25 @@ class Skew:
 def measure_skew(
     samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None = None
 ) -> Skew:
-    """Measure the delay from a few seconds in which an object is pressed in and pulled out.
+    """Measure the delay from a few seconds in which an object is pressed in and released.
 
     Parameters
     ----------
     samples : sequence of Sample
-        In the order in which they came; a recording may have begun again in between.
+        In the order of arrival; a recording may have restarted in between.
     rig : Rig
     section : AlignmentSection
-        The preset's.
+        The preset's alignment.
     progress : callable, optional
 
     Raises
     ------
     SkewError
-        Too short, too little motion, no agreement or no single answer; the message says what to do.
+        The series is too short, moves too little, does not agree or is ambiguous; the message says what to do.
     RigMismatchError, FrameError
-        See `tactune.core.rig.skew.pressed_depths`.
+        See `pressed_depths`.
     """
-    if len(samples) < _LEAST_PAIRS:
+    if len(samples) < _MIN_SAMPLES:
         raise SkewError(
             f"there are only {len(samples)} frames; record at least {LEAST_TIME_S:g} s in which something moves"
         )
@@ -154,12 +157,12 @@ def measure_skew(
 
 
 def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
-    """Find by how much the tactile series is later than the proximity series.
+    """Find the delay of the tactile series against the proximity series.
 
     Parameters
     ----------
     proximity, tactile : MotionSeries
-        Sample by sample from the same frames.
+        Series of the same frames.
 
     Raises
     ------
@@ -175,7 +178,7 @@ def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
     best = _check_peak(delays, curve)
     delay = _refine(delays, curve, best)
     uncertainty = _jackknife(regressors, shifted, delays, best)
-    if uncertainty > _LARGEST_UNCERTAINTY_S:
+    if uncertainty > _MAX_UNCERTAINTY_S:
         raise SkewError(
             f"the delay is uncertain by {1e3 * uncertainty:.0f} ms; move longer, faster and irregularly, "
             "and measure again"
@@ -185,8 +188,8 @@ def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
 
 
 def _check_motion(camera: str, series: MotionSeries) -> None:
-    """Refuse a series in which too little happens."""
-    way, needed = series.way_m, max(LEAST_WAY_M, _LEAST_NOISE_RATIO * series.noise_m)
+    """Raise if a series has too little motion."""
+    way, needed = series.way_m, max(LEAST_WAY_M, _MIN_NOISE_RATIO * series.noise_m)
     if not way >= needed:
         raise SkewError(
             f"the {camera} camera sees too little motion, {1e3 * way:.1f} mm where {1e3 * needed:.0f} mm are needed; "
@@ -197,17 +200,16 @@ def _check_motion(camera: str, series: MotionSeries) -> None:
 def _resample(
     proximity: MotionSeries, tactile: MotionSeries, delays: Float64Array
 ) -> tuple[Float64Array, Float64Array]:
-    """Return what the proximity camera predicts on a fine grid, and the tactile depth there at each delay.
+    """Return regressors from the proximity depth on a fine time grid, and tactile depth changes at each delay.
 
-    Depths are read from splines, nan where a spline does not reach. Nothing is taken across a gap or a jump of either
-    clock.
+    Depths are interpolated by splines, nan outside. Gaps and clock jumps are not bridged.
 
     Returns
     -------
     regressors : float64, shape (M, R)
-        One, and the changes of the tent functions of the proximity depth.
+        A constant, and the changes of hat functions of the proximity depth.
     shifted : float64, shape (K, M)
-        Change of the tactile depth at each delay, over its way.
+        Change of the tactile depth at each delay, relative to its range.
     """
     depth, shifted = [], []
     half = _CHANGE_OVER_S / 2
@@ -220,16 +222,16 @@ def _resample(
         depth.append(np.stack([near(grid - half), near(grid + half)]))
         shifted.append((far(later + half) - far(later - half)) / tactile.way_m)
     if not depth:
-        raise SkewError("the time stamps jump all the time; check the cameras' clocks and measure again")
+        raise SkewError("the time stamps jump too often; check the cameras' clocks and measure again")
     before, after = np.concatenate(depth, axis=1)
     knots = np.linspace(before.min(), before.max(), _KNOTS)
-    # The last tent follows from the others, since all of them add up to 1.
+    # the last hat function is redundant: all of them sum to 1
     tents = [np.interp(after, knots, tent) - np.interp(before, knots, tent) for tent in np.eye(_KNOTS)[:-1]]
     return np.column_stack([np.ones_like(before), *tents]), np.concatenate(shifted, axis=1)
 
 
 def _stretches(proximity: MotionSeries, tactile: MotionSeries) -> list[slice]:
-    """Cut where time runs back (a recording that begins again) or a gap is too long."""
+    """Split where time runs backwards (a recording restarts) or a gap is too long."""
     steps = np.stack([np.diff(proximity.time_s), np.diff(tactile.time_s)])
     breaks = np.flatnonzero(((steps <= 0) | (steps > LARGEST_GAP_S)).any(axis=0)) + 1
     ends = [0, *breaks.tolist(), len(proximity.time_s)]
@@ -239,11 +241,11 @@ def _stretches(proximity: MotionSeries, tactile: MotionSeries) -> list[slice]:
 def _spline(series: MotionSeries, stretch: slice) -> CubicSpline | None:
     time, depth = series.time_s[stretch], series.depth_m[stretch]
     seen = np.isfinite(depth)
-    return CubicSpline(time[seen], depth[seen], extrapolate=False) if seen.sum() >= _LEAST_STRETCH else None
+    return CubicSpline(time[seen], depth[seen], extrapolate=False) if seen.sum() >= _MIN_STRETCH else None
 
 
 def _correlate(regressors: Float64Array, shifted: Float64Array) -> Float64Array:
-    """Return the multiple correlation at each delay, where both overlap; nan where too little does."""
+    """Return the multiple correlation at each delay; nan where the overlap is too small."""
     both = np.isfinite(shifted) & np.isfinite(regressors[:, 0])
     number = both.sum(axis=1)
     x = np.nan_to_num(regressors)
@@ -254,7 +256,7 @@ def _correlate(regressors: Float64Array, shifted: Float64Array) -> Float64Array:
     n = np.maximum(number, 1)
     mean = y.sum(axis=1) / n
     variance = (y * y).sum(axis=1) / n - mean**2
-    known = (number >= _LEAST_OVERLAP * number.max()) & (variance > _LEAST_VARIANCE * variance.max())
+    known = (number >= _MIN_OVERLAP * number.max()) & (variance > _MIN_VARIANCE * variance.max())
     targets = (y @ x)[known]
     ridge = 1e-9 * n[known, None, None] * np.eye(x.shape[1])
     fitted = np.linalg.solve(moments[known] + ridge, targets[:, :, None])[:, :, 0]
@@ -265,14 +267,14 @@ def _correlate(regressors: Float64Array, shifted: Float64Array) -> Float64Array:
 
 
 def _check_peak(delays: Float64Array, curve: Float64Array) -> int:
-    """Return where the one clear peak is."""
+    """Return the index of the only clear peak."""
     known = np.flatnonzero(np.isfinite(curve))
     if len(known) < 3:
-        raise SkewError("both cameras' series hardly overlap in time; check their clocks and measure again")
+        raise SkewError("the series of both cameras hardly overlap in time; check their clocks and measure again")
     best = int(np.nanargmax(curve))
-    if curve[best] < _LEAST_CORRELATION:
+    if curve[best] < _MIN_CORRELATION:
         raise SkewError(
-            f"both cameras do not see the same motion (correlation {curve[best]:.2f}, {_LEAST_CORRELATION} is needed); "
+            f"both cameras do not see the same motion (correlation {curve[best]:.2f}, {_MIN_CORRELATION} is needed); "
             "press one object into the middle of the membrane, and check the alignment"
         )
     if best in (known[0], known[-1]):
@@ -290,7 +292,7 @@ def _check_peak(delays: Float64Array, curve: Float64Array) -> int:
 
 
 def _other_peak(curve: Float64Array, best: int) -> int | None:
-    """Return the highest other peak, where it leaves hardly more unexplained."""
+    """Return the highest other peak if it explains almost as much variance."""
     inner = curve[1:-1]
     tops = np.flatnonzero((inner > curve[:-2]) & (inner >= curve[2:])) + 1
     tops = tops[np.abs(tops - best) * _DELAY_STEP_S > _REACH_S]
@@ -309,10 +311,10 @@ def _refine(delays: Float64Array, curve: Float64Array, best: int) -> float:
 
 
 def _jackknife(regressors: Float64Array, shifted: Float64Array, delays: Float64Array, best: int) -> float:
-    """Return the 95 % uncertainty of the delay: what leaving out a tenth of the time changes.
+    """Return the 95 % uncertainty of the delay by the delete-a-group jackknife over tenths of the time.
 
     ``var = (G - 1) / G * sum (d_g - mean d)^2`` over G groups (Efron, The Jackknife, the Bootstrap and Other
-    Resampling Plans, 1982, ch. 3, applied to blocks, since neighbouring values depend on each other).
+    Resampling Plans, 1982, ch. 3, applied to blocks because neighbouring values are correlated).
     """
     reach = round(_REACH_S / _DELAY_STEP_S)
     first, last = max(best - reach, 0), min(best + reach + 1, len(delays))
@@ -331,7 +333,7 @@ def _jackknife(regressors: Float64Array, shifted: Float64Array, delays: Float64A
 
 @dataclass(frozen=True, eq=False)
 class Sample:
-    """One frame, thinned out; ``depth`` is uint16 (ceil(H / STEP), ceil(W / STEP)), raw counts."""
+    """One subsampled frame; depth is uint16 (ceil(H / STEP), ceil(W / STEP)), raw counts."""
 
     proximity_time_s: float
     tactile_time_s: float
@@ -340,7 +342,7 @@ class Sample:
 
     @classmethod
     def of(cls, frame: SensorFrame) -> Sample:
-        """Keep what is needed of a frame."""
+        """Subsample a frame."""
         return cls(
             frame.proximity_time_s,
             frame.tactile_time_s,
@@ -351,15 +353,15 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class MotionSeries:
-    """How far something was pressed in over time, as one camera sees it.
+    """Indentation over time, as one camera sees it.
 
     Attributes
     ----------
     time_s : float64, shape (N,)
     depth_m : float64, shape (N,)
-        Mean over the pixels that the object pushes; nan where none of them was seen.
+        Mean over the pixels that the object pushes, metres; nan if none of them has depth.
     noise_m : float
-        Of ``depth_m`` from frame to frame.
+        Frame-to-frame noise of ``depth_m``, metres.
     """
 
     time_s: Float64Array
@@ -368,7 +370,7 @@ class MotionSeries:
 
     @property
     def way_m(self) -> float:
-        """How far the motion goes: the range of the middle 90 % of the values, metres."""
+        """Range of the motion: 5 % to 95 % quantile, metres."""
         low, high = np.nanpercentile(self.depth_m, (5.0, 95.0))
         return float(high - low)
 
@@ -376,15 +378,15 @@ class MotionSeries:
 def pressed_depths(
     samples: Sequence[Sample], rig: Rig, section: AlignmentSection, progress: Progress | None = None
 ) -> tuple[MotionSeries, MotionSeries]:
-    """Return how far the object is pressed in, as the proximity and as the tactile camera see it.
+    """Return the indentation as the proximity and as the tactile camera see it.
 
     Parameters
     ----------
     samples : sequence of Sample
-        In the order in which they came.
+        In the order of arrival.
     rig : Rig
     section : AlignmentSection
-        The preset's; it tells which pixels of both cameras see the same place.
+        The preset's alignment, which relates the pixels of both cameras.
     progress : callable, optional
 
     Raises
@@ -392,13 +394,13 @@ def pressed_depths(
     RigMismatchError
         Neither preset nor rig knows how the cameras stand to each other.
     FrameError
-        A camera sees no depth.
+        A camera sees too little depth.
     """
     unit = rig.tactile.depth_unit_m
     tactile = np.stack([sample.tactile_depth for sample in samples])
     seen = valid_depth(tactile)
     often = seen.mean(axis=0) >= _SEEN_SHARE
-    if often.sum() < _LEAST_PIXELS:
+    if often.sum() < _MIN_PIXELS:
         raise FrameError("the tactile camera sees hardly any depth; check its light and its distance")
     rest = np.where(often, _high(np.where(seen, tactile, np.uint16(0)), _REST_SHARE), np.uint16(0))
     membrane = np.where(seen & often, rest.astype(np.float32) - tactile, np.float32(np.nan)) * np.float32(unit)
@@ -415,35 +417,35 @@ def pressed_depths(
 
 
 def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionSeries:
-    """Average over the pixels that the object pushes farthest."""
+    """Average over the pixels with the largest indentation."""
     flat = depth_m.reshape(len(depth_m), -1)
     flat = flat[:, np.isfinite(flat).mean(axis=0) >= _SEEN_SHARE]
-    if flat.shape[1] < _LEAST_PIXELS:
+    if flat.shape[1] < _MIN_PIXELS:
         raise FrameError(f"the {camera} camera sees hardly any depth where the membrane is; check the alignment")
     deepest = _high(np.where(np.isfinite(flat), flat, np.float32(-np.inf)), _DEEPEST_SHARE)
     core = flat[:, deepest >= _CORE_SHARE * np.percentile(deepest, 99.0)]
     mean = np.array([_trimmed_mean(row[np.isfinite(row)]) for row in core])
-    # Second differences of a smooth motion are small; those of white noise have six times its variance.
+    # second differences of a smooth motion are small; those of white noise have 6 times its variance
     bends = mean[2:] - 2 * mean[1:-1] + mean[:-2]
     noise = 1.4826 * float(np.nanmedian(np.abs(bends))) / np.sqrt(6.0) if len(bends) else 0.0
     return MotionSeries(np.asarray(time_s), mean, noise)
 
 
 def _trimmed_mean(values: Float32Array) -> float:
-    """Return the mean without the outer 5 %: pixels that mix two depths at an edge are far off."""
+    """Return the trimmed mean without 5 % at either end, such as mixed pixels at edges."""
     cut = int(_TRIMMED_SHARE * len(values))
     middle = np.sort(values)[cut : len(values) - cut]
     return float(middle.mean(dtype=np.float64)) if len(middle) else float("nan")
 
 
 def _high(values: AnyArray, share: float) -> AnyArray:
-    """Return what ``share`` of the values over time do not exceed; missing ones stand at the low end."""
+    """Return the ``share`` quantile over time; missing values are given as the lowest."""
     rank = int(share * (len(values) - 1))
     return np.asarray(np.partition(values, rank, axis=0)[rank])
 
 
 def _coarse_rig(rig: Rig) -> Rig:
-    """Return the rig as it is for every n-th pixel, whose centres stay at integers."""
+    """Return the rig for subsampled images; pixel centres stay at integers."""
     update = {"proximity": _coarse_camera(rig.proximity), "tactile": _coarse_camera(rig.tactile)}
     return rig.model_copy(update=update)
 
@@ -464,7 +466,7 @@ def _coarse_camera(camera: DepthCamera) -> DepthCamera:
 
 
 def _coarse_section(section: AlignmentSection, rig: Rig) -> AlignmentSection:
-    """Return the alignment for every n-th pixel; only a homography is in pixels."""
+    """Return the alignment for subsampled images; only a homography depends on pixels."""
     if section.model != "homography":
         return section
     scale = np.diag([1.0 / STEP, 1.0 / STEP, 1.0])

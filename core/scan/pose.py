@@ -308,7 +308,7 @@ def _check_spread(points: Float64Array, where: str) -> None:
     if along < _ONE_PLACE_M:
         raise CalibrationError(f"the points {where} all lie at one place; pick some that are far apart")
     if across < _ON_A_LINE * along:
-        raise CalibrationError(f"the points {where} are collinear and leave a rotation open; pick one beside the line")
+        raise CalibrationError(f"the points {where} lie on one line, which leaves a rotation open; pick one beside it")
 
 
 def _spread(points: Float64Array) -> tuple[float, float]:

@@ -88,7 +88,7 @@ def test_a_touched_membrane_is_no_untouched_frame_where_the_mask_hides_the_print
     words = ("preset", "capture-untouched", "--source", recording, "--preset", mine)
     told = tactune(*words)
     assert told.status == 0
-    assert "may be its prints, since the mask is off" in told.err
+    assert "the mask is off, so these may be its prints" in told.err
     save_preset(Preset(name="mine").with_values({"mask.enabled": True, "mask.hue": (140, 170)}), mine)
     before = mine.read_bytes()
     sentence = tactune(*words).sentence
