@@ -6,4 +6,5 @@ $bin/ruff check . || status=1
 $bin/ruff format --check . || status=1
 $bin/mypy -p tactune.core -p tactune.widgets -p tactune.app || status=1
 $bin/lint-imports || status=1
+$bin/python scripts/import_cycles.py || status=1
 exit $status

@@ -49,6 +49,22 @@ def user_path(path: Path | str) -> Path:
         return Path(path)
 
 
+def recording_files(text: str) -> tuple[Path, ...]:
+    """Return the one or two files that a name means; empty where there are none.
+
+    A name is a path, or two paths with a comma between them. Paths may contain commas: a name that is a file as
+    it stands is that file, else it is split at the first comma with a file on either side.
+    """
+    if user_path(text).is_file():
+        return (user_path(text),)
+    for at, letter in enumerate(text):
+        if letter == ",":
+            first, second = user_path(text[:at]), user_path(text[at + 1 :])
+            if first.is_file() and second.is_file():
+                return first, second
+    return ()
+
+
 def refuse_devices(path: Path, error: type[TactuneError]) -> None:
     """Raise ``error`` where there is something that is no ordinary file: a device might never end."""
     if path.exists() and not path.is_file():

@@ -11,13 +11,12 @@ from typing import Final
 import numpy as np
 
 from ..model.arrays import AnyArray
-from ..model.files import user_path
+from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from ..preset.checks import check_rig
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
-from ..sources.realsense_files import recording_files
 from ..sources.registry import open_source
 from .values import SweepError
 

@@ -14,7 +14,6 @@ from ...model.frames import DepthCamera, Matrix4, rigid_transform
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
 from ..cameras.camera import Calibration, Camera, DeviceInfo, Image
-from .driver import load_driver
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _FORMATS = {"depth": "z16", "color": "rgb8"}
@@ -67,6 +66,8 @@ class RealSenseCamera(Camera):
 
     Parameters
     ----------
+    driver : module
+        pyrealsense2.
     device : the driver's device
     info : DeviceInfo
     role : {"proximity", "tactile"}
@@ -77,8 +78,8 @@ class RealSenseCamera(Camera):
         The device lacks a mode, is in use, may not be used or does not answer.
     """
 
-    def __init__(self, device: Any, info: DeviceInfo, role: CameraRole) -> None:
-        self._driver = load_driver()
+    def __init__(self, driver: Any, device: Any, info: DeviceInfo, role: CameraRole) -> None:
+        self._driver = driver
         try:
             streams = _find_streams(device, info)
             super().__init__(info, role, _read_calibration(streams, info), float(RATE_HZ))

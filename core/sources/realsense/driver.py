@@ -51,7 +51,7 @@ class RealSenseDriver(CameraDriver):
 
         for device in self._query():
             if _serial(device) == serial:
-                return RealSenseCamera(device, describe(device), role)
+                return RealSenseCamera(load_driver(), device, describe(device), role)
         raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
 
     def hint(self) -> str:

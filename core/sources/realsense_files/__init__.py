@@ -2,31 +2,14 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from ...model.files import user_path
+from ...model.files import recording_files
 from ..base import FrameSource, Progress
 from ..registry import SourceKind
 
 if TYPE_CHECKING:
     from ...preset import CamerasSection
-
-
-def recording_files(text: str) -> tuple[Path, ...]:
-    """Return the one or two files that a name means; empty where there are none.
-
-    A name is a path, or two paths with a comma between them. Paths may contain commas: a name that is a file as
-    it stands is that file, else it is split at the first comma with a file on either side.
-    """
-    if user_path(text).is_file():
-        return (user_path(text),)
-    for at, letter in enumerate(text):
-        if letter == ",":
-            first, second = user_path(text[:at]), user_path(text[at + 1 :])
-            if first.is_file() and second.is_file():
-                return first, second
-    return ()
 
 
 class _BagKind(SourceKind):

@@ -12,10 +12,10 @@ from ...contact.masking import colors_at
 from ...errors import SourceError
 from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
 from ...model.clouds import deproject, valid_depth
-from ...model.files import user_path
+from ...model.files import recording_files, user_path
 from ...model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource
-from . import db3_recording, recording_files, ros1_bag
+from . import db3_recording, ros1_bag
 from .bag_recording import BagRecording
 from .db3_recording import Db3Recording
 from .recording import HARDWARE_CLOCK, Camera, Recording, Stream
