@@ -154,7 +154,7 @@ surface.create()
 if not context.create() or not context.makeCurrent(surface):
     print(json.dumps({"problem": "this display gives no OpenGL context"}))
     sys.exit(0)
-from tactune.widgets.gl_functions import RENDERER, VERSION, GLError, GLFunctions
+from tactune.widgets.clouds.gl_functions import RENDERER, VERSION, GLError, GLFunctions
 try:
     gl = GLFunctions(context)
     print(json.dumps({"renderer": gl.glGetString(RENDERER).decode(errors="replace"),

@@ -13,8 +13,8 @@ ROOT = Path(__file__).resolve().parents[3]
 
 PROCESS = """
 import numpy as np
-from tactune.core.warmup import _frame, _rig, is_compiled, warm_up
-from tactune.core.pipeline import ContactPipeline
+from tactune.core.contact.warmup import _frame, _rig, is_compiled, warm_up
+from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 """
 
@@ -30,9 +30,9 @@ def run(program: str, **environment: str) -> str:
 
 def test_kernels_are_kept_where_the_environment_says(tmp_path):
     program = """
-from tactune.core.compiling import compiled_so_far, is_kept
-from tactune.core.colors import colors_in_range
-from tactune.core.masking import in_hsv_range
+from tactune.core.contact.kernels.compiling import compiled_so_far, is_kept
+from tactune.core.contact.kernels.colors import colors_in_range
+from tactune.core.contact.masking import in_hsv_range
 print(is_compiled(), is_kept(colors_in_range))
 in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask)
 print(compiled_so_far())
@@ -50,7 +50,7 @@ import numba.core.caching as caching
 caching.CacheImpl._locator_classes = []
 import importlib, tactune.core.contact.kernels.compiling, tactune.core.contact.kernels.colors
 importlib.reload(tactune.core.contact.kernels.colors)
-from tactune.core.masking import in_hsv_range
+from tactune.core.contact.masking import in_hsv_range
 print(in_hsv_range(np.zeros((2, 3), np.uint8), Preset().mask).tolist(), is_compiled() in (True, False))
 print(tactune.core.contact.kernels.colors.colors_in_range.stats.cache_path)
 """
@@ -75,7 +75,7 @@ def test_the_command_says_what_it_did():
 @pytest.mark.parametrize("values", [{}, {"membrane.frames": 2}, {"membrane.slope": False, "membrane.bias_m": 0.0}])
 def test_no_frame_of_the_membrane_test_waits_for_a_compiler(values):
     program = f"""
-from tactune.core.compiling import compiled_so_far
+from tactune.core.contact.kernels.compiling import compiled_so_far
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
