@@ -1,4 +1,4 @@
-"""What happens to a scan in the ground-truth tab: threads, undo and keeping; knows no widget."""
+"""The work on a scan in the ground-truth tab, without widgets: threads, undo, saving."""
 
 from __future__ import annotations
 
@@ -38,29 +38,29 @@ _FAR_MM = 5.0
 
 
 class TruthFlow(QObject):
-    """One scan at a time: read, searched for paint, aligned and scored.
+    """Reads one scan at a time, finds its paint, aligns and scores it.
 
     Parameters
     ----------
     folder : Path
-        Where work on scans is kept.
+        Where work on scans is saved.
     preset_name : callable
-        Returns how ``--preset`` names the main window's preset; empty where it is not saved.
+        Returns the main window's preset for ``--preset``; empty if it is not saved.
 
     Signals
     -------
     scanChanged()
-        Another scan, or another contact on it.
+        The scan or its contact has changed.
     patchChanged()
-        Another patch is shown.
+        The displayed patch has changed.
     scoresChanged()
-        `scores` or what they lack changed.
+        `scores`, or the reason why there are none, has changed.
     refinedChanged()
-        `refinement` changed.
+        `refinement` has changed.
     said(key: str, severity: Severity, sentence: str)
-        About one matter; an empty sentence takes the last one back.
+        A message about one subject; an empty sentence removes the last one.
     loadProgress(share: float, words: str), refineProgress(share: float, words: str)
-        A share of 1 or more, or less than 0: it has ended.
+        A share of 1 or more, or below 0, means that it has ended.
     """
 
     scanChanged = pyqtSignal()
@@ -112,12 +112,12 @@ class TruthFlow(QObject):
 
     @property
     def state(self) -> TruthState:
-        """What was done to the present scan."""
+        """The state of the current scan."""
         return self.session.state
 
     @property
     def patch(self) -> FrozenPatch | None:
-        """The patch that is shown: the one held fast, or else the main window's."""
+        """The displayed patch: the frozen one, or else the main window's."""
         return self.state.patch or self._live
 
     @property
@@ -127,19 +127,19 @@ class TruthFlow(QObject):
 
     @property
     def busy_refining(self) -> bool:
-        """Whether ICP is going on."""
+        """Whether ICP is running."""
         return self._refining.busy
 
     # The scan
 
     def open_scan(self, path: Path, unit: str) -> None:
-        """Read a scan whose numbers are in a unit of `UNITS_M`; the present one stays until that has succeeded."""
+        """Read a scan whose numbers are in a unit of `UNITS_M`; the current scan stays until that has succeeded."""
         self.said.emit("scan", Severity.ERROR, "")
         self.loadProgress.emit(0.0, f"Reading {path.name}")
         self._loading.start(loading(path, UNITS_M[unit]))
 
     def cancel_loading(self) -> None:
-        """Keep the present scan."""
+        """Keep the current scan."""
         self._loading.cancel()
 
     def _scan_read(self, loaded: LoadedScan) -> None:
@@ -149,7 +149,7 @@ class TruthFlow(QObject):
         self._forget_refinement()
         kept_at = self.keeper.turn_to(loaded.key)
         self.loadProgress.emit(1.0, "")
-        taken_up = f"Your work on this scan of {kept_at:%d %B %Y, %H:%M} was taken up again." if kept_at else ""
+        taken_up = f"Your work on this scan of {kept_at:%d %B %Y, %H:%M} was restored." if kept_at else ""
         self.said.emit("kept", Severity.INFO, taken_up)
         self.scanChanged.emit()
 

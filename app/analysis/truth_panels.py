@@ -1,4 +1,4 @@
-"""The ground-truth tab's panels: paint colours, alignment and result."""
+"""Panels of the ground-truth tab: paint, alignment and result."""
 
 from __future__ import annotations
 
@@ -46,15 +46,14 @@ from .truth_work import Refinement, Scores
 _CHANNELS: Final = ("hue", "saturation", "value")
 _USUAL: Final = PaintSettings()
 _MEANINGS: Final = {
-    "hue": "Hue range of the paint that was touched, OpenCV convention 0-179; a low end above the high end wraps "
-    "around through red.",
-    "saturation": "Saturation range of the paint that was touched, 0 grey to 255 pure.",
-    "value": "Brightness range of the paint that was touched, 0 black to 255 brightest.",
+    "hue": "Hue range of the touched paint, 0 to 179 as in OpenCV; wraps around if the lower end is larger.",
+    "saturation": "Saturation range of the touched paint, 0 grey to 255 pure.",
+    "value": "Brightness range of the touched paint, 0 black to 255 brightest.",
 }
 _LEAST = FieldSpec(
     path="least_area_mm2",
     title="Least area",
-    description="Smaller spots of paint are dropped, and smaller holes are filled.",
+    description="Smaller spots of paint are removed, and smaller holes are filled.",
     kind="number",
     default=_USUAL.least_area_mm2,
     unit="mm2",
@@ -66,7 +65,7 @@ _LEAST = FieldSpec(
 _LARGEST = FieldSpec(
     path="largest",
     title="Spots kept",
-    description="How many spots are kept, the largest first; 0 keeps all.",
+    description="Number of spots to keep, the largest first; 0 keeps all.",
     kind="number",
     default=_USUAL.largest,
     maximum=1000.0,
@@ -74,14 +73,14 @@ _LARGEST = FieldSpec(
     integer=True,
 )
 _DROPPERS: Final[dict[Mode, tuple[str, str]]] = {
-    "set": ("&Pick", "Click the touched paint on the scan: its colour becomes the range (again to put away)"),
-    "expand": ("+", "Click touched paint that is missed: the range grows to hold it"),
-    "shrink": ("−", "Click what is no touched paint: the range shrinks to leave it out"),
+    "set": ("&Pick", "Click the touched paint on the scan to set the range to its colour; press again to stop"),
+    "expand": ("+", "Click touched paint that is missing to extend the range by its colour"),
+    "shrink": ("−", "Click other paint to exclude its colour from the range"),
 }
 
 
 class PaintPanel(CollapsibleSection):
-    """Colour range with eyedroppers, clean-up, and what comes of it.
+    """Colour range with eyedroppers, clean-up, and the resulting contact.
 
     Signals
     -------
@@ -106,7 +105,7 @@ class PaintPanel(CollapsibleSection):
         self.droppers = {mode: AccentButton(text, tip) for mode, (text, tip) in _DROPPERS.items()}
         self.highlight = QCheckBox("&Highlight contact")
         self.highlight.setChecked(True)
-        self.highlight.setToolTip("Show what counts as contact in its own colour; off: the paint as it is")
+        self.highlight.setToolTip("Show contact in its own colour; off shows the paint")
         self.readout = QLabel()
         self.readout.setWordWrap(True)
         self._lay_out()
@@ -139,7 +138,7 @@ class PaintPanel(CollapsibleSection):
 
     @property
     def eyedropper(self) -> str:
-        """Which eyedropper is in hand, or "off"."""
+        """The active eyedropper, or "off"."""
         return next((mode for mode, button in self.droppers.items() if button.isChecked()), "off")
 
     def show_paint(self, paint: PaintSettings) -> None:
@@ -151,21 +150,21 @@ class PaintPanel(CollapsibleSection):
             cast(RangeEditor, self.rows[name].widget).set_colors(colors)
 
     def show_readout(self, vertices: int, area_mm2: float, total: int) -> None:
-        """Say how much is in contact."""
+        """Show the size of the contact."""
         share = f"{vertices:,} of {total:,} vertices, {area_mm2:,.0f} mm² along the surface"
-        none = "No vertex has this colour: take the eyedropper and click the touched paint on the scan."
+        none = "No vertex has this colour: use the eyedropper and click the touched paint on the scan."
         self.readout.setText(share if vertices else none)
 
     def show_text(self, text: str) -> None:
-        """Say something else where the readout stands."""
+        """Show another text in place of the size."""
         self.readout.setText(text)
 
     def put_away(self) -> None:
-        """Put the eyedropper away."""
+        """Deactivate the eyedropper."""
         self._take_up("off")
 
     def pick(self, rgb: Uint8Array) -> None:
-        """Change the ranges by colours around a click, uint8 (K, 3); raises `EyedropperError` where none are left."""
+        """Change the ranges by colours around a click, uint8 (K, 3). Raises `EyedropperError` if none would be left."""
         paint = self._paint
         present = HsvRanges(paint.hue, paint.saturation, paint.value)
         ranges = new_ranges(rgb[None], present, cast(Mode, self.eyedropper))
@@ -183,12 +182,12 @@ class PaintPanel(CollapsibleSection):
 
 _AXES: Final = ("x", "y", "z")
 _TURNS: Final = ("Roll", "Pitch", "Yaw")
-#: So many pairs are seen at once.
+#: Number of table rows visible at once.
 _ROWS = 3
 _REACH = FieldSpec(
     path="reach",
     title="ICP reach",
-    description="Pairs of points farther apart than this are left out of ICP; larger than the error that is left now.",
+    description="ICP ignores pairs of points farther apart than this. Choose it larger than the current error.",
     kind="number",
     default=0.010,
     unit="m",
@@ -206,8 +205,8 @@ def _place_spec(axis: str) -> FieldSpec:
     return FieldSpec(
         path=axis,
         title=axis,
-        description=f"Where the middle of the scan's contact lies along {axis} of the proximity camera. "
-        "Arrow keys move by 0.1 mm, page keys by 1 mm.",
+        description=f"Position of the centre of the scan's contact along {axis} of the proximity camera. "
+        "Arrow keys change it by 0.1 mm, page keys by 1 mm.",
         kind="number",
         default=0.0,
         unit="m",
@@ -224,8 +223,10 @@ def _turn_spec(name: str, axis: str) -> FieldSpec:
     return FieldSpec(
         path=name.lower(),
         title=name,
-        description=f"Turn of the scan about {axis} of the proximity camera; roll first, then pitch, then yaw. "
-        "In degrees; arrow keys turn by 0.1°, page keys by 1°.",
+        description=(
+            f"Rotation of the scan about {axis} of the proximity camera, in degrees: roll first, then pitch, then "
+            "yaw. Arrow keys change it by 0.1°, page keys by 1°."
+        ),
         kind="number",
         default=0.0,
         suffix="°",
@@ -242,7 +243,7 @@ class AlignPanel(CollapsibleSection):
     Signals
     -------
     selectionChanged(number: int)
-        Another pair is selected, from 0; -1: none.
+        Index of the selected pair, -1 for none.
     removeRequested(number: int), clearRequested()
     layRequested()
     poseEdited(pose: float64 (4, 4), gesture: int)
@@ -287,7 +288,7 @@ class AlignPanel(CollapsibleSection):
         table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         table.setTabKeyNavigation(False)
         table.setAccessibleName("Pairs of points")
-        table.setToolTip("The pairs that were clicked, with what is left between both points, in millimetres")
+        table.setToolTip("The clicked pairs, with the distance between both points after the fit, in millimetres")
         rows, columns = table.verticalHeader(), table.horizontalHeader()
         assert rows is not None and columns is not None
         rows.hide()
@@ -296,11 +297,11 @@ class AlignPanel(CollapsibleSection):
         table.setFixedHeight(columns.sizeHint().height() + _ROWS * rows.defaultSectionSize() + 4)
 
     def _lay_out(self) -> None:
-        self.remove.setToolTip("Delete the selected pair (Del); the rest is fitted again")
-        self.clear.setToolTip("Delete all pairs; the scan stays where it is")
-        self.lay.setToolTip("Lay the middle of the scan's contact on the patch's, to go on by hand without pairs")
-        self.refine.setToolTip("Refine the pose by iterative closest points, from where the scan lies now")
-        self.cancel.setToolTip("Leave the scan where it is")
+        self.remove.setToolTip("Delete the selected pair (Del) and fit the rest again")
+        self.clear.setToolTip("Delete all pairs; the scan is not moved")
+        self.lay.setToolTip("Move the centre of the scan's contact to the patch's, as a start without pairs")
+        self.refine.setToolTip("Refine the pose by iterative closest points (ICP), starting from the current pose")
+        self.cancel.setToolTip("Cancel the refinement; the scan is not moved")
         self.outcome.setWordWrap(True)
         self.progress.setRange(0, 100)
         for entry in (*self.places, *self.turns):
@@ -359,12 +360,12 @@ class AlignPanel(CollapsibleSection):
         self.reach.setValue(_REACH.default)
 
     def selected(self) -> int:
-        """Return the selected pair, from 0; -1: none."""
+        """Return the index of the selected pair, -1 for none."""
         rows = {index.row() for index in self.table.selectedIndexes()}
         return min(rows, default=-1)
 
     def show_pairs(self, pairs: Sequence[PickedPair], residuals_mm: Sequence[float]) -> None:
-        """Show the pairs; residuals are those of the complete ones, in their order, or none."""
+        """Show the pairs, with the residuals of the complete ones in order, or without residuals."""
         chosen = self.selected()
         left = list(residuals_mm)
         self.table.setRowCount(len(pairs))
@@ -383,7 +384,7 @@ class AlignPanel(CollapsibleSection):
         self._selected()
 
     def show_pose(self, pose: Matrix4 | None, pivot: Float64Array | None) -> None:
-        """Show a pose and what the scan turns about, in the proximity frame."""
+        """Show a pose and the centre of rotation in the proximity frame."""
         posed = pose is not None and pivot is not None
         for widget in (*self.places, *self.turns, self.refine, self.reach):
             widget.setEnabled(posed)
@@ -393,14 +394,14 @@ class AlignPanel(CollapsibleSection):
         self._pivot = pivot
         for entry, metres in zip(self.places, pivot, strict=True):
             entry.setValue(float(metres))
-        # Where the same rotation can be said in other angles (a typed one over 90 degrees, say), they stay.
+        # angles that describe the same rotation, such as a typed one above 90 degrees, stay as they are
         shown = _rotation([float(entry.value()) for entry in self.turns])
         if not np.allclose(shown, self._pose[:3, :3], atol=1e-9):
             for entry, degrees in zip(self.turns, _angles(self._pose[:3, :3]), strict=True):
                 entry.setValue(degrees)
 
     def show_progress(self, share: float, words: str) -> None:
-        """Show how far ICP is; from 1 on it has ended."""
+        """Show the progress of ICP; 1 or more means that it has ended."""
         busy = share < 1
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
@@ -409,12 +410,12 @@ class AlignPanel(CollapsibleSection):
         self.progress.setFormat(words)
 
     def show_refinement(self, refinement: Refinement | None) -> None:
-        """Say what ICP changed."""
+        """Show what ICP changed."""
         if refinement is None:
             self.outcome.clear()
             return
         found = refinement.found
-        more = "" if found.converged else " It has not come to rest yet: refine again."
+        more = "" if found.converged else " It has not converged yet: refine again."
         self.outcome.setText(
             f"ICP: RMSE {1e3 * refinement.before_m:.2f} mm before, {1e3 * found.rmse_m:.2f} mm after "
             f"{found.iterations} rounds, over {found.pairs:,} pairs of points.{more}"
@@ -426,7 +427,7 @@ class AlignPanel(CollapsibleSection):
         self.selectionChanged.emit(number)
 
     def _edited(self, gesture: int) -> None:
-        """Take what stands in the entries: the scan turns about the middle of its contact."""
+        """Use the entries: the scan is rotated about the centre of its contact."""
         if self._pose is None:
             return
         after = np.eye(4)
@@ -438,7 +439,7 @@ class AlignPanel(CollapsibleSection):
 
 
 def _rotation(degrees: Sequence[float]) -> Float64Array:
-    """Return the rotation of roll, pitch and yaw: about x, y and z, which stay where they are."""
+    """Return the rotation matrix of roll, pitch and yaw about the fixed axes x, y and z."""
     return np.asarray(Rotation.from_euler("xyz", degrees, degrees=True).as_matrix())
 
 
@@ -455,15 +456,15 @@ def _angles(rotation: Float64Array) -> list[float]:
 _LINES = (
     ("symmetric_rmse_mm", "Average symmetric RMSE", "Mean of both directed RMS distances to the nearest point, mm"),
     ("hausdorff_mm", "Hausdorff distance", "The largest distance to the nearest point, of either direction, mm"),
-    ("percentile_95_mm", "95th percentile", "95 % of the points lie nearer to the other cloud, mm"),
-    ("scan_area", "Scan's contact", "Projected across the camera's axis, as patches are, mm²"),
-    ("patch_area", "Patch", "Projected across the camera's axis, mm²"),
-    ("area_error_mm2", "Area error", "How much larger the patch is than the scan's contact, mm² and per cent"),
+    ("percentile_95_mm", "95th percentile", "95 % of the points are closer to the other cloud than this, mm"),
+    ("scan_area", "Scan's contact", "Area projected along the camera's axis, as for patches, mm²"),
+    ("patch_area", "Patch", "Area projected along the camera's axis, mm²"),
+    ("area_error_mm2", "Area error", "Area of the patch minus that of the scan's contact, mm² and per cent"),
 )
 
 
 class ResultPanel(CollapsibleSection):
-    """Scores, the transform's file and the command line.
+    """Scores, the transform file and the command line.
 
     Signals
     -------
@@ -493,7 +494,7 @@ class ResultPanel(CollapsibleSection):
 
     def _lay_out(self) -> None:
         self.save.setToolTip("Write T_proximity_scan as JSON, for tactune evaluate recording --transform")
-        self.load.setToolTip("Take the scan's pose from a file: JSON or four lines of four numbers, metres")
+        self.load.setToolTip("Read the scan's pose from a file: JSON, or four lines of four numbers, metres")
         self.command.setReadOnly(True)
         self.command.setAccessibleName("Command line")
         self.command.setPlaceholderText("the command line, once the scan is aligned")
@@ -528,7 +529,7 @@ class ResultPanel(CollapsibleSection):
         layout.addWidget(self.note)
 
     def show_scores(self, scores: Scores | None) -> None:
-        """Show how the patch compares; None: it does not yet."""
+        """Show the scores, or None."""
         if scores is None:
             for label in self.values.values():
                 label.setText("–")
@@ -542,7 +543,7 @@ class ResultPanel(CollapsibleSection):
         self.values["area_error_mm2"].setText(f"{error:+,.0f} mm²{share}")
 
     def show_command(self, command: str, note: str) -> None:
-        """Show the command line, and what stands in the way of repeating it."""
+        """Show the command line, and what prevents repeating it."""
         self.command.setText(command)
         self.command.setCursorPosition(0)
         self.command.setToolTip(command or "Align the scan first")
@@ -558,4 +559,4 @@ class ResultPanel(CollapsibleSection):
 
 
 def _length(millimetres: float) -> str:
-    return f"{millimetres:.2f} mm" if math.isfinite(millimetres) else "– (one of both is empty)"
+    return f"{millimetres:.2f} mm" if math.isfinite(millimetres) else "– (patch or contact is empty)"

@@ -1,4 +1,4 @@
-"""Laying a scan over a patch: the immutable state, its undoable edits, and the file that keeps it."""
+"""Alignment of a scan with a patch: the immutable state, its undoable edits, and the file that keeps it."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ from ..document.history import History
 from ..document.keeping import KeptState, check_version, remove_unnamed, write_json
 from ..worker.results import Result
 
-#: Around the patch every so many rows and columns are kept, and points no farther from its box, metres.
+#: Points kept around the patch: every n-th row and column, within this distance of its bounding box, metres.
 _CONTEXT_STEP = 3
 _CONTEXT_MARGIN_M = 0.06
 
 
 @dataclass(frozen=True, eq=False)
 class FrozenPatch:
-    """The contact patch of one frame; two are equal where their points are.
+    """The contact patch of one frame. Two patches with equal points are equal.
 
     Attributes
     ----------
     points, context : float32, shapes (N, 3) and (M, 3)
-        Contact, and some of the proximity points around it; metres, proximity depth frame.
+        Contact points, and some proximity points around them; metres, proximity depth frame.
     area_mm2 : float
-        Projected, as the main window says it.
+        Projected area, as in the main window.
     source : str
         Name of the source.
     frame : int
         Number of the frame within the source, from 0.
     preset : str
-        File or name of the preset, as ``load_preset`` takes it; empty where it was not saved.
+        File or name of the preset for ``load_preset``; empty if it was not saved.
     """
 
     points: Float32Array
@@ -59,7 +59,7 @@ class FrozenPatch:
 
     @classmethod
     def of(cls, result: Result, preset: str) -> FrozenPatch:
-        """Take the patch of a frame of the main window."""
+        """Return the patch of a result."""
         patch = result.patch
         points = np.empty((0, 3), np.float32) if patch is None else patch.points
         frame = result.playback.index if result.playback.seekable else result.frame.sequence
@@ -67,7 +67,7 @@ class FrozenPatch:
 
     @cached_property
     def digest(self) -> str:
-        """What tells patches apart."""
+        """Digest that identifies the patch."""
         told = hashlib.blake2b(digest_size=12)
         for array in (self.points, self.context):
             told.update(np.ascontiguousarray(array).tobytes())
@@ -76,7 +76,7 @@ class FrozenPatch:
 
     @property
     def title(self) -> str:
-        """Which frame it is, as windows show it: from 1."""
+        """Name of the frame as displayed; frames count from 1."""
         return f"frame {self.frame + 1} of {self.source}"
 
     def __eq__(self, other: object) -> bool:
@@ -87,7 +87,7 @@ class FrozenPatch:
 
 
 def _around(result: Result, points: Float32Array) -> Float32Array:
-    """Return proximity points near the patch, or all that are in the range of the views where there is none."""
+    """Return proximity points near the patch; without a patch, all points in the range of the views."""
     camera, counts = result.source.rig.proximity, result.frame.proximity_depth
     chosen = np.zeros(counts.shape, np.bool_)
     chosen[::_CONTEXT_STEP, ::_CONTEXT_STEP] = valid_depth(counts[::_CONTEXT_STEP, ::_CONTEXT_STEP])
@@ -101,7 +101,7 @@ def _around(result: Result, points: Float32Array) -> Float32Array:
 
 Place = tuple[float, float, float]
 Side = Literal["scan", "patch"]
-#: Where a pose comes from.
+#: Origin of a pose.
 Origin = Literal["", "pairs", "hand", "ICP", "file"]
 
 LEAST_PAIRS = 3
@@ -109,7 +109,7 @@ LEAST_PAIRS = 3
 
 @dataclass(frozen=True)
 class PickedPair:
-    """The same point on the scan, in its own frame, and on the patch, in the proximity frame; metres."""
+    """A point on the scan (scan frame) and the same point on the patch (proximity frame), metres."""
 
     scan: Place | None = None
     patch: Place | None = None
@@ -122,7 +122,7 @@ class PickedPair:
 
 @dataclass(frozen=True)
 class TruthState:
-    """All that is undone, redone and kept for one scan.
+    """Everything that is undone, redone and saved for one scan.
 
     Attributes
     ----------
@@ -140,18 +140,18 @@ class TruthState:
 
     @property
     def empty(self) -> bool:
-        """Whether nothing was done yet."""
+        """Whether nothing was edited yet."""
         return self == TruthState()
 
     @property
     def matched(self) -> tuple[list[Place], list[Place]]:
-        """Both sides of the complete pairs: on the scan, on the patch."""
+        """Both sides of the complete pairs: points on the scan, points on the patch."""
         both = [(pair.scan, pair.patch) for pair in self.pairs if pair.scan is not None and pair.patch is not None]
         return [scan for scan, _ in both], [patch for _, patch in both]
 
     @property
     def pending(self) -> PickedPair | None:
-        """The pair that waits for its other side; only ever the last one."""
+        """The pair whose second side is missing; always the last one."""
         return self.pairs[-1] if self.pairs and not self.pairs[-1].complete else None
 
 
@@ -161,7 +161,7 @@ class TruthSession(History[TruthState]):
     Signals
     -------
     refused(sentence: str)
-        An edit was made, yet no pose came of it; empty once one does.
+        An edit did not give a pose; empty when one does.
     """
 
     refused = pyqtSignal(str)
@@ -170,16 +170,16 @@ class TruthSession(History[TruthState]):
         super().__init__(TruthState(), parent)
 
     def set_paint(self, paint: PaintSettings, gesture: int = 0) -> None:
-        """Take other colours or another clean-up."""
+        """Change the paint's colours or clean-up."""
         self.edit("Change the paint's colours", replace(self._state, paint=paint), gesture)
 
     def freeze(self, patch: FrozenPatch | None) -> None:
-        """Align to this patch from now on; None: follow the main window again."""
+        """Align to this patch from now on; None follows the main window again."""
         text = "Follow the main window" if patch is None else f"Align to {patch.title}"
         self.edit(text, replace(self._state, patch=patch))
 
     def click(self, side: Side, place: Place, patch: FrozenPatch | None) -> None:
-        """Take a click: it begins a pair, moves its first click, or completes it, which fits the pose."""
+        """Process a click: it starts a pair, moves its first click, or completes it and fits the pose."""
         state = self._held(patch)
         pending = state.pending
         pair = replace(pending or PickedPair(), **{side: place})
@@ -187,22 +187,22 @@ class TruthSession(History[TruthState]):
         self._edit_pairs(f"Click point {len(pairs)}", replace(state, pairs=pairs))
 
     def remove(self, number: int) -> None:
-        """Delete a pair by its place in the list."""
+        """Delete a pair by its index."""
         pairs = tuple(pair for at, pair in enumerate(self._state.pairs) if at != number)
         self._edit_pairs(f"Delete pair {number + 1}", replace(self._state, pairs=pairs))
 
     def remove_all(self) -> None:
-        """Delete all pairs; the pose stays."""
+        """Delete all pairs and keep the pose."""
         self.edit("Delete all pairs", replace(self._state, pairs=()))
 
     def set_pose(
         self, pose: npt.ArrayLike, origin: Origin, text: str, patch: FrozenPatch | None, gesture: int = 0
     ) -> None:
-        """Take another pose; ``patch`` is held fast where none is yet."""
+        """Set the pose. ``patch`` is frozen if no patch is frozen yet."""
         try:
             rigid = rigid_transform(pose)
         except ValueError as error:
-            self.refused.emit(f"The scan stays where it is: {error}.")
+            self.refused.emit(f"The scan was not moved: {error}.")
             return
         self.refused.emit("")
         self.edit(text, replace(self._held(patch), pose=rigid, origin=origin), gesture)
@@ -213,14 +213,14 @@ class TruthSession(History[TruthState]):
             return
         pose = change @ np.asarray(self._state.pose)
         left, _, right = np.linalg.svd(pose[:3, :3])
-        pose[:3, :3] = left @ right  # many small turns must not add up to something that is no rotation
+        pose[:3, :3] = left @ right  # keep it a rotation: rounding errors of many small turns add up
         self.set_pose(pose, "hand", "Nudge the scan", patch, gesture)
 
     def _held(self, patch: FrozenPatch | None) -> TruthState:
         return self._state if self._state.patch is not None else replace(self._state, patch=patch)
 
     def _edit_pairs(self, text: str, after: TruthState) -> None:
-        """Take other pairs; where there are enough of them, they say the pose."""
+        """Set the pairs. If there are enough, fit the pose to them."""
         matched, sentence = after.matched, ""
         if len(matched[0]) >= LEAST_PAIRS and matched != self._state.matched:
             try:
@@ -236,7 +236,7 @@ _VERSION = 1
 
 
 class TruthKeeper(KeptState[TruthState]):
-    """Keeps a session's state in a folder; patches lie beside it under their digest."""
+    """Keeps a session's state in a folder. Patches are separate files, named by their digest."""
 
     def __init__(self, session: TruthSession, folder: Path, parent: QObject | None = None) -> None:
         self._session = session
@@ -249,7 +249,7 @@ class TruthKeeper(KeptState[TruthState]):
 
     @property
     def transform_file(self) -> Path:
-        """Where the pose of the present scan lies once it is kept, as the command line reads it."""
+        """File with the pose of the current scan, for the command line."""
         return self.folder / f"scan-{self._key}.transform.json"
 
     def present(self) -> TruthState:
@@ -257,7 +257,7 @@ class TruthKeeper(KeptState[TruthState]):
         return self._session.state
 
     def turn_to(self, key: str) -> datetime | None:
-        """Keep the present scan's work and take up another's; return when that was kept, None where there is none."""
+        """Save the current scan's work and restore another's. Return when that was saved, or None if there is none."""
         self.flush()
         if self._key:
             self._seen[self._key] = self._session.state, now()
@@ -270,7 +270,7 @@ class TruthKeeper(KeptState[TruthState]):
         return found[1] if found and not found[0].empty else None
 
     def close(self) -> None:
-        """Write the last state and remove patches that no kept scan names."""
+        """Write the last state and remove patches that no saved scan refers to."""
         self.flush()
         self.on_disk(
             remove_unnamed,
@@ -282,7 +282,7 @@ class TruthKeeper(KeptState[TruthState]):
         self.finish()
 
     def write(self, state: TruthState, file: Path) -> None:
-        """Write the patch, the state that names it, and the pose for the command line."""
+        """Write the patch, the state that refers to it, and the pose for the command line."""
         if state.patch is not None:
             self._write_patch(state.patch)
         write_json(file, _content(state))
@@ -290,7 +290,7 @@ class TruthKeeper(KeptState[TruthState]):
             save_transform(file.with_suffix(".transform.json"), state.pose)
 
     def parse(self, content: dict[str, Any]) -> TruthState:
-        """Return the kept state, without its patch where that is gone."""
+        """Return the saved state, without its patch if that is missing."""
         check_version(content, _VERSION)
         paint: dict[str, Any] = {
             name: tuple(value) if isinstance(value, list) else value for name, value in content["paint"].items()

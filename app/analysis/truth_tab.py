@@ -1,4 +1,4 @@
-"""The tab Ground truth: a painted scan's contact, laid over the patch."""
+"""The tab Ground truth: a painted scan's contact compared with the patch."""
 
 from __future__ import annotations
 
@@ -45,16 +45,16 @@ _UNIT, _RECENT, _FOLDER, _POINT_SIZE = "scan/unit", "scans", "folder/scan", "sca
 _USUAL_POINT_PX, _LARGEST_POINT_PX = 3, 8
 _PANEL_WIDTH = 380
 _DROPPING = {
-    "set": "Eyedropper: click paint on the scan that was touched; Pick again puts it away.",
-    "expand": "Eyedropper: click touched paint that is missed; + again puts it away.",
-    "shrink": "Eyedropper: click what is no touched paint; − again puts it away.",
+    "set": "Eyedropper: click touched paint on the scan; press Pick again to stop.",
+    "expand": "Eyedropper: click touched paint that is missing; press + again to stop.",
+    "shrink": "Eyedropper: click other paint; press − again to stop.",
 }
-#: An eyedropper takes the vertices nearest to the click, so many.
+#: Number of vertices nearest to the click that an eyedropper uses.
 _DROP = 25
 
 
 class TruthTab(AnalysisTab):
-    """Both views, the panels, and who hears whom; `TruthFlow` does the work."""
+    """Both views and the panels, wired to `TruthFlow`, which does the work."""
 
     def __init__(self, context: Context) -> None:
         super().__init__()
@@ -76,11 +76,11 @@ class TruthTab(AnalysisTab):
         self.setAcceptDrops(True)
 
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window; it is shown until alignment begins."""
+        """Show a frame of the main window, until alignment begins."""
         self.flow.show_result(result)
 
     def shut_down(self) -> None:
-        """Keep the work and stop all threads."""
+        """Save the work and stop all threads."""
         self.flow.shut_down()
 
     # Building
@@ -117,16 +117,16 @@ class TruthTab(AnalysisTab):
     def _top(self) -> QHBoxLayout:
         self.open_button.setToolTip("Open the object's painted scan: PLY or OBJ with colours (or drop it here)")
         self.open_button.setAutoDefault(False)
-        self.cancel.setToolTip("Give up reading the scan")
+        self.cancel.setToolTip("Cancel reading the scan")
         self.cancel.setAutoDefault(False)
         self.recent.setText("Recent")
-        self.recent.setToolTip("Scans that were opened lately")
+        self.recent.setToolTip("Recently opened scans")
         self.recent.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
         self.recent.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.recent.setMenu(QMenu(self.recent))
         self.unit.addItems(list(UNITS_M))
         self.unit.setCurrentText(self._settings.text(_UNIT, "m"))
-        self.unit.setToolTip("The length unit of the scan's numbers; a scan that is open is read again")
+        self.unit.setToolTip("Length unit of the scan's coordinates; an open scan is read again")
         unit = QLabel("&Unit")
         unit.setBuddy(self.unit)
         self.progress.setRange(0, 100)
@@ -207,7 +207,7 @@ class TruthTab(AnalysisTab):
         align.clearRequested.connect(session.remove_all)
         align.layRequested.connect(flow.lay_on)
         align.poseEdited.connect(
-            lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's place", flow.patch, gesture)
+            lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's path", flow.patch, gesture)
         )
         align.refineRequested.connect(flow.refine)
         align.cancelRequested.connect(flow.cancel_refining)
@@ -254,21 +254,21 @@ class TruthTab(AnalysisTab):
             nothing.setEnabled(False)
 
     def dragEnterEvent(self, event: QDragEnterEvent | None) -> None:
-        """Take one scan."""
+        """Accept one scan."""
         if event is not None and any(_is_scan(path) for path in local_files(event.mimeData())):
             event.acceptProposedAction()
 
     def dropEvent(self, event: QDropEvent | None) -> None:
-        """Open the scan that is dropped."""
+        """Open the dropped scan."""
         if event is not None:
             path = next(path for path in local_files(event.mimeData()) if _is_scan(path))
             event.acceptProposedAction()
             self.open_scan(path)
 
-    # Doing
+    # Actions
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Put the eyedropper away on Esc, or take back the click that waits for its partner."""
+        """On Esc, deactivate the eyedropper or remove the pending click."""
         pending = self.flow.state.pending is not None
         if event is not None and event.key() == Qt.Key.Key_Escape and (pending or self.paint.eyedropper != "off"):
             if self.paint.eyedropper != "off":
@@ -293,7 +293,7 @@ class TruthTab(AnalysisTab):
             self.messages.show_message("paint", Severity.WARNING, f"{error}.")
 
     def _preset_name(self) -> str:
-        """Return how ``--preset`` names the preset; empty where it is not saved."""
+        """Return the preset for ``--preset``; empty if it is not saved."""
         document = self._document
         if document.path is not None:
             return "" if document.dirty else str(document.path)
@@ -314,7 +314,7 @@ class TruthTab(AnalysisTab):
             "Load a transform", self._folder(), _TRANSFORM_FILTERS[0], self.flow.load_transform
         )
 
-    # Showing
+    # Display
 
     def _show_scan(self) -> None:
         flow = self.flow
@@ -368,19 +368,19 @@ class TruthTab(AnalysisTab):
 
 
 def shipped_name(preset: Preset) -> str:
-    """Return the shipped preset that this one equals but for its name and dates; empty where it equals none."""
+    """Return the name of the shipped preset that equals this one except for name and dates, or an empty string."""
     own = {"name": preset.name, "created": preset.created, "modified": preset.modified}
     return next((name for name in shipped_presets() if load_preset(name).model_copy(update=own) == preset), "")
 
 
 def _note(flow: TruthFlow) -> str:
-    """Say why the command line may give other numbers."""
+    """Return why the command line may give other numbers."""
     patch, result = flow.patch, flow.result
     if patch is None or flow.state.pose is None:
         return ""
     if result is not None and result.source.name == patch.source and result.source.length is None:
-        return "The source is live: record it, and put the recording after --source, to repeat this."
-    return "" if patch.preset else "The preset is not saved: save it and add --preset, to repeat this."
+        return "The source is live: to repeat this, record it and give the recording to --source."
+    return "" if patch.preset else "The preset is not saved: to repeat this, save it and add --preset."
 
 
 def _is_scan(path: Path) -> bool:

@@ -1,4 +1,4 @@
-"""The ground-truth tab's views: the scan, the patch and their images."""
+"""Views of the ground-truth tab: the scan, the patch, and how they are drawn."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ from .truth_flow import TruthFlow
 from .truth_state import FrozenPatch, PickedPair, Side
 from .truth_work import PALETTE, LoadedScan, ScanContact, posed
 
-#: The scan's contact over the patch, in both themes.
+#: Colour of the scan's contact over the patch, in both themes.
 SCAN_RGB: Final = (24, 120, 230)
 SCAN_COLOR: Final = QColor(*SCAN_RGB)
 _SCAN_ROW = CONTACT_ROW - 1
 _CONTEXT_ROWS = CONTACT_ROW - 1
-#: How bright a highlighted point is, whatever the paint.
+#: Brightness of highlighted points.
 _DIMMEST = 0.55
 
 
 def scan_cloud(loaded: LoadedScan, contact: ScanContact | None, highlight: bool) -> DepthCloud:
-    """Return the scan in its own colours, its contact highlighted or not."""
+    """Return the scan in its own colours, with its contact highlighted or not."""
     rows = loaded.rows.copy()
     if contact is not None:
         rows[contact.vertices[loaded.shown]] += np.uint8(PALETTE)
@@ -46,7 +46,7 @@ def highlighted(cloud: DepthCloud, loaded: LoadedScan, highlight: bool) -> Depth
 
 
 def scan_lut(loaded: LoadedScan, highlight: bool) -> Uint8Array:
-    """Return the colours of rows: the palette, then the palette of what is in contact: uint8 (256, 4)."""
+    """Return the lookup table: the palette, then the palette of contact: uint8 (256, 4)."""
     lut = np.full((256, 4), 255, np.uint8)
     count = len(loaded.palette)
     lut[:count, :3] = loaded.palette
@@ -58,7 +58,7 @@ def scan_lut(loaded: LoadedScan, highlight: bool) -> Uint8Array:
 
 
 def patch_cloud(patch: FrozenPatch, scan_points: Float64Array | None, theme: Theme) -> DepthCloud:
-    """Return the patch among what is around it, with the scan's contact where it is posed."""
+    """Return the patch with its surroundings, and with the scan's contact if it has a pose."""
     depth = patch.context[:, 2]
     near, far = (float(depth.min()), float(depth.max())) if len(depth) else (0.0, 1.0)
     shades = (depth - near) * ((_CONTEXT_ROWS - 1) / max(far - near, 1e-6))
@@ -72,12 +72,12 @@ def patch_cloud(patch: FrozenPatch, scan_points: Float64Array | None, theme: The
 
 
 def scan_legend(highlight: bool) -> Legend:
-    """Return what the colours of the scan's view mean."""
-    return [("contact by its paint", CONTACT_COLOR)] if highlight else []
+    """Return the legend of the scan's view."""
+    return [("painted contact", CONTACT_COLOR)] if highlight else []
 
 
 def patch_legend(posed: bool, theme: Theme) -> Legend:
-    """Return what the colours of the patch's view mean."""
+    """Return the legend of the patch's view."""
     around = QColor(*(int(channel) for channel in patch_lut(theme)[CONTACT_ROW // 2, :3]))
     scan = [("the scan's contact", SCAN_COLOR)] if posed else []
     return [("patch", CONTACT_COLOR), *scan, ("around it", around)]
@@ -104,9 +104,9 @@ class TruthViews(QSplitter):
     Signals
     -------
     scanClicked(pixel: int, place: tuple), patchClicked(pixel: int, place: tuple)
-        In the scan's own frame, and in the proximity frame.
+        In the scan frame and in the proximity frame.
     presentRequested(), followRequested()
-        Align to the main window's present frame; or follow it again.
+        Align to the main window's current frame, or follow the main window again.
     """
 
     scanClicked = pyqtSignal(int, object)
@@ -124,10 +124,10 @@ class TruthViews(QSplitter):
         self.patch = PickView("Patch", backend)
         self.scan_name = ElidedLabel("no scan")
         self.patch_name = ElidedLabel("no frame")
-        self.present = QPushButton("Take present")
-        self.present.setToolTip("Align to the frame that the main window shows now; pairs and pose stay")
+        self.present = QPushButton("Use current")
+        self.present.setToolTip("Align to the main window's current frame; pairs and pose stay")
         self.follow = QPushButton("Follow")
-        self.follow.setToolTip("Let the patch follow the main window again, until the next edit of the alignment")
+        self.follow.setToolTip("Follow the main window again, until the next edit of the alignment")
         self._lay_out()
         self.scan.pointClicked.connect(self.scanClicked)
         self.patch.pointClicked.connect(self.patchClicked)
@@ -160,7 +160,7 @@ class TruthViews(QSplitter):
         self.scan_name.setMinimumHeight(height)
 
     def set_highlight(self, on: bool) -> None:
-        """Show the contact in its own colour, or the paint as it is."""
+        """Show the contact in its own colour, or the paint."""
         self._highlight = on
         cloud, loaded = self.scan.cloud(), self._flow.loaded
         if cloud is not None and loaded is not None:
@@ -168,21 +168,21 @@ class TruthViews(QSplitter):
         self.scan.set_legend(scan_legend(on) if loaded is not None else [])
 
     def set_point_size(self, pixels: int) -> None:
-        """Draw points so large; those of a scan a little larger, since its vertices lie farther apart."""
+        """Set the size of the points; a scan's points are larger, because its vertices are farther apart."""
         self.scan.set_point_size(pixels + 1)
         self.patch.set_point_size(pixels)
 
     def set_dropper(self, in_hand: bool) -> None:
-        """Show over the scan that a click takes a colour."""
+        """Show the eyedropper's cursor over the scan."""
         self.scan.setCursor(Qt.CursorShape.CrossCursor if in_hand else Qt.CursorShape.ArrowCursor)
 
     def set_selected(self, number: int) -> None:
-        """Mark a pair, from 0; -1: none."""
+        """Mark a pair by its index; -1 marks none."""
         self._selected = number
         self.show_marks()
 
     def show_scan(self, another: bool) -> None:
-        """Draw the scan anew; ``another`` one is framed."""
+        """Draw the scan again, and frame it if it is ``another`` one."""
         loaded, contact = self._flow.loaded, self._flow.contact
         if loaded is None:
             return
@@ -194,7 +194,7 @@ class TruthViews(QSplitter):
         self.show_patch()
 
     def show_patch(self) -> None:
-        """Draw the patch, and over it the scan where it has a pose, unless that is what is drawn already."""
+        """Draw the patch, and the scan over it if it has a pose, unless both are drawn already."""
         flow = self._flow
         patch, pose, contact = flow.patch, flow.state.pose, flow.contact
         held = flow.state.patch is not None

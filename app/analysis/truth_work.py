@@ -1,4 +1,4 @@
-"""What takes long about a scan, for a thread of its own: reading, finding the contact, refining, scoring."""
+"""Jobs on a scan: reading it, finding its contact, refining its pose, scoring."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from ...core.scan.pose import RefinedPose, refine_pose, transformed
 from ...core.scan.scan import Scan, load_scan
 from ..worker.jobs import Progress
 
-#: How many colours a scan is shown in, and how many of its vertices.
+#: Number of colours and of vertices that a scan is drawn with.
 PALETTE = 127
 _MOST_SHOWN = 300_000
-#: Where the light comes from that shows a scan's shape, in the scan's frame, and how dark its other side is.
+#: Direction of the light that shades a scan, in the scan frame, and brightness of its dark side.
 _LIGHT = np.array([-0.4, -0.7, -0.6]) / np.linalg.norm([0.4, 0.7, 0.6])
 _DARKEST = 0.5
 _SPACINGS_M = (0.0005, 0.001, 0.002, 0.004)
@@ -28,14 +28,14 @@ _MOST_POINTS = 60_000
 
 @dataclass(frozen=True, eq=False)
 class LoadedScan:
-    """A scan with what is needed to show it.
+    """A scan, prepared for display.
 
     Attributes
     ----------
     key : str
-        Tells scans apart by their content.
+        Digest of the scan's content.
     shown : int, shape (K,)
-        The vertices that are shown: all, or an even choice of a large scan's.
+        The displayed vertices: all, or an even selection of a large scan.
     palette : uint8, shape (P, 3), P <= PALETTE
         RGB of the shaded scan.
     rows : uint8, shape (K,)
@@ -59,7 +59,7 @@ class ScanContact:
     ----------
     vertices : bool, shape (N,)
     points : float32, shape (K, 3)
-        Evenly spread over it, metres, the scan's frame.
+        Points evenly spread over the contact, metres, scan frame.
     area_mm2 : float
         Along the surface, not projected.
     """
@@ -73,7 +73,7 @@ class ScanContact:
 
 @dataclass(frozen=True)
 class Refinement:
-    """A pose that ICP found, with the RMSE that it started from, metres."""
+    """A pose found by ICP, and the RMSE before it, metres."""
 
     start: Matrix4
     before_m: float
@@ -82,7 +82,7 @@ class Refinement:
 
 @dataclass(frozen=True)
 class Scores:
-    """How the patch agrees with the scan in a pose; ``values`` as `score_against_scan` returns them."""
+    """Scores of the patch against the scan in a pose; ``values`` are those of `score_against_scan`."""
 
     pose: Matrix4
     scan_area_mm2: float
@@ -144,7 +144,7 @@ def refining(
 
 
 class Scorer:
-    """Compares one patch after another with the scan, as ``tactune evaluate recording`` does."""
+    """Scores patches against the scan, as ``tactune evaluate recording`` does."""
 
     def __init__(self) -> None:
         self._known: tuple[ScanContact, Matrix4, ScanTruth] | None = None
@@ -152,7 +152,7 @@ class Scorer:
     def scoring(
         self, contact: ScanContact, patch: Float32Array, area_mm2: float, pose: Matrix4
     ) -> Callable[[Progress], Scores]:
-        """Return work that scores a patch; one such work at a time."""
+        """Return work that scores a patch. Only one may run at a time."""
 
         def score(progress: Progress) -> Scores:
             progress(0.1, "Comparing")
@@ -163,21 +163,21 @@ class Scorer:
         return score
 
     def _truth(self, contact: ScanContact, pose: Matrix4) -> ScanTruth:
-        """Return the scan's contact in a pose, made anew only where one of them is another."""
+        """Return the scan's contact in a pose; the last one is cached."""
         if self._known is None or self._known[0] is not contact or self._known[1] != pose:
             self._known = contact, pose, scan_truth(contact.loaded.scan, contact.vertices, pose)
         return self._known[2]
 
 
 def laid_on(contact: ScanContact, patch: Float32Array) -> Float64Array:
-    """Return a pose to start by hand from: the scan unturned, its contact's middle on the patch's: float64 (4, 4)."""
+    """Return a start pose that moves the centre of the scan's contact to the patch's centre: float64 (4, 4)."""
     pose = np.eye(4)
     pose[:3, 3] = patch.mean(axis=0, dtype=np.float64) - contact.points.mean(axis=0, dtype=np.float64)
     return pose
 
 
 def pivot_of(contact: ScanContact) -> Float64Array:
-    """Return what the scan is turned about, in its own frame: the middle of its contact, or of all of it."""
+    """Return the centre of rotation in the scan frame: the centre of its contact, or of the whole scan."""
     points: AnyArray = contact.points if len(contact.points) else contact.loaded.scan.vertices_m
     middle: Float64Array = points.mean(axis=0, dtype=np.float64)
     return middle
@@ -196,7 +196,7 @@ def _key(scan: Scan) -> str:
 
 
 def _shaded(scan: Scan) -> Float64Array:
-    """Return the colours darkened on the side away from the light, which shows the shape: (N, 3)."""
+    """Return the colours shaded by the light's direction: (N, 3)."""
     a, b, c = (scan.vertices_m[scan.triangles[:, corner]] for corner in range(3))
     across = np.cross(b - a, c - a)
     normals = np.empty_like(scan.vertices_m)
@@ -209,7 +209,7 @@ def _shaded(scan: Scan) -> Float64Array:
 
 
 def _palette(colors: Float64Array) -> tuple[Uint8Array, Uint8Array]:
-    """Choose the colours that show others best: the palette, uint8 (P, 3), and each one's row, uint8 (K,)."""
+    """Quantise colours: return the palette, uint8 (P, 3), and the palette row of each colour, uint8 (K,)."""
     from PIL import Image
 
     image = Image.fromarray(np.rint(colors).astype(np.uint8)[None])

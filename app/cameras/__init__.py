@@ -1,1 +1,1 @@
-"""Live cameras in the window: which ones, and how they are set."""
+"""Live cameras in the application: choosing them and their settings."""

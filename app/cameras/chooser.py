@@ -25,15 +25,15 @@ from PyQt6.QtWidgets import (
 
 from ...core.preset import CamerasSection
 
-#: Loading the driver takes a second or two; a hanging one is given up after this time.
+#: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
 _PROGRAM = ("-P", "-m", "tactune.app.cameras.list_devices")
-_DOCTOR = "run “tactune doctor” in a terminal, which says what is wrong and how to mend it"
+_DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
 
 
 @dataclass(frozen=True)
 class FoundCamera:
-    """A connected camera, as far as it says what it is."""
+    """A connected camera; fields that it does not report are empty."""
 
     model: str
     serial: str
@@ -44,22 +44,22 @@ class FoundCamera:
 
     @property
     def sees_proximity(self) -> bool:
-        """Whether it is a camera of the kind that looks through the membrane (time of flight)."""
+        """Whether it can look through the membrane (time of flight)."""
         return self.role == "proximity"
 
 
 class CameraSearch(QObject):
-    """Looks for cameras, one search at a time.
+    """Searches for cameras, one search at a time.
 
     Parameters
     ----------
     arguments : sequence of str
-        What the Python interpreter is called with; it writes what `list_devices` writes.
+        Arguments of the Python interpreter; the program prints the JSON of `list_devices`.
 
     Signals
     -------
     found(cameras: list[FoundCamera], hint: str)
-        The hint says why some cameras cannot be found.
+        The hint says why a camera may be missing.
     failed(sentence: str)
     """
 
@@ -80,18 +80,18 @@ class CameraSearch(QObject):
 
     @property
     def running(self) -> bool:
-        """Whether an answer is still to come."""
+        """Whether a search is running."""
         return self._process.state() != QProcess.ProcessState.NotRunning
 
     def start(self) -> None:
-        """Look for cameras, unless a search is going on."""
+        """Search for cameras, unless a search is running."""
         if not self.running:
             self._answered = False
             self._process.start(sys.executable, self._arguments)
             self._patience.start()
 
     def stop(self) -> None:
-        """Forget the search."""
+        """Cancel the search."""
         self._answered = True
         self._patience.stop()
         if self.running:
@@ -104,7 +104,7 @@ class CameraSearch(QObject):
 
     def _error_occurred(self, error: QProcess.ProcessError) -> None:
         if error == QProcess.ProcessError.FailedToStart:
-            self._fail(f"Cameras cannot be looked for: {self._process.errorString()}.")
+            self._fail(f"The search for cameras cannot be started: {self._process.errorString()}.")
 
     def _finished(self, status: int, how: QProcess.ExitStatus) -> None:
         self._patience.stop()
@@ -112,7 +112,7 @@ class CameraSearch(QObject):
         complaint = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()
         if how == QProcess.ExitStatus.CrashExit or status != 0:
             last = complaint.splitlines()[-1] if complaint else f"status {status}"
-            self._fail(f"The camera driver failed while it looked for cameras ({last}): {_DOCTOR}.")
+            self._fail(f"The camera driver failed while searching for cameras ({last}): {_DOCTOR}.")
             return
         try:
             answer = json.loads(output.strip().splitlines()[-1])
@@ -136,7 +136,7 @@ class CameraSearch(QObject):
 
 
 def sentence_of(words: str) -> str:
-    """Return words as a sentence, with a capital and a full stop."""
+    """Return a text as a sentence, with a capital letter and a full stop."""
     return f"{words[0].upper()}{words[1:].rstrip('.')}."
 
 
@@ -145,13 +145,13 @@ def _camera(device: dict[str, Any]) -> FoundCamera:
     return FoundCamera(**texts)
 
 
-_SEARCHING = "Looking for cameras…"
+_SEARCHING = "Searching for cameras…"
 _NONE = (
     "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
-    "run “tactune doctor” in a terminal: it says what is missing and how to mend it."
+    "run “tactune doctor” in a terminal: it reports what is missing and the remedy."
 )
-_ONE = "Only one camera was found, but contact takes two. Plug the other one in and press Refresh."
-_SAME = "Both are the same camera: choose another one for one of them."
+_ONE = "Only one camera was found, but two are needed. Plug in the other one and press Refresh."
+_SAME = "The same camera is chosen twice: choose another one for one role."
 _ANY = "by its model"
 _PROBLEM_COLUMN = 4
 
@@ -162,7 +162,7 @@ class CameraChooser(QDialog):
     Signals
     -------
     chosen(proximity: str, tactile: str)
-        Serial numbers; empty: the only connected camera of a fitting model.
+        Serial numbers; empty for the only connected camera of a suitable model.
     """
 
     chosen = pyqtSignal(str, str)
@@ -189,7 +189,7 @@ class CameraChooser(QDialog):
         self.proximity = _combo("Looks through the membrane at the object: the L515 (infrared, time of flight)")
         self.tactile = _combo("Sees the membrane itself: the D405 (visible light, stereo)")
         self.refresh = QPushButton("&Refresh")
-        self.refresh.setToolTip("Look for cameras again (F5)")
+        self.refresh.setToolTip("Search for cameras again (F5)")
         self.refresh.setShortcut("F5")
         self.refresh.setAutoDefault(False)
         self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
@@ -240,7 +240,7 @@ class CameraChooser(QDialog):
         self._check()
 
     def _fill(self, combo: QComboBox, remembered: str, through: bool) -> None:
-        """Offer all cameras; choose the one that was chosen before, else one of the fitting kind."""
+        """Offer all cameras. Select the one chosen before, else one of a suitable kind."""
         blocked = combo.blockSignals(True)
         combo.clear()
         combo.addItem(_ANY, "")
@@ -256,7 +256,7 @@ class CameraChooser(QDialog):
         self.note.setText(sentence)
 
     def _check(self) -> None:
-        """Say what is wrong with the choice; only a good one can be opened."""
+        """Show what is wrong with the choice; only a valid one can be opened."""
         first, second = self.proximity.currentData(), self.tactile.currentData()
         problem = ""
         if not self._found:

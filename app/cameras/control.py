@@ -1,4 +1,4 @@
-"""Cameras, as the person sees them: choosing them, setting them, all kept in the preset."""
+"""Choosing the cameras and changing their settings, which are stored in the preset."""
 
 from __future__ import annotations
 
@@ -19,10 +19,9 @@ CAMERAS = "realsense:"
 
 
 class CameraControl(QObject):
-    """Keeps at most one chooser and one settings panel.
+    """Opens at most one chooser and one settings panel.
 
-    What is set goes into the preset, as a step that can be undone; from the preset it goes to the
-    cameras, whoever changed it.
+    A setting is an undoable edit of the preset. Every change of the preset is sent to the cameras.
 
     """
 
@@ -48,7 +47,7 @@ class CameraControl(QObject):
         self._worker.stateChanged.connect(self._state_changed)
 
     def search_with(self, make: Callable[[], CameraSearch]) -> None:
-        """Look for cameras in another way."""
+        """Replace the search for cameras; for tests."""
         self._make_search = make
 
     def choose(self) -> None:
@@ -66,7 +65,7 @@ class CameraControl(QObject):
         self.panel.activateWindow()
 
     def close(self) -> None:
-        """Close what is open."""
+        """Close both windows."""
         if self.chooser is not None:
             self.chooser.reject()
         self.panel.close()
@@ -92,7 +91,7 @@ class CameraControl(QObject):
         self._document.edit(f"cameras.{role}.options", options, gesture)
 
     def _preset_changed(self, preset: Preset) -> None:
-        """Bring to the cameras what has changed."""
+        """Send changed settings to the cameras."""
         before, self._cameras = self._cameras, preset.cameras
         if before == preset.cameras:
             return
@@ -102,12 +101,12 @@ class CameraControl(QObject):
             self._messages.show_message(
                 "cameras",
                 Severity.INFO,
-                "The preset names other cameras, or another delay; that takes effect when they are opened again.",
+                "The preset has other cameras or another delay. They take effect when the cameras are opened again.",
                 offers=[("Open again", self._open_cameras)],
             )
 
     def _brought(self, option: CameraOption, before: CamerasSection) -> CameraOption:
-        """Set an option where the preset holds another value than before; without one, the default."""
+        """Send an option whose value in the preset has changed; without a value, send the default."""
         kept = _kept(self._cameras, option)
         if kept == _kept(before, option):
             return option
@@ -130,7 +129,7 @@ class CameraControl(QObject):
 
 
 def _kept(cameras: CamerasSection, option: CameraOption) -> float | None:
-    """Return what a preset holds for an option; None: nothing."""
+    """Return a preset's value of an option, or None."""
     value: float | None = getattr(cameras, option.camera).options.get(option.name)
     return value
 

@@ -1,4 +1,4 @@
-"""Lists the connected cameras as JSON; run in a process of its own, which a driver may hang or crash."""
+"""Lists the connected cameras as JSON. Runs in its own process, because the driver may hang or crash."""
 
 from __future__ import annotations
 

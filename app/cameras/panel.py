@@ -26,19 +26,19 @@ from ...widgets.parameters.parameter_row import ParameterRow
 DELAY_PATH = "cameras.tactile_delay_s"
 _TITLES: dict[CameraRole, str] = {"proximity": "Proximity camera", "tactile": "Tactile camera"}
 _NOT_CONNECTED = (
-    "This camera is not connected, or has nothing to set: its settings appear here once it is. "
-    "What the preset holds for it is used then."
+    "This camera is not connected, or has no settings. When it is connected, its settings appear here with the "
+    "preset's values."
 )
 _NO_CAMERAS = (
-    "The present source has no cameras to set: it is a recording or the simulator. Connect cameras (F3), and their "
-    "settings appear here. What the preset holds for them is used then."
+    "The current source is a recording or the simulator, without camera settings. Connect cameras (F3): their "
+    "settings appear here with the preset's values."
 )
-#: A range that spans more than this is easier to set on a logarithmic slider, such as exposure times.
+#: Above this ratio of a range's ends, such as of exposure times, the slider is logarithmic.
 _LOG_SPAN = 500.0
 
 
 class OptionRow(ParameterRow):
-    """The row of one option; its values are the device's numbers, whatever the editor shows.
+    """The row of one option. Its values are in the device's units, whatever the editor shows.
 
     Signals
     -------
@@ -58,13 +58,13 @@ class OptionRow(ParameterRow):
         self.set_editable(not option.read_only)
 
     def show_number(self, value: float) -> None:
-        """Show a value of the device; one that is being dragged stays where it is."""
+        """Show the device's value, unless the slider is being dragged."""
         slider = getattr(self.widget, "slider", None)
         if slider is None or not slider.isSliderDown():
             self.show_value(self._shown(value))
 
     def number(self) -> float:
-        """Return the value that is shown, as the device counts."""
+        """Return the displayed value in the device's units."""
         return self._number(self.editor.value())
 
     def _shown(self, value: float) -> Any:
@@ -82,7 +82,7 @@ class OptionRow(ParameterRow):
 
 
 def option_spec(option: CameraOption) -> FieldSpec:
-    """Return what a row has to know of an option."""
+    """Return the description of an option for its row."""
     title = option.name.replace("_", " ").replace("-", " ").capitalize()
     common: dict[str, Any] = {
         "path": f"cameras.{option.camera}.options.{option.name}",
@@ -112,7 +112,7 @@ def option_spec(option: CameraOption) -> FieldSpec:
 
 
 class CameraPanel(QDialog):
-    """Shows what can be set on the cameras; stays open beside the window.
+    """Shows the settings of both cameras; stays open beside the main window.
 
     Signals
     -------
@@ -161,7 +161,7 @@ class CameraPanel(QDialog):
         self.resize(460, 620)
 
     def set_cameras(self, cameras: CamerasSection) -> None:
-        """Show what the preset holds; an option that it does not name is shown as the camera has it."""
+        """Show the preset's values; an option without one shows the camera's value."""
         self.delay.show_value(cameras.tactile_delay_s)
         for (role, name), row in self.rows.items():
             row.show_number(getattr(cameras, role).options.get(name, row.option.value))
@@ -178,7 +178,7 @@ class CameraPanel(QDialog):
         self.set_cameras(cameras)
 
     def set_health(self, cameras: tuple[CameraHealth, ...]) -> None:
-        """Name the devices behind the two roles; a source without cameras has none."""
+        """Show which devices have the two roles; a source without cameras has none."""
         self._cameras = {camera.role: camera for camera in cameras}
         for role, title in _TITLES.items():
             self._sections[role].button.setText(" ".join([title, *_device_words(self._cameras.get(role))]))
@@ -222,7 +222,7 @@ def _device_words(camera: CameraHealth | None) -> list[str]:
 
 
 def _shape(options: tuple[CameraOption, ...]) -> dict[CameraRole, list[object]]:
-    """Return all that the rows are made of, values aside."""
+    """Return everything that the rows depend on, except values."""
     shape: dict[CameraRole, list[object]] = {}
     for option in options:
         parts = (option.name, option.minimum, option.maximum, option.step, option.default, option.choices)

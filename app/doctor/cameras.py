@@ -45,7 +45,7 @@ except TactuneError as error:
 
 @dataclass(frozen=True)
 class UsbCamera:
-    """One RealSense camera as the operating system sees it; ``node`` is the file that the driver opens."""
+    """A RealSense camera as listed by the operating system; ``node`` is the file that the driver opens."""
 
     product: str
     speed_mbit: float
@@ -66,11 +66,11 @@ def check_libraries(run: RunChild = run_child) -> list[Check]:
 
 
 def check_driver(run: RunChild = run_child) -> list[Check]:
-    """Import the camera driver and see whether it knows the L515."""
+    """Import the camera driver and check its support for the L515."""
     name = "Camera driver"
     child = run(python_child(_DRIVER))
     if child.problem:
-        remedy = "Install it anew: pip install --force-reinstall 'tactune[realsense]'"
+        remedy = "Reinstall it: pip install --force-reinstall 'tactune[realsense]'"
         return [Check(name, State.FAIL, f"importing pyrealsense2: {child.problem}", remedy)]
     answer = child.answer()
     if "problem" in answer:
@@ -85,7 +85,7 @@ def check_driver(run: RunChild = run_child) -> list[Check]:
 
 
 def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Check]:
-    """Look for the rule that lets everybody use the cameras."""
+    """Check for the udev rule that lets all users open the cameras."""
     name = "udev rules"
     found = [file for folder in folders for file in sorted(Path(folder).glob("*realsense*.rules"))]
     if found:
@@ -94,7 +94,7 @@ def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Chec
 
 
 def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
-    """See which cameras are plugged in, whether we may open them, and at which speed they run."""
+    """List the connected cameras, and check their permissions and USB speed."""
     cameras = usb_cameras(usb, nodes)
     if not cameras:
         remedy = "Plug the cameras in with the cables that came with them; 'lsusb -d 8086:' shows them."
@@ -105,7 +105,7 @@ def check_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[Check]:
 
 
 def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
-    """Return the RealSense cameras that are plugged in."""
+    """Return the connected RealSense cameras."""
     cameras = []
     for device in sorted(usb.glob("*")):
         product = _read(device / "product")
@@ -114,7 +114,7 @@ def usb_cameras(usb: Path = _USB, nodes: Path = _NODES) -> list[UsbCamera]:
         try:
             node = nodes / f"{int(_read(device / 'busnum')):03d}" / f"{int(_read(device / 'devnum')):03d}"
             speed = float(_read(device / "speed"))
-        except ValueError:  # unplugged while we read
+        except ValueError:  # unplugged meanwhile
             continue
         cameras.append(UsbCamera(product, speed, node))
     return cameras

@@ -1,6 +1,6 @@
-"""``tactune doctor``: small checks of this computer, side by side, none of which can take the program down.
+"""``tactune doctor``: small independent checks of this computer.
 
-Whatever could crash, hang or load a broken library runs in a child process with a time limit.
+A check that could crash, hang or load a broken library runs in a child process with a time limit.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-#: No child process may take longer.
+#: Time limit of a child process, seconds.
 PATIENCE_S = 8.0
 
 
 class State(StrEnum):
-    """How a check ended; ``WARN`` is what only some uses need."""
+    """Result of a check; ``WARN`` concerns only some uses."""
 
     OK = "ok"
     WARN = "warn"
@@ -34,12 +34,12 @@ class Check:
     Attributes
     ----------
     name : str
-        What was looked at.
+        What was checked.
     state : State
     found : str
-        What was found there.
+        What was found.
     remedy : str
-        What to do; empty where nothing needs doing.
+        What to do; empty if nothing is wrong.
     """
 
     name: str
@@ -48,24 +48,24 @@ class Check:
     remedy: str = ""
 
     def lines(self) -> list[str]:
-        """Return the check for a terminal."""
+        """Format the check for a terminal."""
         first = f"{self.state:<5}{self.name:<16}{self.found}"
         return [first, f"{'':<21}{self.remedy}"] if self.remedy else [first]
 
     def to_json(self) -> dict[str, str]:
-        """Return the check as JSON can hold it."""
+        """Return the check as a JSON object."""
         return {key: str(value) for key, value in asdict(self).items()}
 
 
 @dataclass(frozen=True)
 class Child:
-    """How a child process ended: what it printed, or ``problem`` in a few words."""
+    """Result of a child process: what it printed, or the ``problem`` in a few words."""
 
     out: str = ""
     problem: str = ""
 
     def answer(self) -> dict[str, Any]:
-        """Return the JSON object on the last line that was printed; empty where there is none."""
+        """Return the JSON object on the last printed line; empty if there is none."""
         lines = self.out.strip().splitlines()
         try:
             answer = json.loads(lines[-1]) if lines else {}
@@ -78,7 +78,7 @@ RunChild = Callable[[Sequence[str]], Child]
 
 
 def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
-    """Run a command and return what it printed; never raises, never waits longer than the limit."""
+    """Run a command and return its output. Never raises, and never waits longer than the limit."""
     try:
         done = subprocess.run(
             list(command), check=False, capture_output=True, timeout=patience_s, stdin=subprocess.DEVNULL
@@ -97,12 +97,12 @@ def run_child(command: Sequence[str], patience_s: float = PATIENCE_S) -> Child:
 
 
 def python_child(code: str, *arguments: str) -> list[str]:
-    """Return the command that runs a piece of Python in a process of its own."""
+    """Return the command that runs Python code in its own process."""
     return [sys.executable, "-c", code, *arguments]
 
 
 def run_checks(checks: Sequence[Callable[[], Sequence[Check]]]) -> list[Check]:
-    """Run all checks side by side and return their lines in order; one that fails itself is a line, too."""
+    """Run all checks in parallel and return their lines in order. A check that raises is a line, too."""
     with ThreadPoolExecutor(max_workers=4) as pool:
         return [line for lines in pool.map(_guarded, checks) for line in lines]
 

@@ -42,7 +42,7 @@ reserve_memory(create_memory(), int(sys.argv[1]))
 
 
 def check_python(found: tuple[int, ...] = tuple(sys.version_info[:3])) -> list[Check]:
-    """See whether Python is new enough, and not too new for the L515's driver."""
+    """Check that Python is new enough, and not too new for the L515's driver."""
     text = ".".join(map(str, found))
     if found[:2] < OLDEST_PYTHON:
         oldest = ".".join(map(str, OLDEST_PYTHON))
@@ -62,7 +62,7 @@ def check_packages(run: RunChild = run_child) -> list[Check]:
             versions[name] = version(name)
         except PackageNotFoundError:
             missing.append(name)
-    remedy = "Install them anew: pip install --force-reinstall tactune"
+    remedy = "Reinstall them: pip install --force-reinstall tactune"
     if missing:
         return [Check("Packages", State.FAIL, f"not installed: {', '.join(missing)}", remedy)]
     child = run(python_child(_IMPORT_ALL, *(_IMPORT_NAMES.get(name, name) for name in versions)))
@@ -76,13 +76,13 @@ def check_packages(run: RunChild = run_child) -> list[Check]:
 
 
 def check_compiled_code(run: RunChild = run_child) -> list[Check]:
-    """See which threads compiled kernels run on."""
+    """Check the threading layer of compiled kernels."""
     name = "Compiled code"
     child = run(python_child(_THREADS))
     found = re.search(r'\[(\d+), "(\w+)"\]', child.out)
     if child.problem or found is None:
         problem = child.problem or "numba has no threads"
-        return [Check(name, State.FAIL, problem, "Install numba anew: pip install --force-reinstall numba")]
+        return [Check(name, State.FAIL, problem, "Reinstall numba: pip install --force-reinstall numba")]
     words = f"numba, {found[1]} threads by {found[2]}"
     if found[2] == "workqueue":
         remedy = "This layer cannot serve several threads: install OpenMP's library (sudo apt-get install libgomp1)."
@@ -91,7 +91,7 @@ def check_compiled_code(run: RunChild = run_child) -> list[Check]:
 
 
 def check_cache_folder(folder: Path | None = None) -> list[Check]:
-    """See whether simulated scenes can be kept, and whether there is room."""
+    """Check that the cache folder is writable and has space."""
     name = "Cache folder"
     folder = folder or Path(platformdirs.user_cache_dir("tactune"))
     try:
@@ -100,17 +100,20 @@ def check_cache_folder(folder: Path | None = None) -> list[Check]:
             file.write(b"tactune")
         free = shutil.disk_usage(folder).free
     except OSError as error:
-        remedy = f"Make {folder} writable, or set XDG_CACHE_HOME; without it the simulator computes anew at each start."
+        remedy = (
+            f"Make {folder} writable, or set XDG_CACHE_HOME; otherwise the simulator computes its scenes again at "
+            "each start."
+        )
         return [Check(name, State.FAIL, f"{folder}: {error.strerror or error}", remedy)]
     words = f"{folder}, {free / 1e9:.1f} GB free"
     if free < _ENOUGH_FREE_BYTES:
         state = State.FAIL if free < _LEAST_FREE_BYTES else State.WARN
-        return [Check(name, state, words, "Make room: a minute of recording takes up to 1 GB.")]
+        return [Check(name, state, words, "Free some space: a minute of recording takes up to 1 GB.")]
     return [Check(name, State.OK, words)]
 
 
 def check_shared_memory(run: RunChild = run_child) -> list[Check]:
-    """Reserve as much memory as handing frames from the capture process to the window takes."""
+    """Reserve the shared memory that passes frames from the capture process to the window."""
     name = "Shared memory"
     child: Child = run(python_child(_MEMORY, str(_FRAMES_BYTES)))
     if child.problem:
@@ -122,7 +125,7 @@ def check_shared_memory(run: RunChild = run_child) -> list[Check]:
 _GUI_DISTRIBUTIONS = ("PyQt6", "pyqtgraph")
 _HEADLESS = "tactune run works without it."
 
-#: Where Debian and Ubuntu have the libraries that Qt needs; the others follow from their names.
+#: Debian and Ubuntu packages of the libraries that Qt needs; the others follow from their names.
 _PACKAGES = {
     "libGL.so.1": "libgl1",
     "libEGL.so.1": "libegl1",
@@ -165,7 +168,7 @@ except GLError as error:
 
 
 def check_qt() -> list[Check]:
-    """See whether the packages of the window are installed."""
+    """Check that the packages of the window are installed."""
     versions, missing = [], []
     for name in _GUI_DISTRIBUTIONS:
         try:
@@ -179,7 +182,7 @@ def check_qt() -> list[Check]:
 
 
 def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None = None) -> list[Check]:
-    """Look for every system library that Qt and its window plugin are linked to."""
+    """Check every system library that Qt and its window plugin are linked to."""
     name = "Qt libraries"
     files = _qt_files() if files is None else files
     if not files:
@@ -197,11 +200,11 @@ def check_qt_libraries(run: RunChild = run_child, files: tuple[Path, ...] | None
         packages = [_PACKAGES.get(library, library) for library in missing]
         remedy = f"Install what is missing: sudo apt-get install {' '.join(packages)}"
         return [Check(name, State.FAIL, f"missing: {', '.join(missing)}", remedy)]
-    return [Check(name, State.OK, "all are there")]
+    return [Check(name, State.OK, "all found")]
 
 
 def check_opengl(run: RunChild = run_child, environment: Mapping[str, str] = os.environ) -> list[Check]:
-    """Make an OpenGL context on this display, as the 3D views do."""
+    """Create an OpenGL context on this display, as the 3D views do."""
     name = "OpenGL"
     if find_spec("PyQt6") is None:
         return []
@@ -209,7 +212,7 @@ def check_opengl(run: RunChild = run_child, environment: Mapping[str, str] = os.
         remedy = f"The window needs a display: log in at the machine, or use ssh -X; {_HEADLESS}"
         return [Check(name, State.WARN, "there is no display (DISPLAY and WAYLAND_DISPLAY are empty)", remedy)]
     child = run(python_child(_OPENGL))
-    painter = "The 3D views are painted in software meanwhile; install the graphics driver for more speed."
+    painter = "The 3D views are drawn in software; install the graphics driver for more speed."
     if child.problem:
         remedy = f"Check that the display answers and the Qt libraries are there. {_HEADLESS.capitalize()}"
         return [Check(name, State.FAIL, f"making a context: {child.problem}", remedy)]
@@ -223,7 +226,7 @@ def check_opengl(run: RunChild = run_child, environment: Mapping[str, str] = os.
 
 
 def _qt_files() -> tuple[Path, ...]:
-    """Return Qt's own libraries that are linked to the operating system's, without loading any of them."""
+    """Return Qt's own libraries that are linked to system libraries, without loading them."""
     spec = find_spec("PyQt6")
     if spec is None or not spec.submodule_search_locations:
         return ()

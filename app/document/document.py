@@ -20,8 +20,7 @@ from .untouched_store import UntouchedStore
 class Document(QObject):
     """Everything that a person can change and save.
 
-    Views listen and send edits; the preset itself is immutable, so whoever holds one (the worker,
-    an undo step) holds a consistent whole.
+    Views listen to it and send edits. The preset is immutable, so the worker or an undo step can hold one.
 
     Signals
     -------
@@ -29,11 +28,11 @@ class Document(QObject):
     fileChanged()
         The path or the unsaved mark changed.
     baselineChanged(Preset)
-        Another preset is what the file holds, so "reset" goes back to it.
+        The preset that "reset" returns to has changed: the one saved in the file.
     refused(path: str, sentence: str)
-        An edit that the preset does not allow; nothing changed.
+        The preset does not allow an edit; nothing changed.
     warned(sentence: str)
-        The preset was saved, but not everything that belongs to it.
+        The preset was saved, but not its untouched frame.
     """
 
     presetChanged = pyqtSignal(object)
@@ -55,24 +54,24 @@ class Document(QObject):
 
     @property
     def preset(self) -> Preset:
-        """The preset as it is now."""
+        """The current preset."""
         return self._history.state
 
     @property
     def path(self) -> Path | None:
-        """The file it was read from or saved to; None for a new one or a shipped one."""
+        """The preset's file; None for a new preset or a shipped one."""
         return self._path
 
     @property
     def untouched_home(self) -> Path | None:
-        """Beside which file the preset's untouched frame lies, as `load_untouched` takes it; None: nowhere yet."""
+        """The file beside which the preset's untouched frame lies, for `load_untouched`; None if there is none."""
         return (
             self._path if self.untouched_store is None else self.untouched_store.home(self.preset.untouched, self._path)
         )
 
     @property
     def dirty(self) -> bool:
-        """Whether there is anything that is not in the file."""
+        """Whether there are unsaved changes."""
         return not self.undo_stack.isClean()
 
     @property
@@ -94,7 +93,7 @@ class Document(QObject):
         Returns
         -------
         bool
-            False where the preset refused the value (`refused` says why).
+            False if the preset refused the value; `refused` gives the reason.
         """
         return self.edit_many({path: value}, gesture)
 
@@ -110,7 +109,7 @@ class Document(QObject):
         return True
 
     def new(self, preset: Preset) -> None:
-        """Begin with a preset that has no file yet."""
+        """Start with a preset that has no file yet."""
         self._replace(preset, None)
 
     def open(self, path: Path) -> None:
@@ -119,23 +118,23 @@ class Document(QObject):
         Raises
         ------
         PresetError
-            The file cannot be used; the document stays as it is.
+            The file cannot be used; the document is unchanged.
         """
         self._replace(load_preset(path), path)
 
     def restore(self, preset: Preset, path: Path | None) -> None:
-        """Take up unsaved work that outlived a crash; it counts as unsaved."""
+        """Restore unsaved work after a crash. It counts as unsaved."""
         self._replace(preset, path)
         self.undo_stack.resetClean()
         self.fileChanged.emit()
 
     def save(self, path: Path) -> None:
-        """Write the preset to a file, which becomes the document's; its untouched frame goes along first.
+        """Write the preset to a file, which becomes the document's. Its untouched frame is written first.
 
         Raises
         ------
         ExportError
-            A file cannot be written; the document stays unsaved.
+            A file cannot be written. The document stays unsaved.
         """
         lost = self._bring_untouched(path)
         save_preset(self.preset.model_copy(update={"modified": now()}), path)
@@ -147,7 +146,7 @@ class Document(QObject):
             self.warned.emit(lost)
 
     def _bring_untouched(self, to: Path) -> str:
-        """Put the untouched frame beside the file to be, and return why it could not be read, if so."""
+        """Copy the untouched frame beside a new file. Return a sentence if it cannot be read, else an empty one."""
         record, home = self.preset.untouched, self.untouched_home
         if record is None or (home is not None and home.parent == to.parent):
             return ""
@@ -168,7 +167,7 @@ class Document(QObject):
 
 
 def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
-    """Say what an edit did, such as ``"Tolerance t 0.012"``, for the Edit menu."""
+    """Describe an edit for the Edit menu, such as ``"Tolerance t 0.012"``."""
     if paths == ("untouched",):
         return "Capture untouched frame"
     if len(paths) == 1:
@@ -180,7 +179,7 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
 
 
 def field_title(path: str) -> str:
-    """Return the title of a preset field for people, such as ``"Tolerance t"``."""
+    """Return the displayed title of a preset field, such as ``"Tolerance t"``."""
     model: Any = Preset
     title = path
     for part in path.split("."):
@@ -193,7 +192,7 @@ def field_title(path: str) -> str:
 
 
 def format_value(value: Any) -> str:
-    """Write a preset value short enough for a menu."""
+    """Format a preset value, short enough for a menu."""
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, float):

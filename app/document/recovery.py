@@ -1,4 +1,4 @@
-"""Unsaved work outlives a crash: it is kept on disk while it is unsaved, and offered at the next start.
+"""Crash recovery: an unsaved preset is kept on disk and offered at the next start.
 
 Each window keeps one file. A lock beside it tells a window that is still running from one that has died; only the
 files of dead windows are offered.

@@ -1,4 +1,4 @@
-"""Untouched frames of presets that have no folder yet, kept on disk like all unsaved work."""
+"""Untouched frames of presets without a file, kept on disk until the preset is saved."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ...core.model.frames import SensorFrame
 from ...core.preset import UntouchedRecord
 from ...core.rig.untouched import save_untouched
 
-#: Untouched frames that stay, though no unsaved work names them: a window that runs may still undo to them.
+#: Number of newest untouched frames that are never removed: a running window may still undo to them.
 _KEPT: Final = 20
 
 
@@ -20,16 +20,16 @@ class UntouchedStore:
     Parameters
     ----------
     folder : Path
-        Made when the first untouched frame comes.
+        Created with the first untouched frame.
     """
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
-        #: Stands for the file of a preset that has none; nothing is written there.
+        #: Stands for the file of a preset without one; it is never written.
         self.place = folder / "preset.json"
 
     def keep(self, frame: SensorFrame, frames: int) -> UntouchedRecord:
-        """Write an untouched frame down, safe from a crash, and return what the preset keeps of it.
+        """Save an untouched frame and return its record for the preset.
 
         Raises
         ------
@@ -41,14 +41,14 @@ class UntouchedStore:
     def home(self, record: UntouchedRecord | None, path: Path | None) -> Path | None:
         """Return the file that an untouched frame lies beside, for `load_untouched`: the preset's own, else `place`.
 
-        Where it lies nowhere, the preset's own file; None where it has none.
+        If it is not found, return the preset's own file, or None without a file.
         """
         if record is None or (path is not None and (path.parent / record.file).is_file()):
             return path
         return self.place if (self._folder / record.file).is_file() else path
 
     def tidy(self, unsaved: Path) -> None:
-        """Remove untouched frames that neither unsaved work in a folder names nor a running window is likely to."""
+        """Remove old untouched frames that no unsaved work in a folder refers to."""
         with suppress(OSError):
             named = "".join(file.read_text(encoding="utf-8", errors="replace") for file in unsaved.glob("*.json"))
             files = sorted(self._folder.glob("untouched-*.npz"), key=lambda file: file.stat().st_mtime, reverse=True)

@@ -57,7 +57,7 @@ class CheckWindow(QDialog):
 
 
 class CameraChecks(QObject):
-    """Keeps at most one window and feeds it."""
+    """Opens at most one window and passes frames to it."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
@@ -66,7 +66,7 @@ class CameraChecks(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open(self) -> None:
-        """Open the window on the present source, or bring it to the front."""
+        """Open the window on the current source, or bring it to the front."""
         if self.window is None:
             context = self._context
             folder = Path(context.settings.text("folder/export") or Path.home())

@@ -43,7 +43,7 @@ from ..worker.results import Result
 
 
 class Outline:
-    """Shows (left, top, width, height) on a pane."""
+    """A rectangle over an image that cannot be dragged."""
 
     def __init__(self, pane: ImagePane) -> None:
         self._curve = pg.PlotCurveItem(pen=pg.mkPen(ACCENT, width=2))
@@ -51,7 +51,7 @@ class Outline:
         pane.box.addItem(self._curve, ignoreBounds=True)
 
     def set_rectangle(self, rectangle: Rectangle) -> None:
-        """Show a rectangle of whole pixels."""
+        """Show (left, top, width, height) in whole pixels."""
         left, top, width, height = rectangle
         near, far = left - 0.5, left + width - 0.5
         upper, lower = top - 0.5, top + height - 0.5
@@ -60,7 +60,7 @@ class Outline:
 
 @dataclass(frozen=True, eq=False)
 class Measurement:
-    """One measurement and the images it was made on, as ``QImage.Format_RGB32`` has them in memory."""
+    """One measurement and its images, in the memory layout of ``QImage.Format_RGB32``."""
 
     quality: DepthQuality
     proximity: Uint8Array
@@ -80,20 +80,20 @@ def measure(
     return Measurement(quality, near, far)
 
 
-#: Numbers are read, not watched.
+#: Interval between measurements, seconds: short enough to follow, long enough to read.
 _INTERVAL_S = 0.4
-#: As much of the image's width and height as librealsense's tool looks at when it starts.
+#: Share of the image's width and height, as in librealsense's depth quality tool.
 _START_SHARE = 0.4
 _WAITING = "Waiting for a frame: open a source in the main window, and let it play."
 _INTRO = (
     "Point both cameras at a flat target and drag the rectangle onto it; "
-    "fill rate and temporal noise can be read on any scene at rest."
+    "fill rate and temporal noise are valid on any scene at rest."
 )
 _MARKS = {Verdict.GOOD: "●", Verdict.FAIR: "▲", Verdict.POOR: "■", Verdict.UNKNOWN: "○"}
 
 
 class QualityTab(QWidget):
-    """Measures while it is visible; takes nothing otherwise.
+    """Measures while it is visible, and ignores frames otherwise.
 
     Signals
     -------
@@ -123,7 +123,7 @@ class QualityTab(QWidget):
         self.true_distance = QDoubleSpinBox()
         self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
         self.save = push_button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
-        self.middle = push_button("Middle", "Put the region back into the middle of the image")
+        self.middle = push_button("Centre", "Move the region to the centre of the image")
         self.status = QLabel(_WAITING)
         self.status.setWordWrap(True)
         self._lay_out()
@@ -156,7 +156,7 @@ class QualityTab(QWidget):
         self._region_changed()
 
     def stop(self) -> None:
-        """Forget the frames and end the work."""
+        """Discard the frames and cancel the job."""
         self._job.stop()
         self._frames.clear()
         self._source = ""
@@ -187,8 +187,8 @@ class QualityTab(QWidget):
         self.true_distance.setSpecialValueText("not measured")
         self.true_distance.setAccessibleName("True distance")
         self.true_distance.setToolTip(
-            "True distance from the cameras' front glass to the target along the optical axis, in mm, measured by "
-            "other means; then the accuracy of the distance is shown, too"
+            "True distance from the cameras' front glass to the target along the optical axis, in mm, measured "
+            "independently; the accuracy of the distance is shown if it is set"
         )
         row = QHBoxLayout()
         row.addWidget(QLabel("Region"))
@@ -258,7 +258,7 @@ class QualityTab(QWidget):
         self._measure_soon()
 
     def _measure_soon(self) -> None:
-        """Measure, unless that is going on or was done just now."""
+        """Measure, unless a measurement is running or has just finished."""
         rig = self._rig
         if rig is None or not self._frames or self._job.busy or time.monotonic() - self._last_s < _INTERVAL_S:
             return
@@ -289,7 +289,7 @@ class QualityTab(QWidget):
             self._measure_soon()
 
     def _fit(self) -> None:
-        """Show the whole images."""
+        """Fit both images into view."""
         for pane in self.panes.values():
             pane.show_rect(pane.image_rect())
 
@@ -323,7 +323,7 @@ class QualityTab(QWidget):
 
 
 def _table(readings: tuple[Reading, ...]) -> str:
-    """Write readings as lines; the verdict has a shape and a word, not only a colour."""
+    """Format readings as lines. The verdict has a shape and a word, not only a colour."""
     colors = theme_colors()
     hues = {
         Verdict.GOOD: colors.accent_text,
@@ -337,7 +337,7 @@ def _table(readings: tuple[Reading, ...]) -> str:
         step = f"<br><span style='color:{colors.muted}'>{escape(reading.step)}</span>" if reading.step else ""
         hue = hues[reading.verdict]
         value = escape(reading.value)
-        if value and reading.verdict is not Verdict.UNKNOWN:  # what cannot be relied on is not put first
+        if value and reading.verdict is not Verdict.UNKNOWN:  # unreliable values are not emphasised
             value = f"<b>{value}</b>"
         title = f"{escape(reading.title)}:" if value else escape(reading.title)
         rows.append(
@@ -362,6 +362,6 @@ def _pixels(name: str) -> QSpinBox:
     entry.setPrefix(f"{name[0].lower()} " if name in ("Width", "Height") else ("x " if name == "Left" else "y "))
     entry.setSuffix(" px")
     entry.setAccessibleName(f"Region: {name.lower()}")
-    entry.setToolTip(f"{name} of the region, in proximity pixels; it can be dragged in the image, too")
+    entry.setToolTip(f"{name} of the region, in proximity pixels; it can also be dragged in the image")
     entry.setKeyboardTracking(False)
     return entry

@@ -23,22 +23,21 @@ from ..worker.worker import Worker
 DELAY_PATH = "cameras.tactile_delay_s"
 _START_TIME_S, _LONGEST_TIME_S = 6.0, 30.0
 _GATHERING_SHARE = 0.8
-#: A source that sends no frame for so long has stopped.
+#: Seconds without a frame after which a source counts as stopped.
 PATIENCE_S = 5.0
 _TICK_MS = 100
 _INTRO = (
     "Press an object into the membrane and pull it out, several times, a few centimetres deep and irregularly. "
-    "Both cameras see that motion; the delay at which they agree best is the skew between them, whatever their time "
-    "stamps say."
+    "Both cameras see this motion. The delay at which they agree best is their skew, independent of their time stamps."
 )
 _NO_FRAME = "There is no frame yet: open a source in the main window first."
 _NO_MORE_FRAMES = "No frames come any more: let the source play, in a loop if it is a recording, and measure again."
-#: The one hue beside the accent that stays readable on both themes.
+#: A second colour that is readable in both themes.
 _TACTILE_HUE = "#d9730d"
 
 
 class SkewTab(QWidget):
-    """Gathers frames of the main window for some seconds, measures on another thread, shows curve and result."""
+    """Collects frames of the main window for some seconds, measures on another thread, and shows curve and result."""
 
     _watchingFailed = pyqtSignal(str)
 
@@ -79,24 +78,24 @@ class SkewTab(QWidget):
 
     @property
     def busy(self) -> bool:
-        """Whether a measurement is going on."""
+        """Whether a measurement is running."""
         return self._gathering or self._job.busy
 
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window, which tells the source; the worker hands over all of its frames."""
+        """Note the source of a frame of the main window. The worker passes all frames on."""
         self._result = result
         if result.source is not self._info:
             self._give_up("Another source was opened meanwhile: measure again.")
 
     def begin(self) -> None:
-        """Gather frames from now on."""
+        """Start collecting frames."""
         if self.busy:
             return
         if self._result is None:
             self._fail(_NO_FRAME)
             return
         if self._result.source.length == 1:
-            self._fail("This source has a single frame: a delay shows in motion only.")
+            self._fail("This source has a single frame; the delay can be measured from motion only.")
             return
         self._info = self._result.source
         samples: list[Sample] = []
@@ -104,7 +103,7 @@ class SkewTab(QWidget):
         self._heard_s = time.monotonic()
         self._forget()
         self._show_busy(True)
-        # Frames that the window is too slow to show count as well.
+        # also frames that the window drops
         self._worker.recorder.watch(lambda frame: samples.append(Sample.of(frame)), self._watchingFailed.emit)
         self._gathering = True
         self._timer.start()
@@ -112,14 +111,14 @@ class SkewTab(QWidget):
             self._worker.play()
 
     def stop(self) -> None:
-        """Give the measurement up."""
+        """Cancel the measurement."""
         self._stop_gathering()
         self._job.cancel()
         if not self._job.busy:
             self._show_busy(False)
 
     def close_down(self) -> None:
-        """Give up for good and wait for the thread."""
+        """Cancel permanently and wait for the thread."""
         self._stop_gathering()
         self._job.stop()
         self._show_busy(False)
@@ -136,7 +135,7 @@ class SkewTab(QWidget):
             self._fail(sentence)
 
     def _look(self) -> None:
-        """See how far it is."""
+        """Check the progress."""
         now = time.monotonic()
         if len(self._samples) > self._heard:
             self._heard, self._heard_s = len(self._samples), now
@@ -155,11 +154,11 @@ class SkewTab(QWidget):
         self.seconds.setDecimals(0)
         self.seconds.setSuffix(" s")
         self.seconds.setAccessibleName("Duration")
-        self.seconds.setToolTip("How long the motion is watched, in seconds; longer is more certain")
-        self.start.setToolTip("Watch the motion and measure the delay (Ctrl+M)")
+        self.seconds.setToolTip("Duration of the measurement in seconds; longer is more accurate")
+        self.start.setToolTip("Observe the motion and measure the delay (Ctrl+M)")
         self.start.setShortcut("Ctrl+M")
-        self.cancel.setToolTip("Give this measurement up")
-        self.compensate.setToolTip("Put the delay into the preset, where it can be undone (Ctrl+Z in the main window)")
+        self.cancel.setToolTip("Cancel this measurement")
+        self.compensate.setToolTip("Save the delay in the preset; Ctrl+Z in the main window undoes it")
         keep_place(self.progress)
         make_verdict(self.sentence)
         self.sentence.setWordWrap(True)
@@ -212,7 +211,7 @@ class SkewTab(QWidget):
             self.sentence.setText(f"{sentence[0].upper()}{sentence[1:]}")
 
     def _new_delay_s(self) -> float:
-        """Return what the preset should say: live cameras' time stamps have the present delay taken off already."""
+        """Return the delay for the preset. Live time stamps are already corrected by the current one."""
         assert self.skew is not None
         present = self._document.preset.cameras.tactile_delay_s
         live = self._info is not None and self._info.length is None
@@ -223,8 +222,8 @@ class SkewTab(QWidget):
         if self._document.edit(DELAY_PATH, delay):
             self.compensate.hide()
             self.sentence.setText(
-                f"The preset's tactile delay is {1e3 * delay:.1f} ms now. It takes effect when the cameras are opened "
-                "again; Ctrl+Z in the main window takes it back."
+                f"The preset's tactile delay is {1e3 * delay:.1f} ms now. It takes effect when the cameras are "
+                "opened again; Ctrl+Z in the main window undoes it."
             )
 
     def _forget(self) -> None:
@@ -234,7 +233,7 @@ class SkewTab(QWidget):
         self._draw()
 
     def _draw(self) -> None:
-        """Show the curve and both series."""
+        """Plot the curve and both series."""
         self.curve.clear()
         self.motion.clear()
         skew = self.skew
@@ -287,13 +286,13 @@ class SkewTab(QWidget):
 
 
 def watched_s(samples: Sequence[Sample]) -> float:
-    """Return how much time the frames cover by their own stamps, however fast they came."""
+    """Return the time that the frames cover according to their own stamps, seconds."""
     steps = np.diff([sample.proximity_time_s for sample in samples])
     return float(steps[(steps > 0) & (steps <= LARGEST_GAP_S)].sum())
 
 
 def _lines(series: MotionSeries, origin_s: float) -> tuple[Float64Array, Float64Array]:
-    """Return seconds and millimetres, broken where time runs back."""
+    """Return times in seconds and depths in millimetres, with nan where time runs backwards."""
     time_s, depth_mm = series.time_s - origin_s, 1e3 * series.depth_m
     breaks = np.flatnonzero(np.diff(time_s) <= 0) + 1
     return np.insert(time_s, breaks, np.nan), np.insert(depth_mm, breaks, np.nan)

@@ -1,4 +1,4 @@
-"""Capturing an untouched frame from the frames that are shown, and reading that of the preset in use."""
+"""Capturing an untouched frame from the displayed frames, and reading the current preset's one."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from ..worker.recorder import Recorder
 from ..worker.results import SourceInfo
 
 _SIMULATOR: Final = "sim:"
-#: Shares of the progress at which the simulator's scene is open, and its untouched membrane is ready.
+#: Progress at which the simulator's scene is open, and at which its untouched membrane is computed.
 _OPENED: Final = 0.3
 _PREPARED: Final = 0.7
-#: How soon a person who cancels is obeyed while no frame comes.
+#: Interval at which cancelling is checked while no frame arrives, seconds.
 _WAIT_S: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Captured:
-    """An untouched frame that is kept already, and what it is made of."""
+    """A captured untouched frame that is already saved on disk."""
 
     untouched: UntouchedAverage
     record: UntouchedRecord
@@ -42,10 +42,10 @@ class Captured:
 
 
 class Capture(QObject):
-    """Takes the next frames of a feed while nothing touches the membrane.
+    """Averages the next frames of a feed while nothing touches the membrane.
 
-    The simulator's are those of the same membrane with the object away. Frames go through a queue to
-    the thread that averages them, so none is held longer than averaging needs it.
+    For the simulator, frames of the same membrane without its object are used. Frames go through a queue to the
+    averaging thread, so that none is held longer than necessary.
 
     Signals
     -------
@@ -54,10 +54,10 @@ class Capture(QObject):
     failed(sentence: str)
         Empty where it was cancelled.
     pausedChanged(paused: bool)
-        Frames have stopped coming, because playback was paused, or one more was taken while they had; or they come
-        again, or are no longer needed.
+        True when playback was paused before all frames arrived, and again with each frame that is stepped to; False
+        when frames arrive again or are no longer needed.
     averaging()
-        No more frames are taken; those that came are averaged now.
+        All frames have arrived and are being averaged.
     """
 
     progress = pyqtSignal(float, str)
@@ -71,7 +71,7 @@ class Capture(QObject):
         self._feed, self._store = feed, store
         self._queue: SimpleQueue[SensorFrame | None] = SimpleQueue()
         self._wanted = 0
-        #: Frames that were taken so far.
+        #: Number of frames taken so far.
         self.taken = 0
         self._last: SensorFrame | None = None
         self._played = False
@@ -93,11 +93,11 @@ class Capture(QObject):
 
     @property
     def taking(self) -> bool:
-        """Whether frames of the feed are still to come."""
+        """Whether more frames of the feed are needed."""
         return self._wanted > 0
 
     def start(self, count: int) -> None:
-        """Average the frame that is shown and those that follow it, ``count`` in all, or the whole recording once."""
+        """Average the current frame and the following ones, ``count`` in total or the whole recording once."""
         frame, playback, name = self._feed.frame, self._feed.playback, self._feed.info.name
         if self.busy or frame is None:
             return
@@ -117,22 +117,22 @@ class Capture(QObject):
             self._feed.play()
 
     def go_on(self) -> None:
-        """Play on after a pause."""
+        """Continue after a pause."""
         self._feed.play()
 
     def make_do(self) -> None:
-        """Take no more frames: average those that came."""
+        """Take no more frames and average those that arrived."""
         if self._wanted:
             self._queue.put(None)
             self._take_no_more()
 
     def cancel(self) -> None:
-        """Stop; the preset keeps what it has."""
+        """Cancel; the preset stays as it is."""
         self._stand_as_before()
         self._job.cancel()
 
     def close(self) -> None:
-        """Stop for good."""
+        """Stop permanently."""
         self._wanted = 0
         self._job.stop()
 
@@ -149,10 +149,9 @@ class Capture(QObject):
             self.pausedChanged.emit(True)
 
     def _playback_changed(self) -> None:
-        """Make do with what there is where a recording has ended; wait where playback was paused.
+        """Average what arrived if the recording has ended; wait if playback was paused.
 
-        A recording that ends before the length that it states pauses like any other, but gives no frame when it
-        is played on.
+        A truncated recording, shorter than it states, pauses like any other but gives no frame when it continues.
         """
         playback = self._feed.playback
         if playback.running and not self._running:
@@ -184,7 +183,7 @@ class Capture(QObject):
             self._return_to = None
 
     def _simulated(self, name: str, count: int, progress: Progress) -> Captured:
-        # only the simulator's frames need what it is made of
+        # imported here: only the simulator needs it
         from ...core.rig.untouched import frames_to_average
 
         def opening(share: float, words: str) -> None:
@@ -197,7 +196,7 @@ class Capture(QObject):
             return self._average(_counted_out(frames, count, progress), count)
 
     def _average(self, frames: Iterator[SensorFrame], asked: int, shift: int = 0) -> Captured:
-        """Average frames; errors name them by their numbers ``shift`` further on, the untouched frame keeps its own."""
+        """Average frames. Errors name frames by their sequence number plus ``shift``."""
         averaged = average_untouched(replace(frame, sequence=frame.sequence + shift) for frame in frames)
         averaged = replace(averaged, frame=replace(averaged.frame, sequence=averaged.frame.sequence - shift))
         return Captured(averaged, self._store.keep(averaged.frame, averaged.frames), asked)
@@ -212,7 +211,7 @@ class Capture(QObject):
 
 
 def _arriving(queue: SimpleQueue[SensorFrame | None], count: int, progress: Progress) -> Iterator[SensorFrame]:
-    """Yield frames as they come, until there are enough or the source ends."""
+    """Yield frames as they arrive, until there are enough or the source ends."""
     for number in range(count):
         frame: SensorFrame | None = None
         arrived = False
@@ -234,15 +233,15 @@ def _counted_out(frames: Iterable[SensorFrame], count: int, progress: Progress) 
 
 
 class UntouchedKeeper(QObject):
-    """Reads the untouched frame of whichever preset is in use, on a thread of its own.
+    """Reads the untouched frame of the current preset, on its own thread.
 
-    A preset that came out of a recording has no folder: its untouched frame is taken from the recording into
-    the store, from which it is saved.
+    A preset from a recording has no folder. Its untouched frame is copied from the recording to the store, and is
+    saved from there.
 
     Signals
     -------
     changed()
-        `frame` is another.
+        `frame` has changed.
     """
 
     changed = pyqtSignal()
@@ -260,7 +259,7 @@ class UntouchedKeeper(QObject):
 
     @property
     def frame(self) -> SensorFrame | None:
-        """The untouched frame of the preset; None where it has none, or none that can be read, or not yet."""
+        """The preset's untouched frame; None if there is none, if it cannot be read, or while it is being read."""
         return self._recorder.untouched
 
     @property
@@ -269,12 +268,12 @@ class UntouchedKeeper(QObject):
         return self._job.busy
 
     def source_opened(self, info: SourceInfo) -> None:
-        """Look whether this source holds the preset's untouched frame."""
+        """Check whether this source contains the preset's untouched frame."""
         self._info = info
         self._look()
 
     def close(self) -> None:
-        """Stop, for good."""
+        """Stop permanently."""
         self._job.stop()
 
     def _look(self) -> None:
@@ -283,7 +282,7 @@ class UntouchedKeeper(QObject):
         if key == self._key:
             return
         self._key = key
-        self._job.cancel()  # what it finds is another preset's or source's
+        self._job.cancel()  # its result would belong to another preset or source
         if preset.untouched is not None:
             self._job.start(partial(_read, preset.untouched, preset, home, self._info, self._store))
         self._use(None)
@@ -301,9 +300,9 @@ def _read(
     store: UntouchedStore,
     progress: Progress,
 ) -> SensorFrame | None:
-    """Return the preset's own untouched frame from where it lies, else from the recording that held both, else None."""
+    """Return the preset's untouched frame from its folder, else from the recording that contains both, else None."""
     if home is not None:
-        with suppress(PresetError, FrameError):  # whoever needs it says so
+        with suppress(PresetError, FrameError):  # reported where the frame is needed
             frame = load_untouched(record, home)
             if info is not None:
                 frame.check_against(info.rig)

@@ -26,18 +26,18 @@ from .untouched_capture import Capture, Captured, UntouchedKeeper
 _PREVIEW_MS: Final = 80
 _ADVICE: Final = (
     "The next frames are averaged into the preset's untouched frame. Proximity-only, tactile-only and membrane "
-    "mechanics compare with it, and Re-check calibration tells by it whether the inflation or a camera has changed."
+    "mechanics compare with it, and Re-check calibration uses it to detect a changed inflation or camera."
 )
-_SIMULATED: Final = " The simulator takes its object away for these frames."
+_SIMULATED: Final = " The simulator removes its object for these frames."
 _NONE: Final = "This preset has no untouched frame yet"
-_UNREAD: Final = "The preset's untouched frame cannot be found: capture it anew"
-_CAPTURING: Final = "Capturing: leave the membrane alone."
-_AVERAGING: Final = "Averaging the frames that came; the membrane may be touched again."
-_OTHER_SOURCE: Final = "Capturing was stopped, because another source was opened."
+_UNREAD: Final = "The preset's untouched frame cannot be found: capture it again"
+_CAPTURING: Final = "Capturing: do not touch the membrane."
+_AVERAGING: Final = "Averaging the frames; the membrane may be touched again."
+_OTHER_SOURCE: Final = "Capturing was cancelled because another source was opened."
 
 
 class CaptureWindow(QDialog):
-    """Shows the membrane now and in the untouched frame, and captures a new one as one undoable step.
+    """Shows the membrane now and in the untouched frame, and captures a new untouched frame as one undoable step.
 
     Signals
     -------
@@ -91,7 +91,7 @@ class CaptureWindow(QDialog):
         self.frames.setSpecialValueText("1 frame")
         self.frames.setAccessibleName("Frames to average")
         self.frames.setToolTip(
-            f"How many frames are averaged, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
+            f"Number of frames to average, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
             "the membrane must not move meanwhile"
         )
         self.progress = QProgressBar()
@@ -101,13 +101,13 @@ class CaptureWindow(QDialog):
         self.sentence.setWordWrap(True)
         self.sentence.setMinimumHeight(3 * self.sentence.fontMetrics().lineSpacing())
         self.take = push_button(
-            "&Capture", "Average the frames that come now into the untouched frame (Enter); one undoable step"
+            "&Capture", "Average the next frames into the untouched frame (Enter), as one undoable step"
         )
         self.take.setDefault(True)
-        self.go_on = push_button("&Go on", "Play on and take the frames that are still missing")
-        self.make_do = push_button("Use &these", "Average the frames that came so far into the untouched frame")
-        self.cancel = push_button("Cance&l", "Stop capturing (Esc); the preset keeps the untouched frame that it has")
-        self.undo = push_button("&Undo", "Take the change of the preset back that was made last (Ctrl+Z)")
+        self.go_on = push_button("&Go on", "Continue playback and take the missing frames")
+        self.make_do = push_button("Use &these", "Average only the frames taken so far")
+        self.cancel = push_button("Cance&l", "Cancel capturing (Esc); the preset's untouched frame is unchanged")
+        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
         self.save = push_button("&Save preset", "Save the preset; the untouched frame is written beside it (Ctrl+S)")
         self.save.setShortcut("Ctrl+S")
@@ -163,20 +163,20 @@ class CaptureWindow(QDialog):
         self.capture.failed.connect(self._fail)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Let Esc stop capturing first."""
+        """Let Esc cancel capturing before it closes the window."""
         if event is not None and event.key() == Qt.Key.Key_Escape and self.capture.busy:
             self.capture.cancel()
             return
         super().keyPressEvent(event)
 
     def done(self, result: int) -> None:
-        """Stop capturing and listening: the window is not opened again."""
+        """Stop capturing and disconnect; a closed window is not reused."""
         self.capture.close()
         self._document.undo_stack.indexChanged.disconnect(self._show_state)
         super().done(result)
 
     def source_changed(self) -> None:
-        """Stop: frames of another source are another membrane's."""
+        """Cancel: frames of another source show another membrane."""
         if self.capture.busy:
             self.capture.cancel()
             self.sentence.setText(_OTHER_SOURCE)
@@ -191,14 +191,14 @@ class CaptureWindow(QDialog):
         self._show_busy(False)
         self._document.edit("untouched", captured.record.model_dump())
         self.sentence.setText(captured_words(captured, self._feed.rig))
-        self.save.setFocus()  # the entry would keep Ctrl+Z for itself
+        self.save.setFocus()  # a focused number entry would handle Ctrl+Z itself
 
     def _fail(self, sentence: str) -> None:
         self._show_busy(False)
         if sentence:
             self.sentence.setText(f"{sentence[:1].upper()}{sentence[1:]}.")
         elif self.sentence.text() != _OTHER_SOURCE:
-            self.sentence.setText("Capturing was cancelled; the preset is as before.")
+            self.sentence.setText("Capturing was cancelled; the preset is unchanged.")
 
     def _show_busy(self, busy: bool) -> None:
         self.progress.setVisible(busy)
@@ -214,8 +214,8 @@ class CaptureWindow(QDialog):
         if paused:
             taken = self.capture.taken
             self.sentence.setText(
-                f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in the "
-                "main window, to take the others."
+                f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in "
+                "the main window, to take the rest."
             )
             self.go_on.setFocus()
         elif self.capture.taking:
@@ -251,10 +251,10 @@ class CaptureWindow(QDialog):
 
 
 def captured_words(captured: Captured, rig: Rig) -> str:
-    """Say what was captured and what to do next."""
+    """Return a sentence on what was captured and the next step."""
     averaged = captured.untouched
     count = f"{averaged.frames} frame{'' if averaged.frames == 1 else 's'}"
-    fewer = f" of {captured.asked}, because no more came" if averaged.frames < captured.asked else ""
+    fewer = f" of {captured.asked}, because the source has no more" if averaged.frames < captured.asked else ""
     before, after = (1e3 * rig.tactile.depth_unit_m * counts for counts in averaged.noise_counts)
     noise = "" if math.isnan(before) else f" Noise of the tactile depth: {before:.2f} mm before, {after:.2f} mm after."
     return f"Captured {count}{fewer}.{noise} Save the preset to write the untouched frame beside it."
@@ -265,7 +265,7 @@ def _fit(pane: ImagePane) -> None:
 
 
 class UntouchedControls(QObject):
-    """Owns the store, follows the preset, and keeps at most one window.
+    """Owns the store of untouched frames, and opens at most one window.
 
     Signals
     -------
@@ -291,7 +291,7 @@ class UntouchedControls(QObject):
         context.frameShown.connect(self._frame_shown)
 
     def open(self) -> None:
-        """Open the window on the present source, or bring it to the front."""
+        """Open the window on the current source, or bring it to the front."""
         context = self._context
         if context.result is None:
             context.messages.show_message(

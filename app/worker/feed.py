@@ -1,4 +1,4 @@
-"""Frames for the wizard, from whatever shows them: the main window's worker, or a test."""
+"""Frames of the current source for other windows, from the main window's worker."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .worker import Worker
 
 
 class FrameFeed(QObject):
-    """The present source, and the few orders that taking snapshots needs.
+    """The current source, its newest frame, and the controls that taking snapshots needs.
 
     Signals
     -------
     frameArrived(SensorFrame)
     playbackChanged()
-        Playing, held or frozen now; `playback` tells.
+        `playback` has changed: playing, paused or frozen.
     """
 
     frameArrived = pyqtSignal(object)
@@ -33,14 +33,14 @@ class FrameFeed(QObject):
 
     @property
     def rig(self) -> Rig:
-        """The rig that takes the frames."""
+        """The rig of the source."""
         return self.info.rig
 
     def play(self) -> None:
-        """Let frames come."""
+        """Play."""
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause."""
 
     def seek(self, index: int) -> None:
         """Show another frame of a recording."""
@@ -52,7 +52,7 @@ class FrameFeed(QObject):
 
 
 class WorkerFeed(FrameFeed):
-    """Frames from the worker of the main window, which goes on showing them."""
+    """Frames of the main window's worker, which continues to show them."""
 
     def __init__(
         self, worker: Worker, result: Result, playback: PlaybackState | None = None, parent: QObject | None = None
@@ -65,11 +65,11 @@ class WorkerFeed(FrameFeed):
         worker.playbackChanged.connect(self._playback_changed)
 
     def play(self) -> None:
-        """Let frames come."""
+        """Play."""
         self._worker.play()
 
     def pause(self) -> None:
-        """Stand still."""
+        """Pause."""
         self._worker.pause()
 
     def seek(self, index: int) -> None:
@@ -77,7 +77,7 @@ class WorkerFeed(FrameFeed):
         self._worker.seek(index)
 
     def show_result(self, result: Result) -> None:
-        """Take what the main window shows, unless it is the same frame processed again or of another rig."""
+        """Deliver the frame of a result, unless it was delivered before or is of another rig."""
         if result.frame is self.frame:
             return
         if result.source is not self.info:
@@ -87,6 +87,6 @@ class WorkerFeed(FrameFeed):
         self.deliver(result.frame, replace(self.playback, index=result.playback.index, length=result.playback.length))
 
     def _playback_changed(self, state: PlaybackState) -> None:
-        """Take the orders' effect, which no frame tells while the source stands still."""
+        """Note a new state of playback; while the source is paused, no frame reports it."""
         self.playback = replace(state, index=self.playback.index)
         self.playbackChanged.emit()

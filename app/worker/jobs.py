@@ -1,4 +1,4 @@
-"""Long work beside the GUI: one job at a time, with progress, and a way out."""
+"""Jobs: work on another thread, one at a time, with progress and cancelling."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ Work = Callable[[Progress], Any]
 
 
 class _CancelledError(TactuneError):
-    """Raised inside a job's progress call, to leave it."""
+    """Raised by a job's progress call to end the job."""
 
 
 class _Thread(QThread):
-    """Runs one piece of work."""
+    """The thread of one job."""
 
     progress = pyqtSignal(float, str)
 
@@ -32,7 +32,7 @@ class _Thread(QThread):
         self.sentence = ""
 
     def run(self) -> None:
-        """Do the work; errors become a sentence."""
+        """Do the work and turn an error into a sentence."""
         try:
             self.result = self._work(self._report)
         except _CancelledError:
@@ -49,14 +49,14 @@ class _Thread(QThread):
 
 
 class Job(QObject):
-    """Does work on a thread of its own; a newer piece of work waits for the present one, and only the newest.
+    """Does work on its own thread. Work started meanwhile waits; only the newest is kept waiting.
 
     Signals
     -------
     progress(share: float, words: str)
     done(result: object)
     failed(sentence: str)
-        The sentence is empty where the job was cancelled.
+        The sentence is empty if the job was cancelled.
     busyChanged(busy: bool)
     """
 
@@ -72,11 +72,15 @@ class Job(QObject):
 
     @property
     def busy(self) -> bool:
-        """Whether work is going on."""
+        """Whether work is running."""
         return self._thread is not None
 
     def start(self, work: Work) -> None:
-        """Do this work, now or once the present work has ended."""
+        """Do this work now, or after the current work has ended.
+
+        The work gets a function ``progress(share, words)``. It should call it often: that is where cancelling ends it.
+        Its result comes with `done`, the message of its `TactuneError` with `failed`.
+        """
         if self._thread is not None:
             self._next = work
             return
@@ -87,13 +91,13 @@ class Job(QObject):
         self.busyChanged.emit(True)
 
     def cancel(self) -> None:
-        """Leave the present work at its next report of progress, and forget what waits."""
+        """Cancel the current work at its next report of progress, and drop the waiting work."""
         self._next = None
         if self._thread is not None:
             self._thread.cancelled.set()
 
     def stop(self) -> None:
-        """Cancel; the work ends by itself where it does not report, and nothing is emitted any more."""
+        """Cancel, and emit nothing any more. Work that reports no progress is abandoned and ends by itself."""
         self.cancel()
         if self._thread is not None:
             abandon(self._thread)
@@ -102,7 +106,7 @@ class Job(QObject):
     def _finished(self) -> None:
         thread = self._thread
         if thread is None or not thread.isFinished():
-            return  # this was told by one that was stopped
+            return  # from a thread that was stopped
         self._thread = None
         newest, self._next = self._next, None
         if newest is None:

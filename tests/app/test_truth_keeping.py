@@ -157,6 +157,6 @@ def test_a_window_that_is_opened_again_goes_on_where_it_was(qtbot, make_window, 
     again.open_scan(plate)
     settle(qtbot, again)
     assert again.flow.state == before
-    assert any("taken up again" in sentence for sentence in again.messages.sentences())
+    assert any("was restored" in sentence for sentence in again.messages.sentences())
     assert again.views.patch.point_count() == len(before.patch.points), "the patch is there without any source"
     qtbot.waitUntil(lambda: again.flow.scores is not None)

@@ -144,7 +144,7 @@ def test_a_touch_meanwhile_is_refused_in_words(qtbot, window):
 def test_where_a_recording_ends_what_came_is_taken(qtbot, window):
     window.worker.set_loop(False)
     opened = capture(qtbot, window, 7)
-    assert "because no more came" in opened.sentence.text()
+    assert "because the source has no more" in opened.sentence.text()
     assert 1 <= window.document.preset.untouched.frames <= 5
 
 
@@ -182,7 +182,7 @@ def test_a_pause_of_the_main_window_makes_capturing_wait(qtbot, window, gated, b
     else:
         QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not opened.go_on.isVisible())
-    assert "leave the membrane alone" in opened.sentence.text()
+    assert "do not touch the membrane" in opened.sentence.text()
     gated.opened.set()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert window.document.preset.untouched.frames == 6
@@ -202,7 +202,7 @@ def test_what_came_before_a_pause_can_be_used(qtbot, window, gated):
 def test_capturing_can_be_cancelled_in_a_pause(qtbot, window, gated):
     opened = pause_capturing(qtbot, window, gated)
     QTest.keyClick(opened, Qt.Key.Key_Escape)
-    assert "leave the membrane alone" not in opened.sentence.text()
+    assert "do not touch the membrane" not in opened.sentence.text()
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert "cancelled" in opened.sentence.text() and not opened.go_on.isVisible()
     assert window.document.preset.untouched is None
@@ -258,7 +258,7 @@ def test_a_recording_shorter_than_it_states_ends_where_no_frame_comes(qtbot, win
         QTest.mouseClick(opened.go_on, Qt.MouseButton.LeftButton)
         qtbot.waitUntil(lambda: not opened.capture.busy)
     assert window.document.preset.untouched.frames == 5 - start
-    assert "because no more came" in opened.sentence.text()
+    assert "because the source has no more" in opened.sentence.text()
 
 
 @pytest.mark.parametrize("length", [1, 3])
@@ -327,7 +327,7 @@ def test_the_simulator_takes_its_object_away(qtbot, make_window):
     qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
     pressed = window.result.frame
     opened = open_capture(qtbot, window)
-    assert "simulator takes its object away" in opened.advice.text()
+    assert "simulator removes its object" in opened.advice.text()
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: window.document.preset.untouched is not None, timeout=300_000)
     kept = load_untouched(window.document.preset.untouched, window.document.untouched_home)

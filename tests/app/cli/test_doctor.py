@@ -227,7 +227,7 @@ def test_opengl():
     assert only(check_opengl(answering({"renderer": "llvmpipe", "version": "4.5"}), display)).state is State.WARN
     refused = only(check_opengl(answering({"problem": "this display has OpenGL 1.4, not 2.1"}), display))
     assert refused.state is State.WARN
-    assert "painted in software" in refused.remedy
+    assert "drawn in software" in refused.remedy
     assert only(check_opengl(lambda _: CRASH, display)).state is State.FAIL
 
 
