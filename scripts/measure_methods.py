@@ -23,8 +23,9 @@ from turned_shapes import TURNED
 
 from tactune.core.bench.measure import time_in_turns
 from tactune.core.evaluation.metrics import pixel_scores, symmetric_rmse_m, truth_cloud
+from tactune.core.methods.fusion import Fusion
 from tactune.core.methods.method import ContactMethod, MethodPatch
-from tactune.core.methods.registry import Fusion, make_method, method_names
+from tactune.core.methods.registry import make_method, method_names
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.scenes import Variant

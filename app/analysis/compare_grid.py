@@ -12,7 +12,7 @@ from ...widgets.basics.colormaps import Theme
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from .compare_table import caption
 from .comparer import Outcome
-from .method_looks import TIPS, agreement_legend, method_color
+from .method_looks import agreement_legend, method_color, method_tip
 
 #: Width over height that a view looks best at.
 _ASPECT = 1.25
@@ -33,7 +33,7 @@ class Tile(QWidget):
         self.caption = QLabel("\n")
         self.caption.setTextFormat(Qt.TextFormat.PlainText)
         self.caption.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.caption.setToolTip(TIPS.get(name, ""))
+        self.caption.setToolTip(method_tip(name))
         self.caption.setAccessibleName(f"Numbers of {name}")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

@@ -7,7 +7,8 @@ from pathlib import Path
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSplitter
 
-from ...core.methods.registry import method_names
+from ...core.methods.registry import method_names, method_problems
+from ...widgets.basics.message_bar import Severity
 from ...widgets.basics.theme import theme_name
 from ..context import Context
 from ..worker.results import Result
@@ -40,6 +41,8 @@ class CompareTab(MeasuringTab):
         self.comparison: Comparison | None = None
         self._setting_up = ""
         methods = method_names()
+        for number, problem in enumerate(method_problems()):
+            context.messages.show_message(f"method {number}", Severity.WARNING, f"A method is missing: {problem}.")
         remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
         self.grid = TileGrid(context.cloud_backend)
         self.table = CompareTable(methods, remembered)

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTable
 
 from ...widgets.basics.colormaps import Theme
 from .comparer import Comparison, Outcome
-from .method_looks import TIPS, TRUTH, method_color
+from .method_looks import TRUTH, method_color, method_tip
 
 #: Title, unit and meaning of each column of the table.
 COLUMNS: tuple[tuple[str, str, str], ...] = (
@@ -160,7 +160,7 @@ class CompareTable(QTableWidget):
         if first.text() != text:
             first.setText(text)
             mean = f"\nAt the moment: mean of {averaged} frames" if averaged > 1 else ""
-            first.setToolTip(TIPS.get(name, "") + mean)
+            first.setToolTip(method_tip(name) + mean)
 
     def full_height(self) -> int:
         """Return the height at which no row is hidden."""
@@ -203,7 +203,7 @@ class CompareTable(QTableWidget):
                     item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                 self.setItem(row, column, item)
             first = self._at(row, 0)
-            first.setToolTip(TIPS.get(name, ""))
+            first.setToolTip(method_tip(name))
             if name != TRUTH:
                 first.setFlags(flags | Qt.ItemFlag.ItemIsUserCheckable)
                 first.setCheckState(Qt.CheckState.Checked if name in chosen else Qt.CheckState.Unchecked)

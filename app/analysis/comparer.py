@@ -17,8 +17,9 @@ import numpy as np
 from PyQt6.QtCore import QObject, QThread, pyqtSignal
 
 from ...core.evaluation.metrics import compare_with_truth, method_area_mm2, truth_cloud
+from ...core.methods.fusion import Fusion
 from ...core.methods.method import ContactMethod, MethodPatch, failed
-from ...core.methods.registry import Fusion, make_method, needs_untouched, settings_of
+from ...core.methods.registry import make_method, needs_untouched, settings_of
 from ...core.model.arrays import BoolArray, Float32Array, Uint16Array
 from ...core.model.clouds import ray_table
 from ...core.model.frames import GroundTruth, Rig, SensorFrame

@@ -1,4 +1,8 @@
-"""How each method looks: one colour in a theme, chosen so that colour-blind persons tell them apart."""
+"""The colours and tooltips of the compared methods and of the truth.
+
+The methods state theirs: Okabe and Ito's colours, with changes for the dark theme, which colour-blind people can tell
+apart.
+"""
 
 from __future__ import annotations
 
@@ -7,25 +11,12 @@ from typing import Final
 
 from PyQt6.QtGui import QColor
 
+from ...core.methods.registry import method_kinds
 from ...core.model.arrays import Uint8Array
 from ...widgets.basics.colormaps import Theme, patch_lut
 
 TRUTH: Final = "truth"
 
-#: Okabe and Ito's colours, with brown in place of a purple that is gray to some.
-_RGB: dict[str, tuple[int, int, int]] = {
-    "fusion-rigid": (213, 94, 0),
-    "fusion-homography": (230, 159, 0),
-    "fusion-membrane": (0, 158, 115),
-    "fusion-averaged": (119, 68, 255),
-    "proximity-only": (0, 114, 178),
-    "tactile-only": (86, 180, 233),
-    "tactile-threshold": (105, 60, 90),
-    "mechanics": (110, 40, 0),
-}
-#: On a dark background brown is hardly seen, and on a light one yellow, for which plum stands.
-_DARK_RGB: dict[str, tuple[int, int, int]] = _RGB | {"mechanics": (210, 180, 110), "tactile-threshold": (240, 228, 66)}
-_UNKNOWN_RGB = (130, 80, 220)
 _TRUTH_RGB: dict[Theme, tuple[int, int, int]] = {"light": (20, 20, 20), "dark": (250, 250, 250)}
 
 #: Pixels that a method and the truth share, that only the method has, and that only the truth has.
@@ -36,23 +27,21 @@ MISSED_RGB: Final = (0, 114, 178)
 #: Rows of `method_lut` after those of the context; the farthest shade is hidden.
 CONTACT_ROW, FALSE_ROW, MISSED_ROW, HIDDEN_ROW = 255, 254, 253, 252
 
-TIPS: dict[str, str] = {
-    TRUTH: "The contact as it really is: from the simulator's contact solver, or kept by the recording",
-    "fusion-rigid": "Contact where both cameras measure the same distance, aligned by the tactile camera's pose",
-    "fusion-homography": "Contact where both cameras measure the same distance, aligned by a homography as published",
-    "fusion-membrane": "Both cameras: where the mean of their difference is small and the membrane is pressed",
-    "fusion-averaged": "As fusion-membrane, on the mean of up to 15 frames while the membrane keeps still",
-    "proximity-only": "Proximity camera: points that are nearer than the untouched membrane was",
-    "tactile-only": "Tactile camera: the 60 % of the deformed membrane that moved most",
-    "tactile-threshold": "Tactile camera: what moved by more than 5 mm",
-    "mechanics": "Tactile camera: where something must press for an elastic membrane to look as it does",
-}
+_TRUTH_TIP: Final = "The contact as it really is: from the simulator's contact solver, or kept by the recording"
+
+
+def method_tip(name: str) -> str:
+    """Return the tooltip of a method, or of the truth."""
+    kinds = method_kinds()
+    return _TRUTH_TIP if name == TRUTH else kinds[name].tip if name in kinds else ""
 
 
 def method_rgb(name: str, theme: Theme) -> tuple[int, int, int]:
     """Return the colour of a method, or of the truth."""
-    known = _DARK_RGB if theme == "dark" else _RGB
-    return _TRUTH_RGB[theme] if name == TRUTH else known.get(name, _UNKNOWN_RGB)
+    if name == TRUTH:
+        return _TRUTH_RGB[theme]
+    kind = method_kinds()[name]
+    return kind.dark_rgb or kind.rgb if theme == "dark" else kind.rgb
 
 
 def method_color(name: str, theme: Theme) -> QColor:

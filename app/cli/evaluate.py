@@ -128,12 +128,13 @@ def _plan(
     from platformdirs import user_cache_dir
 
     from ...core.evaluation.table import TablePlan, seeds_from
-    from ...core.evaluation.table_cell import FIRST_HELD_OUT_SEED, OBJECTS, check_methods, plan_scenes, table_methods
+    from ...core.evaluation.table_cell import FIRST_HELD_OUT_SEED, OBJECTS, plan_scenes, table_methods
+    from ...core.methods.registry import check_known
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import HELD_OUT
 
     names = table_methods() if methods == "all" else _listed("--methods", methods)
-    check_methods(names, table_methods())
+    check_known(names, table_methods())
     usual = HELD_OUT if held_out else OBJECTS
     return TablePlan(
         names,

@@ -12,7 +12,7 @@ from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import SourceError, TactuneError
 from ...core.evaluation.metrics import method_area_mm2
 from ...core.methods.method import MethodPatch
-from ...core.methods.registry import FUSION_FIELDS, make_method, method_names, needs_untouched
+from ...core.methods.registry import check_known, make_method, method_kinds, method_names, needs_untouched
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.sources import FrameSource
@@ -32,8 +32,7 @@ def read_untouched(method: str, name: str | None) -> SensorFrame | None:
         The method is unknown or needs no untouched frame, or the source cannot be opened or is empty.
     """
     known = (FUSION, *method_names())
-    if method not in known:
-        raise TactuneError(f"there is no method {method!r}; known are {', '.join(known)}")
+    check_known([method], known)
     if name is None:
         return None
     if not needs_untouched(method):
@@ -150,8 +149,8 @@ def frame_range(frame: int | None, frames: str | None) -> tuple[int, int | None]
 
 def remembered_frames(method: str, preset: Preset) -> int:
     """Return how many frames a method averages: the judged one and those before it."""
-    fields = {FUSION: {}, **FUSION_FIELDS}.get(method)
-    return 1 if fields is None else preset.with_values(fields).averaged_frames
+    fields = {} if method == FUSION else method_kinds()[method].fields
+    return 1 if fields is None else preset.with_values(dict(fields)).averaged_frames
 
 
 def frames_between(source: FrameSource, first: int, last: int | None, before: int) -> Iterator[tuple[int, SensorFrame]]:

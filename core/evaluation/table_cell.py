@@ -189,19 +189,6 @@ def table_methods() -> tuple[str, ...]:
     return (STRAIGHT, *method_names())
 
 
-def check_methods(names: Sequence[str], known: Sequence[str]) -> None:
-    """Check that all methods exist.
-
-    Raises
-    ------
-    TactuneError
-        A name is unknown; the message lists the known ones.
-    """
-    for name in names:
-        if name not in known:
-            raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
-
-
 def build_method(
     name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None, make: MakeMethod = make_method
 ) -> ContactMethod:

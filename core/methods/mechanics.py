@@ -12,7 +12,7 @@ from .mechanics_mesh import build_mesh, interpolation, make_sampler
 from .mechanics_problem import MembraneProblem
 from .mechanics_solver import MembraneSolver, Solution
 from .membrane_view import MembraneView
-from .method import ContactMethod, MethodPatch, failed
+from .method import ContactMethod, MethodKind, MethodPatch, failed
 
 #: Share of the nodes that must be seen.
 _SEEN_SHARE = 0.6
@@ -139,3 +139,19 @@ def _check(
     ):
         if not fits:
             raise TactuneError(f"mechanics: {name} is {value:g}, but it must be {needs}")
+
+
+def _make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+    assert untouched is not None  # `make_method` has checked
+    return MembraneMechanics(preset, rig, untouched)
+
+
+METHOD = MethodKind(
+    "mechanics",
+    "Tactile camera: where something must press for an elastic membrane to look as it does",
+    (110, 40, 0),
+    _make,
+    needs_untouched=True,
+    dark_rgb=(210, 180, 110),
+    rank=13,
+)

@@ -8,7 +8,7 @@ from ..model.clouds import deproject, valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .membrane_view import MembraneView
-from .method import ContactMethod, MethodPatch
+from .method import ContactMethod, MethodKind, MethodPatch
 
 
 class ProximityOnly(ContactMethod):
@@ -44,3 +44,18 @@ class ProximityOnly(ContactMethod):
         with np.errstate(invalid="ignore"):
             mask = valid_depth(counts) & (counts * self._rig.proximity.depth_unit_m < self._nearer_than_m)
         return MethodPatch(deproject(counts, self._rig.proximity, np.flatnonzero(mask)), lambda: mask)
+
+
+def _make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+    assert untouched is not None  # `make_method` has checked
+    return ProximityOnly(preset, rig, untouched)
+
+
+METHOD = MethodKind(
+    "proximity-only",
+    "Proximity camera: points that are nearer than the untouched membrane was",
+    (0, 114, 178),
+    _make,
+    needs_untouched=True,
+    rank=10,
+)

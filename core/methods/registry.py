@@ -1,92 +1,90 @@
-"""The methods by name, as the command line, tables and the application offer them."""
+"""The methods by name: the contact tests' variants, then those of the entry points ``tactune.methods``."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
-from typing import Any
+from collections.abc import Sequence
+from functools import lru_cache
+from typing import Any, Final
 
-from ..contact.pipeline import ContactPipeline
-from ..errors import TactuneError
+from ..errors import PluginError, TactuneError
 from ..model.frames import Rig, SensorFrame
-from ..preset import CONTACT_TESTS, Preset
-from .mechanics import MembraneMechanics
-from .method import ContactMethod, MethodPatch
-from .proximity_only import ProximityOnly
-from .tactile_only import TactileOnly
+from ..model.plugins import Plugins, load_plugins, plugin_names
+from ..preset import Preset
+from .fusion import fusion_kinds
+from .method import ContactMethod, MethodKind
+
+#: The entry-point group.
+GROUP: Final = "tactune.methods"
 
 
-class Fusion(ContactMethod):
-    """The contact pipeline with some of the preset's fields set, which make it one method among others.
+@lru_cache(maxsize=1)
+def _methods(names: tuple[str, ...]) -> Plugins[MethodKind]:
+    """Load the methods of these entry points, and sort all methods."""
+    plugins = load_plugins(GROUP, MethodKind)
+    kinds = {kind.name: kind for kind in plugins.found.values()} | fusion_kinds()
+    ordered = sorted(kinds.values(), key=lambda kind: (kind.rank, kind.name if kind.rank else ""))
+    return Plugins({kind.name: kind for kind in ordered}, plugins.problems)
 
-    Parameters
-    ----------
-    preset : Preset
-    rig : Rig
-    name : str
-    values : dict of str to object
-        Fields of the preset by their paths.
 
-    Raises
-    ------
-    RigMismatchError
-        As `ContactPipeline` does.
-    """
+def method_kinds() -> dict[str, MethodKind]:
+    """Return every method that can be used, by name, fusion first."""
+    return _methods(plugin_names(GROUP)).found
 
-    def __init__(self, preset: Preset, rig: Rig, name: str, values: dict[str, Any]) -> None:
-        self.name = name
-        self._values = values
-        self._pipeline = ContactPipeline(preset.with_values(values), rig)
-        self.remembers = self._pipeline.preset.averaged_frames
 
-    def update(self, preset: Preset) -> None:
-        """Take another preset, without making anew what does not depend on what has changed.
-
-        Raises
-        ------
-        RigMismatchError
-            As the constructor does; the old preset then stays in force.
-        """
-        self._pipeline.update(preset.with_values(self._values))
-        self.remembers = self._pipeline.preset.averaged_frames
-
-    def find(self, frame: SensorFrame) -> MethodPatch:
-        """Return the pipeline's patch."""
-        patch = self._pipeline.process(frame)
-        return MethodPatch(patch.points, lambda: patch.mask, averaged_frames=patch.averaged_frames)
+def method_problems() -> tuple[str, ...]:
+    """Return one sentence for each method of another package that cannot be loaded."""
+    return _methods(plugin_names(GROUP)).problems
 
 
 def method_names() -> tuple[str, ...]:
     """Return the names that `make_method` knows, fusion first."""
-    return (*FUSION_FIELDS, *_AGAINST_UNTOUCHED)
+    return tuple(method_kinds())
+
+
+def method_kind(name: str) -> MethodKind:
+    """Return a method by its name.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, or its package cannot be loaded.
+    """
+    kinds = method_kinds()
+    check_known([name], tuple(kinds))
+    return kinds[name]
+
+
+def check_known(names: Sequence[str], known: Sequence[str]) -> None:
+    """Check that each method's name is one of the known.
+
+    Raises
+    ------
+    TactuneError
+        There is no such method, or its package cannot be loaded.
+    """
+    for name in names:
+        if name not in known:
+            for problem in method_problems():
+                if f"entry point {name!r}" in problem:
+                    raise PluginError(problem)
+            raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 
 
 def needs_untouched(name: str) -> bool:
     """Return whether a method compares with a frame of the untouched membrane."""
-    return name in _AGAINST_UNTOUCHED
+    kind = method_kinds().get(name)
+    return kind is not None and kind.needs_untouched
+
+
+def fields_of(name: str) -> dict[str, Any]:
+    """Return the preset fields that a method sets; empty for the preset's own pipeline and for other methods."""
+    kind = method_kinds().get(name)
+    return dict(kind.fields or {}) if kind is not None else {}
 
 
 def settings_of(name: str, preset: Preset) -> tuple[Any, ...]:
-    """Return all of a preset that decides what a method finds: where it is equal, so are the patches.
-
-    Parameters
-    ----------
-    name : str
-        One of `method_names`.
-    preset : Preset
-    """
-    alignment = preset.alignment
-    pose = alignment.rigid, alignment.depth_scale, alignment.depth_offset_m
-    if name not in FUSION_FIELDS:
-        return pose
-    values = FUSION_FIELDS[name]
-    by_plane = (alignment.homography,) if values["alignment.model"] == "homography" else ()
-    own = []
-    for section in CONTACT_TESTS[values["contact_test"]].section_names:
-        start = f"{section}."
-        fixed = {path.removeprefix(start): value for path, value in values.items() if path.startswith(start)}
-        own.append(getattr(preset, section).model_copy(update=fixed))
-    return (preset.rig, *pose, *by_plane, preset.region, preset.range, preset.mask, *own)
+    """Return all of a preset that decides a method's patches: equal settings, equal patches."""
+    return method_kind(name).settings_of(preset)
 
 
 def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | None = None) -> ContactMethod:
@@ -99,32 +97,17 @@ def make_method(name: str, preset: Preset, rig: Rig, untouched: SensorFrame | No
     preset : Preset
     rig : Rig
     untouched : SensorFrame, optional
-        The inflated, untouched membrane; every method but fusion needs it.
+        The inflated, untouched membrane, for methods that need it.
 
     Raises
     ------
     TactuneError
         There is no such method, the untouched frame is missing, or the method cannot work with these.
     """
-    if name in FUSION_FIELDS:
-        return Fusion(preset, rig, name, FUSION_FIELDS[name])
-    if name not in _AGAINST_UNTOUCHED:
-        raise TactuneError(f"there is no method {name!r}; known are {', '.join(method_names())}")
-    if untouched is None:
+    kind = method_kind(name)
+    if kind.needs_untouched and untouched is None:
         raise TactuneError(
             f"{name} compares with the untouched membrane, but there is no untouched frame; "
             "capture one while nothing touches the membrane"
         )
-    return _AGAINST_UNTOUCHED[name](preset, rig, untouched)
-
-
-#: Which of the preset's fields each way of fusion sets.
-FUSION_FIELDS: dict[str, dict[str, Any]] = {
-    variant.name: dict(variant.fields) for test in CONTACT_TESTS.values() for variant in test.variants
-}
-_AGAINST_UNTOUCHED: dict[str, Callable[[Preset, Rig, SensorFrame], ContactMethod]] = {
-    "proximity-only": ProximityOnly,
-    "tactile-only": partial(TactileOnly, rule="share"),
-    "tactile-threshold": partial(TactileOnly, rule="threshold"),
-    "mechanics": MembraneMechanics,
-}
+    return kind.make(preset, rig, untouched)

@@ -12,7 +12,7 @@ from ..model.clouds import valid_depth
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .membrane_view import MembraneView
-from .method import ContactMethod, MethodPatch
+from .method import ContactMethod, MethodKind, MethodPatch
 
 
 class TactileOnly(ContactMethod):
@@ -85,3 +85,32 @@ class TactileOnly(ContactMethod):
             if self._rule == "share":
                 least_m = float(np.quantile(deformation_m[deformed], 1.0 - self._share))
             return deformed & (deformation_m >= least_m)
+
+
+def _make_by_share(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+    assert untouched is not None  # `make_method` has checked
+    return TactileOnly(preset, rig, untouched, rule="share")
+
+
+def _make_by_threshold(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+    assert untouched is not None
+    return TactileOnly(preset, rig, untouched, rule="threshold")
+
+
+SHARE = MethodKind(
+    "tactile-only",
+    "Tactile camera: the 60 % of the deformed membrane that moved most",
+    (86, 180, 233),
+    _make_by_share,
+    needs_untouched=True,
+    rank=11,
+)
+THRESHOLD = MethodKind(
+    "tactile-threshold",
+    "Tactile camera: what moved by more than 5 mm",
+    (105, 60, 90),
+    _make_by_threshold,
+    needs_untouched=True,
+    dark_rgb=(240, 228, 66),  # plum is hard to see on a dark background, yellow on a light one
+    rank=12,
+)

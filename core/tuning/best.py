@@ -11,7 +11,7 @@ from statistics import fmean
 from typing import Any, Final
 
 from ..errors import PresetError
-from ..methods.registry import FUSION_FIELDS
+from ..methods.registry import fields_of, method_kind
 from ..preset import Preset, now
 from .plan import FUSION, Plan, Setting
 from .table import Row
@@ -31,9 +31,6 @@ WITHOUT_TRUTH: Final = ("ms", "area", "stability")
 
 #: In the notes of every preset that a sweep has written.
 FOUND_BY: Final = "found by tactune sweep"
-
-#: What a preset says for the methods that it can name.
-_IN_A_PRESET: Final[dict[str, dict[str, Any]]] = {FUSION: {}, **FUSION_FIELDS}
 
 #: Groups that the values of a parameter are put into where there are more.
 _MOST_GROUPS: Final = 8
@@ -195,7 +192,7 @@ def check_presentable(plan: Plan) -> None:
         Names the method.
     """
     for setting in plan.settings:
-        if setting.method not in _IN_A_PRESET:
+        if setting.method != FUSION and method_kind(setting.method).fields is None:
             raise SweepError(f"no preset can name the method {setting.method}; leave --best out, or the method")
 
 
@@ -220,7 +217,7 @@ def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
     )
     notes = f"{plan.base.notes}\n\n{told}".strip()
     name = f"{plan.base.name[:90]}, best {objective}"
-    preset = plan.base.with_values(setting.values | _IN_A_PRESET[setting.method] | {"name": name})
+    preset = plan.base.with_values(setting.values | fields_of(setting.method) | {"name": name})
     return preset.model_copy(update={"notes": notes[-10_000:], "created": now(), "modified": now()})
 
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
-from ..evaluation.table_cell import check_methods, code_version
-from ..methods.registry import FUSION_FIELDS, method_names, needs_untouched
+from ..evaluation.table_cell import code_version
+from ..methods.registry import check_known, fields_of, method_names, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths
@@ -206,7 +206,7 @@ def make_plan(
     TactuneError
         An unknown field, value, method or source, too many runs, or nothing to run over.
     """
-    check_methods(request.methods, (FUSION, *method_names()))
+    check_known(request.methods, (FUSION, *method_names()))
     paths = [axis.path for axis in request.axes]
     for path in paths:
         if paths.count(path) > 1:
@@ -276,7 +276,7 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
         combinations = sample(axes, base, request.sample, request.sample_seed)
     fixed = {path: plain_value(base, path) for path in result_paths()}
     found = [
-        Setting(method, values, fixed | values | FUSION_FIELDS.get(method, {}))
+        Setting(method, values, fixed | values | fields_of(method))
         for values in combinations
         for method in dict.fromkeys(request.methods)
     ]  # fmt: skip

@@ -19,8 +19,9 @@ from ..contact.pipeline import ContactPipeline
 from ..contact.warmup import warm_up
 from ..errors import TactuneError
 from ..evaluation.table_cell import code_version
+from ..methods.fusion import Fusion
 from ..methods.method import ContactMethod, MethodPatch
-from ..methods.registry import Fusion, make_method, needs_untouched
+from ..methods.registry import make_method, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import Preset
 from ..rig.untouched import untouched_frame

@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from ..errors import TactuneError
-from ..methods.registry import FUSION_FIELDS
+from ..methods.registry import fields_of
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths, set_path
 
@@ -162,7 +162,7 @@ def check_free(axes: Sequence[Axis], methods: Sequence[str]) -> None:
     """
     for axis in axes:
         for method in methods:
-            own = FUSION_FIELDS.get(method, {})
+            own = fields_of(method)
             if axis.path in own:
                 raise SweepError(
                     f"{method} always has {axis.path} {own[axis.path]}, so other values would change nothing; "

@@ -14,7 +14,8 @@ from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.core.contact.membrane.average import AveragedDepth
-from tactune.core.methods.registry import Fusion, make_method
+from tactune.core.methods.fusion import Fusion
+from tactune.core.methods.registry import make_method
 from tactune.core.preset import Preset
 from tiny_sensor import tiny_frame, tiny_rig
 

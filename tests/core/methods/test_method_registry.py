@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from tactune.core.contact.pipeline import ContactPipeline
-from tactune.core.errors import RigMismatchError, TactuneError
-from tactune.core.methods.registry import make_method, method_names, needs_untouched, settings_of
+from tactune.core.errors import PluginError, RigMismatchError, TactuneError
+from tactune.core.methods.registry import make_method, method_names, method_problems, needs_untouched, settings_of
+from tactune.core.model import plugins
 from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 
@@ -172,3 +173,40 @@ def test_a_fusion_that_takes_another_preset_is_the_one_made_with_it(bulged, name
     found, expected = method.find(pressed), make_method(name, other, rig).find(pressed)
     np.testing.assert_array_equal(found.points, expected.points)
     assert len(found.points) != len(before.points)
+
+
+@pytest.fixture
+def third_party(tmp_path, monkeypatch):
+    """Let this process find a package with a method that needs no untouched frame, and with two broken entries."""
+    (tmp_path / "nearest_method.py").write_text(
+        "import numpy as np\n"
+        "from tactune.core.methods.method import ContactMethod, MethodKind, MethodPatch\n"
+        "class Nearest(ContactMethod):\n"
+        "    name = 'nearest'\n"
+        "    def find(self, frame):\n"
+        "        mask = frame.proximity_depth == frame.proximity_depth.min()\n"
+        "        return MethodPatch(np.zeros((int(mask.sum()), 3), np.float32), lambda: mask)\n"
+        "METHOD = MethodKind('nearest', 'The nearest pixels', (1, 2, 3), lambda preset, rig, untouched: Nearest())\n"
+    )
+    metadata = tmp_path / "acme_methods-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: acme-methods\nVersion: 1.0\n")
+    entries = "nearest = nearest_method:METHOD\ngone = no_such_module:METHOD\nodd = tactune.core.errors:TactuneError\n"
+    (metadata / "entry_points.txt").write_text(f"[tactune.methods]\n{entries}")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    plugins.forget()
+    yield
+    monkeypatch.undo()
+    plugins.forget()
+
+
+def test_another_packages_method_needs_no_untouched_frame_and_its_broken_ones_are_named(third_party, cup_frames):
+    rig, _, pressed = cup_frames
+    assert method_names() == (*NAMES, "nearest")
+    assert not needs_untouched("nearest")
+    patch = make_method("nearest", Preset(), rig).find(pressed)
+    assert len(patch.points) == np.count_nonzero(patch.mask) > 0
+    assert len(method_problems()) == 2
+    for name in ("gone", "odd"):
+        with pytest.raises(PluginError, match=rf"entry point '{name}' \(tactune.methods\) of the package acme-methods"):
+            make_method(name, Preset(), rig)

@@ -1,0 +1,82 @@
+"""The contact pipeline as methods: one for each variant that a contact test names."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from ..contact.pipeline import ContactPipeline
+from ..model.frames import Rig, SensorFrame
+from ..preset import CONTACT_TESTS, Preset
+from ..preset.contact_test import FusionVariant
+from .method import ContactMethod, MethodKind, MethodPatch, pose_settings
+
+
+class Fusion(ContactMethod):
+    """The contact pipeline with some preset fields set, as one method among others.
+
+    Parameters
+    ----------
+    preset : Preset
+    rig : Rig
+    name : str
+    values : mapping of str to object
+        Fields of the preset by their paths.
+
+    Raises
+    ------
+    RigMismatchError
+        As `ContactPipeline` does.
+    """
+
+    def __init__(self, preset: Preset, rig: Rig, name: str, values: Mapping[str, Any]) -> None:
+        self.name = name
+        self._values = values
+        self._pipeline = ContactPipeline(preset.with_values(dict(values)), rig)
+        self.remembers = self._pipeline.preset.averaged_frames
+
+    def update(self, preset: Preset) -> None:
+        """Use another preset; what does not depend on the changed fields is kept.
+
+        Raises
+        ------
+        RigMismatchError
+            As the constructor does; the old preset then stays in use.
+        """
+        self._pipeline.update(preset.with_values(dict(self._values)))
+        self.remembers = self._pipeline.preset.averaged_frames
+
+    def find(self, frame: SensorFrame) -> MethodPatch:
+        """Return the pipeline's patch."""
+        patch = self._pipeline.process(frame)
+        return MethodPatch(patch.points, lambda: patch.mask, averaged_frames=patch.averaged_frames)
+
+
+def fusion_kinds() -> dict[str, MethodKind]:
+    """Return the methods of all contact tests, in the tests' order."""
+    return {variant.name: _kind_of(variant) for test in CONTACT_TESTS.values() for variant in test.variants}
+
+
+def _kind_of(variant: FusionVariant) -> MethodKind:
+    fields = variant.fields
+    homography = fields["alignment.model"] == "homography"
+    sections = CONTACT_TESTS[fields["contact_test"]].section_names
+
+    def make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
+        return Fusion(preset, rig, variant.name, fields)
+
+    def settings_of(preset: Preset) -> tuple[Any, ...]:
+        by_plane = (preset.alignment.homography,) if homography else ()
+        own = [_with_fields(getattr(preset, section), section, fields) for section in sections]
+        return (preset.rig, *pose_settings(preset), *by_plane, preset.region, preset.range, preset.mask, *own)
+
+    return MethodKind(
+        variant.name, variant.tip, variant.rgb, make, settings_of, fields=fields, dark_rgb=variant.dark_rgb, rank=0
+    )
+
+
+def _with_fields(section: Any, name: str, fields: Mapping[str, Any]) -> Any:
+    """Return a section of a preset with those of the fields that belong to it."""
+    start = f"{name}."
+    own = {path.removeprefix(start): value for path, value in fields.items() if path.startswith(start)}
+    return section.model_copy(update=own)
