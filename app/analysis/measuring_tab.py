@@ -14,7 +14,7 @@ from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import FoundUntouched
-from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
 from ..document.document import Document

@@ -15,8 +15,7 @@ from ...core.model.arrays import Float64Array, IndexArray
 from ...core.strain.strain import AxisStrain
 from ...widgets.basics.controls import make_verdict
 from ...widgets.basics.theme import theme_colors
-from ...widgets.images.image_pane import ImagePane
-from ...widgets.images.pane_header import ColorBar, Swatch
+from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch
 from .strain_work import MapOf, StrainView, color_range, map_lut, paint, values_of
 
 #: Where strain is largest along the length and along the width; also the colours of the curve.

@@ -31,15 +31,13 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
 from ...core.scan.paint import PaintSettings
-from ...widgets.basics.accent_button import AccentButton
-from ...widgets.basics.collapsible import CollapsibleSection
+from ...widgets.basics.controls import AccentButton, CollapsibleSection
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
+from ...widgets.parameters.band_slider import RangeEditor, groove_colors
 from ...widgets.parameters.fields import FieldSpec, field_spec
 from ...widgets.parameters.gestures import new_gesture
-from ...widgets.parameters.hsv_colors import groove_colors
-from ...widgets.parameters.number_entry import NumberEntry
+from ...widgets.parameters.number_slider import NumberEntry
 from ...widgets.parameters.parameter_row import MessageLabel, ParameterRow
-from ...widgets.parameters.range_row import RangeEditor
 from .truth_state import PickedPair
 from .truth_work import Refinement, Scores
 

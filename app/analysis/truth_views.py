@@ -12,10 +12,9 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSplitter, QVBoxLa
 
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, palette_theme, patch_lut
-from ...widgets.basics.elided_label import ElidedLabel
-from ...widgets.clouds.cloud_data import DepthCloud
+from ...widgets.basics.controls import ElidedLabel
+from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
 from ...widgets.clouds.cloud_view import BackendChoice
-from ...widgets.clouds.free_points import free_cloud
 from ...widgets.clouds.pick_view import PickView, Spot, as_place
 from ...widgets.clouds.pose_handles import PoseHandles
 from ...widgets.images.marks import MarkKind

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
-from ...widgets.basics.accent_button import AccentButton
+from ...widgets.basics.controls import AccentButton
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ...widgets.images.point_image import PointImage

@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.calibration import CalibrationReport
 from ...core.calibration.report import ModelQuality
-from ...widgets.plots.residual_plot import Residual, ResidualPlot, round_limit
+from ...widgets.plots.calibration_plots import Residual, ResidualPlot, round_limit
 from .fitting import Outcome
 from .session import ModelChoice, Session, SessionState
 

@@ -8,7 +8,7 @@ from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QToolButton, QVBoxLayout, QWidget
 
-from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.point_table import PointTable
 from ...widgets.parameters.gestures import GestureClock
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows

@@ -17,10 +17,10 @@ from ...core.calibration.quality import millimetres_per_pixel
 from ...core.calibration.report import grade
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.accent_button import AccentButton
-from ...widgets.images.pane_header import ColorBar
+from ...widgets.basics.controls import AccentButton
+from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
-from ...widgets.plots.coverage_grid import CoverageGrid
+from ...widgets.plots.calibration_plots import CoverageGrid
 from ..worker.jobs import Job
 from .fitting import Outcome, image_marks
 from .pictures import membrane_grid, pack_rgb, picture

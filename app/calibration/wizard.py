@@ -15,9 +15,7 @@ from PyQt6.QtWidgets import QButtonGroup, QDialog, QFileDialog, QHBoxLayout, QSt
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
-from ...widgets.basics.accent_button import AccentButton
-from ...widgets.basics.controls import push_button
-from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import Context

@@ -35,7 +35,7 @@ from ...widgets.basics.controls import push_button
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.theme import ACCENT, theme_colors
 from ...widgets.images.image_pane import ImagePane
-from ...widgets.images.region_item import RegionItem
+from ...widgets.images.marks import RegionItem
 from ..calibration.pictures import picture
 from ..document.document import Document
 from ..worker.jobs import Job

@@ -15,7 +15,7 @@ from PyQt6.QtGui import QAction, QColor, QDesktopServices, QPalette
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QWidget
 
 from ...core.recording.writer import RecordingStatus
-from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.message_bar import Offer, Severity
 from ...widgets.basics.theme import theme_colors
 from ..context import Context

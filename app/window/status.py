@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QStatusBar, QWidget
 
-from ...widgets.basics.elided_label import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
 #: Numbers that change thirty times a second cannot be read; a few times is enough.

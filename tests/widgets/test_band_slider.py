@@ -6,7 +6,7 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
 
 from tactune.widgets.parameters.band_slider import BandSlider
-from tactune.widgets.parameters.scales import Scale
+from tactune.widgets.parameters.number_slider import Scale
 
 LEFT = Qt.MouseButton.LeftButton
 

@@ -16,8 +16,7 @@ from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics.colormaps import depth_lut, provenance_legend
 from tactune.widgets.clouds.cloud_data import DepthCloud
-from tactune.widgets.clouds.cloud_header import CloudHeader, short_count
-from tactune.widgets.clouds.cloud_legend import LegendLine
+from tactune.widgets.clouds.cloud_labels import CloudHeader, LegendLine, short_count
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.clouds.view_camera import ViewCamera
 

@@ -10,8 +10,8 @@ from pytestqt.qtbot import QtBot
 
 from tactune.core.errors import FrameError
 from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.cloud_data import free_cloud
 from tactune.widgets.clouds.cloud_view import CloudView
-from tactune.widgets.clouds.free_points import free_cloud
 from tactune.widgets.clouds.view_camera import ViewCamera
 
 COLORS = [(255, 0, 0), (0, 160, 0), (0, 0, 255), (200, 0, 200)]

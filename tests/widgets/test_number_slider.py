@@ -11,9 +11,7 @@ from PyQt6.QtTest import QTest
 
 from tactune.core.preset import Preset
 from tactune.widgets.parameters.fields import FieldSpec, format_number, section_fields
-from tactune.widgets.parameters.number_entry import NumberEntry, parse_number
-from tactune.widgets.parameters.number_slider import NumberSlider
-from tactune.widgets.parameters.scales import Scale
+from tactune.widgets.parameters.number_slider import NumberEntry, NumberSlider, Scale, parse_number
 
 LEFT = Qt.MouseButton.LeftButton
 

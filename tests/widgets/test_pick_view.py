@@ -11,7 +11,7 @@ from pytestqt.qtbot import QtBot
 from scipy.spatial.transform import Rotation
 
 from tactune.widgets.clouds import gl_backend
-from tactune.widgets.clouds.free_points import free_cloud
+from tactune.widgets.clouds.cloud_data import free_cloud
 from tactune.widgets.clouds.pick_view import STEP_M, STEP_RAD, PickView, Spot
 from tactune.widgets.clouds.pose_handles import Handle, PoseHandles
 from tactune.widgets.clouds.view_camera import ViewCamera

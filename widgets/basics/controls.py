@@ -1,9 +1,22 @@
-"""Buttons, progress bars and labels that several windows share."""
+"""Controls that several windows share: buttons, labels, progress bars, a collapsible section."""
 
 from __future__ import annotations
 
-from PyQt6.QtGui import QFont
-from PyQt6.QtWidgets import QLabel, QProgressBar, QPushButton
+from PyQt6.QtCore import QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QFont, QPainter, QPaintEvent, QPalette
+from PyQt6.QtWidgets import (
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QSizePolicy,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from .theme import theme_colors
 
 
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
@@ -30,3 +43,108 @@ def make_verdict(label: QLabel) -> None:
     font.setPointSizeF(1.15 * font.pointSizeF())
     font.setBold(True)
     label.setFont(font)
+
+
+class AccentButton(QPushButton):
+    """A checkable button, filled with the accent colour while it is checked."""
+
+    def __init__(self, text: str, tip: str, parent: QWidget | None = None) -> None:
+        super().__init__(text, parent)
+        self.setCheckable(True)
+        self.setAutoDefault(False)
+        self.setToolTip(tip)
+        self.toggled.connect(self._color)
+
+    def _color(self, checked: bool) -> None:
+        palette = QPalette()
+        if checked:
+            colors = theme_colors()
+            palette.setColor(QPalette.ColorRole.Button, QColor(colors.accent).darker(118))
+            palette.setColor(QPalette.ColorRole.ButtonText, QColor(colors.on_accent))
+        self.setPalette(palette)
+
+
+class ElidedLabel(QLabel):
+    """A plain-text label that never asks for width; the tooltip has the whole text where some is missing."""
+
+    def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(text, parent)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
+
+    def sizeHint(self) -> QSize:
+        """One line, also while empty, so that the layout does not jump."""
+        return QSize(0, self.fontMetrics().height() + 4)
+
+    def minimumSizeHint(self) -> QSize:
+        """The width is up to the layout."""
+        return self.sizeHint()
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        """Paint what fits."""
+        shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
+        self.setToolTip("" if shown == self.text() else self.text())
+        painter = QPainter(self)
+        painter.setPen(self.palette().windowText().color())
+        painter.drawText(self.rect().adjusted(2, 0, -2, 0), Qt.AlignmentFlag.AlignVCenter, shown)
+
+
+class CollapsibleSection(QFrame):
+    """A titled section: a header button that folds the body, and room for a few widgets beside the title.
+
+    Signals
+    -------
+    collapsedChanged(bool)
+    """
+
+    collapsedChanged = pyqtSignal(bool)
+
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.title = title
+        self._collapsed = False
+        self.button = QToolButton()
+        self.button.setText(title)
+        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.button.setArrowType(Qt.ArrowType.DownArrow)
+        self.button.setAutoRaise(True)
+        self.button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.button.setAccessibleName(f"{title} section")
+        self.button.setToolTip(f"Fold or unfold {title.lower()}")
+        font = QFont(self.button.font())
+        font.setBold(True)
+        self.button.setFont(font)
+
+        header = QFrame()
+        header.setAutoFillBackground(True)
+        header.setBackgroundRole(QPalette.ColorRole.AlternateBase)
+        self._header_layout = QHBoxLayout(header)
+        self._header_layout.setContentsMargins(2, 1, 4, 1)
+        self._header_layout.setSpacing(4)
+        self._header_layout.addWidget(self.button, 1)
+        self.body = QWidget()
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(0)
+        layout.addWidget(header)
+        layout.addWidget(self.body)
+        self.button.clicked.connect(lambda: self.set_collapsed(not self._collapsed))
+
+    def add_header_widget(self, widget: QWidget) -> None:
+        """Put a widget at the right end of the header, where it stays when the section is folded."""
+        self._header_layout.addWidget(widget)
+
+    @property
+    def collapsed(self) -> bool:
+        """Whether the body is folded away."""
+        return self._collapsed
+
+    def set_collapsed(self, collapsed: bool) -> None:
+        """Fold or unfold the body."""
+        if collapsed == self._collapsed:
+            return
+        self._collapsed = collapsed
+        self.body.setVisible(not collapsed)
+        self.button.setArrowType(Qt.ArrowType.RightArrow if collapsed else Qt.ArrowType.DownArrow)
+        self.collapsedChanged.emit(collapsed)

@@ -23,8 +23,7 @@ from PyQt6.QtGui import (
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from .cloud_data import DepthCloud
-from .cloud_header import CloudHeader
-from .cloud_legend import LegendLine
+from .cloud_labels import CloudHeader, LegendLine
 from .cloud_scene import CloudScene
 from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
 

@@ -7,11 +7,10 @@ from PyQt6.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QPen, QRe
 from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
-from ..basics.elided_label import ElidedLabel
+from ..basics.controls import ElidedLabel
 from ..parameters.fields import format_number
-from .image_pane import ImagePane, Rectangle
-from .pane_header import ColorBar, Swatch
-from .region_item import RegionItem
+from .image_pane import ColorBar, ImagePane, Rectangle, Swatch
+from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip
 
 __all__ = ["PANES", "ImageStrip", "RenderedStrip", "StripImages", "render_strip"]

@@ -24,13 +24,12 @@ from PyQt6.QtWidgets import (
 from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ...core.preset.alignment import CalibrationRecord
-from ..basics.collapsible import CollapsibleSection
+from ..basics.controls import CollapsibleSection
 from ..plots.histogram import DifferenceHistogram
+from .band_slider import RangeEditor, groove_colors
 from .fields import FieldSpec, field_spec, section_fields
 from .gestures import new_gesture
-from .hsv_colors import groove_colors
 from .parameter_row import ParameterRow
-from .range_row import RangeEditor
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (

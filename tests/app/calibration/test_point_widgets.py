@@ -12,11 +12,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 
 from tactune.widgets.basics.point_table import PointRow, PointTable
-from tactune.widgets.images.loupe import Loupe
 from tactune.widgets.images.marks import COLORS, REACH, Mark, MarkKind
-from tactune.widgets.images.point_image import PointImage
-from tactune.widgets.plots.coverage_grid import CoverageGrid
-from tactune.widgets.plots.residual_plot import Residual, ResidualPlot, round_limit
+from tactune.widgets.images.point_image import Loupe, PointImage
+from tactune.widgets.plots.calibration_plots import CoverageGrid, Residual, ResidualPlot, round_limit
 
 LEFT = Qt.MouseButton.LeftButton
 PLAIN = Qt.KeyboardModifier.NoModifier

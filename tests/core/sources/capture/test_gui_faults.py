@@ -9,9 +9,6 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 
-if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
-    os.environ["QT_QPA_PLATFORM"] = "offscreen"  # so that a bare pytest works on a machine without a display
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QObject, Qt, QTimer
