@@ -15,7 +15,9 @@ from ..worker.results import SourceInfo, SourceState
 from .chooser import CameraChooser, CameraSearch
 from .panel import DELAY_PATH, CameraPanel
 
-CAMERAS = "realsense:"
+CAMERAS = "cameras:"
+#: How names of sources begin that hold devices of their own.
+CAMERA_SCHEMES = (CAMERAS, "realsense:")
 
 
 class CameraControl(QObject):
@@ -97,7 +99,7 @@ class CameraControl(QObject):
             return
         self._options = tuple(self._brought(option, before) for option in self._options)
         self.panel.set_options(self._options, preset.cameras)
-        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERAS):
+        if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERA_SCHEMES):
             self._messages.show_message(
                 "cameras",
                 Severity.INFO,

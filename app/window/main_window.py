@@ -21,7 +21,7 @@ from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
-from ..cameras.control import CAMERAS, CameraControl
+from ..cameras.control import CAMERA_SCHEMES, CameraControl
 from ..context import Context
 from ..document.document import Document
 from ..document.recovery import Autosave
@@ -264,7 +264,7 @@ class MainWindow(QMainWindow):
         cameras = self.document.preset.cameras
         self.open_request(
             SourceRequest(
-                name, lambda progress: open_source(name, progress, cameras), exclusive=name.startswith(CAMERAS)
+                name, lambda progress: open_source(name, progress, cameras), exclusive=name.startswith(CAMERA_SCHEMES)
             )
         )
 

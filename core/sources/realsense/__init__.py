@@ -12,7 +12,6 @@ KIND = SourceKind(
     title="RealSense cameras",
     form="realsense:[PROXIMITY,TACTILE]",
     description="A live L515 and a D405, captured in a process of their own; with serial numbers, those.",
-    examples=("realsense:",),
     open=partial(open_in_process, driver="realsense"),
     rank=5,
 )
