@@ -31,12 +31,13 @@ from ..sources.mcap.messages import (
     LogClock,
     Topic,
     frame_text,
+    image_streams,
+    images_of,
     nanoseconds,
     stamped,
     static_transforms,
     text,
 )
-from ..sources.mcap.streams import image_streams, images_of
 from .bag import Bag, Buffer, Message
 
 #: Frames wait in no more memory than this: about two seconds of a full rig.

@@ -18,12 +18,12 @@ topic                               type                       contents
 ``/tf_static``                      ``tf2_msgs/TFMessage``     factory poses, once
 =================================== ========================== ==================================
 
-Depth stays as the cameras count it, so that playback gives the very bits. ROS takes 16UC1 for
-millimetres: clouds that Foxglove or RViz make of it are too large by the ratio of the units, 4 for
-an L515 (0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the rig, which is also attached as
+Depth is stored in the cameras' raw counts, so playback is bit-identical. ROS reads 16UC1 as
+millimetres: clouds that Foxglove or RViz make of it are too large by a factor of 4 for an L515
+(0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the rig, which is also attached as
 ``rig.json``; the topic is there for tools that copy messages and leave attachments out.
 
-A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is told as
+A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is written as
 ``plumb_bob`` with the same coefficients, as the camera maker's own ROS driver does.
 """
 
@@ -31,6 +31,8 @@ from __future__ import annotations
 
 import json
 import struct
+from collections.abc import Iterator
+from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 from typing import Any, Final
@@ -39,8 +41,8 @@ import numpy as np
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from ...errors import SourceError
-from ...model.arrays import Float32Array, Float64Array
+from ...errors import FrameError, SourceError
+from ...model.arrays import AnyArray, Float32Array, Float64Array
 from ...model.frames import Matrix4, Rig, SensorFrame, rigid_transform
 from ...model.intrinsics import Intrinsics
 
@@ -62,7 +64,7 @@ TEXT: Final = "std_msgs/msg/String"
 TRANSFORMS: Final = "tf2_msgs/msg/TFMessage"
 
 #: Transient local and reliable, in the numbers that every release of rosbag2 understands; without
-#: this, players publish static transforms in a way to which no listener listens.
+#: this, players publish static transforms with settings that subscribers refuse.
 STATIC_QOS: Final = """\
 - history: 1
   depth: 1
@@ -96,7 +98,7 @@ class Topic(StrEnum):
         return self.removesuffix("image") + "camera_info"
 
 
-#: Topics with one message, which is kept for listeners who come later.
+#: Topics with one message, which players keep for late subscribers.
 SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
 
 PROXIMITY_FRAME: Final = "proximity_depth_optical_frame"
@@ -104,6 +106,13 @@ PROXIMITY_COLOR_FRAME: Final = "proximity_color_optical_frame"
 TACTILE_FRAME: Final = "tactile_depth_optical_frame"
 
 _LAST_STAMP_NS = (2**31) * 10**9 - 1
+_DTYPES: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype("<u2"),
+    "rgb8": np.dtype("u1"),
+    "mono8": np.dtype("u1"),
+    "32FC1": np.dtype("<f4"),
+}
+_CHANNELS = {"rgb8": 3}
 
 
 def nanoseconds(time_s: float) -> int:
@@ -112,9 +121,9 @@ def nanoseconds(time_s: float) -> int:
 
 
 class LogClock:
-    """Log times that follow the time stamps and always grow, whatever the stamps do.
+    """Log times that follow the time stamps and always increase, even where the stamps do not.
 
-    Players sort by log time: a camera's clock that jumps back must not shuffle the frames.
+    Players sort by log time, so a camera's clock that jumps back must not reorder the frames.
     """
 
     def __init__(self, period_s: float) -> None:
@@ -133,12 +142,12 @@ class LogClock:
 
 
 def definition(message_type: str) -> str:
-    """Return the definition of a message type with all that it contains."""
+    """Return the definition of a message type and of the types inside it."""
     return TYPES.generate_msgdef(message_type, ros_version=2)[0]
 
 
 def type_hash(message_type: str) -> str:
-    """Return the hash by which ROS 2 names this very definition."""
+    """Return the hash by which ROS 2 identifies this definition."""
     return TYPES.hash_rihs01(message_type)
 
 
@@ -149,7 +158,7 @@ def stamped(template: bytes, stamp_ns: int) -> bytes:
 
 
 def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes: int) -> bytes:
-    """Return a serialised image up to its pixels, which follow it as they are."""
+    """Return a serialised image up to its pixels, which follow unchanged."""
     height, width = shape
     row_bytes = width * pixel_bytes
     empty = _type(IMAGE)(_header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
@@ -198,7 +207,7 @@ def text(value: str) -> bytes:
 
 
 def frame_text(frame: SensorFrame) -> bytes:
-    """Return what images cannot say of a frame, serialised: its number and its exact time stamps."""
+    """Return a frame's number and exact time stamps, serialised."""
     values = {
         "sequence": int(frame.sequence),
         "proximity_time_s": float(frame.proximity_time_s),
@@ -225,8 +234,68 @@ def point_cloud(points: Float32Array, stamp_ns: int) -> bytes:
     return _serialise(message, POINT_CLOUD)
 
 
+@dataclass(frozen=True)
+class ImageStream:
+    """One image topic, with the parts that all its messages share, serialised once.
+
+    Attributes
+    ----------
+    head : bytes
+        An image message up to its pixels, without a time stamp.
+    lens : bytes or None
+        The camera info that goes with each image.
+    """
+
+    topic: Topic
+    of_tactile: bool
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    channels: int
+    head: bytes
+    lens: bytes | None
+
+    def check(self, image: AnyArray, sequence: int) -> None:
+        """Raise `FrameError` where an image has another size or type than the stream."""
+        shape = self.shape if self.channels == 1 else (*self.shape, self.channels)
+        if image.shape != shape or image.dtype != self.dtype:
+            raise FrameError(
+                f"frame {sequence}: the image for {self.topic} is {image.dtype}, {image.shape}, "
+                f"but the rig needs {self.dtype}, {shape}; use the rig of the camera that took it"
+            )
+
+
+def image_streams(rig: Rig) -> dict[Topic, ImageStream]:
+    """Return the streams of a rig's frames."""
+    proximity, tactile = rig.proximity.intrinsics, rig.tactile.intrinsics
+    color, color_frame = proximity, PROXIMITY_FRAME
+    if rig.proximity_color is not None:
+        color, color_frame = rig.proximity_color.intrinsics, PROXIMITY_COLOR_FRAME
+    streams = (
+        _stream(Topic.PROXIMITY_DEPTH, PROXIMITY_FRAME, "16UC1", proximity),
+        _stream(Topic.PROXIMITY_COLOR, color_frame, "rgb8", color),
+        _stream(Topic.TACTILE_DEPTH, TACTILE_FRAME, "16UC1", tactile, of_tactile=True),
+        _stream(Topic.TACTILE_COLOR, TACTILE_FRAME, "rgb8", tactile, of_tactile=True),
+        _stream(Topic.TRUTH_CONTACT, PROXIMITY_FRAME, "mono8", proximity, with_lens=False),
+        _stream(Topic.TRUTH_DEPTH, PROXIMITY_FRAME, "32FC1", proximity, with_lens=False),
+    )
+    return {stream.topic: stream for stream in streams}
+
+
+def images_of(frame: SensorFrame) -> Iterator[tuple[Topic, AnyArray]]:
+    """Yield the images of a frame with their topics."""
+    yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
+    yield Topic.PROXIMITY_COLOR, frame.proximity_color
+    yield Topic.TACTILE_DEPTH, frame.tactile_depth
+    if frame.tactile_color is not None:
+        yield Topic.TACTILE_COLOR, frame.tactile_color
+    if frame.truth is not None:
+        yield Topic.TRUTH_CONTACT, np.where(frame.truth.contact, np.uint8(255), np.uint8(0))
+        if frame.truth.depth_m is not None:
+            yield Topic.TRUTH_DEPTH, frame.truth.depth_m
+
+
 def parse(data: memoryview, message_type: str, origin: Path) -> Any:
-    """Return a message from its bytes; `SourceError` names the file, ``origin``, where they are none."""
+    """Return a message from its bytes; `SourceError` names the file, ``origin``, if they are damaged."""
     try:
         return TYPES.deserialize_cdr(data, message_type)
     except Exception as error:  # the library checks with whatever Python raises
@@ -234,7 +303,7 @@ def parse(data: memoryview, message_type: str, origin: Path) -> Any:
 
 
 def matrix_of(transform: Any) -> Matrix4:
-    """Return the 4 x 4 matrix of a ROS transform; `ValueError` where it is none."""
+    """Return the 4 x 4 matrix of a ROS transform; `ValueError` if it is not rigid."""
     q, t = transform.rotation, transform.translation
     matrix = np.eye(4)
     matrix[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
@@ -258,3 +327,18 @@ def _serialise(message: Any, message_type: str) -> bytes:
 
 def _type(name: str) -> Any:
     return TYPES.types[name]
+
+
+def _stream(
+    topic: Topic, frame_id: str, encoding: str, lens: Intrinsics, *, of_tactile: bool = False, with_lens: bool = True
+) -> ImageStream:
+    dtype, channels = _DTYPES[encoding], _CHANNELS.get(encoding, 1)
+    return ImageStream(
+        topic=topic,
+        of_tactile=of_tactile,
+        shape=lens.shape,
+        dtype=dtype,
+        channels=channels,
+        head=image_head(frame_id, encoding, lens.shape, dtype.itemsize * channels),
+        lens=camera_info(frame_id, lens) if with_lens else None,
+    )

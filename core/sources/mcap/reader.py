@@ -1,4 +1,8 @@
-"""Reads the MCAP container by topic and place, complete or cut off, whoever wrote it."""
+"""Random access to the messages of an MCAP file, finished or cut off.
+
+The ``mcap`` library reads finished files only: a killed recording has no summary, and the library then has to read
+and decompress all of it.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +37,7 @@ _FOOTER_BYTES: Final = 9 + 20 + len(MAGIC)
 _LARGEST_CHUNK: Final = 2**30
 _CACHED_CHUNKS: Final = 8
 
-#: All that reading damaged bytes can raise.
+#: Exceptions that damaged bytes can raise.
 _DAMAGE: Final = (ValueError, IndexError, KeyError, OverflowError, EOFError, RuntimeError, struct.error, zstd.ZstdError)
 
 
@@ -49,14 +53,14 @@ class Channel:
 class McapFile:
     """An MCAP file, open for reading.
 
-    Opening it reads its index; where it has none, because its writer was killed, every record's head
-    is visited once. No message is decompressed for that, unless chunks lack their own indexes.
+    Opening reads the summary at the end. Where there is none, because the writer was killed, the header of every
+    record is read once; messages are not decompressed, unless a chunk has no index of its own.
 
     Attributes
     ----------
     path : Path
     complete : bool
-        Whether the writer finished the file. Else it ends with the last complete chunk.
+        Whether the writer finished the file; otherwise it ends with the last complete chunk.
 
     Parameters
     ----------
@@ -67,7 +71,7 @@ class McapFile:
     Raises
     ------
     SourceError
-        No MCAP file, or damaged; the message says what to do.
+        Not an MCAP file, or damaged; the message says what to do.
     """
 
     def __init__(self, path: Path, progress: Callable[[float, str], None] | None = None) -> None:
@@ -119,7 +123,7 @@ class McapFile:
             return data[offset + 31 : offset + 9 + length]
 
     def attachment(self, name: str) -> bytes | None:
-        """Return an attached file, or None where there is none of that name."""
+        """Return an attached file by its name, or None."""
         if name not in self._attachments:
             return None
         with self._damage_told():
@@ -129,7 +133,7 @@ class McapFile:
             return bytes(cursor.bytes_(*cursor.take("<Q")))
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return a table of texts, empty where there is none of that name."""
+        """Return a table of texts by its name; empty where there is none."""
         return self._metadata.get(name, {})
 
     def close(self) -> None:
@@ -138,7 +142,7 @@ class McapFile:
         self._cache.clear()
 
     def _from_summary(self) -> bool:
-        """Index a finished file by its summary; False where there is none that can be used."""
+        """Index a finished file by its summary; return whether it has a usable one."""
         with suppress(*_DAMAGE):
             if self._read_summary():
                 return True
@@ -147,7 +151,7 @@ class McapFile:
         return False
 
     def _from_scan(self) -> bool:
-        """Index a file up to where it is whole; return whether that is its end."""
+        """Index a file up to its last complete chunk; return whether it is complete."""
         with suppress(*_DAMAGE):
             if self._scan():
                 return True
@@ -189,7 +193,7 @@ class McapFile:
         return True
 
     def _index_chunk(self, index: _Cursor) -> None:
-        """Take up the chunk that an index record of the summary describes."""
+        """Add the chunk that an index record of the summary describes."""
         _, _, position, chunk_length = index.take("<QQQQ")
         index.bytes_(*index.take("<I"))
         (length,) = index.take("<Q")
@@ -234,7 +238,7 @@ class McapFile:
         return False
 
     def _take_indexes(self, records: list[bytes]) -> None:
-        """Take up the index of the last chunk; where it has none, or of unknown topics, look inside."""
+        """Add the messages of the last chunk by its index, or by its content where the index is missing or unknown."""
         if not self._chunks:
             return
         known = all(int.from_bytes(record[:2], "little") in self._channels for record in records)
@@ -255,7 +259,7 @@ class McapFile:
                 self._declare(opcode, _Cursor(data[offset : offset + length]))
 
     def _add_places(self, record: bytes | memoryview) -> None:
-        """Take up a message index of the last chunk."""
+        """Add a message index of the last chunk."""
         channel, length = struct.unpack_from("<HI", record)
         places = self._places.setdefault(channel, array("Q"))
         for log_time_ns, offset in struct.iter_unpack("<QQ", record[6 : 6 + length]):
@@ -267,7 +271,7 @@ class McapFile:
         self._metadata[name] = cursor.text_map()
 
     def _declare(self, opcode: int, body: _Cursor) -> None:
-        """Take up a schema or a channel; other records say nothing about topics."""
+        """Add a schema or a channel; ignore other records."""
         if opcode == Opcode.SCHEMA:
             (number,) = body.take("<H")
             self._schemas[number] = body.text()
@@ -351,7 +355,7 @@ class _Cursor:
 
 
 def _records(data: memoryview) -> Iterator[tuple[int, int, int]]:
-    """Yield opcode, offset of the body and its length of records that lie one after the other."""
+    """Yield opcode, body offset and body length of consecutive records."""
     offset = 0
     while offset < len(data):
         opcode, length = struct.unpack_from("<BQ", data, offset)
@@ -362,7 +366,7 @@ def _records(data: memoryview) -> Iterator[tuple[int, int, int]]:
 
 
 def _decompress(packed: memoryview, compression: str, size: int) -> bytes | memoryview:
-    """Decompress to no more than the chunk says of itself, so that no file can fill the memory."""
+    """Decompress at most the size that the chunk states, so that no file can fill the memory."""
     if compression == "zstd":
         return zstd.ZstdDecompressor().decompress(packed, max_length=size)
     if compression == "lz4":

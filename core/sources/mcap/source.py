@@ -1,4 +1,4 @@
-"""ROS 2 bags in MCAP: our own recordings, exactly, and others that have the same topics."""
+"""Plays ROS 2 bags in MCAP: Tactune's own recordings bit for bit, and others with the same topics."""
 
 from __future__ import annotations
 
@@ -13,25 +13,31 @@ import numpy as np
 from ...errors import SourceError
 from ...model.arrays import AnyArray, IndexArray, Int64Array, Uint64Array
 from ...model.files import user_path
-from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.frames import ColorCamera, DepthCamera, GroundTruth, Matrix4, Rig, SensorFrame, rigid_transform
+from ...model.intrinsics import Distortion, Intrinsics
 from ...model.rig_file import parse_rig
 from ...model.untouched_archive import parse_untouched
 from ...preset import Preset
 from ...preset.file import preset_from_text
 from ..base import Health, Progress, SeekableSource
-from .lenses import rig_from_lenses
 from .messages import (
+    CAMERA_INFO,
     FORMAT_VERSION,
     IMAGE,
     METADATA_NAME,
     PRESET_NAME,
     RIG_NAME,
     TEXT,
+    TRANSFORMS,
     UNTOUCHED_NAME,
     Topic,
+    matrix_of,
     parse,
 )
 from .reader import McapFile
+
+#: ROS reads 16UC1 as millimetres.
+_ROS_UNIT_M = 0.001
 
 _Encodings = dict[str, tuple[np.dtype[Any], int, int | None]]
 
@@ -59,9 +65,9 @@ _ENCODINGS: dict[Topic, _Encodings] = {
 class McapSource(SeekableSource):
     """A recording in MCAP, with one frame for each proximity depth image.
 
-    Recordings of `SessionWriter` come back bit for bit. One that was cut off plays up to its last
-    complete chunk, and `health` says so. In bags of others with the same topics, images of one frame
-    are those nearest in log time, and a rig that is not attached is made of the camera infos.
+    Recordings of `SessionWriter` are read bit for bit. One that was cut off plays up to its last complete chunk, and
+    `health` says so. In other bags with the same topics, a frame consists of the images nearest in log time; without
+    an attached rig, the camera infos give it.
 
     Parameters
     ----------
@@ -99,7 +105,7 @@ class McapSource(SeekableSource):
 
     @property
     def frame_rate_hz(self) -> float:
-        """The rate that the recording names, else that of its log times."""
+        """The rate in the recording's metadata, or else that of its log times."""
         try:
             named_hz = float(self._about["frame_rate_hz"])
         except (KeyError, ValueError):
@@ -130,7 +136,7 @@ class McapSource(SeekableSource):
         return None if data is None else parse_untouched(data, str(self._path))
 
     def health(self) -> Health:
-        """Say what the recording lacks."""
+        """Return what the recording lacks."""
         lacks = []
         if not self._file.complete:
             lacks.append(f"this recording was cut off; it plays up to its last complete frame, number {self._length}")
@@ -195,7 +201,7 @@ class McapSource(SeekableSource):
             data = self._parse(places[0], TEXT).data.encode()
         self._has_rig = data is not None
         if data is None:
-            return rig_from_lenses(self._file)
+            return _rig_from_lenses(self._file)
         return parse_rig(self._json_object(data, RIG_NAME), f"{RIG_NAME} in {self._path}")
 
     def _frame_record(self, place: Uint64Array) -> tuple[int, float, float]:
@@ -267,7 +273,7 @@ def _log_times(places: Uint64Array) -> Int64Array:
 
 
 def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> IndexArray:
-    """Return for each frame the message of the same log time, or else the nearest; -1 where there is none."""
+    """Return for each frame the index of the message with the same or else the nearest log time; -1: none."""
     if not len(candidates_ns):
         return np.full(len(times_ns), -1)
     after = np.searchsorted(candidates_ns, times_ns).clip(max=len(candidates_ns) - 1)
@@ -280,3 +286,64 @@ def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> I
 
 def _text(data: bytes) -> str:
     return data.decode(errors="replace")
+
+
+def _rig_from_lenses(file: McapFile) -> Rig:
+    """Return the rig of a bag without one, from camera infos and static transforms; depth is in millimetres.
+
+    A colour camera without a pose is left out: colour then counts as aligned to depth. `SourceError` where a camera
+    info is missing or has an unknown lens model.
+    """
+    proximity, tactile = (_camera_info(file, topic) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))
+    color = None
+    if Topic.PROXIMITY_COLOR.camera_info in file.topics:
+        info = _camera_info(file, Topic.PROXIMITY_COLOR)
+        pose = _pose(file, info.header.frame_id, proximity.header.frame_id)
+        color = None if pose is None else ColorCamera(intrinsics=_lens(info, file.path), T_color_depth=pose)
+    return Rig(
+        proximity=DepthCamera(intrinsics=_lens(proximity, file.path), depth_unit_m=_ROS_UNIT_M),
+        tactile=DepthCamera(intrinsics=_lens(tactile, file.path), depth_unit_m=_ROS_UNIT_M),
+        proximity_color=color,
+        T_proximity_tactile=_pose(file, proximity.header.frame_id, tactile.header.frame_id),
+    )
+
+
+def _camera_info(file: McapFile, topic: Topic) -> Any:
+    places = file.places(topic.camera_info)
+    if not len(places):
+        raise SourceError(f"{file.path} has no {topic.camera_info} and no rig; record the lenses, too")
+    return parse(file.message(places[0]), CAMERA_INFO, file.path)
+
+
+def _lens(info: Any, origin: Path) -> Intrinsics:
+    if info.distortion_model not in ("", "plumb_bob") or len(info.d) > 5:
+        raise SourceError(f"{origin} has the lens model {info.distortion_model!r}; only plumb_bob is known")
+    coefficients = [*map(float, info.d), *[0.0] * (5 - len(info.d))]
+    try:
+        return Intrinsics(
+            width=info.width,
+            height=info.height,
+            fx=info.k[0],
+            fy=info.k[4],
+            cx=info.k[2],
+            cy=info.k[5],
+            distortion=Distortion.BROWN_CONRADY if any(coefficients) else Distortion.NONE,
+            coefficients=tuple(coefficients),
+        )
+    except ValueError as error:
+        raise SourceError(f"{origin} has a camera info with values out of range; record it again") from error
+
+
+def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
+    """Return the transform from the second frame to the first, or None where no message has it."""
+    for place in file.places(Topic.STATIC_TRANSFORMS):
+        for transform in parse(file.message(place), TRANSFORMS, file.path).transforms:
+            frames = transform.header.frame_id, transform.child_frame_id
+            if set(frames) != {first, second}:
+                continue
+            try:
+                pose = matrix_of(transform.transform)
+                return pose if frames == (first, second) else rigid_transform(np.linalg.inv(np.array(pose)))
+            except ValueError as error:
+                raise SourceError(f"{file.path}: the pose of {second} in {first}: {error}; record it again") from error
+    return None

@@ -17,7 +17,7 @@ from typing import Any, Final
 from ...errors import FrameError, TactuneError
 from ...model.frames import SensorFrame
 from ..base import FrameSource, Health
-from .messages import (
+from .protocol import (
     HEARTBEAT_S,
     SLOTS,
     Call,
@@ -29,25 +29,27 @@ from .messages import (
     Opened,
     Opening,
     Reply,
+    Ring,
     Start,
     arrays_of,
+    reserve_memory,
+    slot_bytes,
 )
-from .ring import Ring, reserve_memory, slot_bytes
 
-#: At least so often the source is left alone to answer calls, seconds.
+#: Longest wait for a frame between two rounds of answering calls, seconds.
 _ROUND_S: Final = 0.2
-#: A process whose parent has gone closes its source in this time or ends without, seconds.
+#: Time to close the source after the parent has gone; then the process ends anyway, seconds.
 _GRACE_S: Final = 2.0
-#: The kernel ends a process that has lost its parent while something holds the interpreter, seconds.
+#: The kernel ends an orphaned process whose interpreter is blocked after this time, seconds.
 _ALARM_S: Final = 60
-#: After so many unfit frames in a row the source has to be opened again.
-_MOST_UNFIT: Final = 30
-#: A frame that was left out is told so long, seconds.
+#: Unfit frames in a row after which the source is opened again.
+_MAX_UNFIT: Final = 30
+#: Seconds that a left-out frame stays in the health message.
 _TOLD_S: Final = 5.0
 
 
 class _StoppedError(TactuneError):
-    """Raised inside a source that is being opened, to leave it."""
+    """Ends the opening of a source that is no longer wanted."""
 
 
 def main(control: int, memory: int) -> None:
@@ -56,7 +58,7 @@ def main(control: int, memory: int) -> None:
 
 
 class _Capture:
-    """The main thread alone touches the source; a second one talks to the parent and never waits for it."""
+    """The main thread uses the source; a second thread talks to the parent and never waits for it."""
 
     def __init__(self, connection: Connection, memory: int) -> None:
         self._connection = connection
@@ -78,12 +80,12 @@ class _Capture:
         self._unfit_told_until_s = 0.0
 
     def run(self) -> None:
-        """Open the source and capture until the parent goes or the source ends."""
+        """Open the source and capture until the parent ends or the source does."""
         try:
             start: Start = self._connection.recv()
         except (EOFError, OSError):
             return
-        except Exception as error:  # whatever an import may raise
+        except Exception as error:  # an import may raise anything
             self._send(Failure.of(error, "the source cannot be imported in the capture process; define it in a module"))
             return
         Thread(target=self._converse, daemon=True).start()
@@ -120,7 +122,7 @@ class _Capture:
             if not source.wait(_ROUND_S):
                 continue
             frame = source.next_frame()
-            self._round_s = time.monotonic()  # what is left to do is no waiting for the source
+            self._round_s = time.monotonic()  # the rest is not waiting for the source
             if frame is None:
                 self._send(Ended())
                 return
@@ -132,7 +134,7 @@ class _Capture:
                 self._leave_out(error, lossless)
 
     def _answer(self, source: FrameSource) -> None:
-        """Carry out the calls that have come; the source is touched by this thread only."""
+        """Carry out the calls that have arrived; only this thread uses the source."""
         while True:
             try:
                 call = self._calls.get_nowait()
@@ -169,12 +171,12 @@ class _Capture:
         self._send(FrameReady(slot, places, int(frame.sequence), *stamps, self._dropped))
 
     def _leave_out(self, error: FrameError, lossless: bool) -> None:
-        """Leave out a frame that does not fit the rig and say so; give up where all of them do not."""
+        """Leave out a frame that does not fit the rig and report it; raise if too many in a row do not fit."""
         self._unfit += 1
         self._unfit_in_a_row += 1
         self._unfit_message = f"A frame was left out: {error}."
         self._unfit_told_until_s = self._round_s + _TOLD_S
-        if lossless or self._unfit_in_a_row >= _MOST_UNFIT:
+        if lossless or self._unfit_in_a_row >= _MAX_UNFIT:
             raise error
 
     def _slot_comes_free(self) -> bool:
@@ -184,17 +186,17 @@ class _Capture:
     # The other thread
 
     def _converse(self) -> None:
-        """Take orders and give signs of life until the parent has gone; then see to it that all ends."""
+        """Take messages and give signs of life until the parent has gone; then end the process."""
         with suppress(EOFError, OSError):
             due_s = time.monotonic()
             while os.getppid() == self._parent:
-                # Armed anew all the time; goes off only where this thread cannot run any more.
+                # Rearmed in every round: it goes off only if this thread cannot run any more.
                 signal.alarm(_ALARM_S)
                 if self._connection.poll(max(0.0, due_s - time.monotonic())):
                     self._obey(self._connection.recv())
                 late_s = time.monotonic() - due_s
                 if late_s >= 0:
-                    if late_s > HEARTBEAT_S:  # the machine was too busy: this is not the source's time
+                    if late_s > HEARTBEAT_S:  # the machine was busy: this time is not the source's
                         self._round_s += late_s
                     due_s = time.monotonic() + HEARTBEAT_S
                     self._beat()
@@ -203,7 +205,7 @@ class _Capture:
         os._exit(0)
 
     def _beat(self) -> None:
-        """Give a sign of life, unless something else is being sent or the parent does not listen at present."""
+        """Send a sign of life, unless something else is being sent or the parent does not read."""
         if not self._sending.acquire(blocking=False):
             return
         try:
@@ -224,6 +226,6 @@ class _Capture:
             self._slots.notify()
 
     def _send(self, message: Any) -> None:
-        """Tell the parent; where it has gone, the other thread finds out as well."""
+        """Send a message; a parent that has gone is noticed by the other thread."""
         with self._sending, suppress(BrokenPipeError, ConnectionResetError):
             self._connection.send(message)

@@ -20,8 +20,7 @@ from threading import Lock
 from typing import Any, Final
 
 from ...errors import SourceError
-from .messages import Start
-from .ring import Ring, create_memory
+from .protocol import Ring, Start, create_memory
 
 _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[3]); "

@@ -6,7 +6,7 @@ import weakref
 
 from ...model.frames import Rig, SensorFrame
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
-from .messages import Opener, Start
+from .protocol import Opener, Start
 from .supervisor import Supervisor
 
 

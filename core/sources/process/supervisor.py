@@ -1,4 +1,4 @@
-"""Looks after the capture process: takes its frames, notices when it dies or hangs, starts it again."""
+"""Supervises the capture process: takes its frames, notices when it dies or hangs, restarts it."""
 
 from __future__ import annotations
 
@@ -7,14 +7,15 @@ import math
 import time
 from collections import deque
 from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from threading import Condition, Event, Thread, current_thread
 from typing import Any, Final
 
 from ...errors import SourceError, TactuneError
-from ...model.frames import SensorFrame
+from ...model.frames import DepthCamera, Rig, SensorFrame
 from ..base import CameraRole, Health, Progress
 from .launch import CaptureProcess, ending_in_words
-from .messages import (
+from .protocol import (
     SLOTS,
     Call,
     Ended,
@@ -25,26 +26,44 @@ from .messages import (
     Opened,
     Opening,
     Reply,
+    Ring,
     Start,
     frame_of,
 )
-from .ring import Ring
-from .watch import POLL_S, HealthRecord, Numbering, Patience, Pauses, check_same_rig
 
-#: A live source keeps so many frames for a caller that is late; then the oldest is dropped.
-_MOST_WAITING: Final = SLOTS - 2
-#: What has happened is told so long, seconds.
+#: Frames kept for a late caller of a live source; then the oldest is dropped.
+_MAX_WAITING: Final = SLOTS - 2
+#: Seconds that a notice stays in the health message.
 _NOTICE_S: Final = 10.0
 _CALL_S: Final = 3.0
+#: Longest wait for a message of the process, seconds.
+_POLL_S: Final = 0.1
+#: Seconds without a sign of life after which the process counts as hung: while it opens the source, when a driver may
+#: hold the interpreter; while a camera is stalled or missing; otherwise.
+_SILENT_OPENING_S: Final = 20.0
+_SILENT_TROUBLE_S: Final = 5.0
+_SILENT_S: Final = 1.0
+#: Longest call of the source, seconds: opening without progress, the first frame, later frames.
+_BUSY_OPENING_S: Final = 120.0
+_BUSY_FIRST_FRAME_S: Final = 20.0
+_BUSY_S: Final = 1.5
+#: A wait of `_POLL_S` that takes longer than this is not counted: the machine is too busy, seconds.
+_LATE_S: Final = 0.25
+#: Pauses before the first, second and further restarts, seconds.
+_PAUSES_S: Final = (0.0, 0.2, 0.5, 1.0, 2.0)
+#: Message of each camera meanwhile.
+_RESTARTING: Final = "The capture process is being restarted."
+#: A process that has captured this long has recovered, seconds.
+_RECOVERED_S: Final = 5.0
 
 
 class Supervisor:
-    """One thread that looks after one capture process at a time; all state is behind one condition.
+    """One thread that runs one capture process at a time; one condition guards all state.
 
     Parameters
     ----------
     start : Start
-        What each process is told first. A lossless one is not started again: frames would be missing.
+        First message to each process. A lossless source is not restarted: frames would be missing.
     """
 
     def __init__(self, start: Start) -> None:
@@ -72,16 +91,16 @@ class Supervisor:
     # From any thread
 
     def wait_until_open(self, progress: Progress | None) -> Opened:
-        """Return what was opened; pass on its progress, whose exception ends the waiting.
+        """Wait for the opened source and pass on its progress; an exception of ``progress`` ends the wait.
 
         Raises
         ------
         TactuneError
-            The source cannot be opened; as the source itself has raised it.
+            The source cannot be opened; class and sentence as in the capture process.
         """
         while True:
             with self._changed:
-                self._changed.wait_for(lambda: self._opened is not None or self._finished, POLL_S)
+                self._changed.wait_for(lambda: self._opened is not None or self._finished, _POLL_S)
                 opened, error, opening = self._opened, self._error, self._opening
             if opened is not None:
                 return opened
@@ -96,7 +115,7 @@ class Supervisor:
             return self._changed.wait_for(lambda: bool(self._waiting) or self._finished, timeout_s)
 
     def next_frame(self) -> SensorFrame | None:
-        """Return the oldest frame that waits; block until there is one; None at the end."""
+        """Wait for a frame and return the oldest one; None at the end."""
         with self._changed:
             self._changed.wait_for(lambda: bool(self._waiting) or self._finished)
             if not self._waiting:
@@ -109,7 +128,7 @@ class Supervisor:
         return frame_of(ready, arrays)
 
     def health(self) -> Health:
-        """Report how the source is doing and what has happened to the process."""
+        """Return the source's health and what has happened to the process."""
         with self._changed:
             if self._error is not None:
                 return self._record.health(str(self._error), stale=True)
@@ -122,7 +141,7 @@ class Supervisor:
         Raises
         ------
         TactuneError
-            As the source raised it, or the process does not answer.
+            The source raised it, or the process does not answer.
         """
         number = next(self._numbers)
         with self._changed:
@@ -177,7 +196,7 @@ class Supervisor:
             self._keep_capturing()
         except TactuneError as error:
             self._fail(error)
-        except Exception as error:  # whoever waits for a frame must learn of it
+        except Exception as error:  # a caller that waits for a frame must get it
             self._fail(SourceError(f"{self._name}: capturing failed ({type(error).__name__}: {error})"))
         finally:
             with self._changed:
@@ -204,7 +223,7 @@ class Supervisor:
             self._stop.wait(pauses.next_s(time.monotonic() - began_s))
 
     def _take_down(self, problem: Failure | str) -> None:
-        """Say what happened, or give up: before the first frame, and where none may be missing."""
+        """Report the problem; raise it before the first frame, and where no frame may be missing."""
         first = self._opened is None
         if first or self._start.lossless:
             if isinstance(problem, Failure):
@@ -220,7 +239,7 @@ class Supervisor:
             self._notice, self._notice_until_s = f"{notice} is being restarted.", math.inf
 
     def _run_process(self) -> Failure | str:
-        """Run one process to its end and say in words how that came about."""
+        """Run one process to its end and return why it ended."""
         process = CaptureProcess(self._start)
         hanging = ""
         failure: Failure | None = None
@@ -235,13 +254,13 @@ class Supervisor:
         return failure or hanging or ending_in_words(status)
 
     def _serve(self, process: CaptureProcess) -> tuple[str, Failure | None]:
-        """Take messages until there are no more; return why the process hangs, or its last words."""
+        """Take messages until there are no more; return why the process hangs, or its failure."""
         patience = Patience()
         ring: Ring | None = None
         while not self._stop.is_set():
             began_s = time.monotonic()
             try:
-                message = process.receive(POLL_S)
+                message = process.receive(_POLL_S)
             except (EOFError, OSError):
                 break
             if message is None:
@@ -264,11 +283,11 @@ class Supervisor:
         return "", None
 
     def _use(self, process: CaptureProcess, opened: Opened) -> None:
-        """Go on with a process that has opened the source; check that it is the same one."""
+        """Continue with a process that has opened the source; check that the rig is the same."""
         with self._changed:
             before, options = self._opened, dict(self._options)
         if before is not None:
-            check_same_rig(before.name, before.rig, opened.rig)
+            _check_same_rig(before.name, before.rig, opened.rig)
             for (camera, name), value in options.items():
                 with suppress(OSError):  # it has gone again, which `_serve` notices
                     process.send(Call(next(self._numbers), "set_option", (camera, name, value)))
@@ -282,12 +301,12 @@ class Supervisor:
             self._changed.notify_all()
 
     def _take(self, process: CaptureProcess, ring: Ring, ready: FrameReady) -> None:
-        """Have a frame wait to be fetched; where too many wait, the oldest goes."""
+        """Queue a frame; where too many wait, drop the oldest."""
         oldest = None
         with self._changed:
             self._record.heard(ready)
             self._waiting.append((process, ring, self._numbering.apply(ready)))
-            if not self._start.lossless and len(self._waiting) > _MOST_WAITING:
+            if not self._start.lossless and len(self._waiting) > _MAX_WAITING:
                 oldest = self._waiting.popleft()
                 self._record.dropped_here += 1
             self._stale = False
@@ -306,10 +325,177 @@ class Supervisor:
                 self._ended = True
             elif message.number in self._replies:
                 self._replies[message.number] = message
-            elif message.failure is not None:  # an option that the restarted source does not take any more
+            elif message.failure is not None:  # an option that the restarted source refuses
                 self._notice = f"{self._notice} {message.failure.sentence}"
             self._changed.notify_all()
 
     def _give_back(self, process: CaptureProcess, slot: int) -> None:
         with suppress(OSError):  # the process has gone, and its slots with it
             process.send(GiveBack(slot))
+
+
+class Patience:
+    """Decides when a process hangs.
+
+    Silence is counted in waits without a message, not by the clock: when this process was stopped itself, the
+    other's signs of life have queued up. Waits that took far too long are not counted: both processes were slow.
+    """
+
+    def __init__(self) -> None:
+        self._silent = 0
+        self._busy_s = 0.0
+        self._silent_limit_s = _SILENT_OPENING_S
+        self._busy_limit_s = _BUSY_OPENING_S
+
+    def heard(self, message: object) -> None:
+        """Note a message from the process."""
+        self._silent = 0
+        if isinstance(message, Opened | FrameReady):
+            self._busy_s = 0.0  # the call took long, but it returned
+        if isinstance(message, Opened):
+            self._silent_limit_s, self._busy_limit_s = _SILENT_S, _BUSY_FIRST_FRAME_S
+        elif isinstance(message, FrameReady):
+            self._busy_limit_s = min(self._busy_limit_s, _BUSY_S)
+        elif isinstance(message, Heartbeat):
+            self._busy_s = message.busy_s
+            if message.health.cameras:  # so the source is open
+                well = all(camera.state == "streaming" for camera in message.health.cameras)
+                self._silent_limit_s = _SILENT_S if well else _SILENT_TROUBLE_S
+
+    def silent(self, waited_s: float) -> None:
+        """Note a wait of `_POLL_S` without a message, and how long it really took."""
+        if waited_s < _LATE_S:
+            self._silent += 1
+
+    @property
+    def problem(self) -> str:
+        """Why the process counts as hung; empty while it does not."""
+        silent_s = self._silent * _POLL_S
+        if silent_s >= self._silent_limit_s:
+            return f"has given no sign of life for {silent_s:.0f} s"
+        if self._busy_s >= self._busy_limit_s:
+            return f"has waited {self._busy_s:.1f} s for its source"
+        return ""
+
+
+class Pauses:
+    """How long to wait before a restart: longer after each failure."""
+
+    def __init__(self) -> None:
+        self._failures = 0
+
+    def next_s(self, captured_s: float) -> float:
+        """Return the pause after a process that captured for ``captured_s``."""
+        self._failures = 0 if captured_s >= _RECOVERED_S else self._failures
+        pause_s = _PAUSES_S[min(self._failures, len(_PAUSES_S) - 1)]
+        self._failures += 1
+        return pause_s
+
+
+@dataclass
+class Numbering:
+    """Keeps sequence numbers and times rising over a restart."""
+
+    _sequence_shift: int = 0
+    _time_shift_s: float = 0.0
+    _last_sequence: int | None = None
+    _last_time_s: float = 0.0
+    _last_clock_s: float = 0.0
+    _restarted: bool = False
+
+    def restart(self) -> None:
+        """The next frame comes from another process."""
+        self._restarted = self._last_sequence is not None
+
+    def apply(self, ready: FrameReady) -> FrameReady:
+        """Return the frame with its final sequence number and times."""
+        clock_s = time.monotonic()
+        if self._restarted and self._last_sequence is not None:
+            self._restarted = False
+            self._sequence_shift = self._last_sequence + 1 - ready.sequence
+            going_on_s = self._last_time_s + clock_s - self._last_clock_s
+            starts_over = ready.proximity_time_s <= self._last_time_s
+            self._time_shift_s = going_on_s - ready.proximity_time_s if starts_over else 0.0
+        shifted = replace(
+            ready,
+            sequence=ready.sequence + self._sequence_shift,
+            proximity_time_s=ready.proximity_time_s + self._time_shift_s,
+            tactile_time_s=ready.tactile_time_s + self._time_shift_s,
+        )
+        self._last_sequence, self._last_time_s, self._last_clock_s = (
+            shifted.sequence,
+            shifted.proximity_time_s,
+            clock_s,
+        )
+        return shifted
+
+
+@dataclass
+class HealthRecord:
+    """The source's health over several processes."""
+
+    _now: Health = field(default_factory=Health)
+    _lost: int = 0
+    _no_slot: int = 0
+    _unmatched: int = 0
+    dropped_here: int = 0
+
+    def heard(self, message: object) -> None:
+        """Note the health in a message."""
+        if isinstance(message, Opened | Heartbeat):
+            self._now = message.health
+        elif isinstance(message, FrameReady):
+            self._no_slot = message.dropped
+
+    def restart(self) -> None:
+        """Keep the counts and mark the cameras as stalled."""
+        now = self._now
+        self._lost += now.dropped + self._no_slot
+        self._unmatched += now.unmatched
+        self._no_slot = 0
+        cameras = tuple(replace(camera, state="stalled", message=_RESTARTING) for camera in now.cameras)
+        self._now = Health(cameras=cameras)
+
+    def health(self, notice: str, *, stale: bool) -> Health:
+        """Return the health with a notice before its message; ``stale``: no frame since a restart."""
+        now = self._now
+        return replace(
+            now,
+            ok=now.ok and not stale,
+            message=" ".join(filter(None, (notice, now.message))),
+            dropped=self._lost + self._no_slot + self.dropped_here + now.dropped,
+            stale=now.stale or stale,
+            unmatched=self._unmatched + now.unmatched,
+        )
+
+
+def _check_same_rig(name: str, before: Rig, now: Rig) -> None:
+    """Raise `SourceError` where the rig after a restart is another one than before."""
+    for role, old, new in (
+        ("proximity", before.proximity, now.proximity),
+        ("tactile", before.tactile, now.tactile),
+    ):
+        if old.intrinsics.shape != new.intrinsics.shape:
+            raise SourceError(
+                f"{name}: after a restart the {role} camera gives {_size(new)} pixels instead of {_size(old)}; "
+                "open the source again"
+            )
+        if old.serial != new.serial or old.depth_unit_m != new.depth_unit_m:
+            raise SourceError(
+                f"{name}: after a restart the {role} camera is {_name(new)} instead of {_name(old)}; "
+                "open the source again"
+            )
+    if before.proximity_color_shape != now.proximity_color_shape:
+        (old_v, old_u), (new_v, new_u) = before.proximity_color_shape, now.proximity_color_shape
+        raise SourceError(
+            f"{name}: after a restart the proximity colour image is {new_u} x {new_v} pixels instead of "
+            f"{old_u} x {old_v}; open the source again"
+        )
+
+
+def _size(camera: DepthCamera) -> str:
+    return f"{camera.intrinsics.width} x {camera.intrinsics.height}"
+
+
+def _name(camera: DepthCamera) -> str:
+    return f"{camera.model} {camera.serial} with a depth unit of {camera.depth_unit_m:g} m"

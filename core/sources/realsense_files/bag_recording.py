@@ -9,8 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
-from .damage import Cursor, DamagedFileError
-from .images import RawImage, raw_color, raw_depth
+from .decoding import Cursor, DamagedFileError, RawImage, raw_color, raw_depth
 from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 from .ros1_bag import Ros1Bag, Topic, message_bounds
 

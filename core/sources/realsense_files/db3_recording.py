@@ -19,8 +19,17 @@ from typing import Any
 import numpy as np
 
 from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
-from .damage import LARGEST_BYTES, Cursor, DamagedFileError, check_size
-from .images import RawImage, png_color, png_depth, raw_color, raw_depth
+from .decoding import (
+    LARGEST_BYTES,
+    Cursor,
+    DamagedFileError,
+    RawImage,
+    check_size,
+    png_color,
+    png_depth,
+    raw_color,
+    raw_depth,
+)
 from .recording import ImageTimes, Lens, Recording, Stream, milliseconds
 
 if sys.version_info >= (3, 14):

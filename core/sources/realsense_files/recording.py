@@ -18,7 +18,7 @@ from ...model.arrays import Float64Array, Int64Array, Uint8Array, Uint16Array
 from ...model.frames import DepthCamera, Matrix4, rigid_transform
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import Progress
-from .damage import DamagedFileError
+from .decoding import DamagedFileError
 
 HARDWARE_CLOCK = "Hardware Clock"
 

@@ -20,7 +20,7 @@ import lz4.frame
 import numpy as np
 
 from ...model.arrays import Int64Array
-from .damage import Cursor, DamagedFileError, check_size
+from .decoding import Cursor, DamagedFileError, check_size
 
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)

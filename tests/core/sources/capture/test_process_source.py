@@ -26,8 +26,15 @@ from capture_sources import (
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.messages import FrameReady, arrays_of, frame_of
-from tactune.core.sources.process.ring import Ring, create_memory, reserve_memory, slot_bytes
+from tactune.core.sources.process.protocol import (
+    FrameReady,
+    Ring,
+    arrays_of,
+    create_memory,
+    frame_of,
+    reserve_memory,
+    slot_bytes,
+)
 
 sizes = st.tuples(st.integers(1, 40), st.integers(1, 30))
 rigs = st.builds(make_rig, sizes, sizes, st.none() | sizes)
