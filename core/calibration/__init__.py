@@ -1,8 +1,8 @@
-"""Calibration: pairs of clicked points in, an alignment and an honest statement of its quality out.
+"""Calibration: from clicked correspondences to an alignment and a statement of its quality.
 
-`calibrate` is the main entry: it fits both models, cross-validates them and recommends one. The other
-modules are the steps that lead there (`correspondences`, `detect`, `texture`, `snapshots`) and back
-(`recheck`).
+`calibrate` is the main entry: it fits both models, cross-validates them and recommends one. Correspondences come from
+clicks (`correspondences`), targets (`detect`) or texture (`texture`) on averaged frames (`snapshots`). `recheck` tests
+whether an older calibration still holds.
 """
 
 from .calibrate import calibrate

@@ -1,4 +1,4 @@
-"""The whole calibration: both models from the same pairs, cross-validated, one recommended."""
+"""The calibration: both models are fitted to the same correspondences and cross-validated; one is recommended."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from .robust import FOLDS, LEAVE_ONE_OUT
 
 Model = Literal["auto", "homography", "rigid"]
 
-#: Distance taken for colour clicks where neither depth nor pose tells one, metres.
+#: Distance assumed for colour clicks without depth and pose, metres.
 _PLANE_M = 0.30
-#: A rigid fit this much worse under cross-validation than a homography points at wrong depths or lenses.
+#: A rigid fit this much worse than a homography under cross-validation indicates wrong depths or lenses.
 _MUCH_WORSE = 1.25
-#: Farther from the rig's stated pose than this, a fit deserves a warning: metres, degrees.
+#: A fit farther from the rig's stated pose than this causes a warning: metres, degrees.
 _STATED_POSE_M, _STATED_POSE_DEG = 0.010, 4.0
 
 
@@ -48,28 +48,27 @@ def calibrate(
     sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
     membrane: npt.ArrayLike | None = None,
 ) -> CalibrationReport:
-    """Fit both models to pairs of clicks and say how good they are.
+    """Fit both models to correspondences and report their quality.
 
     Parameters
     ----------
     correspondences : sequence of Correspondence
-        Disabled ones are kept in the report and take no part.
+        Disabled ones are kept in the report but not used.
     rig : Rig
     model : {"auto", "homography", "rigid"}
-        The model that must come out; the other one is fitted beside it where possible.
+        The model to use; the other one is also fitted if possible.
     depth_scale : bool
         Let the rigid fit correct the tactile depth by a scale and an offset.
     sigma_px, sigma_depth_m : float
-        Stated noise of clicks and of the tactile depth. The observed one replaces them as soon as there
-        are surplus pairs.
+        Stated noise of clicks and of the tactile depth. The observed noise replaces it if there are surplus pairs.
     membrane : array_like, shape (M, 3), optional
-        Places (tactile u, v in pixels, depth in metres) over which the alignment matters. Without it, a
-        grid over the tactile image at the depths of the points.
+        Places (tactile u, v in pixels, depth in metres) over which the alignment is judged. Default: a grid over the
+        tactile image at the depths of the points.
 
     Raises
     ------
     CalibrationError
-        The model asked for (or, with ``"auto"``, each) is not determined by the pairs, or contradicted.
+        The correspondences do not determine the requested model (with ``"auto"``: no model), or contradict it.
     """
     pairs = enabled_pairs(correspondences)
     _refuse_repeated(pairs)
@@ -109,7 +108,7 @@ def calibrate(
 
 
 def rigid_points(pairs: Sequence[Correspondence]) -> RigidPoints:
-    """Return the pairs that have a tactile depth, as arrays."""
+    """Return the correspondences with tactile depth, as arrays."""
     pairs = [pair for pair in pairs if pair.tactile_depth_m is not None]
     proximity, tactile, depth = pixel_arrays(pairs)
     measured = [np.nan if pair.proximity_depth_m is None else pair.proximity_depth_m for pair in pairs]
@@ -118,10 +117,10 @@ def rigid_points(pairs: Sequence[Correspondence]) -> RigidPoints:
 
 
 def depth_pixels(pairs: Sequence[Correspondence], rig: Rig, rigid: RigidFit | None = None) -> Float64Array:
-    """Return each pair's place in the proximity *depth* image, shape (N, 2).
+    """Return each correspondence's pixel in the proximity *depth* image, shape (N, 2).
 
-    A click in the colour image follows the colour camera's ray up to the membrane. How far that is, the
-    tactile depth says, brought over by the fitted pose or else the rig's stated one.
+    A click in the colour image is a ray to the membrane. Its length follows from the tactile depth and the fitted pose,
+    or the rig's stated pose.
     """
     proximity, tactile, depth = pixel_arrays(pairs)
     in_color = np.array([pair.proximity_image == "color" for pair in pairs], dtype=bool)
@@ -168,9 +167,9 @@ def _try_rigid(
 def _try_homography(
     tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array, sigma_px: float
 ) -> tuple[HomographyFit | None, str]:
-    """Fit the homography; where the rigid fit keeps more pairs, to those.
+    """Fit the homography; if the rigid fit has more inliers, fit it to those.
 
-    Points off one plane contradict every homography without being wrong, which only the rigid model can tell.
+    Points off one plane contradict every homography without being wrong; only the rigid model can tell.
     """
     sigmas = {"sigma_tactile_px": sigma_px, "sigma_proximity_px": sigma_px}
     own: HomographyFit | None = None

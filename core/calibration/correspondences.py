@@ -1,4 +1,4 @@
-"""Pairs of clicked points, and the files that hold them: our CSV and QGIS ``.points``."""
+"""Correspondences between both images, their files (CSV and QGIS ``.points``), and checks before a fit."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ REQUIRED_COLUMNS = (
 OPTIONAL_COLUMNS = ("proximity_image", "snapshot", "proximity_depth_m")
 
 _QGIS_HEADER = ("mapX", "mapY", "sourceX", "sourceY", "enable", "dX", "dY", "residual")
-_LARGEST_PIXEL = 1e7
+_MAX_PIXEL = 1e7
 _WORDS = {"1": True, "true": True, "yes": True, "0": False, "false": False, "no": False}
-#: Scatter across the best line, as a share of the scatter along it, below which points lie on a line.
+#: Points count as collinear if their spread across the best line is below this share of the spread along it.
 _LINE_SHARE = 2e-3
 
 
 @dataclass(frozen=True)
 class Correspondence:
-    """One place on the membrane or on a pressed object, clicked in both cameras' images.
+    """One point on the membrane or on a pressed object, clicked in both cameras' images.
 
     Attributes
     ----------
@@ -50,16 +50,16 @@ class Correspondence:
     tactile_u, tactile_v : float
         Pixel in the tactile image.
     tactile_depth_m : float or None
-        Raw tactile depth there, metres. None serves a homography only.
+        Raw tactile depth at the point, metres. None is usable for a homography only.
     enabled : bool
-        Whether it takes part in the fit.
+        Whether the correspondence is used in the fit.
     proximity_image : {"depth", "color"}
-        Points clicked in colour lie on the membrane, which the proximity depth does not see.
+        Image that was clicked. Points in colour lie on the membrane, which the proximity depth does not see.
     snapshot : int or None
-        Number of the snapshot (inflation level) in which it was clicked.
+        Number of the snapshot (inflation level) that was clicked.
     proximity_depth_m : float or None
-        Distance measured by the proximity camera at a place of *contact*; only with ``"depth"``. It
-        is what a depth scale is measured by.
+        Distance measured by the proximity camera at a point of *contact*; only with ``"depth"``. It determines the
+        depth scale.
     """
 
     id: str
@@ -98,12 +98,12 @@ class Correspondence:
 
 
 def enabled_pairs(pairs: Sequence[Correspondence]) -> list[Correspondence]:
-    """Return the pairs that take part."""
+    """Return the enabled correspondences."""
     return [pair for pair in pairs if pair.enabled]
 
 
 def pixel_arrays(pairs: Sequence[Correspondence]) -> tuple[Float64Array, Float64Array, Float64Array]:
-    """Return proximity pixels (N, 2), tactile pixels (N, 2) and tactile depths (N,), nan where none."""
+    """Return proximity pixels (N, 2), tactile pixels (N, 2) and tactile depths (N,), nan if unknown."""
     proximity = np.array([pair.proximity for pair in pairs], dtype=np.float64).reshape(-1, 2)
     tactile = np.array([pair.tactile for pair in pairs], dtype=np.float64).reshape(-1, 2)
     depth = [math.nan if pair.tactile_depth_m is None else pair.tactile_depth_m for pair in pairs]
@@ -111,12 +111,12 @@ def pixel_arrays(pairs: Sequence[Correspondence]) -> tuple[Float64Array, Float64
 
 
 def read_points(path: Path | str) -> list[Correspondence]:
-    """Read pairs from a CSV file, or from QGIS ``.points`` by that suffix.
+    """Read correspondences from a CSV file, or from a QGIS file with the suffix ``.points``.
 
     Raises
     ------
     CalibrationError
-        No such file, another header, or a bad row: line number, field and value are named.
+        The file cannot be read, has another header or an invalid row; the message names line, field and value.
     """
     path = Path(path)
     if path.exists() and not path.is_file():
@@ -130,9 +130,9 @@ def read_points(path: Path | str) -> list[Correspondence]:
 
 
 def write_points(path: Path | str, pairs: Sequence[Correspondence]) -> None:
-    """Write pairs as CSV, or as QGIS ``.points`` by that suffix; the file appears whole or not at all.
+    """Write correspondences as CSV, or as QGIS file for the suffix ``.points``; atomically.
 
-    QGIS files hold no depths, snapshots or kinds of image.
+    QGIS files hold neither depths nor snapshots nor the clicked image.
     """
     path = Path(path)
     text = qgis_text(pairs) if path.suffix == ".points" else csv_text(pairs)
@@ -245,7 +245,7 @@ def _pair_of(fields: dict[str, str], where: str) -> Correspondence:
 
 
 def _rows(text: str, origin: str) -> list[tuple[int, list[str]]]:
-    """Return rows that are not blank with their line numbers."""
+    """Return the non-blank rows with their line numbers."""
     reader = csv.reader(io.StringIO(text), strict=True)
     rows = []
     try:
@@ -262,7 +262,7 @@ def _number(text: str, name: str, where: str) -> float:
         value = float(text)
     except ValueError:
         value = math.nan
-    if not abs(value) <= _LARGEST_PIXEL:
+    if not abs(value) <= _MAX_PIXEL:
         raise CalibrationError(f"{where}: {name} is {text!r}; write a number of pixels")
     return value
 
@@ -302,12 +302,12 @@ def _exact(value: object) -> str:
 def check_pairs(
     tactile: npt.ArrayLike, proximity: npt.ArrayLike, least: int, name: str
 ) -> tuple[Float64Array, Float64Array]:
-    """Return both sides as float64, or say why no model can come of them.
+    """Return both sides as float64 after checking that they can determine a model.
 
     Raises
     ------
     CalibrationError
-        Other shapes, values that are not finite, too few different pairs, or all points on a line.
+        Shapes differ, values are not finite, there are too few different pairs, or all points are collinear.
     """
     tactile, proximity = (np.array(side, dtype=np.float64, ndmin=2) for side in (tactile, proximity))
     if tactile.shape != proximity.shape or tactile.shape[1] != 2:
@@ -329,12 +329,12 @@ def check_pairs(
 
 
 def check_space(places: Float64Array, proximity: Float64Array, least: int, name: str) -> None:
-    """Refuse places (tactile u, v, depth; N, 3) and proximity pixels (N, 2) of which no pose can come.
+    """Check that places (tactile u, v, depth; N, 3) and proximity pixels (N, 2) can determine a pose.
 
     Raises
     ------
     CalibrationError
-        Too few different pairs, values that are not finite, or a depth that is not positive.
+        There are too few different pairs, a value is not finite, or a depth is not positive.
     """
     _check_count(len(places), least, name, "pairs with a tactile depth")
     for side, values in (("tactile place and depth", places), ("proximity point", proximity)):
@@ -365,7 +365,7 @@ def _check_different(rows: Float64Array, least: int, name: str) -> None:
 
 
 def on_a_line(points: Float64Array) -> bool:
-    """Whether points (N, 2 or 3) scatter along one direction only."""
+    """Tell whether points (N, 2 or 3) are collinear."""
     values = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
     return bool(values[1] <= _LINE_SHARE * values[0])
 

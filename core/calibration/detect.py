@@ -1,4 +1,4 @@
-"""Finding points in an image: the feature beside a click, and whole calibration targets at once."""
+"""Detection of points in an image: the feature nearest to a click, and whole calibration targets."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from ..errors import CalibrationError
 from ..model.arrays import AnyArray, BoolArray, Float64Array, Uint8Array
 from .homography import fit_homography
 
-#: Half the window in which a corner is refined, pixels.
+#: Half side of the window for corner refinement, pixels.
 _CORNER_WINDOW = 5
 _CRITERIA = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-#: Contrast below which there is no feature, grey levels between the darkest and brightest tenth.
-_LEAST_CONTRAST = 12.0
-#: Response of a corner, as a share of the strongest in its neighbourhood, from which it is one.
+#: Minimum contrast of a feature: grey levels between the 10 % and 90 % quantiles.
+_MIN_CONTRAST = 12.0
+#: Minimum response of a corner, as a share of the strongest in the window.
 _STRONG_SHARE = 0.2
-_LEAST_BLOB_AREA, _LEAST_ROUNDNESS = 6, 0.55
+_MIN_BLOB_AREA, _MIN_ROUNDNESS = 6, 0.55
 
 
 class Snapped(NamedTuple):
-    """A feature beside a click: its sub-pixel place and what it is."""
+    """A feature near a click: sub-pixel position and kind."""
 
     u: float
     v: float
@@ -31,11 +31,10 @@ class Snapped(NamedTuple):
 
 
 def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) -> Snapped | None:
-    """Return the corner or blob centre nearest to a click, whichever is there.
+    """Return the blob centre or corner nearest to a click.
 
-    A dark or bright spot that closes on itself beside the click is a blob, and its centroid weighted by
-    contrast is returned. Otherwise the nearest strong corner is refined (Foerstner's gradient condition,
-    as in OpenCV's ``cornerSubPix``).
+    A closed dark or bright spot within reach is a blob; its contrast-weighted centroid is returned. Otherwise the
+    nearest strong corner is refined (Foerstner's gradient condition, as in OpenCV's ``cornerSubPix``).
 
     Parameters
     ----------
@@ -44,11 +43,11 @@ def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) ->
     u, v : float
         The click, pixels.
     radius : float
-        How far the feature may be, pixels.
+        Search radius, pixels.
 
     Returns
     -------
-    Snapped, or None where nothing is within reach.
+    Snapped, or None if there is no feature within reach.
     """
     height, width = image.shape[:2]
     if not (0 <= u <= width - 1 and 0 <= v <= height - 1):
@@ -62,7 +61,7 @@ def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) ->
 
 
 def to_gray(image: AnyArray, tails: float = 1.0) -> Uint8Array:
-    """Return an 8-bit grey image; deeper images are stretched, all but some percent at either end."""
+    """Return an 8-bit grey image; images of more bits are stretched between their ``tails`` percentiles."""
     if image.ndim == 3:
         image = np.asarray(cv2.cvtColor(np.ascontiguousarray(image), cv2.COLOR_RGB2GRAY))
     if image.dtype == np.uint8:
@@ -81,7 +80,7 @@ def _blob_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped |
     window = gray[top : round(v) + reach + 1, left : round(u) + reach + 1]
     low, high = np.percentile(window, [10, 90])
     threshold, _ = cv2.threshold(window, 0, 255, cv2.THRESH_BINARY | cv2.THRESH_OTSU)
-    if max(high - low, float(window.max()) - float(window.min())) < _LEAST_CONTRAST:
+    if max(high - low, float(window.max()) - float(window.min())) < _MIN_CONTRAST:
         return None
     best: tuple[float, Snapped] | None = None
     for inverted in (True, False):
@@ -95,14 +94,14 @@ def _blob_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped |
 
 
 def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -> list[Float64Array]:
-    """Return the weighted centroids of round regions that do not touch the window's edge."""
+    """Return the weighted centroids of round regions that do not touch the window's border."""
     count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
     height, width = window.shape
     centers = []
     for label in range(1, count):
         x, y, w, h, area = stats[label]
         touches = x == 0 or y == 0 or x + w == width or y + h == height
-        if touches or area < _LEAST_BLOB_AREA or area < _LEAST_ROUNDNESS * w * h or min(w, h) < 0.4 * max(w, h):
+        if touches or area < _MIN_BLOB_AREA or area < _MIN_ROUNDNESS * w * h or min(w, h) < 0.4 * max(w, h):
             continue
         box = np.s_[max(y - 2, 0) : y + h + 2, max(x - 2, 0) : x + w + 2]
         region = cv2.dilate((labels[box] == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
@@ -121,7 +120,7 @@ def _corner_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     window = np.ascontiguousarray(gray[top : round(v) + reach + 1, left : round(u) + reach + 1])
     low, high = np.percentile(window, [10, 90])
-    if high - low < _LEAST_CONTRAST or min(window.shape) < 2 * _CORNER_WINDOW + 5:
+    if high - low < _MIN_CONTRAST or min(window.shape) < 2 * _CORNER_WINDOW + 5:
         return None
     strength = cv2.cornerMinEigenVal(window, 5, ksize=3)
     rows, columns = np.indices(strength.shape)
@@ -153,8 +152,8 @@ class Detection:
         Number of each point on the target.
     pixels : float64, shape (N, 2)
     labelled : bool
-        Whether the ids are printed on the target. If not they count from one corner, and which corner
-        that is may differ between two images by half a turn; `match_detections` sorts that out.
+        Whether the ids are printed on the target. If not, they count from one corner, which may differ by half a turn
+        between two images; `match_detections` resolves this.
     """
 
     ids: tuple[int, ...]
@@ -174,7 +173,7 @@ def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
     Raises
     ------
     CalibrationError
-        The board is not in the image, or not whole.
+        The board is not completely visible.
     """
     _check_size("chessboard", columns, rows, least=3)
     gray = to_gray(image)
@@ -191,7 +190,7 @@ def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
 def detect_charuco(
     image: AnyArray, columns: int, rows: int, marker_share: float = 0.7, dictionary: str = "DICT_4X4_250"
 ) -> Detection:
-    """Find the chessboard corners of a ChArUco board; parts of it suffice.
+    """Find the chessboard corners of a ChArUco board, which may be partly visible.
 
     Parameters
     ----------
@@ -199,14 +198,14 @@ def detect_charuco(
     columns, rows : int
         Number of squares.
     marker_share : float
-        Side of a marker over the side of a square.
+        Side of a marker divided by the side of a square.
     dictionary : str
         OpenCV's name of the markers' dictionary.
 
     Raises
     ------
     CalibrationError
-        Fewer than four corners are found, or there is no such dictionary.
+        Fewer than four corners are found, or the dictionary is unknown.
     """
     _check_size("ChArUco board", columns, rows, least=2)
     number = getattr(cv2.aruco, dictionary, None)
@@ -234,7 +233,7 @@ def detect_circles(image: AnyArray, columns: int, rows: int, *, asymmetric: bool
     Raises
     ------
     CalibrationError
-        The grid is not in the image, or not whole.
+        The grid is not completely visible.
     """
     _check_size("grid of circles", columns, rows, least=2)
     kind = cv2.CALIB_CB_ASYMMETRIC_GRID if asymmetric else cv2.CALIB_CB_SYMMETRIC_GRID
@@ -248,12 +247,12 @@ def detect_circles(image: AnyArray, columns: int, rows: int, *, asymmetric: bool
 
 
 def match_detections(proximity: Detection, tactile: Detection) -> list[tuple[str, Float64Array, Float64Array]]:
-    """Join the same target seen in both images: id, proximity pixel, tactile pixel.
+    """Match the points of a target seen in both images: id, proximity pixel, tactile pixel.
 
     Raises
     ------
     CalibrationError
-        Fewer than four points are seen in both.
+        Fewer than four points are found in both images.
     """
     ours, theirs = (dict(zip(side.ids, side.pixels, strict=True)) for side in (proximity, tactile))
     common = sorted(set(ours) & set(theirs))
@@ -269,7 +268,7 @@ def match_detections(proximity: Detection, tactile: Detection) -> list[tuple[str
 
 
 def _half_turn(source: Float64Array, target: Float64Array) -> bool:
-    """Whether one list runs against the other: the cameras stand side by side, both upright."""
+    """Tell whether one list is turned by half a turn, given that both cameras stand upright side by side."""
     H = fit_homography(source, target, use=np.ones(len(source), bool)).H_p_t
     center = np.append(source.mean(axis=0), 1.0)
     x, y, w = H @ center

@@ -1,10 +1,9 @@
 """The plane homography that takes tactile pixels to proximity pixels, from pairs of clicks.
 
-Start: the normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*,
-algorithm 4.2). Refinement: both clicks of a pair are noisy, so the gold standard of their algorithm 4.3
-is maximised, which takes the tactile click's noise through the homography into the proximity image.
-OpenCV minimises the one-sided distance, which is the same for an affine map and equal noise per pixel,
-and loses where perspective stretches the noise of one side of the image.
+Initial value: normalised direct linear transform (Hartley and Zisserman, *Multiple View Geometry*, algorithm 4.2).
+Refinement: both clicks of a pair are noisy, so the gold standard of their algorithm 4.3 is used, which propagates the
+tactile click's noise through the homography. OpenCV minimises the one-sided distance; that is the same for an affine
+map and equal noise per pixel, but worse under strong perspective.
 """
 
 from __future__ import annotations
@@ -20,12 +19,12 @@ from .correspondences import check_pairs, spread
 from .maximum_likelihood import Linearised, Measurements, Prior, inverse_information
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
 
-#: Standard deviation of a careful click with a loupe, pixels.
+#: Standard deviation of a careful click with magnifier, pixels.
 CLICK_SIGMA_PX = 0.7
 
-#: Points off one plane leave a homography with large residuals and are right nevertheless; from this share of the
-#: points' extent on, it aligns nothing.
-_LARGEST_RMS_SHARE = 0.05
+#: Points off one plane cause large residuals without being wrong. Above this share of the points' extent the homography
+#: is useless.
+_MAX_RMS_SHARE = 0.05
 
 _SAMPLE = 4
 _ONE_CAMERA = np.zeros(0, np.intp)
@@ -33,24 +32,24 @@ _ONE_CAMERA = np.zeros(0, np.intp)
 
 @dataclass(frozen=True, eq=False)
 class HomographyFit:
-    """A fitted homography and what is known of it.
+    """A fitted homography with its statistics.
 
     Attributes
     ----------
     H_p_t : float64, shape (3, 3)
-        Tactile to proximity pixels, lower right entry 1 where it is not 0.
+        Tactile to proximity pixels, scaled to a lower right entry of 1 unless that is 0.
     used : bool, shape (N,)
-        The pairs it rests on; the others are wrong pairs.
+        Inliers.
     residuals_px : float64, shape (N, 2)
         Clicked minus predicted proximity pixel.
     degrees : int
-        Measurements less parameters.
+        Degrees of freedom: measurements minus parameters.
     noise_factor : float
-        Observed noise over the stated click noise; 1 where there is no surplus to observe it.
+        Observed noise relative to the stated click noise; 1 without degrees of freedom.
     condition : float
         Condition number of the scaled design.
     log10_nfa : float
-        Number of false alarms of the agreement.
+        log10 of the number of false alarms of the consensus.
     """
 
     H_p_t: Float64Array
@@ -67,15 +66,15 @@ class HomographyFit:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the used pairs in the proximity image."""
+        """Root mean square residual of the inliers, proximity pixels."""
         return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
 
     def left_out_residuals_px(self) -> Float64Array:
-        """Return each pair's residual (N, 2) under the fit of the other pairs; nan where they determine nothing."""
+        """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model."""
         return left_out_residuals_px(self.problem, self.fit)
 
     def predict(self, tactile: npt.ArrayLike) -> Float64Array:
-        """Take tactile pixels (N, 2 or more columns) to proximity pixels (N, 2)."""
+        """Map tactile pixels (N, 2 or more columns) to proximity pixels (N, 2)."""
         return self.problem.predict(self.fit.solution.theta, np.asarray(tactile, np.float64)[:, :2])
 
     def sensitivity(self, tactile: npt.ArrayLike) -> Float64Array:
@@ -110,7 +109,7 @@ class HomographyProblem(Problem[Float64Array]):
             np.zeros(count, np.intp),
         )
         extent, self.area = spread(proximity)
-        self.largest_px, self.largest_rms_px = np.inf, _LARGEST_RMS_SHARE * extent
+        self.largest_px, self.largest_rms_px = np.inf, _MAX_RMS_SHARE * extent
 
     def to_normal_tactile(self, tactile: Float64Array) -> Float64Array:
         """Normalise tactile pixels (N, 2)."""
@@ -135,12 +134,12 @@ class HomographyProblem(Problem[Float64Array]):
         return np.asarray(moved / np.linalg.norm(moved))
 
     def start(self, used: BoolArray) -> Float64Array | None:
-        """Solve the direct linear transform of some pairs."""
+        """Return the direct linear transform of the used pairs."""
         data = self.measurements
         return direct_linear_transform(data.known[used], data.seen[used]).ravel()
 
     def hypotheses(self, samples: IndexArray) -> list[Float64Array]:
-        """Solve the 8 x 8 equations of every sample at once, lower right entry fixed at 1."""
+        """Solve the 8 x 8 equations of all samples at once, with the lower right entry fixed at 1."""
         x, y = self.measurements.known[samples], self.measurements.seen[samples]
         rows = np.zeros((len(samples), 2 * _SAMPLE, 8))
         rows[:, 0::2, 0:2], rows[:, 0::2, 2] = x, 1.0
@@ -152,7 +151,7 @@ class HomographyProblem(Problem[Float64Array]):
         return list(full / np.linalg.norm(full, axis=1, keepdims=True))
 
     def residuals_px(self, theta: Float64Array) -> Float64Array:
-        """Return distances in proximity pixels, infinite beyond the horizon, shape (N,)."""
+        """Return residual lengths in proximity pixels, infinite beyond the horizon, shape (N,)."""
         places = self.measurements.known
         w = places @ theta[6:8] + theta[8]
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -168,7 +167,7 @@ class HomographyProblem(Problem[Float64Array]):
         return np.asarray((self.measurements.seen - predicted) / self.proximity_scale)
 
     def predict(self, theta: Float64Array, tactile: Float64Array) -> Float64Array:
-        """Take tactile to proximity pixels, both (N, 2)."""
+        """Map tactile to proximity pixels, both (N, 2)."""
         predicted, _, _ = self.linearise(theta, self.to_normal_tactile(tactile), _ONE_CAMERA)
         return np.asarray(predicted / self.proximity_scale + self.proximity_center)
 
@@ -188,23 +187,23 @@ def fit_homography(
     sigma_proximity_px: float = CLICK_SIGMA_PX,
     use: npt.ArrayLike | None = None,
 ) -> HomographyFit:
-    """Fit the homography from tactile to proximity pixels; wrong pairs are found and left out.
+    """Fit the homography from tactile to proximity pixels; outliers are left out.
 
     Parameters
     ----------
     tactile, proximity : array_like, shape (N, 2)
-        Clicked pixels; any unit and offset.
+        Clicked pixels.
     sigma_tactile_px, sigma_proximity_px : float
-        Click noise. Their ratio weighs both sides; their size is replaced by the observed one as soon
-        as there are surplus pairs.
+        Click noise. Their ratio weighs both sides; their size is replaced by the observed noise if there are surplus
+        pairs.
     use : bool, shape (N,), optional
-        The pairs to fit, where wrong ones are known already.
+        Inliers, if already known.
 
     Raises
     ------
     CalibrationError
-        Fewer than four pairs, points on a line or on each other, mirrored order, or pairs that agree
-        on no homography.
+        There are fewer than four pairs, the points are collinear, coincident or mirrored, or the pairs do not agree on
+        one homography.
     """
     tactile, proximity = check_pairs(tactile, proximity, _SAMPLE, "homography")
     problem = HomographyProblem(tactile, proximity, sigma_tactile_px, sigma_proximity_px)
@@ -274,7 +273,7 @@ def _tangent_basis(theta: Float64Array) -> Float64Array:
 
 
 def _refuse_mirrored(problem: HomographyProblem, theta: Float64Array, used: BoolArray) -> None:
-    """A surface seen from the same side twice keeps its sense of rotation; a mirrored one does not."""
+    """Raise if the map reverses orientation: a surface seen twice from the same side keeps its orientation."""
     _, _, by_place = problem.linearise(theta, problem.measurements.known[used], _ONE_CAMERA)
     turning = np.linalg.det(by_place) > 0
     if not turning.any():

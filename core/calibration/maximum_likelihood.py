@@ -1,7 +1,7 @@
-"""Maximum likelihood with noise on both sides: what both alignment models are fitted by.
+"""Maximum-likelihood fit with noise on both sides, for both alignment models.
 
 Each pair of clicks measures ``known`` (in the tactile image) and ``seen`` (in the proximity image).
-The true place ``x`` of what was clicked is unknown, too:
+The true place ``x`` of the clicked point is unknown:
 
     known_i = x_i + N(0, K_i)        seen_i = f(theta, x_i) + N(0, S_i)
 
@@ -29,7 +29,7 @@ Linearised = tuple[Float64Array, Float64Array, Float64Array]
 #: ``(theta, places, camera)`` to the prediction and its derivatives.
 Linearise = Callable[[Theta, Float64Array, IndexArray], Linearised]
 
-#: Variance of a component that was not measured: it weighs nothing.
+#: Variance of a component that was not measured; its weight is negligible.
 UNMEASURED = 1e12
 
 _STEPS = 60
@@ -39,18 +39,18 @@ _INNER_STEPS = 3
 
 @dataclass(frozen=True, eq=False)
 class Measurements:
-    """What was measured on both sides, with covariances.
+    """Measurements on both sides, with covariances.
 
     Attributes
     ----------
     known : float64, shape (N, L)
     known_covariance : float64, shape (N, L, L)
-        May be zero: that side is then taken as exact.
+        May be zero for exact values.
     seen : float64, shape (N, M)
     seen_covariance : float64, shape (N, M, M)
         Positive definite. A variance of `UNMEASURED` marks a component that was not measured.
     camera : int, shape (N,)
-        Number of the camera that took ``seen``, for models that know several.
+        Index of the camera that measured ``seen``, for models with several cameras.
     """
 
     known: Float64Array
@@ -64,11 +64,11 @@ class Measurements:
 
     @property
     def count(self) -> int:
-        """How many numbers were measured in the second image."""
+        """Number of measured values in ``seen``."""
         return int((np.diagonal(self.seen_covariance, axis1=1, axis2=2) < UNMEASURED).sum())
 
     def keep(self, which: BoolArray) -> Measurements:
-        """Return a part, chosen by a boolean mask."""
+        """Return the measurements selected by a boolean mask."""
         return Measurements(
             self.known[which],
             self.known_covariance[which],
@@ -80,14 +80,14 @@ class Measurements:
 
 @dataclass(frozen=True, eq=False)
 class Prior(Generic[Theta]):
-    """What is known of theta beforehand: whitened residuals (Q,) and their derivative (Q, P)."""
+    """Prior knowledge of theta: whitened residuals (Q,) and their derivative (Q, P)."""
 
     residuals: Callable[[Theta], tuple[Float64Array, Float64Array]]
 
 
 @dataclass(frozen=True, eq=False)
 class Solution(Generic[Theta]):
-    """The best theta and how well it is known.
+    """The most likely theta and its uncertainty.
 
     Attributes
     ----------
@@ -95,13 +95,13 @@ class Solution(Generic[Theta]):
     places : float64, shape (N, L)
         Most likely true places.
     information : float64, shape (P, P)
-        Its inverse is the covariance of theta, if the stated noise is the real one.
+        Inverse of the covariance of theta under the stated noise.
     cost : float
         ``sum r^T W^-1 r``, chi-square distributed with ``degrees`` degrees of freedom.
     distances : float64, shape (N,)
-        Each point's share of the cost: its squared Mahalanobis distance.
+        Squared Mahalanobis distance of each point; their sum plus that of the prior is ``cost``.
     degrees : int
-        Measurements less parameters; of a parameter that a prior holds in part, only the rest counts.
+        Degrees of freedom: measurements minus effective parameters (a prior reduces their number).
     """
 
     theta: Theta
@@ -113,7 +113,7 @@ class Solution(Generic[Theta]):
 
     @property
     def noise_factor(self) -> float:
-        """How much larger the real noise is than the stated one: sqrt(cost / degrees); 1 without surplus."""
+        """Observed over stated noise: sqrt(cost / degrees); 1 without degrees of freedom."""
         return float(np.sqrt(self.cost / self.degrees)) if self.degrees > 0 else 1.0
 
 
@@ -142,14 +142,14 @@ def maximise(
     Parameters
     ----------
     start
-        Near the solution.
+        Initial theta.
     measurements : Measurements
     linearise : callable
         See `Linearise`.
     retract : callable
-        ``(theta, step)`` to the theta that lies a step (P,) away.
+        ``(theta, step)`` to theta moved by a step (P,).
     prior : Prior, optional
-        Extra residuals on theta alone.
+        Additional residuals on theta.
     """
     theta = start
     state = _evaluate(theta, measurements.known, measurements, linearise, prior)
@@ -185,12 +185,11 @@ def deleted_distances(
     linearise: Linearise[Theta],
     used: BoolArray,
 ) -> Float64Array:
-    """Return how far each pair lies from the fit of all *other* pairs, as a squared Mahalanobis distance.
+    """Return the squared Mahalanobis distance of each pair from the fit of all *other* pairs.
 
-    For a pair that the fit used, its own pull is removed: the covariance of its residual is
-    ``W - A C A^T`` (Cook and Weisberg, *Residuals and Influence in Regression*, section 2.2); for a pair
-    that it did not use, it is ``W + A C A^T``. Both follow a chi-square distribution with M degrees of
-    freedom, times the noise factor squared.
+    The covariance of the residual is ``W - A C A^T`` for a pair that the fit used (Cook and Weisberg, *Residuals and
+    Influence in Regression*, section 2.2), and ``W + A C A^T`` for one that it did not. Both distances follow a
+    chi-square distribution with M degrees of freedom, times the squared noise factor.
 
     Parameters
     ----------
@@ -203,7 +202,7 @@ def deleted_distances(
     Returns
     -------
     float64, shape (N,)
-        Infinite for a pair without which the others would determine nothing.
+        Infinite for a pair without which the others determine no model.
     """
     state = _evaluate(solution.theta, measurements.known, measurements, linearise, None)
     covariance = inverse_information(solution.information)
@@ -261,7 +260,7 @@ def _evaluate(
 
 
 def _solve(matrix: Float64Array, right: Float64Array) -> Float64Array:
-    """Solve symmetric equations after scaling to a unit diagonal, which keeps mixed units apart."""
+    """Solve symmetric equations after scaling to a unit diagonal, because the units are mixed."""
     scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix), 1e-300))
     scaled = matrix * scale[:, None] * scale
     return np.asarray(scale * np.linalg.lstsq(scaled, right * scale, rcond=None)[0])

@@ -1,6 +1,6 @@
-"""How good a fit is, told honestly: predicted uncertainty, coverage, and what it does to a patch.
+"""Quality of a fit: predicted uncertainty, coverage of the image, and the effect on a contact patch.
 
-Everything here comes from the fit's own covariance: with P whitened parameters, a place's predicted pixel
+All numbers follow from the fit's own covariance: with P whitened parameters, a place's predicted pixel
 moves by ``J e`` for a standard normal ``e`` (P,), so its covariance is ``J J^T``.
 """
 
@@ -19,10 +19,10 @@ from ..model.frames import Rig
 #: Noise of one pixel of either depth camera on this sensor, metres.
 PROXIMITY_NOISE_M = 0.001
 TACTILE_NOISE_M = 0.0005
-#: Typical slope of the membrane across the line of sight, and tangent of the angle at which it leaves an object.
+#: Typical slope of the membrane across the line of sight; tangent of the angle at which it leaves an object.
 MEMBRANE_SLOPE = 0.5
 TAKE_OFF_TANGENT = 1.0
-#: Standard deviations that a pixel in contact may be off and still pass: 95 % of them do.
+#: Two-sided 95 % quantile of the normal distribution: share of the pixels in contact that pass the tolerance test.
 _PASSING_SIGMAS = 1.96
 
 _GRID = (13, 10)
@@ -32,14 +32,14 @@ _RATIOS = np.linspace(0.0, 1.0, 11)
 
 
 class FittedModel(Protocol):
-    """What the quality of a fit is read from."""
+    """A fitted model whose quality can be computed."""
 
     @property
     def degrees(self) -> int:
         """Surplus measurements."""
 
     def predict(self, places: npt.ArrayLike) -> Float64Array:
-        """Take places (tactile u, v, depth) to proximity pixels."""
+        """Map places (tactile u, v, depth) to proximity pixels."""
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
         """Return the derivative of the prediction by whitened parameters, (N, 2, P)."""
@@ -54,12 +54,12 @@ class UncertaintyMap:
     places : float64, shape (M, 3)
         Tactile pixel (u, v) and depth in metres.
     proximity : float64, shape (M, 2)
-        Where the fit takes them, proximity pixels.
+        Proximity pixels that the fit predicts for them.
     sigma_px, sigma_mm : float64, shape (M,)
-        Root mean square alignment error expected there, in proximity pixels and across the line of
-        sight at that depth.
+        Expected root mean square alignment error, in proximity pixels, and in millimetres across the line of sight at
+        that depth.
     bound_95_px : float64, shape (M,)
-        The error is smaller with 95 % probability, place by place.
+        95 % bound of the error at each place, proximity pixels.
     """
 
     places: Float64Array
@@ -70,11 +70,10 @@ class UncertaintyMap:
 
 
 def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
-    """Return a grid over the membrane at the depth that the clicked points suggest, shape (M, 3).
+    """Return a grid over the membrane with depths interpolated from the clicked points, shape (M, 3).
 
-    The membrane is taken to fill the middle `_MEMBRANE_SHARE` of the tactile image and to reach as far as the points.
-
-    Depths are interpolated by inverse squared distance; 0.3 m where no point has one.
+    The membrane is assumed to fill the central `_MEMBRANE_SHARE` of the tactile image and to contain all points.
+    Depths are interpolated by inverse squared distance; 0.3 m if no point has depth.
     """
     height, width = rig.tactile.intrinsics.shape
     size = np.array([width - 1.0, height - 1.0])
@@ -93,7 +92,7 @@ def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> F
 def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> UncertaintyMap:
     """Propagate the click covariance through the fit to places (M, 3) of the membrane.
 
-    Places that the fit takes outside the proximity image are left out: nothing is aligned there.
+    Places predicted outside the proximity image are left out.
     """
     height, width = rig.proximity.intrinsics.shape
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -113,24 +112,24 @@ def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> Uncerta
 
 
 def millimetres_per_pixel(depth_m: npt.ArrayLike, rig: Rig) -> Float64Array:
-    """Return the width of a proximity pixel at a distance, millimetres."""
+    """Return the width of a proximity pixel at a depth, millimetres."""
     lens = rig.proximity.intrinsics
     return np.asarray(np.asarray(depth_m) * 2000.0 / (lens.fx + lens.fy))
 
 
 def bound_95(derivative: Float64Array, degrees: int) -> float:
-    """Return the root mean square error over places that is not exceeded with 95 % probability.
+    """Return the 95 % bound of the root mean square error over places, pixels.
 
     The squared error ``e^T M e``, ``M = mean J^T J``, is a sum of chi-squares weighted by M's eigenvalues.
-    Where the noise itself was estimated from ``degrees`` surplus measurements it is divided by their own
-    chi-square, which makes it an F ratio when the weights are equal. Its quantile is drawn once, seeded.
+    If the noise was estimated from ``degrees`` surplus measurements, it is divided by their chi-square; with equal
+    weights this is an F ratio. The quantile is computed from seeded random draws.
 
     Parameters
     ----------
     derivative : float64, shape (M, 2, P)
         `FittedModel.sensitivity` at the places.
     degrees : int
-        0 where the noise is the stated one.
+        0 for the stated noise.
     """
     rows = derivative.reshape(-1, derivative.shape[2])
     weights = np.linalg.svd(rows, compute_uv=False) ** 2 / len(derivative)
@@ -139,7 +138,7 @@ def bound_95(derivative: Float64Array, degrees: int) -> float:
 
 
 def bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
-    """Return `bound_95` of every place by itself, shape (M,)."""
+    """Return `bound_95` of each place separately, shape (M,)."""
     squares = np.linalg.svd(derivative, compute_uv=False) ** 2
     ratio = squares[:, 1] / np.maximum(squares[:, 0], 1e-300)
     return np.asarray(np.sqrt(squares[:, 0] * np.interp(ratio, _RATIOS, _planar_bounds(degrees))))
@@ -147,16 +146,16 @@ def bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
 
 @dataclass(frozen=True)
 class PatchEffect:
-    """What the alignment does to a contact patch.
+    """Effect of the alignment error on a contact patch.
 
     Attributes
     ----------
     boundary_mm : float
         Expected error of the patch's boundary.
     depth_mm : float
-        Expected difference of both distances at true contact, alignment and sensors together.
+        Expected difference of both distances at true contact, from alignment and sensor noise.
     supported_tolerance : float
-        Smallest t with which 95 % of the pixels in contact pass.
+        Smallest tolerance t with which 95 % of the pixels in contact pass.
     """
 
     boundary_mm: float
@@ -172,16 +171,15 @@ def patch_effect(
     proximity_noise_m: float = PROXIMITY_NOISE_M,
     tactile_noise_m: float = TACTILE_NOISE_M,
 ) -> PatchEffect:
-    """Carry alignment errors into the contact test ``|dp - dt| <= t dp``.
+    """Propagate alignment errors to the contact test ``|dp - dt| <= t dp``.
 
-    A lateral error l reads the tactile depth beside the right place, on a membrane of slope m, and so
-    changes dt by ``m l``; an error a along the line of sight changes dp by itself; both sensors add their
-    noise. At true contact the difference then has
+    A lateral error l reads the tactile depth beside the right place; on a membrane of slope m this changes dt by
+    ``m l``. An error a along the line of sight changes dp by a. Both sensors add noise. At true contact:
 
         s_i^2 = a_i^2 + (m l_i)^2 / 2 + n_p^2 + n_t^2,        t = 1.96 sqrt(mean (s_i / d_i)^2)
 
-    (l is the error in two directions, the slope goes along one). Where the membrane leaves the object at
-    an angle of tangent g, the boundary moves by ``sqrt(l^2 + (a / g)^2)``.
+    (l is the error in two directions, the slope is along one). If the membrane leaves the object at an angle with
+    tangent g, the boundary moves by ``sqrt(l^2 + (a / g)^2)``.
 
     Parameters
     ----------
@@ -203,14 +201,14 @@ def patch_effect(
 
 @dataclass(frozen=True)
 class Coverage:
-    """Where the points lie.
+    """Distribution of the points over the image and over depth.
 
     Attributes
     ----------
     cells : tuple of tuple of int
-        Number of points in each cell of a grid over the proximity image, three rows of four.
+        Number of points in each cell of a 3 x 4 grid over the proximity image.
     share : float
-        Share of the cells that hold a point.
+        Share of the cells with a point.
     depth_range_m : tuple of float or None
         Nearest and farthest tactile depth.
     """
@@ -221,12 +219,12 @@ class Coverage:
 
     @property
     def depth_span_mm(self) -> float:
-        """How much depth the points span, millimetres; 0 without depths."""
+        """Range of the tactile depths, millimetres; 0 without depths."""
         return 0.0 if self.depth_range_m is None else 1e3 * (self.depth_range_m[1] - self.depth_range_m[0])
 
 
 def coverage(proximity: Float64Array, depth_m: Float64Array, rig: Rig) -> Coverage:
-    """Count points (N, 2) over the proximity image and note their range of depth."""
+    """Return the coverage of points (N, 2) in the proximity image."""
     height, width = rig.proximity.intrinsics.shape
     counts, _, _ = np.histogram2d(
         proximity[:, 1], proximity[:, 0], bins=(3, 4), range=((-0.5, height - 0.5), (-0.5, width - 0.5))

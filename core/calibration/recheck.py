@@ -1,4 +1,4 @@
-"""Does an older calibration still hold? Its points, looked up again on the present frame."""
+"""Recheck of a calibration: its points are located again in a current frame."""
 
 from __future__ import annotations
 
@@ -15,31 +15,30 @@ from .quality import millimetres_per_pixel
 from .rigid import Pose, RigidPoints, color_pose, color_to_depth_pixels, ray_seen
 from .texture import measure_pairs
 
-#: Drift from which a calibration is no longer good, pixels, unless it promised less to begin with.
+#: Drift above which to calibrate again, pixels; or the calibration's own 95 % bound, if larger.
 RECALIBRATE_PX = 1.0
-_LEAST_FOUND = 4
+_MIN_FOUND = 4
 
 
 @dataclass(frozen=True, eq=False)
 class Drift:
-    """How far the alignment is off on the present frame.
+    """Alignment error in the current frame.
 
     Attributes
     ----------
     drift_px, drift_mm : float
-        Median distance between where the preset puts a place and where it is found, in proximity pixels
-        and across the line of sight.
+        Median distance between predicted and found places, in proximity pixels, and across the line of sight.
     worst_px : float
         95th percentile of the distances.
     stored, found : int
-        Points that the preset keeps, and how many of them were found again.
+        Number of points in the preset, and of those found again.
     recalibrate : bool
     sentence : str
-        All that in words.
+        The result in words.
     tactile : float64, shape (N, 2)
-        Places that were compared.
+        Compared places, tactile pixels.
     offsets_px : float64, shape (N, 2)
-        Found minus predicted proximity depth pixel, for arrows.
+        Found minus predicted proximity depth pixel.
     """
 
     drift_px: float
@@ -54,10 +53,10 @@ class Drift:
 
 
 def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
-    """Compare a preset's alignment with what the present frame shows.
+    """Compare a preset's alignment with a current frame.
 
-    The preset's points, and wherever else the membrane has texture, are looked up in the proximity colour
-    image by local matching.
+    The preset's points and other textured places of the membrane are located in the proximity colour image by local
+    matching.
 
     Parameters
     ----------
@@ -69,14 +68,14 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     Raises
     ------
     CalibrationError
-        Nothing to match: no tactile colour image, or too little texture.
+        There is no tactile colour image or too little texture.
     RigMismatchError
-        The preset leaves the pose to a rig that has none.
+        Neither preset nor rig has the pose between the cameras.
     """
     frame.check_against(rig)
     if frame.tactile_color is None:
         raise CalibrationError(
-            f"frame {frame.sequence} has no tactile colour image, so nothing can be compared; use a source that has one"
+            f"frame {frame.sequence} has no tactile colour image to compare; use a source that has one"
         )
     section = preset.alignment
     T_p_t = tactile_pose(section, rig)
@@ -85,7 +84,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     stored = np.array([[p.tactile_u, p.tactile_v] for p in record.points if p.enabled] if record else []).reshape(-1, 2)
     again, _ = measure_pairs(frame, rig, pose, stored)
     elsewhere, _ = measure_pairs(frame, rig, pose)
-    if len(again.tactile) + len(elsewhere.tactile) < _LEAST_FOUND:
+    if len(again.tactile) + len(elsewhere.tactile) < _MIN_FOUND:
         raise CalibrationError(
             f"only {len(again.tactile) + len(elsewhere.tactile)} places look alike in both colour images; "
             "light the membrane evenly and check that both cameras see it, then calibrate again if that does not help"
@@ -113,7 +112,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 def _found_and_predicted(
     points: RigidPoints, preset: Preset, rig: Rig, pose: Pose
 ) -> tuple[Float64Array, Float64Array]:
-    """Return proximity depth pixels (N, 2): where places were found and where the preset puts them."""
+    """Return proximity depth pixels (N, 2): found, and predicted by the preset."""
     rays = ray_seen(rig.tactile.intrinsics, points.tactile)
     depth = pose.scale * points.tactile_depth_m + pose.offset_m
     space = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation

@@ -1,4 +1,4 @@
-"""What a calibration found, as frozen data, as JSON and as words."""
+"""Result of a calibration: data, JSON, text, and the verdict with the most useful next step."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from .rigid import RigidFit
 ModelName = Literal["homography", "rigid"]
 #: Expected alignment error over the membrane, pixels, up to which a calibration is good, and usable.
 GOOD_PX, USABLE_PX = 0.6, 1.5
-#: Points that a calibration should have at least, so that its quality can be seen.
+#: Number of points from which the quality can be judged.
 ADVISED_POINTS = 6
 #: Depth that the points of a rigid alignment should span, millimetres.
 ADVISED_SPAN_MM = 20.0
@@ -34,21 +34,21 @@ _SUSPICIOUS = 3.0
 
 @dataclass(frozen=True)
 class PairQuality:
-    """One pair under a fit.
+    """One correspondence under a fit.
 
     Attributes
     ----------
     id : str
     used : bool
-        False for a pair that disagrees with the others and was left out.
+        False for an outlier that the fit leaves out.
     residual_u, residual_v : float
         Clicked minus predicted proximity pixel: dX and dY.
     residual_px, residual_mm : float
-        Its length, and its length across the line of sight at the pair's depth (nan without a depth).
+        Length of the residual in pixels, and in millimetres across the line of sight (nan without depth).
     left_out_px : float
-        Residual under the fit of the other pairs; nan where they determine nothing.
+        Residual under the fit of the other correspondences (cross-validation); nan if they determine no model.
     tactile_depth_m : float
-        nan where there is none.
+        nan without depth.
     """
 
     id: str
@@ -63,31 +63,31 @@ class PairQuality:
 
 @dataclass(frozen=True, eq=False)
 class ModelQuality:
-    """How good one model's fit is.
+    """Quality of one model's fit.
 
     Attributes
     ----------
     model : {"homography", "rigid"}
     rms_px, rms_mm, worst_px : float or None
-        Residuals of the pairs used; None where the model has no surplus pairs and so fits exactly.
+        Residuals of the correspondences used; None if the model fits exactly for lack of surplus ones.
     worst_id : str or None
     cross_validated_px : float or None
-        Root mean square residual of pairs under the fit of the others.
+        Root mean square residual of correspondences under the fit of the others.
     cross_validation : str
         ``"leave-one-out"``, ``"10-fold"`` or ``"none"``.
     click_noise_px : float or None
-        Noise of one click that the residuals show, model error included.
+        Click noise estimated from the residuals, including model error.
     degrees : int
-        Surplus measurements.
+        Degrees of freedom.
     condition : float
         Condition number of the scaled design.
     alignment_px, alignment_mm : float
-        Root mean square alignment error expected over the membrane, from the clicks' noise.
+        Expected root mean square alignment error over the membrane, from the click noise.
     alignment_bound_95_px : float
-        The root mean square alignment error is smaller with 95 % probability.
+        95 % bound of the root mean square alignment error.
     effect : PatchEffect
     excluded : tuple of str
-        Pairs left out because they disagree.
+        Ids of outliers.
     pairs : tuple of PairQuality
     map : UncertaintyMap
     """
@@ -111,7 +111,7 @@ class ModelQuality:
     map: UncertaintyMap
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain data without the map; numbers that do not exist are None."""
+        """Return JSON values without the map; missing numbers are None."""
         return {
             "rms_px": self.rms_px,
             "rms_mm": self.rms_mm,
@@ -135,7 +135,7 @@ class ModelQuality:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationReport:
-    """Both models side by side, the recommendation and what to do next.
+    """Fits of both models, the recommendation and the next step.
 
     Attributes
     ----------
@@ -143,16 +143,16 @@ class CalibrationReport:
         The model asked for, or with ``"auto"`` the recommended one.
     recommended : {"homography", "rigid"}
     reason : str
-        Why that one.
-    homography, rigid : fits, or None where refused
+        Reason of the recommendation.
+    homography, rigid : fits, or None if refused
     quality : mapping of model name to ModelQuality
     refused : mapping of model name to the reason why it was not fitted
     coverage : Coverage
     verdict : str
-        How good it is and the next step, in words.
+        Grade and next step, in words.
     warnings : tuple of str
     pairs : tuple of Correspondence
-        All pairs given, disabled ones too.
+        All given correspondences, including disabled ones.
     rig : Rig
     date : datetime
     """
@@ -177,7 +177,7 @@ class CalibrationReport:
         return self.quality[self.model]
 
     def to_json(self) -> dict[str, Any]:
-        """Return the whole report as plain data for a JSON file."""
+        """Return the whole report as JSON values."""
         chosen, rigid = self.chosen, self.rigid
         return {
             "model": self.model,
@@ -209,7 +209,7 @@ class CalibrationReport:
         }
 
     def record(self, snapshots: tuple[SnapshotRecord, ...] = ()) -> CalibrationRecord:
-        """Return what a preset keeps of this calibration."""
+        """Return the record of this calibration for a preset."""
         chosen = self.chosen
         return CalibrationRecord(
             date=self.date,
@@ -233,17 +233,17 @@ class CalibrationReport:
     def apply_to(
         self, preset: Preset, *, snapshots: tuple[SnapshotRecord, ...] = (), set_tolerance: bool = False
     ) -> Preset:
-        """Return the preset with this alignment, its record and the rig that it was made for.
+        """Return the preset with this alignment, its record and its rig.
 
         Parameters
         ----------
         set_tolerance : bool
-            Set ``tolerance.t`` to the smallest value that the calibration supports, too.
+            Also set ``tolerance.t`` to the smallest value that the calibration supports.
 
         Raises
         ------
         CalibrationError
-            A fitted value lies beyond what a preset allows, such as a depth scale of 1.4.
+            A fitted value is outside the preset's limits, such as a depth scale of 1.4.
         """
         section = preset.alignment.model_copy(update={"model": self.model, "calibration": self.record(snapshots)})
         if self.homography is not None:
@@ -280,7 +280,7 @@ class CalibrationReport:
         )
 
     def words(self) -> str:
-        """Return the whole report as lines of text."""
+        """Return the whole report as text."""
         lines = [f"Model: {self.model}. {self.reason}", "", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
@@ -353,7 +353,7 @@ def _number_or_none(value: Any) -> Any:
 
 
 def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:
-    """Say how good a fit is and what to do next.
+    """Return the grade of a fit and the next step.
 
     Parameters
     ----------
@@ -368,7 +368,7 @@ def verdict(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, 
 
 
 def grade(quality: ModelQuality) -> str:
-    """Say in one sentence how good a fit is."""
+    """Return the grade of a fit, one sentence."""
     if quality.degrees <= 0:
         used = sum(pair.used for pair in quality.pairs)
         return (
@@ -385,7 +385,7 @@ def grade(quality: ModelQuality) -> str:
 
 
 def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array, rig: Rig) -> str:
-    """Say in one sentence what helps most now."""
+    """Return the step that improves the calibration most, one sentence."""
     used = len(proximity)
     if quality.excluded:
         listed = ", ".join(quality.excluded[:5]) + (", ..." if len(quality.excluded) > 5 else "")
@@ -402,12 +402,12 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         return found
     if quality.alignment_px > GOOD_PX:
         wanted = int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2))
-        return f"Add points to lower the error; about {min(wanted, 60)} of the same care in all."
+        return f"Add points to lower the error; about {min(wanted, 60)} in all, clicked with the same care."
     return "Nothing more is needed: check it on the live image and save it."
 
 
 def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:
-    """Name the place that is known worst, if it is far from every point and much worse than the rest."""
+    """Return advice on the most uncertain place, if it is far from all points and much worse than the median."""
     uncertainty = quality.map
     gaps = np.hypot(*(uncertainty.proximity[:, None] - proximity[None]).transpose(2, 0, 1)).min(axis=1)
     far = gaps > _FAR_PX
@@ -428,7 +428,7 @@ def _shallow_points(quality: ModelQuality, coverage: Coverage) -> str:
         return ""
     return (
         f"Add points at another inflation level: all lie within {coverage.depth_span_mm:.0f} mm of depth, "
-        f"{ADVISED_SPAN_MM:.0f} mm or more hold the pose."
+        f"{ADVISED_SPAN_MM:.0f} mm or more determine the pose well."
     )
 
 
@@ -444,7 +444,7 @@ def _suspicious_pair(quality: ModelQuality) -> str:
 
 
 def place_name(pixel: Float64Array, shape: tuple[int, int]) -> str:
-    """Return where in an image (height, width) a pixel lies, such as ``"at the upper left"``."""
+    """Return the region of an image (height, width) with a pixel, such as ``"at the upper left"``."""
     row = ("upper", "middle", "lower")[int(np.clip(3 * pixel[1] / shape[0], 0, 2))]
     column = ("left", "middle", "right")[int(np.clip(3 * pixel[0] / shape[1], 0, 2))]
     if row == column == "middle":

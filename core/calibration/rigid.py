@@ -51,8 +51,8 @@ LEAST_POINTS = 4
 def ray_seen(intrinsics: Intrinsics, pixels: npt.ArrayLike) -> Float64Array:
     """Return ``(x / z, y / z)`` of the rays that `Intrinsics.project` takes to these pixels.
 
-    The pipeline *projects* into the tactile and the colour camera, so a click there is the inverse of
-    that projection, also for lens models whose deprojection librealsense leaves out.
+    The pipeline *projects* into the tactile and the colour camera, so a click is the inverse of that projection,
+    also for lens models that librealsense cannot deproject.
 
     Parameters
     ----------
@@ -85,7 +85,7 @@ def ray_covariance(intrinsics: Intrinsics, pixels: Float64Array, sigma_px: float
 
 
 def color_pose(rig: Rig) -> Float64Array:
-    """Return ``T_color_depth`` of the proximity camera; the identity where colour is aligned to depth."""
+    """Return ``T_color_depth`` of the proximity camera; the identity if colour is aligned to depth."""
     return np.eye(4) if rig.proximity_color is None else np.asarray(rig.proximity_color.T_color_depth)
 
 
@@ -95,10 +95,10 @@ def color_lens(rig: Rig) -> Intrinsics:
 
 
 def color_to_depth_pixels(rig: Rig, pixels: npt.ArrayLike, depth_m: npt.ArrayLike) -> Float64Array:
-    """Take pixels of the proximity colour image to proximity depth pixels.
+    """Map pixels of the proximity colour image to proximity depth pixels.
 
-    The colour camera's ray is followed up to the given distance and chained by the factory extrinsic.
-    The proximity depth image is not asked: it looks through the membrane that was clicked.
+    The point on the colour camera's ray at the given distance is transformed by the factory extrinsics. The proximity
+    depth image is not used, because it looks through the membrane.
 
     Parameters
     ----------
@@ -164,13 +164,13 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class RigidFit:
-    """A fitted pose and what is known of it.
+    """A fitted pose with its statistics.
 
     Attributes
     ----------
     pose : Pose
     used : bool, shape (N,)
-        The pairs it rests on.
+        Inliers.
     residuals_px : float64, shape (N, 2)
         Clicked minus predicted pixel, in the proximity image that was clicked.
     degrees, noise_factor, condition, log10_nfa
@@ -200,21 +200,21 @@ class RigidFit:
 
     @property
     def rms_px(self) -> float:
-        """Root mean square distance of the used pairs in the proximity images."""
+        """Root mean square residual of the inliers in the proximity images, pixels."""
         return float(np.sqrt((self.residuals_px[self.used] ** 2).sum(axis=1).mean()))
 
     @property
     def covariance(self) -> Float64Array:
-        """Covariance of rotation vector (rad), translation (m) and, where fitted, scale and offset (m)."""
+        """Covariance of rotation vector (rad), translation (m) and, if fitted, scale and offset (m)."""
         solution = self.fit.solution
         return np.asarray(solution.noise_factor**2 * inverse_information(solution.information))
 
     def left_out_residuals_px(self) -> Float64Array:
-        """Return each pair's residual (N, 2) under the fit of the other pairs; nan where they determine nothing."""
+        """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model."""
         return left_out_residuals_px(self.problem, self.fit)
 
     def points_m(self, places: npt.ArrayLike) -> Float64Array:
-        """Take tactile pixels and raw depths (N, 3) to points of the proximity depth frame."""
+        """Map tactile pixels and raw depths (N, 3) to points in the proximity depth frame, metres."""
         places = np.asarray(places, np.float64)
         depth = self.pose.scale * places[:, 2] + self.pose.offset_m
         rays = ray_seen(self.rig.tactile.intrinsics, places[:, :2])
@@ -222,7 +222,7 @@ class RigidFit:
         return np.asarray(tactile_points @ self.pose.rotation.T + self.pose.translation)
 
     def predict(self, places: npt.ArrayLike) -> Float64Array:
-        """Take tactile pixels and raw depths (N, 3) to proximity depth pixels (N, 2)."""
+        """Map tactile pixels and raw depths (N, 3) to proximity depth pixels (N, 2)."""
         return self.rig.proximity.intrinsics.project(self.points_m(places))
 
     def sensitivity(self, places: npt.ArrayLike) -> Float64Array:
@@ -248,7 +248,7 @@ class RigidFit:
 
 
 class RigidProblem(Problem[Pose]):
-    """Pose estimation in normalised coordinates: every lens is removed from the clicks beforehand."""
+    """Pose estimation in normalised coordinates; lens distortion is removed from the clicks first."""
 
     name = "rigid alignment"
     sample_size = _SAMPLE
@@ -298,7 +298,7 @@ class RigidProblem(Problem[Pose]):
         self.prior = Prior(self._prior_residuals) if depth_scale else None
 
     def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
-        """Take places (ray and raw depth) to proximity points, with derivatives (N, 3, P) and (N, 3, 3)."""
+        """Map places (ray and raw depth) to proximity points, with derivatives (N, 3, P) and (N, 3, 3)."""
         depth = theta.scale * places[:, 2] + theta.offset_m
         rays = np.column_stack([places[:, :2], np.ones(len(places))]) @ theta.rotation.T
         turned = rays * depth[:, None]
@@ -314,7 +314,7 @@ class RigidProblem(Problem[Pose]):
         return turned + theta.translation, by_theta, by_place
 
     def linearise(self, theta: Pose, places: Float64Array, camera: IndexArray) -> Linearised:
-        """Predict rays of the camera that was clicked in and, where measured, the distance."""
+        """Predict rays of the clicked camera and, if measured, the distance."""
         points, by_theta, by_place = self.transform(theta, places)
         rotation = self.camera_rotation[camera]
         seen = (rotation @ points[:, :, None])[:, :, 0] + self.camera_translation[camera]
@@ -327,7 +327,7 @@ class RigidProblem(Problem[Pose]):
         return ray, by_point @ by_theta, by_point @ by_place
 
     def retract(self, theta: Pose, step: Float64Array) -> Pose:
-        """Turn about and move along the proximity axes."""
+        """Rotate about and translate along the proximity axes."""
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         moved = replace(theta, rotation=turn @ theta.rotation, translation=theta.translation + step[3:6])
         if self.depth_scale:
@@ -345,7 +345,7 @@ class RigidProblem(Problem[Pose]):
         return Pose(Rotation.from_rotvec(turn.ravel()).as_matrix(), shift.ravel().astype(np.float64)) if found else None
 
     def hypotheses(self, samples: IndexArray) -> list[Pose]:
-        """Solve P3P on every sample: up to four poses each."""
+        """Solve P3P for each sample: up to four poses each."""
         poses = []
         for sample in samples:
             if on_a_line(self.space[sample]):
@@ -358,7 +358,7 @@ class RigidProblem(Problem[Pose]):
         return poses
 
     def residuals_px(self, theta: Pose) -> Float64Array:
-        """Return distances in the clicked image, lens distortion aside."""
+        """Return residual lengths in the clicked image, without lens distortion, pixels."""
         points = self.space @ theta.rotation.T * theta.scale
         if theta.offset_m:
             points += (self.space / self.space[:, 2:]) @ theta.rotation.T * theta.offset_m
@@ -379,9 +379,9 @@ class RigidProblem(Problem[Pose]):
         return np.asarray(self.points.proximity - np.where((camera == 1)[:, None], of_color, of_depth))
 
     def _rays_of_depth_camera(self) -> Float64Array:
-        """Take clicks in the colour image to rays of the depth camera, at about the tactile distance.
+        """Map clicks in the colour image to rays of the depth camera, assuming the tactile distance.
 
-        The cameras stand side by side, so this is right to about a pixel: enough to start from.
+        The cameras stand side by side, so the error is about a pixel, which is enough for an initial value.
         """
         seen, depth = self.measurements.seen[:, :2], self.measurements.known[:, 2:]
         T_depth_color = np.linalg.inv(color_pose(self.rig))
@@ -412,7 +412,7 @@ def fit_rigid(
     depth_scale: bool = False,
     use: npt.ArrayLike | None = None,
 ) -> RigidFit:
-    """Fit the tactile camera's pose in the proximity frame; wrong pairs are found and left out.
+    """Fit the tactile camera's pose in the proximity frame; outliers are left out.
 
     Parameters
     ----------
@@ -420,17 +420,17 @@ def fit_rigid(
     rig : Rig
         Lenses and the colour camera's extrinsic.
     sigma_tactile_px, sigma_proximity_px, sigma_depth_m : float
-        Noise of clicks and of the tactile depth. Their ratios weigh the measurements; their common size
-        is replaced by the observed one as soon as there are surplus pairs.
+        Noise of clicks and of the tactile depth. Their ratios weigh the measurements; their common size is replaced by
+        the observed noise if there are surplus pairs.
     depth_scale : bool
-        Fit a scale and an offset of the tactile depth, too.
+        Also fit a scale and an offset of the tactile depth.
     use : bool, shape (N,), optional
-        The pairs to fit, where wrong ones are known already.
+        Inliers, if already known.
 
     Raises
     ------
     CalibrationError
-        Fewer than four pairs with a depth, points on a line, or pairs that agree on no pose.
+        There are fewer than four pairs with depth, the points are collinear, or the pairs do not agree on one pose.
     """
     least = LEAST_POINTS + (1 if depth_scale else 0)
     name = f"rigid alignment{' with depth scale' if depth_scale else ''}"

@@ -31,9 +31,9 @@ from .maximum_likelihood import Linearised, Measurements, Prior, Solution, condi
 
 Model = TypeVar("Model")
 
-#: log10 of the largest number of false alarms that counts as agreement.
+#: A consensus is significant below this log10 of the number of false alarms.
 SIGNIFICANT = -3.0
-#: Fewer than this share of the pairs agreeing is a refusal: the others might be the right ones.
+#: Minimum share of inliers; with fewer, the outliers might be the right ones.
 SMALLEST_SHARE = 0.55
 _HYPOTHESES = 700
 _FAR_PX = 1e300
@@ -41,23 +41,23 @@ _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
 Theta = TypeVar("Theta")
 
-#: One honest pair in so many is taken for a wrong one.
+#: One correct pair in this many is rejected as an outlier.
 _HONEST_LOSS = 100_000
 #: Weight of the nominal click noise beside the observed one, in degrees of freedom, while judging pairs.
 _NOMINAL_DEGREES = 12
-#: Up to this ratio of observed to nominal noise, a fit of all pairs needs no search for a consensus.
+#: Up to this ratio of observed to nominal noise, all pairs are fitted without a search for a consensus.
 _USUAL_NOISE = 1.5
-#: Left-out pairs are searched for another alignment from this share of all on, and agree if so many of them do.
+#: Outliers are searched for a second alignment above this share of all pairs; it counts with this share of inliers.
 _LEAST_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
-#: Beyond this condition number of the scaled design, noise decides and not the clicks.
+#: Above this condition number of the scaled design, the result is dominated by noise.
 LARGEST_CONDITION = 3e4
-#: Up to so many pairs are left out one by one; of more, `FOLDS` groups.
+#: Cross-validation: leave-one-out up to this number of pairs, beyond that `FOLDS` groups.
 LEAVE_ONE_OUT, FOLDS = 60, 10
 
 
 @dataclass(frozen=True, eq=False)
 class Consensus:
-    """The pairs that agree, the radius in pixels within which they do, and how unlikely that is by chance."""
+    """The inliers of a model, their radius in pixels, and the log10 of the number of false alarms."""
 
     inliers: BoolArray
     radius_px: float
@@ -65,12 +65,12 @@ class Consensus:
 
     @property
     def significant(self) -> bool:
-        """Whether chance is ruled out and at least `SMALLEST_SHARE` of the pairs agree."""
+        """Whether chance is ruled out and at least `SMALLEST_SHARE` of the pairs are inliers."""
         return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= SMALLEST_SHARE
 
 
 def samples(count: int, size: int, seed: int = 0) -> IndexArray:
-    """Return index samples, shape (M, size): every one where there are few, random ones otherwise."""
+    """Return index samples, shape (M, size): all of them if they are few, otherwise random ones."""
     if comb(count, size) <= _EXHAUSTIVE:
         return np.array(list(combinations(range(count), size)), dtype=np.intp)
     rng = np.random.default_rng(seed)
@@ -78,17 +78,17 @@ def samples(count: int, size: int, seed: int = 0) -> IndexArray:
 
 
 def score(residuals_px: Float64Array, sample_size: int, area: float, largest_px: float = np.inf) -> Consensus:
-    """Choose the best hypothesis' inliers by the number of false alarms.
+    """Choose the inliers of one hypothesis by the number of false alarms.
 
     Parameters
     ----------
     residuals_px : float64, shape (N,)
-        Distances of one hypothesis; not finite counts as far away.
+        Residual lengths of one hypothesis; not finite counts as far away.
     sample_size : int
     area : float
-        Area in which wrong partners may lie, pixels squared.
+        Area over which wrong points are distributed, pixels squared.
     largest_px : float
-        Pairs farther off never agree, however many they are.
+        Pairs with larger residuals are never inliers.
     """
     count = len(residuals_px)
     order = np.argsort(residuals_px)
@@ -120,7 +120,7 @@ def find_consensus(
     first: list[Model],
     largest_px: float = np.inf,
 ) -> tuple[Consensus, Model] | None:
-    """Search for the hypothesis with the fewest false alarms and polish it by refitting.
+    """Search for the hypothesis with the fewest false alarms and refine it by refitting.
 
     Parameters
     ----------
@@ -131,15 +131,15 @@ def find_consensus(
     residuals_px : callable
         Distances (N,) of every pair from a model.
     refit : callable
-        Inliers to a model, or None where they determine none.
+        Inliers to a model, or None if they determine none.
     first : list
-        Models to try beside the sampled ones.
+        Further models to try.
     largest_px : float
         See `score`.
 
     Returns
     -------
-    Consensus and model, or None where no sample determines a model.
+    Consensus and model, or None if no sample determines a model.
     """
     some = np.arange(count)
     if count > _SCORED_POINTS:
@@ -183,14 +183,14 @@ def _log_binomial(n: float | IndexArray, k: float | IndexArray) -> Float64Array:
 
 
 class Problem(Protocol[Theta]):
-    """What the robust fit has to know of a model."""
+    """A model for the robust fit."""
 
     name: str
     sample_size: int
     measurements: Measurements
-    #: Pixels squared in which a wrong partner may lie.
+    #: Area over which wrong points are distributed, pixels squared.
     area: float
-    #: Pixels beyond which a pair contradicts the model, and beyond which the RMS residual is no alignment at all.
+    #: Largest residual of an inlier, and largest RMS residual of an alignment, pixels.
     largest_px: float
     largest_rms_px: float
     prior: Prior[Theta] | None
@@ -199,10 +199,10 @@ class Problem(Protocol[Theta]):
         """Predict, with derivatives."""
 
     def retract(self, theta: Theta, step: Float64Array) -> Theta:
-        """Step away from theta."""
+        """Move theta by a step."""
 
     def start(self, used: BoolArray) -> Theta | None:
-        """Return a first theta from some pairs, or None where they give none."""
+        """Return an initial theta from some pairs, or None if they determine none."""
 
     def hypotheses(self, samples: IndexArray) -> list[Theta]:
         """Return the models of index samples (M, sample_size)."""
@@ -216,7 +216,7 @@ class Problem(Protocol[Theta]):
 
 @dataclass(frozen=True, eq=False)
 class RobustFit(Generic[Theta]):
-    """A fit and the pairs that it rests on.
+    """A fit and its inliers.
 
     Attributes
     ----------
@@ -225,7 +225,7 @@ class RobustFit(Generic[Theta]):
     condition : float
         Condition number of the scaled design.
     log10_nfa : float
-        Number of false alarms of the agreement; -inf where there are no surplus pairs to agree.
+        log10 of the number of false alarms of the consensus; -inf without surplus pairs.
     """
 
     solution: Solution[Theta]
@@ -235,13 +235,13 @@ class RobustFit(Generic[Theta]):
 
 
 def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> RobustFit[Theta]:
-    """Fit a model to the pairs that agree.
+    """Fit a model to the inliers.
 
     Parameters
     ----------
     problem : Problem
     use : bool, shape (N,), optional
-        The pairs to fit, where that is known; otherwise wrong pairs are searched for and left out.
+        Inliers, if already known.
 
     Raises
     ------
@@ -269,8 +269,8 @@ def fit_robustly(problem: Problem[Theta], use: BoolArray | None = None) -> Robus
 def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Float64Array:
     """Return each pair's residual under the fit of the others, shape (N, 2): cross-validation.
 
-    One pair at a time is left out of up to `LEAVE_ONE_OUT` pairs, a tenth of the pairs at a time of more.
-    Pairs that the fit does not use keep its own residual; nan where the others determine nothing.
+    Leave-one-out up to `LEAVE_ONE_OUT` pairs, otherwise `FOLDS`-fold. Outliers keep their residual under the fit of all
+    inliers; nan if the others determine no model.
     """
     residuals = problem.residual_vectors_px(fit.solution.theta)
     pairs = np.flatnonzero(fit.used)
@@ -318,7 +318,7 @@ def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Th
 
 
 def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
-    """Refuse a fit whose left-out pairs agree on another alignment: either group may be the right one."""
+    """Raise if the outliers agree on another alignment: either group may be the right one."""
     left = np.flatnonzero(~used)
     if len(left) < max(problem.sample_size + 3, _LEAST_SECOND_SHARE * len(used)):
         return
@@ -348,7 +348,7 @@ def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
 
 
 def no_agreement(name: str, agreeing: int, count: int, log10_nfa: float) -> CalibrationError:
-    """Return the refusal of pairs that do not belong together."""
+    """Return the error for pairs that agree on no model."""
     if log10_nfa < 0 and agreeing < count:
         found = f"only {agreeing} of the {count} pairs agree on one {name}"
     else:
@@ -380,7 +380,7 @@ def _solve(problem: Problem[Theta], used: BoolArray, near: Theta | None = None) 
 
 
 def _settle(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray) -> tuple[BoolArray, Solution[Theta]]:
-    """Drop and take back pairs until each kept pair is plausible beside all other kept ones."""
+    """Remove and restore pairs until each inlier is plausible under the fit of the other inliers."""
     seen: list[bytes] = []
     while used.tobytes() not in seen:
         seen.append(used.tobytes())

@@ -1,4 +1,4 @@
-"""Several frames become one snapshot: the median of each pixel, and a hash that names its content."""
+"""Snapshots: the pixelwise median of several frames, and the hash of its content."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from ..model.clouds import valid_depth
 from ..model.frames import SensorFrame
 from ..preset.alignment import SnapshotRecord
 
-#: Depths farther than this from the click's own belong to another surface, metres.
+#: Depths that differ from the click's by more than this belong to another surface, metres.
 _SAME_SURFACE_M = 0.004
 _ROWS_AT_ONCE = 32
 
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """A quiet picture of one moment: what points are clicked on.
+    """Pixelwise median of frames, on which points are clicked.
 
     Attributes
     ----------
     frame : SensorFrame
-        Medians of all images, with the first frame's number and time stamps.
+        Medians of all images, with sequence number and time stamps of the first frame.
     frames : int
-        How many frames went into it.
+        Number of frames.
     sha256 : str
         Hash of the four images.
     """
@@ -40,22 +40,22 @@ class Snapshot:
     sha256: str
 
     def record(self, name: str = "") -> SnapshotRecord:
-        """Return what a preset keeps of it."""
+        """Return the record of the snapshot for a preset."""
         return SnapshotRecord(name=name, sha256=self.sha256, frames=self.frames)
 
 
 def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
-    """Take the median of frames, pixel by pixel.
+    """Return the pixelwise median of frames.
 
     Parameters
     ----------
     frames : iterable of SensorFrame
-        All of one size. About 3 MB each at 640 x 480 are held until the end.
+        All of one size. All are held in memory, about 3 MB each at 640 x 480.
 
     Raises
     ------
     CalibrationError
-        No frame, or frames of different size.
+        There is no frame, or their sizes differ.
     """
     kept = list(frames)
     if not kept:
@@ -78,13 +78,13 @@ def take_snapshot(frames: Iterable[SensorFrame]) -> Snapshot:
 def median_counts(images: Sequence[Uint16Array]) -> Uint16Array:
     """Return the median of raw depth images (H, W); 0 and 65535 are left out.
 
-    The lower of the two middle values where their number is even, so that a median is always a value
-    that was measured; 0 where no image has a depth.
+    For an even number of values it is the lower median, so that the result is always a measured value; 0 if no image
+    has depth.
 
     Raises
     ------
     CalibrationError
-        No image, or images of different size.
+        There is no image, or their sizes differ.
     """
     _check_sizes(images)
     out = np.empty(images[0].shape, np.uint16)
@@ -95,7 +95,7 @@ def median_counts(images: Sequence[Uint16Array]) -> Uint16Array:
 
 
 def content_hash(frame: SensorFrame) -> str:
-    """Return the SHA-256 of a frame's images, sizes and types included."""
+    """Return the SHA-256 of a frame's images including their shapes and types."""
     digest = hashlib.sha256()
     for name in ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color"):
         image = getattr(frame, name)
@@ -106,10 +106,10 @@ def content_hash(frame: SensorFrame) -> str:
 
 
 def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: int = 2) -> float | None:
-    """Return the depth under a sub-pixel place, metres, or None where the camera sees none.
+    """Return the depth at a sub-pixel place, metres, or None without depth.
 
-    A plane is fitted to the valid pixels around it that lie on the same surface, which averages the
-    noise and follows the slope; the place itself must have a depth within a pixel.
+    A plane is fitted to the valid pixels around it on the same surface, which averages noise and follows the slope. A
+    pixel within 1.5 pixels of the place must have depth.
 
     Parameters
     ----------
@@ -117,7 +117,7 @@ def depth_under(counts: Uint16Array, unit_m: float, u: float, v: float, radius: 
     unit_m : float
     u, v : float
     radius : int
-        Half the side of the square that is looked at, pixels.
+        Half side of the square window, pixels.
     """
     height, width = counts.shape
     column, row = round(u), round(v)

@@ -1,10 +1,9 @@
-"""Pairs without clicking: the dye droplets on the membrane, matched between both colour images.
+"""Correspondences without clicking: the dye droplets on the membrane, matched between both colour images.
 
-Descriptors (SIFT) give a first, rough set of pairs, unless the rig states a pose. From then on geometry
-leads: the proximity colour image is warped into the tactile view through the tactile depth and the present
-pose, so that both images show the same droplet at the same size almost at the same place, and what is
-left is measured patch by patch (inverse-compositional Lucas and Kanade, sub-pixel). The pose is fitted
-again to what was measured, and the images are warped again.
+SIFT descriptors give a rough initial set, unless the rig has a pose. Then the proximity colour image is warped into the
+tactile view through the tactile depth and the current pose, so that a droplet has the same size and almost the same
+place in both images. The remaining offset is measured patch by patch (inverse-compositional Lucas-Kanade, sub-pixel).
+The pose is fitted to the result, and warping and matching are repeated.
 """
 
 from __future__ import annotations
@@ -28,27 +27,27 @@ from .snapshots import depth_under
 _ROUNDS = 3
 _PATCH_PX = 15
 _REACH_PX = 12.0
-_LEAST_LIKENESS = 0.85
-_MOST_FEATURES = 400
-_LEAST_DISTANCE_PX = 12.0
-_LEAST_PAIRS = 12
+_MIN_CORRELATION = 0.85
+_MAX_FEATURES = 400
+_MIN_DISTANCE_PX = 12.0
+_MIN_PAIRS = 12
 _RATIO = 0.8
-#: Matched droplets are placed about this well, pixels.
+#: Standard deviation of a matched droplet, pixels.
 _MATCH_SIGMA_PX = 0.15
 
 
 @dataclass(frozen=True, eq=False)
 class TextureMatches:
-    """Proposed pairs, best first, and the fit that they agree on.
+    """Proposed correspondences, best first, and their fit.
 
     Attributes
     ----------
     pairs : tuple of Correspondence
-        Clicked in the colour image, with tactile depth and the snapshot's number.
+        In the colour image, with tactile depth and snapshot number.
     likeness : float64, shape (N,)
-        Correlation of both patches, up to 1.
+        Correlation of both patches, at most 1.
     fit : RigidFit
-        Of all pairs.
+        Fit of all proposed correspondences.
     """
 
     pairs: tuple[Correspondence, ...]
@@ -57,20 +56,20 @@ class TextureMatches:
 
 
 def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike | None = None) -> TextureMatches:
-    """Propose pairs from the texture in both colour images, over all frames together.
+    """Propose correspondences from the texture of both colour images, over all frames.
 
     Parameters
     ----------
     frames : sequence of SensorFrame
-        One per inflation level, best as snapshots.
+        One per inflation level, preferably snapshots.
     rig : Rig
     pose : array_like, shape (4, 4), optional
-        ``T_proximity_tactile`` to start from; default: the rig's own, or else descriptors alone.
+        Initial ``T_proximity_tactile``; default: the rig's, otherwise from descriptors.
 
     Raises
     ------
     CalibrationError
-        A frame has no tactile colour image, or too few pairs agree.
+        A frame has no tactile colour image, or too few correspondences agree.
     """
     if not frames:
         raise CalibrationError("texture matching needs at least one frame")
@@ -85,7 +84,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike |
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
     start = _pose_of(stated) if stated is not None else _fit(_described(views, rig), rig).pose
     found = _guided(views, rig, start)
-    if len(found.points.tactile) < _LEAST_PAIRS and stated is not None:
+    if len(found.points.tactile) < _MIN_PAIRS and stated is not None:
         start = _fit(_described(views, rig), rig).pose
         found = _guided(views, rig, start)
     for _ in range(_ROUNDS - 1):
@@ -96,7 +95,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike |
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """Pairs with the view that they come from and how alike both patches are."""
+    """Correspondences with their view and the correlation of both patches."""
 
     points: RigidPoints
     view: IndexArray
@@ -104,7 +103,7 @@ class _Found:
 
 
 class _View:
-    """One frame as matching needs it: grey images, features with a depth, a dense depth to warp by."""
+    """One frame prepared for matching: grey images, features with depth, and dense depth for warping."""
 
     def __init__(self, number: int, frame: SensorFrame, rig: Rig, places: Float64Array | None = None) -> None:
         assert frame.tactile_color is not None
@@ -116,14 +115,14 @@ class _View:
         self._counts, self._unit = frame.tactile_depth, rig.tactile.depth_unit_m
         if places is None:
             corners = cv2.goodFeaturesToTrack(
-                self.tactile, _MOST_FEATURES, 0.02, _LEAST_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
+                self.tactile, _MAX_FEATURES, 0.02, _MIN_DISTANCE_PX, mask=_inner(valid), blockSize=_PATCH_PX
             )
             places = np.zeros((0, 2)) if corners is None else corners.reshape(-1, 2).astype(np.float64)
         depth = self.depths_under(places)
         self.features = np.column_stack([places, depth])[np.isfinite(depth)]
 
     def depths_under(self, places: Float64Array) -> Float64Array:
-        """Return depths at tactile pixels (N, 2), nan where there is none."""
+        """Return depths at tactile pixels (N, 2), nan without depth."""
         found = [depth_under(self._counts, self._unit, u, v, radius=3) for u, v in places]
         return np.array([np.nan if depth is None else depth for depth in found], dtype=np.float64)
 
@@ -131,7 +130,7 @@ class _View:
 def measure_pairs(
     frame: SensorFrame, rig: Rig, pose: Pose, places: npt.ArrayLike | None = None
 ) -> tuple[RigidPoints, Float64Array]:
-    """Measure where places of the tactile image are in the proximity colour image.
+    """Locate places of the tactile image in the proximity colour image.
 
     Parameters
     ----------
@@ -139,14 +138,14 @@ def measure_pairs(
         With a tactile colour image.
     rig : Rig
     pose : Pose
-        Right to about ten pixels.
+        Correct to about 10 pixels.
     places : array_like, shape (N, 2), optional
-        Tactile pixels; default: wherever there is texture.
+        Tactile pixels; default: all places with texture.
 
     Returns
     -------
-    RigidPoints and likeness (M,)
-        The places that have a depth and were found again, clicked in colour.
+    RigidPoints and correlation, (M,)
+        Places with depth that were found in the colour image.
     """
     chosen = None if places is None else np.asarray(places, np.float64).reshape(-1, 2)
     found = _guided_view(_View(0, frame, rig, chosen), rig, pose)
@@ -154,7 +153,7 @@ def measure_pairs(
 
 
 def _guided(views: list[_View], rig: Rig, pose: Pose) -> _Found:
-    """Warp, measure what is left at each feature, and keep what is alike."""
+    """Warp each view, measure the remaining offset of each feature, and keep those with high correlation."""
     parts = [_guided_view(view, rig, pose) for view in views]
     return _joined(parts)
 
@@ -183,7 +182,7 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
             for here, place, good in zip(view.features[:, :2], moved, kept, strict=True)
         ]
     )
-    kept &= likeness >= _LEAST_LIKENESS
+    kept &= likeness >= _MIN_CORRELATION
     features, moved, likeness = view.features[kept], moved[kept], likeness[kept]
     places = moved[:, ::-1].T
     proximity = np.column_stack([map_coordinates(lookup[..., axis], places, order=1) for axis in range(2)])
@@ -191,7 +190,7 @@ def _guided_view(view: _View, rig: Rig, pose: Pose) -> _Found:
 
 
 def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tuple[Float32Array, BoolArray]:
-    """Follow places (N, 1, 2) from one image to the other; say which were found."""
+    """Track places (N, 1, 2) from one image to the other; also return which were found."""
     criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_COUNT, 40, 0.001)
     places, found, _ = cv2.calcOpticalFlowPyrLK(
         source, target, start, np.empty_like(start), winSize=(_PATCH_PX, _PATCH_PX), maxLevel=2, criteria=criteria
@@ -200,7 +199,7 @@ def _tracked(source: Uint8Array, target: Uint8Array, start: Float32Array) -> tup
 
 
 def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
-    """Take tactile places (N, 3) to proximity colour pixels (N, 2) by a pose."""
+    """Map tactile places (N, 3) to proximity colour pixels (N, 2) by a pose."""
     depth = pose.scale * places[:, 2] + pose.offset_m
     rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
     points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
@@ -209,7 +208,7 @@ def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
 
 
 def _described(views: list[_View], rig: Rig) -> _Found:
-    """Match SIFT descriptors, with the ratio test and mutual choice."""
+    """Match SIFT descriptors with the ratio test and the mutual nearest neighbour."""
     sift = cv2.SIFT.create(nfeatures=2000)
     parts = []
     for view in views:
@@ -236,9 +235,9 @@ def _described(views: list[_View], rig: Rig) -> _Found:
 
 
 def _fit(found: _Found, rig: Rig) -> RigidFit:
-    if len(found.points.tactile) < _LEAST_PAIRS:
+    if len(found.points.tactile) < _MIN_PAIRS:
         raise CalibrationError(
-            f"only {len(found.points.tactile)} places look alike in both colour images, {_LEAST_PAIRS} are needed; "
+            f"only {len(found.points.tactile)} places look alike in both colour images, {_MIN_PAIRS} are needed; "
             "light the membrane evenly, average more frames, or click the points"
         )
     return fit_rigid(found.points, rig, sigma_tactile_px=_MATCH_SIGMA_PX, sigma_proximity_px=_MATCH_SIGMA_PX)
@@ -294,18 +293,18 @@ def _likeness(first: Uint8Array, second: Uint8Array, here: Float64Array, there: 
 
 
 def _textured(image: Uint8Array) -> Uint8Array:
-    """Return a grey image with local contrast evened out, so that both cameras' exposures compare."""
+    """Return a grey image with equalised local contrast, so that both exposures are comparable."""
     return np.asarray(cv2.createCLAHE(clipLimit=2.0, tileGridSize=(8, 8)).apply(to_gray(image)))
 
 
 def _inner(valid: BoolArray) -> Uint8Array:
-    """Return where a whole patch has depth, holes aside."""
+    """Return the mask of pixels whose whole patch has depth, small holes ignored."""
     closed = cv2.morphologyEx(valid.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((7, 7), np.uint8))
     return np.asarray(cv2.erode(closed, np.ones((_PATCH_PX, _PATCH_PX), np.uint8)))
 
 
 def _filled(depth_m: Float64Array, valid: BoolArray) -> Float64Array:
-    """Smooth the depth and fill its holes, weighted by what is valid."""
+    """Smooth the depth and fill holes by normalised convolution."""
     weight = cv2.GaussianBlur(valid.astype(np.float64), (0, 0), 2.5)
     smooth = cv2.GaussianBlur(np.where(valid, depth_m, 0.0), (0, 0), 2.5)
     usual = float(np.median(depth_m[valid])) if valid.any() else 0.3

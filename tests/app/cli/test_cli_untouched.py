@@ -167,7 +167,7 @@ def test_recheck_needs_the_untouched_frame_that_the_preset_names(
     for file in captured.parent.glob("*.npz"):
         file.unlink()
     sentence = tactune("recheck", "--source", recording, "--preset", captured).sentence
-    assert "is missing; put it there, or capture the untouched frame anew" in sentence
+    assert "is missing; put it there, or capture the untouched frame again" in sentence
 
 
 def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune) -> None:
