@@ -14,14 +14,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
+    os.environ["QT_QPA_PLATFORM"] = "offscreen"  # so that a bare pytest works on a machine without a display
+
+from tactune.app.analysis.tab import TABS, TabKind
+from tactune.app.settings import Settings
+from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.model import plugins
 from tactune.core.model.rig_file import save_rig
-from tactune.core.preset import CameraSection, CamerasSection
+from tactune.core.preset import CameraSection, CamerasSection, Preset
 from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.cameras.source import CameraSource
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
+from tiny_sensor import TinySource
 
 EXAMPLES = Path(__file__).parents[2] / "docs" / "extending.md"
 BROKEN = {
@@ -29,6 +37,7 @@ BROKEN = {
     "odd": ("tactune.sources", "tactune.core.errors:SourceError", "is no SourceKind"),
     "lost": ("tactune.cameras", "no_such_module:Driver", "ModuleNotFoundError"),
     "strange": ("tactune.cameras", "tactune.core.errors:SourceError", "is no CameraDriver"),
+    "worn": ("tactune.tabs", "no_such_module:TAB", "ModuleNotFoundError"),
 }
 
 
@@ -142,6 +151,20 @@ def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
     rig.close()
 
 
+def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path) -> None:
+    preset = Preset.model_validate({"outliers": {"enabled": False}})
+    window = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, False, "software")
+    qtbot.addWidget(window)
+    window.show()
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
+    action = window.analysis.actions["area"]
+    assert (action.text(), action.shortcut().toString()) == ("Patch &area…", "F11")
+    action.trigger()
+    tab = window.analysis.window.made["area"]
+    qtbot.waitUntil(lambda: tab.largest_mm2 > 0 and tab.label.text().startswith("Frame "))
+    window.close_without_asking()
+
+
 def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: None) -> None:
     assert [kind.scheme for kind in source_kinds()][:2] == ["sim", "folder"]
     for name in ("gone", "odd"):
@@ -156,5 +179,7 @@ def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: No
     drivers, problems = camera_drivers()
     assert [driver.title for driver in drivers] == ["RealSense"]
     assert sorted(name for name in BROKEN for problem in problems if f"'{name}'" in problem) == ["lost", "strange"]
+    tabs = plugins.load_plugins(TABS, TabKind)
+    assert list(tabs.found) == ["compare", "strain", "truth"] and "'worn'" in "".join(tabs.problems)
     with pytest.raises(SourceError, match=r"no RealSense camera connected.*package rotten"):
         open_source("cameras:1,2").close()
