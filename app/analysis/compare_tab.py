@@ -77,16 +77,16 @@ class CompareTab(MeasuringTab):
     def _lay_out(self) -> None:
         self.color_by.addItems(["Method", "Agreement with the truth"])
         self.color_by.setToolTip(
-            "Each method in its colour, or what is right, false and missed where the truth is known"
+            "Each method in its own colour, or correct, false and missed parts if the truth is known"
         )
         self.color_by.setAccessibleName("Colour by")
         self.color_by.setEnabled(False)
         self.export.setToolTip(
             "Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E); files count frames from 0"
         )
-        self.progress.setToolTip("Methods marked so compare with it; the others go on meanwhile")
+        self.progress.setToolTip("Marked methods need an untouched frame; the others continue meanwhile")
         self.give_up.setAutoDefault(False)
-        self.give_up.setToolTip("Do without the untouched membrane, or look for it once more")
+        self.give_up.setToolTip("Cancel preparing the untouched frame, or try again")
         self.give_up.hide()
         row = QHBoxLayout()
         label = QLabel("Colour &by")
@@ -223,7 +223,7 @@ class CompareTab(MeasuringTab):
 
 TAB = TabKind(
     title="&Compare methods",
-    tip="Run several contact methods side by side on the present frame",
+    tip="Run several contact methods side by side on the current frame",
     shortcut="F7",
     make=CompareTab,
 )

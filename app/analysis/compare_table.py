@@ -17,12 +17,12 @@ from .method_looks import TRUTH, method_color, method_tip
 #: Title, unit and meaning of each column of the table.
 COLUMNS: tuple[tuple[str, str, str], ...] = (
     ("Method", "", "Tick a method to see it; every method keeps its colour"),
-    ("Time", "ms", "Computation of one frame, median of the last 15, while all else goes on beside it"),
+    ("Time", "ms", "Computation time of one frame, median of the last 15, while the program does its other work"),
     ("Points", "", "Points of the patch"),
     ("Area", "cm²", "Area of the patch, projected along the optical axis"),
-    ("RMSE", "mm", "Average symmetric RMSE to the true contact: the mean of both directed RMS nearest distances"),
-    ("IoU", "", "Pixels in patch and truth over pixels in either, 0 to 1"),
-    ("Remark", "", "Why there is no patch, or no comparison"),
+    ("RMSE", "mm", "Average symmetric RMSE to the true contact: mean of the RMS nearest distances in both directions"),
+    ("IoU", "", "Intersection over union of the pixels of patch and truth, 0 to 1"),
+    ("Remark", "", "Why there is no patch or no comparison"),
 )
 MISSING = "–"
 _CSV_HEADER = (
@@ -159,7 +159,7 @@ class CompareTable(QTableWidget):
         first, text = self._at(row, 0), method_cell(name, averaged)
         if first.text() != text:
             first.setText(text)
-            mean = f"\nAt the moment: mean of {averaged} frames" if averaged > 1 else ""
+            mean = f"\nCurrently the mean of {averaged} frames" if averaged > 1 else ""
             first.setToolTip(method_tip(name) + mean)
 
     def full_height(self) -> int:

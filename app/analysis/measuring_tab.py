@@ -24,7 +24,7 @@ from .tab import AnalysisTab
 
 CAPTURE = "Capture the untouched frame while nothing touches the membrane: Ctrl+Shift+R"
 _SEARCHING = "Compares with the untouched membrane, which is being prepared…"
-_MISSING = f"Compares with the untouched membrane, which this source does not keep. {CAPTURE}"
+_MISSING = f"Compares with the untouched membrane, which this source does not have. {CAPTURE}"
 _CANCELLED = f"Compares with the untouched membrane; preparing it was cancelled. Try again above. {CAPTURE}"
 
 
@@ -125,7 +125,7 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
     """
     beside = path if picture is None else path.with_suffix(".csv")
     if picture is not None and beside.exists() and not path.exists():
-        raise ExportError(f"{beside} exists already and would be replaced; choose another name")
+        raise ExportError(f"{beside} already exists and would be replaced; choose another name")
     with atomic_path(beside) as temporary:
         temporary.write_text(numbers, encoding="utf-8")
     if picture is None:

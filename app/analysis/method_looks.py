@@ -27,7 +27,7 @@ MISSED_RGB: Final = (0, 114, 178)
 #: Rows of `method_lut` after those of the context; the farthest shade is hidden.
 CONTACT_ROW, FALSE_ROW, MISSED_ROW, HIDDEN_ROW = 255, 254, 253, 252
 
-_TRUTH_TIP: Final = "The contact as it really is: from the simulator's contact solver, or kept by the recording"
+_TRUTH_TIP: Final = "The true contact: from the simulator's contact solver, or stored in the recording"
 
 
 def method_tip(name: str) -> str:

@@ -34,7 +34,7 @@ _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MOST_AVERAGED = 30
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
 _NO_UNTOUCHED = (
-    "No displacement: the untouched membrane is not known. Show it without touch, then press “Take as untouched”."
+    "No displacement: the untouched membrane is not known. Show it without contact, then press “Take as untouched”."
 )
 _FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
 
@@ -94,26 +94,26 @@ class StrainTab(MeasuringTab):
         self.spacing.setKeyboardTracking(False)
         self.spacing.setValue(self._settings.number(_SPACING, 1e3 * SPACING_M))
         self.curve.set_spacing_mm(self.spacing.value())
-        self.spacing.setToolTip("Distance of neighbouring dots on the flat, unstretched sheet, in millimetres")
+        self.spacing.setToolTip("Distance between neighbouring dots on the flat, unstretched sheet, in millimetres")
         self.average.setRange(1, _MOST_AVERAGED)
         self.average.setValue(round(self._settings.number(_AVERAGE, 1)))
         self.average.setSuffix(" frames")
         self.average.setSpecialValueText("1 frame")
         self.average.setToolTip(
-            "How many of the last frames are averaged, as long as the membrane stands still in them; "
-            "10 at rest measure steep places better, 1 follows a moving press"
+            "Number of recent frames to average while the membrane does not move. "
+            "10 is more accurate at steep places; 1 follows a moving press"
         )
         self.map_of.addItems([str(choice) for choice in MapOf])
         self.map_of.setCurrentText(self._settings.text(_MAP, MapOf.LARGEST))
-        self.map_of.setToolTip("What the colours show: strain along the length, along the width, or the larger of both")
+        self.map_of.setToolTip("Strain that the colours show: along the length, along the width, or the larger one")
         self.capture.setToolTip(
-            "Measure displacement against the membrane as it is now; do this while nothing touches it"
+            "Measure displacement from the current membrane; press it while nothing touches the membrane"
         )
-        self.reset.setToolTip("Begin the curve anew; the former one can be brought back")
+        self.reset.setToolTip("Start a new curve; the old one can be restored")
         self.export.setToolTip(
             "Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E); files count from 0"
         )
-        self.progress.setToolTip("Displacement is measured against it; strain does not need it")
+        self.progress.setToolTip("The origin of the displacement; strain does not need it")
         for button in (self.capture, self.reset):
             button.setAutoDefault(False)
         self.capture.setEnabled(False)
@@ -177,7 +177,7 @@ class StrainTab(MeasuringTab):
         self.messages.clear("reset")  # those points are not this source's
         if former is not None and points:
             text = self.curve.as_csv()
-            sentence = f"The curve of {former.name} ({len(points)} points) ended, since {source.name} was opened."
+            sentence = f"The curve of {former.name} ({len(points)} points) ended because {source.name} was opened."
             self.messages.show_message(
                 "former", Severity.INFO, sentence, [("Save it…", partial(self._ask_where, text))]
             )
@@ -249,7 +249,7 @@ class StrainTab(MeasuringTab):
         self._captured = self.view.task.frame
         self._reset()
         self._last = None  # this frame begins the curve
-        self._say(f"Displacement is now measured against frame {self.view.task.number}.")
+        self._say(f"Displacement is now measured from frame {self.view.task.number}.")
         self._measure()
 
     def _reset(self) -> None:
@@ -265,7 +265,7 @@ class StrainTab(MeasuringTab):
             self.export.setEnabled(True)
 
         self.messages.show_message(
-            "reset", Severity.INFO, f"The curve of {len(points)} points was put away.", [("Bring it back", bring_back)]
+            "reset", Severity.INFO, f"The curve of {len(points)} points was removed.", [("Bring it back", bring_back)]
         )
 
     def _ask_where(self, text: str, _checked: bool = False) -> None:
@@ -297,7 +297,7 @@ class StrainTab(MeasuringTab):
 
 TAB = TabKind(
     title="Membrane &strain",
-    tip="Membrane strain from a printed dot grid, on the present frame",
+    tip="Membrane strain from a printed dot grid, on the current frame",
     shortcut="Ctrl+T",
     make=StrainTab,
 )

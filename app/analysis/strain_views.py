@@ -49,7 +49,7 @@ class StrainMap(ImagePane):
             item.setZValue(height)
             self.box.addItem(item, ignoreBounds=True)
         self.view.setMinimumSize(320, 200)
-        self.view.setToolTip("Wheel: zoom; drag: move; double click: show all; point at a square to read its strain")
+        self.view.setToolTip("Wheel: zoom; drag: move; double click: show all; hover over a square to read its strain")
         self.hovered.connect(self._hovered)
         self.doubleClicked.connect(self.show_all)
         self.viewMoved.connect(lambda: setattr(self, "_fitted", True))
@@ -202,7 +202,7 @@ class StrainCurve(QWidget):
         self.plot.setLabel("bottom", "Displacement, mm")
         self.plot.setLabel("left", "Largest strain, %")
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
-        self.plot.setToolTip("Largest strain along length and width against how far the membrane was pushed in")
+        self.plot.setToolTip("Largest strain along length and width against the displacement of the membrane")
         self.plot.setAccessibleName("Strain against displacement")
         self._legend = self.plot.addLegend(offset=(10, 6))
         self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
@@ -293,9 +293,9 @@ _TITLES = ("", "Largest", "Where", "Solver, seen", "Solver, all")
 _TIPS = (
     "",
     "Largest strain between neighbouring dots, with its standard deviation",
-    "Middle between both dots, in pixels of the tactile colour image; marked in the map",
-    "The simulator's own largest strain between neighbours of which the tactile camera sees both dots whole",
-    "The simulator's own largest strain between all neighbours; hidden dots cannot be measured",
+    "Midpoint between both dots, in pixels of the tactile colour image; marked in the map",
+    "The simulator's largest strain between neighbouring dots that the tactile camera sees completely",
+    "The simulator's largest strain between all neighbouring dots; hidden dots cannot be measured",
 )
 _NOTHING = "–"
 

@@ -211,7 +211,7 @@ class TruthFlow(QObject):
         """Lay the scan's contact on the patch, unturned, to go on by hand."""
         patch = self.patch
         if self.contact is None or patch is None or not len(self.contact.points) or not len(patch.points):
-            self.said.emit("pose", Severity.WARNING, "Both the scan and the patch need contact before one lies on it.")
+            self.said.emit("pose", Severity.WARNING, "The scan cannot be aligned: scan and patch need contact.")
             return
         self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Lay the scan on the patch", patch)
 
@@ -240,7 +240,7 @@ class TruthFlow(QObject):
     def _refined(self, refinement: Refinement) -> None:
         self.refineProgress.emit(1.0, "")
         if refinement.start != self.state.pose:
-            self.said.emit("refine", Severity.INFO, "The scan was moved meanwhile, so that refinement was dropped.")
+            self.said.emit("refine", Severity.INFO, "The scan was moved, so its refinement was discarded.")
             return
         self.session.set_pose(refinement.found.T_proximity_scan, "ICP", "Refine by ICP", self._refined_on)
         self.refinement = refinement
@@ -267,7 +267,7 @@ class TruthFlow(QObject):
             self.said.emit("file", Severity.ERROR, str(error))
             return
         self._filed = path, self.state.pose
-        self.said.emit("file", Severity.INFO, f"The transform is in {path}.")
+        self.said.emit("file", Severity.INFO, f"The transform was written to {path}.")
         self.scoresChanged.emit()
 
     def load_transform(self, path: Path) -> None:
@@ -354,11 +354,11 @@ def next_step(flow: TruthFlow) -> str:
     elif contact is None:
         words = "Finding the paint…"
     elif not contact.vertices.any():
-        words = "Nothing on the scan has the touched paint's colour: pick it with the eyedropper."
+        words = "No part of the scan has the touched paint's colour: pick it with the eyedropper."
     elif patch is None:
-        words = "There is no frame yet: open a source in the main window, to have a patch to align to."
+        words = "There is no frame yet: open a source in the main window to get a patch."
     elif not len(patch.points):
-        words = "The patch is empty: show a frame in the main window in which the object touches."
+        words = "The patch is empty: show a frame with contact in the main window."
     elif flow.busy_refining:
         words = "Refining…"
     elif flow.state.pending is not None or flow.state.pose is None:
@@ -377,15 +377,15 @@ def _picking(state: TruthState) -> str:
         return f"Click a point on the scan, then the same point on the patch: {LEAST_PAIRS} pairs are needed."
     if left > 0:
         return f"{left} more pair{'s' if left > 1 else ''}: click far from the others, on the scan or the patch."
-    return "These pairs give no pose: add one elsewhere, or delete one that is wrong."
+    return "These pairs do not determine a pose: add one elsewhere, or delete a wrong one."
 
 
 def _nudging(flow: TruthFlow) -> str:
     if flow.state.origin == "ICP":
-        return "Refined. Look from several sides; save the transform, or correct by the handles and refine again."
+        return "Refined. Check it from several sides; save the transform, or move the handles and refine again."
     if flow.state.origin != "pairs":
-        return "Bring the scan's contact onto the patch: drag arrows and rings, or type numbers; then refine by ICP."
+        return "Move the scan's contact onto the patch: drag arrows and rings, or type numbers; then refine by ICP."
     worst = max(flow.residuals_mm(), default=0.0)
     if worst > _FAR_MM:
-        return f"One pair is {worst:.1f} mm off: delete or click it again, or refine by ICP where it looks right."
+        return f"One pair is {worst:.1f} mm off: delete it or click it again, or refine by ICP if it looks right."
     return f"Fitted: the pairs agree within {worst:.1f} mm. Refine by ICP, or drag the handles."

@@ -171,7 +171,7 @@ def _hint(pair: PointPair, fit: PairFit, outcome: Outcome) -> str:
     if not fit.used:
         return "This pair contradicts the others and was excluded from the fit; check both points."
     if pair.key in outcome.worst:
-        return "This pair has a large residual; check both points, or switch it off."
+        return "This pair has a large residual; check both points, or disable it."
     return ""
 
 

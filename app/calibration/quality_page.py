@@ -233,7 +233,7 @@ class QualityPage(QWidget):
             return
         if report is None or snapshot is None:
             self._drawn = ()
-            why = "A snapshot is needed to draw the map" if report is not None else "No calibration yet"
+            why = "Take a snapshot to draw the map" if report is not None else "No calibration yet"
             self._show_no_map(why)
             self.map.header.set_legend(None)
             return

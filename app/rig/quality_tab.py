@@ -301,7 +301,7 @@ class QualityTab(QWidget):
         clipboard = QGuiApplication.clipboard()
         if clipboard is not None:
             clipboard.setText(self.text())
-            self.status.setText("The numbers are on the clipboard.")
+            self.status.setText("The numbers were copied to the clipboard.")
 
     def _ask_where(self) -> None:
         suggestion = self._folder / "depth-quality.json"

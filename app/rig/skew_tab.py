@@ -31,7 +31,7 @@ _INTRO = (
     "Both cameras see this motion. The delay at which they agree best is their skew, independent of their time stamps."
 )
 _NO_FRAME = "There is no frame yet: open a source in the main window first."
-_NO_MORE_FRAMES = "No frames come any more: let the source play, in a loop if it is a recording, and measure again."
+_NO_MORE_FRAMES = "No more frames arrive: play the source, in a loop if it is a recording, and measure again."
 #: A second colour that is readable in both themes.
 _TACTILE_HUE = "#d9730d"
 

@@ -215,7 +215,7 @@ class CaptureWindow(QDialog):
             taken = self.capture.taken
             self.sentence.setText(
                 f"Paused after {taken} frame{'' if taken == 1 else 's'}, which are kept. Press “Go on”, or play in "
-                "the main window, to take the rest."
+                "the main window, to capture the rest."
             )
             self.go_on.setFocus()
         elif self.capture.taking:

@@ -109,13 +109,13 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_preset=action("&Open preset…", shortcut=StandardKey.Open),
         save=action("&Save preset", shortcut=StandardKey.Save),
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
-        details=action("Name and no&tes…", "Name the preset and note what it is for", "F2"),
+        details=action("Name and no&tes…", "Edit the preset's name and notes", "F2"),
         export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
-        calibrate=action("&Calibrate…", "Align both cameras: click points, see how good it is, save it", "Ctrl+K"),
-        recheck=action("&Re-check calibration", "Tell on this frame whether the alignment still holds", "Ctrl+Shift+K"),
+        calibrate=action("&Calibrate…", "Align both cameras: click points, check and save the result", "Ctrl+K"),
+        recheck=action("&Re-check calibration", "Check the alignment on this frame", "Ctrl+Shift+K"),
         open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
         open_recording=action(
-            "Open recordin&g…", "Open a recording: a session, a RealSense bag, or the two bags of two cameras", "Ctrl+R"
+            "Open recordin&g…", "Open a recording of Tactune or RealSense, or two bags with one camera each", "Ctrl+R"
         ),
         check_cameras=action("C&heck cameras…", "Depth quality of both cameras and the skew between them", "F6"),
         capture_untouched=action(
@@ -124,24 +124,24 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Ctrl+Shift+R",
         ),
         cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
-        camera_settings=action("Ca&mera settings…", "Exposure, laser and more, kept in the preset", "F4"),
-        record=action("&Record", "Record every frame of the source into a file, or finish it", "F9", "record", True),
-        recordings_folder=action("Recordings fo&lder…", "Choose where recordings are kept"),
+        camera_settings=action("Ca&mera settings…", "Exposure, laser and other settings, stored in the preset", "F4"),
+        record=action("&Record", "Record every frame of the source, or finish the recording", "F9", "record", True),
+        recordings_folder=action("Recordings fo&lder…", "Choose the folder for recordings"),
         quit=action("&Quit", shortcut="Ctrl+Q"),
         undo=undo,
         redo=redo,
         play=action("&Play\tSpace", icon_name="play"),
         previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
-        next=action("&Next frame", "Pause and go one frame on", ".", "next"),
+        next=action("&Next frame", "Pause and go one frame forward", ".", "next"),
         first=action("&First frame", "Go to the first frame", "Ctrl+Home"),
-        loop=action("&Loop", "Start over at the end of a recording", "L", "loop", checkable=True),
-        freeze=action("Free&ze", "Hold this frame to tune on it; a live source goes on behind it", "F", "freeze", True),
+        loop=action("&Loop", "Repeat a recording when it ends", "L", "loop", checkable=True),
+        freeze=action("Free&ze", "Hold this frame while tuning; a live source continues", "F", "freeze", True),
         show_strip=action("&Images", "Show the images below the views", "Ctrl+I", checkable=True),
         show_panel=action("Para&meters", "Show the parameter panel", "Ctrl+P", checkable=True),
         show_proximity=action("&Proximity view", shortcut="Ctrl+1", checkable=True),
         show_tactile=action("&Tactile view", shortcut="Ctrl+2", checkable=True),
         show_patch=action("Contact patch &view", shortcut="Ctrl+3", checkable=True),
-        reset_view=action("&Reset views", "Look along the cameras, everything in sight", "R"),
+        reset_view=action("&Reset views", "Look along the cameras' axes with everything in view", "R"),
         top_view=action("T&op view", "Look from above", "T"),
         side_view=action("&Side view", "Look from the side", "S"),
         shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
@@ -253,11 +253,11 @@ def _choices(menu: QMenu, entries: list[tuple[str, object]]) -> QActionGroup:
 
 
 _MOUSE = (
-    ("Drag in a view", "orbit; all views follow"),
+    ("Drag in a view", "orbit all views"),
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
     ("Double click in a view", "reset the view"),
-    ("Eyedropper, then click in the colour image", "take the membrane's colour for the mask"),
+    ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),
     ("Drop a file or folder", "open a preset or a recording"),
 )
 

@@ -82,7 +82,7 @@ class FileFlows(QObject):
         self._messages.show_message(
             "recorded preset",
             Severity.INFO,
-            f"This recording holds the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
+            f"This recording contains the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
             [("Use the recorded one", lambda: self.guarded(lambda: self._document.new(preset)))],
         )
 
@@ -136,7 +136,7 @@ class FileFlows(QObject):
         if not scheme:
             names = ", ".join(path.name for path in paths)
             endings = " ".join(recording_endings())
-            what = "is no recording" if len(paths) == 1 else "are not recordings of one kind"
+            what = "is no recording" if len(paths) == 1 else "are recordings of different kinds"
             self._refuse(f"{names} {what} (files {endings}, or a folder with rig.json); nothing was changed.")
         elif len(paths) > (2 if scheme in _IN_TWO_FILES else 1):
             self._refuse("Open one recording at a time, or the two .bag files of two cameras; nothing was changed.")

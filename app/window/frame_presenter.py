@@ -59,11 +59,11 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
     if not state.stale and not parts:
         return ""
     if not parts and sentences:
-        parts = [f"Waits for the {_OTHER[roles[0]]} camera."]
+        parts = [f"Waiting for the {_OTHER[roles[0]]} camera."]
     if not parts:
-        parts = [state.problem or "No new frame has come."]
+        parts = [state.problem or "No new frame has arrived."]
     if state.stale and shown:
-        parts.append(f"Shown is the last frame, {age(now_s - state.last_frame_s)} old.")
+        parts.append(f"The last frame is shown, {age(now_s - state.last_frame_s)} old.")
     return " ".join(parts)
 
 

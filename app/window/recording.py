@@ -48,10 +48,10 @@ class RecordingBar(QWidget):
         self._size = self._number("000.0 GB", "Size of the file")
         self._dropped = self._number(
             "0000 dropped",
-            "Frames that are missing in the file: lost by the cameras or this computer, because the disk was too slow, "
-            "or because of an error",
+            "Frames missing in the file: lost by the cameras or this computer, dropped because the disk was too slow, "
+            "or lost through an error",
         )
-        self._room = self._number("000 GB free, 00 h 00 min", "Room on the disk, and how long that lasts")
+        self._room = self._number("000 GB free, 00 h 00 min", "Free disk space, and the recording time that it allows")
         self.stop = QPushButton("Stop")
         self.stop.setToolTip("Finish the recording (F9)")
         self.stop.clicked.connect(self.stopRequested)
@@ -150,7 +150,7 @@ ROOM_TO_BEGIN = 1_000_000_000
 ROOM_TO_GO_ON = 200_000_000
 
 _FOLDER = "folder/recordings"
-_STANDS_STILL = "playback stands still, press Space to go on"
+_STANDS_STILL = "playback is paused, press Space to continue"
 
 
 class RecordingControl(QObject):
@@ -199,7 +199,7 @@ class RecordingControl(QObject):
     def use_folder(self, folder: Path) -> None:
         """Put recordings into this folder from now on."""
         self._settings.set(_FOLDER, str(folder))
-        self._messages.show_message("recording", Severity.INFO, f"Recordings go to {folder} from now on.")
+        self._messages.show_message("recording", Severity.INFO, f"New recordings will be written to {folder}.")
 
     def start(self) -> None:
         """Begin a recording named by the date."""
@@ -212,8 +212,8 @@ class RecordingControl(QObject):
             return
         if free < ROOM_TO_BEGIN:
             self._failed(
-                f"There are only {size(free)} left on the disk of {folder}, and a recording needs "
-                f"{size(ROOM_TO_BEGIN)} to begin: make room, or choose another folder."
+                f"Only {size(free)} are free on the disk of {folder}, and a recording needs "
+                f"{size(ROOM_TO_BEGIN)} to start: free some space, or choose another folder."
             )
             return
         self._messages.clear("recording")
@@ -263,7 +263,7 @@ class RecordingControl(QObject):
         if status.error:
             self._worker.stop_recording()
         elif free < ROOM_TO_GO_ON:
-            self._worker.stop_recording(f"only {size(free)} are left on the disk: make room, or choose another folder")
+            self._worker.stop_recording(f"only {size(free)} are free: free some space, or choose another folder")
 
     def _ended(self, end: RecordingEnd) -> None:
         self._path = None

@@ -32,7 +32,7 @@ class FrameStatus(QStatusBar):
         self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
         self._dropped = self._number(
             "0000 dropped",
-            "Dropped: frames not drawn because a newer one was ready, or lost on their way\n"
+            "Dropped: frames not drawn because a newer one was ready, or lost in transfer\n"
             "Unmatched: images without a partner from the other camera in time",
         )
         self._stages = self._number(

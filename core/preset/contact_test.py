@@ -187,4 +187,4 @@ class ContactTest(ABC, Generic[S]):
         return tuple(section.name for section in self.sections)
 
 
-MASK_REASON: Final = DropReason("the mask", "right while nothing touches; else narrow its colour ranges")
+MASK_REASON: Final = DropReason("the mask", "correct if nothing touches; otherwise narrow its colour ranges")

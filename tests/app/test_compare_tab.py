@@ -320,7 +320,7 @@ def test_the_table_says_over_how_many_frames_a_method_has_averaged_and_does_not_
     settle(qtbot, window, tab)
     table, first = tab.table, tab.table.item(1 + method_names().index("fusion-averaged"), 0)
     outcome, width = outcomes(tab)["fusion-averaged"], table.columnWidth(0)
-    assert first.text() == "fusion-averaged" and "At the moment" not in first.toolTip()
+    assert first.text() == "fusion-averaged" and "Currently" not in first.toolTip()
     changes = []
     table.chosenChanged.connect(lambda: changes.append(1))
     for averaged in (7, 15):
@@ -330,7 +330,7 @@ def test_the_table_says_over_how_many_frames_a_method_has_averaged_and_does_not_
     assert table.columnWidth(0) == width >= table.sizeHintForColumn(0), "the longest name is seen in full"
     assert not changes
     table.show_outcomes({outcome.name: outcome})
-    assert first.text() == "fusion-averaged" and "At the moment" not in first.toolTip()
+    assert first.text() == "fusion-averaged" and "Currently" not in first.toolTip()
 
 
 def test_rows_are_copied_as_text(window, tab):

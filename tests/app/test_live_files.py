@@ -97,7 +97,7 @@ def test_two_bags_are_opened_together(make_window, tmp_path):
     [
         (("a.bag", "b.bag", "c.bag"), "one recording at a time, or the two"),
         (("a.mcap", "b.mcap"), "one recording at a time"),
-        (("a.mcap", "b.bag"), "a.mcap, b.bag are not recordings of one kind"),
+        (("a.mcap", "b.bag"), "a.mcap, b.bag are recordings of different kinds"),
         (("a.txt",), "a.txt is neither a preset"),
     ],
 )

@@ -52,8 +52,8 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     qtbot.waitUntil(lambda: badges(window)["tactile"] != "")
     said = badges(window)
     assert said["tactile"].startswith("Tactile camera D405 (serial d002) is not connected: plug it in.")
-    assert "Shown is the last frame," in said["tactile"]
-    assert said["proximity"].startswith("Waits for the tactile camera. Shown is the last frame,")
+    assert "The last frame is shown," in said["tactile"]
+    assert said["proximity"].startswith("Waiting for the tactile camera. The last frame is shown,")
     assert "plug it in" in said["patch"]
     assert all(pane._badge.text().endswith(" old") for pane in window.strip.panes.values())
     assert window.views.views[CloudName.TACTILE].point_count() > 0
@@ -211,12 +211,12 @@ def state(tactile="missing", *, stale=True, message="", problem="", own=""):
 @pytest.mark.parametrize(
     ("given", "roles", "words"),
     [
-        (state(), ("tactile",), "Tactile camera D405 (serial d002) is not connected: plug it in. Shown is the last "),
+        (state(), ("tactile",), "Tactile camera D405 (serial d002) is not connected: plug it in. The last frame is shown"),
         (state(own="the D405 is used by another program"), ("tactile",), "the D405 is used by another program. Shown"),
         (state("stalled", stale=False), ("tactile",), "Tactile camera D405 (serial d002) sends no images"),
         (state("streaming", stale=False), ("tactile",), ""),
-        (state("streaming"), ("tactile",), "No new frame has come. Shown is the last frame, 3 s old."),
-        (state("streaming", problem="sim has ended."), ("proximity",), "sim has ended. Shown is the last frame"),
+        (state("streaming"), ("tactile",), "No new frame has arrived. The last frame is shown, 3 s old."),
+        (state("streaming", problem="sim has ended."), ("proximity",), "sim has ended. The last frame is shown"),
     ],
 )
 def test_words_of_a_badge(given, roles, words):

@@ -71,7 +71,7 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
 @pytest.mark.parametrize(
     ("path", "value", "words"),
     [
-        ("mask.enabled", True, "the mask dropped all: right while nothing touches; else narrow its colour ranges"),
+        ("mask.enabled", True, "the mask dropped all: correct if nothing touches; otherwise narrow its colour ranges"),
         ("outliers.min_cluster_area_mm2", 1e5, "the limit on small clusters dropped all: lower"),
     ],
 )

@@ -197,8 +197,8 @@ def test_a_disk_without_room_for_the_first_frame_is_told_as_such(window, cameras
 def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 300_000_000)
     press_record(window)
-    assert "There are only 300 MB left" in told(window)
-    assert "make room, or choose another folder" in told(window)
+    assert "Only 300 MB are free" in told(window)
+    assert "free some space, or choose another folder" in told(window)
     assert not window.recording.running
 
 
@@ -208,7 +208,7 @@ def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot,
     qtbot.waitUntil(lambda: len(cameras.given) == 5)
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 1_000_000)
     qtbot.waitUntil(lambda: not window.recording.running)
-    assert "It ended because only 1.0 MB are left on the disk" in told(window)
+    assert "It ended because only 1.0 MB are free" in told(window)
     [path] = folder.iterdir()
     assert len(frames_of(path)) == 4
 

@@ -68,7 +68,7 @@ class Message(QFrame):
         dismiss = QToolButton()
         dismiss.setText("✕")
         dismiss.setAutoRaise(True)
-        dismiss.setToolTip("Put this message away")
+        dismiss.setToolTip("Dismiss this message")
         dismiss.setAccessibleName("Dismiss")
         dismiss.clicked.connect(close)
         row.addWidget(dismiss)

@@ -69,9 +69,9 @@ class PickView(CloudView):
         To be applied from the left, in the view's frame; all changes of one drag carry one gesture.
     """
 
-    HELP = """<p><b>Click</b> a point to take it. <b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan,
+    HELP = """<p><b>Click</b> a point to pick it. <b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan,
     <b>wheel</b> to zoom.</p>
-    <p>Where there are handles: drag an <b>arrow</b> to move along it, a <b>ring</b> to turn about its axis;
+    <p>With handles: drag an <b>arrow</b> to move along it, a <b>ring</b> to turn about its axis;
     <b>Ctrl + drag</b> moves across the view, <b>Ctrl + Shift + drag</b> turns; <b>Ctrl + arrows or page keys</b> move
     by 0.5 mm, with <b>Shift</b> they turn by 0.5°.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""

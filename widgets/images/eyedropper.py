@@ -209,9 +209,7 @@ def _shrunk(present: HsvRanges, sample: Sample) -> HsvRanges:
         ]
         if options:
             return min(options, key=lambda option: option[0])[1]
-    raise EyedropperError(
-        "the mask holds no other colour than this one, so nothing would be left of it; turn the mask off instead"
-    )
+    raise EyedropperError("excluding this colour would empty the mask; turn the mask off instead")
 
 
 def _cut_span(span: Span, core: Span) -> list[tuple[float, Span]]:

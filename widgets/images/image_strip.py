@@ -67,7 +67,7 @@ class ImageStrip(QWidget):
         self._linking = False
         self._hint = 0
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        self.setAccessibleName("Images of the present frame")
+        self.setAccessibleName("Images of the current frame")
 
         row = QHBoxLayout()
         row.setSpacing(6)

@@ -32,7 +32,7 @@ class MarkKind(StrEnum):
     POINT = "point"
     WORST = "worst residual"
     OFF = "switched off"
-    PENDING = "waits for its partner"
+    PENDING = "waiting for its partner"
     PROPOSED = "proposed"
     GHOST = "predicted"
 

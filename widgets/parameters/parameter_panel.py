@@ -42,9 +42,9 @@ SECTIONS = (
 )
 
 _EYEDROPPERS = {
-    "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc leaves."),
-    "expand": ("+", "Expand: click membrane that the mask misses, and the ranges grow to cover it. Esc leaves."),
-    "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is cut so that it is left. Esc leaves."),
+    "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc stops."),
+    "expand": ("+", "Expand: click membrane that the mask misses, and the ranges widen to include it. Esc stops."),
+    "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
 }
 
 

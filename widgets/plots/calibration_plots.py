@@ -130,7 +130,7 @@ class ResidualPlot(QWidget):
         self._residuals, self._message = tuple(residuals), message
         self._limit = limit or round_limit(residuals)
         self.setToolTip(
-            message or f"{len(residuals)} pairs; clicked minus predicted place, outer ring {self._limit:g} px"
+            message or f"{len(residuals)} pairs; clicked minus predicted position, outer ring {self._limit:g} px"
         )
         self.update()
 

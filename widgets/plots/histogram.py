@@ -53,7 +53,7 @@ class DifferenceHistogram(QWidget):
         self.setAccessibleName("Histogram of relative differences")
         self.setToolTip(
             "Relative differences (dp - dt) / dp of the latest frame in percent. "
-            "What lies between the lines passes the tolerance test; drag a line to change t."
+            "Points between the lines pass the tolerance test; drag a line to change t."
         )
         plot = self._plot = self.plot_widget.getPlotItem()
         plot.setMenuEnabled(False)

@@ -234,7 +234,7 @@ def test_a_source_that_stops_ends_the_measurement(open_checks, rig, qtbot, monke
     tab.start.click()
     cameras.silent.set()
     wait(qtbot, lambda: not tab.busy)
-    assert "No frames come any more" in tab.sentence.text()
+    assert "No more frames arrive" in tab.sentence.text()
 
 
 def test_a_frame_that_cannot_be_used_ends_the_measurement_and_the_cameras_go_on(open_checks, rig, qtbot, monkeypatch):
