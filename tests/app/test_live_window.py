@@ -211,8 +211,16 @@ def state(tactile="missing", *, stale=True, message="", problem="", own=""):
 @pytest.mark.parametrize(
     ("given", "roles", "words"),
     [
-        (state(), ("tactile",), "Tactile camera D405 (serial d002) is not connected: plug it in. The last frame is shown"),
-        (state(own="the D405 is used by another program"), ("tactile",), "the D405 is used by another program. Shown"),
+        (
+            state(),
+            ("tactile",),
+            "Tactile camera D405 (serial d002) is not connected: plug it in. The last frame is shown",
+        ),
+        (
+            state(own="the D405 is used by another program"),
+            ("tactile",),
+            "the D405 is used by another program. The last",
+        ),
         (state("stalled", stale=False), ("tactile",), "Tactile camera D405 (serial d002) sends no images"),
         (state("streaming", stale=False), ("tactile",), ""),
         (state("streaming"), ("tactile",), "No new frame has arrived. The last frame is shown, 3 s old."),
