@@ -138,7 +138,7 @@ def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
         rig.start()
         assert (source.rig.proximity.model, source.rig.tactile.model) == ("L515", "A1")
         assert source.name == f"cameras:{PROXIMITY_SERIAL},acme1"
-        deadline_s = time.monotonic() + 60.0
+        deadline_s = time.monotonic() + 300
         frames = []
         while len(frames) < 10:
             assert time.monotonic() < deadline_s, source.health()

@@ -170,7 +170,7 @@ def play(path: str, out: str) -> None:
         sensor.open(sensor.get_stream_profiles())
     for sensor in sensors:
         sensor.start(take)
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + 300
     while not (stopped and stopped[-1]) and time.monotonic() < deadline:
         time.sleep(0.05)
     for name, profile in profiles.items():

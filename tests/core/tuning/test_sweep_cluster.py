@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-LIMIT_S = 120
+LIMIT_S = 300
 
 
 class DaskCluster:
@@ -71,6 +71,7 @@ def test_a_worker_killed_midway_loses_no_run_and_doubles_none(long_sweep, cluste
     long_sweep.check()
 
 
+@pytest.mark.long
 def test_ctrl_c_on_a_cluster_keeps_what_is_done(long_sweep, cluster):
     cluster.add_worker()
     process = long_sweep.start("--scheduler", cluster.address)
@@ -82,6 +83,7 @@ def test_ctrl_c_on_a_cluster_keeps_what_is_done(long_sweep, cluster):
     assert 10 <= len(long_sweep.keys()) < 200
 
 
+@pytest.mark.long
 def test_a_scheduler_that_ends_is_said_in_a_sentence(long_sweep, cluster):
     cluster.add_worker()
     process = long_sweep.start("--scheduler", cluster.address)

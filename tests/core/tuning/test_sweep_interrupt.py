@@ -7,10 +7,12 @@ import signal
 import time
 from pathlib import Path
 
+import pytest
+
 
 def check_interrupted(process, long_sweep):
     """The command has ended with a sentence, and what it says is kept."""
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=300)
     assert process.returncode == 130
     assert out == ""
     assert "Traceback" not in err
@@ -35,10 +37,11 @@ def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(lo
     assert long_sweep.journal.read_text().startswith(before)
 
 
+@pytest.mark.long
 def test_a_killed_sweep_loses_only_what_was_running_and_leaves_no_process(long_sweep):
     process = long_sweep.start("--jobs", "2")
     process.kill()
-    process.communicate(timeout=60)
+    process.communicate(timeout=300)
     assert 10 <= len(long_sweep.keys()) < 200
     long_sweep.finish("--jobs", "2")
     for _ in range(300):

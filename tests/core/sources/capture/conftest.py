@@ -14,7 +14,7 @@ def nothing_left() -> Iterator[None]:
     """Check that no process, thread, descriptor or shared-memory segment is left by a test."""
     before = _open_things()
     yield
-    deadline_s = time.monotonic() + 60
+    deadline_s = time.monotonic() + 300
     while (left := _open_things() - before) and time.monotonic() < deadline_s:
         time.sleep(0.02)
     assert not left

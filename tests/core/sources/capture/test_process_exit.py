@@ -64,7 +64,7 @@ def test_the_process_ends_with_a_parent_that_is_killed(
     parent, pid = start("time.sleep(60)")
     assert alive(pid)
     parent.send_signal(sent)
-    _, words = parent.communicate(timeout=30)
+    _, words = parent.communicate(timeout=300)
     until(lambda: not alive(pid))
     assert "process/child.py" not in words  # no traceback of the capture process
 
@@ -78,7 +78,7 @@ def test_the_process_ends_with_a_parent_that_ends(
     start: Start, until: Callable[[Callable[[], bool]], float], more: str
 ) -> None:
     parent, pid = start(more)
-    _, words = parent.communicate(timeout=30)
+    _, words = parent.communicate(timeout=300)
     assert words == ""
     until(lambda: not alive(pid))
 
@@ -87,7 +87,7 @@ def test_a_process_that_hangs_is_ended_with_its_source(
     start: Start, until: Callable[[Callable[[], bool]], float]
 ) -> None:
     parent, pid = start("import os, signal; os.kill(source.capture_pid, signal.SIGSTOP); source.close()")
-    _, words = parent.communicate(timeout=30)
+    _, words = parent.communicate(timeout=300)
     assert words == ""
     assert not alive(pid)
 
@@ -104,7 +104,7 @@ except KeyboardInterrupt:
     assert parent.stdout is not None
     assert parent.stdout.readline() == "ready\n"
     parent.send_signal(signal.SIGINT)
-    answer, words = parent.communicate(timeout=30)
+    answer, words = parent.communicate(timeout=300)
     assert (answer, words) == ("True \n", "")
 
 

@@ -217,7 +217,7 @@ with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
         parent.send_signal(signal.SIGSTOP)
         time.sleep(3.0)
         parent.send_signal(signal.SIGCONT)
-        answer, _ = parent.communicate("go\n", timeout=60)
+        answer, _ = parent.communicate("go\n", timeout=300)
     assert answer == "True \n"
 
 

@@ -34,7 +34,7 @@ class Session:
     def read(self, count: int) -> list[SensorFrame]:
         """Read so many more frames."""
         wanted = len(self.frames) + count
-        deadline_s = time.monotonic() + 60.0
+        deadline_s = time.monotonic() + 300
         while len(self.frames) < wanted:
             assert time.monotonic() < deadline_s, f"no frames: {self.source.health()}"
             self._read_one()
