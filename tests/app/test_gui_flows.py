@@ -67,7 +67,7 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
     window.panel.ensureWidgetVisible(enable)
     QTest.mouseClick(enable, LEFT, pos=QPoint(8, enable.height() // 2))
     assert window.document.preset.mask.enabled
-    pick = window.panel._eyedroppers["set"]
+    pick = window.panel.eyedroppers["set"]
     QTest.mouseClick(pick, LEFT)
     assert window.eyedropper.mode == "set"
     pane = window.strip.panes["color"]
@@ -90,13 +90,13 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     pane = window.strip.panes["difference"]
     QTest.mouseMove(pane.view.viewport(), pane.widget_position(WIDTH // 2, HEIGHT // 2).toPoint())
-    qtbot.waitUntil(lambda: "Kept" in window.strip._readout.text())
-    text = window.strip._readout.text()
+    qtbot.waitUntil(lambda: "Kept" in window.strip.readout.text())
+    text = window.strip.readout.text()
     assert f"({WIDTH // 2}, {HEIGHT // 2})" in text
     assert "dp 0.252" in text
     assert "dt 0.250" in text
     QTest.mouseMove(pane.view.viewport(), pane.widget_position(2, 2).toPoint())
-    qtbot.waitUntil(lambda: "Dropped" in window.strip._readout.text())
+    qtbot.waitUntil(lambda: "Dropped" in window.strip.readout.text())
 
 
 def test_pause_step_and_seek(window, qtbot):

@@ -55,7 +55,7 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     assert "The last frame is shown," in said["tactile"]
     assert said["proximity"].startswith("Waiting for the tactile camera. The last frame is shown,")
     assert "plug it in" in said["patch"]
-    assert all(pane._badge.text().endswith(" old") for pane in window.strip.panes.values())
+    assert all(pane.badge.text().endswith(" old") for pane in window.strip.panes.values())
     assert window.views.views[CloudName.TACTILE].point_count() > 0
     assert window.views.views[CloudName.TACTILE].accessibleDescription() == said["tactile"]
     assert "no frame comes" in texts(window.status)
@@ -74,7 +74,7 @@ def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
     cameras.faults.clear()
     cameras.release()
     qtbot.waitUntil(lambda: set(badges(window).values()) == {""})
-    assert {pane._badge.text() for pane in window.strip.panes.values()} == {""}
+    assert {pane.badge.text() for pane in window.strip.panes.values()} == {""}
     qtbot.waitUntil(lambda: window.result.frame.sequence == 1)
 
 

@@ -19,6 +19,7 @@ from tactune.core.preset import ContactTest
 from tactune.core.preset.tolerance import TOLERANCE
 from tactune.widgets.basics.colormaps import patch_lut
 from tactune.widgets.basics.theme import theme_name
+from tactune.widgets.clouds.cloud_labels import LegendLine
 from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
 
 LEFT = Qt.MouseButton.LeftButton
@@ -165,7 +166,7 @@ def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(window, qtb
     qtbot.waitUntil(lambda: canvases() != {high} and len(canvases()) == 1)
     (low,) = canvases()
     for view in views:
-        assert view._legend.fitting() == len(view.legend())
+        assert view.findChild(LegendLine).fitting() == len(view.legend())
     window.views.show_result(few, "light")
     qtbot.wait(50)
     assert canvases() == {low}, "nothing jumps when a reason does not occur"

@@ -28,7 +28,9 @@ def test_the_calibration_of_the_preset_is_shown(qtbot) -> None:
     panel = ParameterPanel()
     qtbot.addWidget(panel)
     panel.set_preset(membrane())
-    assert panel._info.isVisibleTo(panel)
-    assert panel._info.text() == ("Membrane 2026-03-04: rigid, 12 points, expected error 0.4 px, good for t from 0.008")
+    assert panel.alignment_info.isVisibleTo(panel)
+    assert panel.alignment_info.text() == (
+        "Membrane 2026-03-04: rigid, 12 points, expected error 0.4 px, good for t from 0.008"
+    )
     panel.set_preset(Preset())
-    assert not panel._info.isVisibleTo(panel)
+    assert not panel.alignment_info.isVisibleTo(panel)

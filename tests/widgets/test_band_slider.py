@@ -31,9 +31,11 @@ def record(slider: BandSlider) -> list[tuple[float, float, int]]:
 
 def at(slider: BandSlider, value: float) -> QPoint:
     present = slider.value()
-    slider._band = (value, value)
+    slider.blockSignals(True)
+    slider.setValue(value, value)
     x = slider.handle_x(0)
-    slider._band = present
+    slider.setValue(*present)
+    slider.blockSignals(False)
     return QPoint(round(x), slider.height() // 2)
 
 

@@ -260,7 +260,7 @@ def test_the_legend_shows_what_fits_and_lists_all(qtbot: QtBot) -> None:
     entries = [(f"reason number {i}", QColor(20 * i, 0, 0)) for i in range(9)]
     view.set_legend(entries)
     assert view.legend() == entries
-    line = view._legend
+    line = view.findChild(LegendLine)
     assert 1 <= line.fitting() < 9
     assert all(text in line.toolTip() for text, _ in entries)
     view.set_legend(entries[:1])

@@ -116,10 +116,10 @@ def test_leaving_clears_the_crosshair(strip: ImageStrip) -> None:
     found: list[tuple[int, int]] = []
     strip.hovered.connect(lambda u, v: found.append((u, v)))
     QTest.mouseMove(viewport(strip, "color"), at(strip, "color", 300, 200))
-    assert all(pane._cross.isVisible() for pane in strip.panes.values())
+    assert all(pane.cross.isVisible() for pane in strip.panes.values())
     QApplication.sendEvent(strip.panes["color"].view, QEvent(QEvent.Type.Leave))
     assert found[-1] == (-1, -1)
-    assert not any(pane._cross.isVisible() for pane in strip.panes.values())
+    assert not any(pane.cross.isVisible() for pane in strip.panes.values())
 
 
 @pytest.mark.parametrize("pane", PANES)
@@ -209,9 +209,9 @@ def test_images_of_another_size_and_none_at_all(strip: ImageStrip, qapp: QApplic
     left, _, width, _ = seen_rect(strip, "color")
     assert left + width >= 423
     strip.set_images(None)
-    assert strip.panes["proximity"]._empty.text() == "No frame yet"
+    assert strip.panes["proximity"].empty_label.text() == "No frame yet"
     strip.set_images(render_strip(scene(240, 424)))
-    assert strip.panes["proximity"]._empty.text() == ""
+    assert strip.panes["proximity"].empty_label.text() == ""
 
 
 def test_the_keyboard_points_clicks_and_zooms(strip: ImageStrip, qapp: QApplication) -> None:
@@ -252,8 +252,8 @@ def test_the_region_is_dragged_by_its_corner_in_one_gesture(strip: ImageStrip, q
     assert rectangle[3] == pytest.approx(340, abs=4)
     assert all(isinstance(number, int) for number in rectangle)
     assert len({gesture for _, gesture in edits}) == 1
-    for region in strip._regions.values():
-        assert region._rectangle == rectangle
+    for region in strip.regions.values():
+        assert region.rectangle == rectangle
 
 
 def test_a_region_beyond_the_image_is_cut_to_it(strip: ImageStrip, qapp: QApplication) -> None:
@@ -277,10 +277,10 @@ def test_showing_a_region_is_silent(strip: ImageStrip) -> None:
     edits: list[object] = []
     strip.regionEdited.connect(lambda *edit: edits.append(edit))
     strip.set_region((10, 20, 30, 40))
-    assert all(region.roi.isVisible() for region in strip._regions.values())
+    assert all(region.roi.isVisible() for region in strip.regions.values())
     strip.set_region((0, 0, 640, 480))
     strip.set_region(None)
-    assert not any(region.roi.isVisible() for region in strip._regions.values())
+    assert not any(region.roi.isVisible() for region in strip.regions.values())
     assert edits == []
 
 
@@ -307,10 +307,10 @@ def test_the_readout_is_elided_with_the_whole_in_the_tooltip(strip: ImageStrip) 
     sentence = "pixel (312, 240) " + "very long " * 40
     strip.set_readout(sentence)
     strip.grab()
-    assert strip._readout.toolTip() == sentence
+    assert strip.readout.toolTip() == sentence
     strip.set_readout("short")
     strip.grab()
-    assert strip._readout.toolTip() == ""
+    assert strip.readout.toolTip() == ""
 
 
 def test_legends_say_range_and_band(strip: ImageStrip) -> None:

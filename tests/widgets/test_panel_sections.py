@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QComboBox
+from PyQt6.QtWidgets import QComboBox, QLabel
 
 from panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
 from tactune.core.preset import AlignmentSection, HomographyAlignment, MaskSection, Preset, RigidAlignment
@@ -28,7 +28,7 @@ def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) ->
     assert seen.edits[-1][:2] == ("mask.enabled", False)
     assert not panel.rows["mask.hue"].widget.isEnabled()
     assert panel.rows["tolerance.t"].widget.isEnabled()
-    assert not panel._eyedroppers["set"].isEnabled()
+    assert not panel.eyedroppers["set"].isEnabled()
 
 
 def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:

@@ -111,7 +111,7 @@ def test_visiting_every_widget_by_tab_changes_nothing(
                 assert part in visited, (path, name)
         for entry in getattr(row.widget, "entries", []):
             assert entry in visited, path
-    assert all(button in visited for button in panel._eyedroppers.values())
+    assert all(button in visited for button in panel.eyedroppers.values())
     assert all(section.button in visited for section in panel.sections.values() if section.isVisible())
 
 
@@ -203,10 +203,10 @@ def test_a_flag_is_turned_off_by_its_box_and_by_its_reset(panel: ParameterPanel,
 
 def test_a_section_is_reset_at_once(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(outliers=OutlierSection(k=33, ratio=1.5)))
-    QTest.mouseClick(panel._section_resets["outliers"], LEFT)
+    QTest.mouseClick(panel.section_resets["outliers"], LEFT)
     assert [values for values, _ in seen.resets] == [{"outliers.k": 20, "outliers.ratio": 2.0}]
     assert seen.edits == []
-    assert not panel._section_resets["outliers"].isEnabled()
+    assert not panel.section_resets["outliers"].isEnabled()
 
 
 def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen: Recorder) -> None:
@@ -236,28 +236,28 @@ def test_a_typing_error_is_explained_below_the_row(panel: ParameterPanel, seen: 
 def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(mask=MaskSection(enabled=True)))
     for mode in ("set", "expand", "shrink"):
-        QTest.mouseClick(panel._eyedroppers[mode], LEFT)
-        assert [name for name, button in panel._eyedroppers.items() if button.isChecked()] == [mode]
+        QTest.mouseClick(panel.eyedroppers[mode], LEFT)
+        assert [name for name, button in panel.eyedroppers.items() if button.isChecked()] == [mode]
     QTest.keyClick(panel, Qt.Key.Key_Escape)
     assert seen.modes == ["set", "expand", "shrink", "off"]
-    assert not any(button.isChecked() for button in panel._eyedroppers.values())
-    QTest.mouseClick(panel._eyedroppers["set"], LEFT)
-    QTest.mouseClick(panel._eyedroppers["set"], LEFT)
+    assert not any(button.isChecked() for button in panel.eyedroppers.values())
+    QTest.mouseClick(panel.eyedroppers["set"], LEFT)
+    QTest.mouseClick(panel.eyedroppers["set"], LEFT)
     assert seen.modes[-2:] == ["set", "off"]
     panel.set_eyedropper("expand")
     assert seen.modes[-1] == "off"
     panel.set_preset(Preset(mask=MaskSection(enabled=False)))
-    assert not panel._eyedroppers["expand"].isChecked()
+    assert not panel.eyedroppers["expand"].isChecked()
 
 
 def test_tolerance_is_told_in_millimetres(panel: ParameterPanel) -> None:
-    assert not panel._tolerance_mm.isVisible()
+    assert not panel.tolerance_mm.isVisible()
     panel.set_preset(Preset(tolerance=ToleranceSection(t=0.03)))
     panel.set_median_distance_m(0.236)
-    assert panel._tolerance_mm.text() == "= 7.1 mm at 0.236 m"
-    assert panel._tolerance_mm.isVisible()
+    assert panel.tolerance_mm.text() == "= 7.1 mm at 0.236 m"
+    assert panel.tolerance_mm.isVisible()
     panel.set_median_distance_m(float("nan"))
-    assert not panel._tolerance_mm.isVisible()
+    assert not panel.tolerance_mm.isVisible()
 
 
 def test_dragging_a_line_of_the_histogram_edits_the_tolerance(

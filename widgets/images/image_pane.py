@@ -232,14 +232,14 @@ class ImagePane(QWidget):
         self.view.setCentralItem(self.box)
         self._pixels = PixelItem()
         self.box.addItem(self._pixels, ignoreBounds=True)
-        self._cross = pg.PlotCurveItem(connect="pairs", pen=pg.mkPen("w"), shadowPen=pg.mkPen((0, 0, 0, 150), width=3))
-        self._cross.setZValue(20)
-        self._cross.hide()
-        self.box.addItem(self._cross, ignoreBounds=True)
-        self._empty = QLabel("", self.view)
-        self._empty.setAlignment(Qt.AlignmentFlag.AlignCenter)
-        self._empty.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
-        self._badge = StaleBadge(self.view)
+        self.cross = pg.PlotCurveItem(connect="pairs", pen=pg.mkPen("w"), shadowPen=pg.mkPen((0, 0, 0, 150), width=3))
+        self.cross.setZValue(20)
+        self.cross.hide()
+        self.box.addItem(self.cross, ignoreBounds=True)
+        self.empty_label = QLabel("", self.view)
+        self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
+        self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
+        self.badge = StaleBadge(self.view)
 
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
@@ -263,20 +263,20 @@ class ImagePane(QWidget):
 
     def set_message(self, text: str) -> None:
         """Say why there is no image; empty where there is one."""
-        self._empty.setText(text)
-        self._empty.setGeometry(self.view.rect())
+        self.empty_label.setText(text)
+        self.empty_label.setGeometry(self.view.rect())
 
     def set_badge(self, text: str) -> None:
         """Mark the image as old and say so; nothing: it is what the cameras see."""
-        self._badge.set_text(text)
+        self.badge.set_text(text)
 
     def set_cross(self, u: int, v: int) -> None:
         """Mark a pixel; negative numbers unmark."""
         inside = self.contains(u, v)
         if inside:
             width, height = self._size
-            self._cross.setData([u, u, -0.5, width - 0.5], [-0.5, height - 0.5, v, v])
-        self._cross.setVisible(inside)
+            self.cross.setData([u, u, -0.5, width - 0.5], [-0.5, height - 0.5, v, v])
+        self.cross.setVisible(inside)
 
     def show_rect(self, rect: QRectF) -> None:
         """Zoom to a rectangle in image coordinates."""
@@ -308,8 +308,8 @@ class ImagePane(QWidget):
     def resizeEvent(self, event: Any) -> None:
         """Keep the message in the middle."""
         super().resizeEvent(event)
-        self._empty.setGeometry(self.view.rect())
-        self._badge.setGeometry(self.view.rect())
+        self.empty_label.setGeometry(self.view.rect())
+        self.badge.setGeometry(self.view.rect())
 
     def _recolor(self) -> None:
         self.view.setBackground(theme_colors().base)

@@ -58,8 +58,8 @@ class ImageStrip(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.panes = {name: ImagePane(title) for name, title in PANES.items()}
-        self._regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
-        self._readout = ElidedLabel()
+        self.regions = {name: RegionItem(pane) for name, pane in self.panes.items()}
+        self.readout = ElidedLabel()
         self._size = (640, 480)
         self._pixel = (-1, -1)
         self._legend_key: tuple[object, ...] = ()
@@ -79,7 +79,7 @@ class ImageStrip(QWidget):
         layout.setContentsMargins(4, 2, 4, 2)
         layout.setSpacing(2)
         layout.addLayout(row, 1)
-        layout.addWidget(self._readout)
+        layout.addWidget(self.readout)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.reset_view()
 
@@ -105,11 +105,11 @@ class ImageStrip(QWidget):
 
     def set_readout(self, text: str) -> None:
         """Say what is known of the pixel pointed at."""
-        self._readout.setText(text)
+        self.readout.setText(text)
 
     def set_region(self, rectangle: Rectangle | None) -> None:
         """Show the region of interest (left, top, width, height), or none; never emits."""
-        for region in self._regions.values():
+        for region in self.regions.values():
             region.set_rectangle(rectangle)
 
     def set_picking(self, picking: bool) -> None:
@@ -179,7 +179,7 @@ class ImageStrip(QWidget):
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
         pane.viewMoved.connect(self._view_moved)
         pane.resized.connect(self._pane_resized)
-        self._regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
+        self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
 
     def _point_at(self, u: int, v: int) -> None:
         if (u, v) == self._pixel:
@@ -224,7 +224,7 @@ class ImageStrip(QWidget):
         box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)
 
     def _region_edited(self, source: str, rectangle: Rectangle, gesture: int) -> None:
-        for name, region in self._regions.items():
+        for name, region in self.regions.items():
             if name != source:
                 region.set_rectangle(rectangle)
         self.regionEdited.emit(rectangle, gesture)

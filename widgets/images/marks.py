@@ -238,7 +238,7 @@ class RegionItem(QObject):
     def __init__(self, pane: ImagePane) -> None:
         super().__init__(pane)
         self._pane = pane
-        self._rectangle: Rectangle | None = None
+        self.rectangle: Rectangle | None = None
         self._showing = False
         self._clock = GestureClock()
         pen = pg.mkPen(ACCENT, width=2)
@@ -258,16 +258,16 @@ class RegionItem(QObject):
 
     def set_rectangle(self, rectangle: Rectangle | None) -> None:
         """Show a rectangle, or none; never emits. The one being dragged is left alone."""
-        if self._clock.held or rectangle == self._rectangle:
+        if self._clock.held or rectangle == self.rectangle:
             return
-        self._rectangle = rectangle
+        self.rectangle = rectangle
         self._show()
 
     def _show(self) -> None:
-        self.roi.setVisible(self._rectangle is not None)
-        if self._rectangle is None:
+        self.roi.setVisible(self.rectangle is not None)
+        if self.rectangle is None:
             return
-        left, top, width, height = self._rectangle
+        left, top, width, height = self.rectangle
         self._showing = True
         self.roi.setPos((left - 0.5, top - 0.5), update=False)
         self.roi.setSize((width, height))
@@ -277,8 +277,8 @@ class RegionItem(QObject):
         if self._showing or not self._clock.held:
             return
         rectangle = self._rounded()
-        if rectangle != self._rectangle:
-            self._rectangle = rectangle
+        if rectangle != self.rectangle:
+            self.rectangle = rectangle
             self.edited.emit(rectangle, self._clock.number())
 
     def _finished(self, *_: Any) -> None:

@@ -74,11 +74,11 @@ class ParameterPanel(QScrollArea):
         self._median_m = float("nan")
         self.rows: dict[str, ParameterRow] = {}
         self.sections: dict[str, CollapsibleSection] = {}
-        self._section_resets: dict[str, QToolButton] = {}
-        self._eyedroppers: dict[str, QToolButton] = {}
-        self._info = _note()
+        self.section_resets: dict[str, QToolButton] = {}
+        self.eyedroppers: dict[str, QToolButton] = {}
+        self.alignment_info = _note()
         self._test_note = _note()
-        self._tolerance_mm = _note()
+        self.tolerance_mm = _note()
         self.histogram = DifferenceHistogram()
         self.histogram.toleranceEdited.connect(self._histogram_dragged)
 
@@ -163,7 +163,7 @@ class ParameterPanel(QScrollArea):
 
     def set_eyedropper(self, mode: str) -> None:
         """Show which eyedropper is in use ("off" for none); never emits."""
-        for name, button in self._eyedroppers.items():
+        for name, button in self.eyedroppers.items():
             button.setChecked(name == mode)
         self._escape.setEnabled(mode != "off")
 
@@ -171,12 +171,12 @@ class ParameterPanel(QScrollArea):
         """Say below the choice of the alignment's model what it comes from and how good it was."""
         if record is not None:
             points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
-            self._info.setText(
+            self.alignment_info.setText(
                 f"Membrane {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
                 f"expected error {record.quality.alignment_px:.1f} px, good for t from "
                 f"{record.quality.supported_tolerance:.3f}"
             )
-        self._info.setVisible(record is not None)
+        self.alignment_info.setVisible(record is not None)
 
     # --- building ----------------------------------------------------------------------------------------------
 
@@ -197,13 +197,13 @@ class ParameterPanel(QScrollArea):
             else:
                 row.add_to(grid)
             if spec.path == "alignment.model":
-                grid.addWidget(self._info, grid.rowCount(), 0, 1, 3)
+                grid.addWidget(self.alignment_info, grid.rowCount(), 0, 1, 3)
         if name == "contact_test":
             grid.addWidget(self._test_note, grid.rowCount(), 0, 1, 3)
         if name == "mask":
             grid.addWidget(self._make_eyedropper_bar(), grid.rowCount(), 0, 1, 3)
         if name == "tolerance":
-            grid.addWidget(self._tolerance_mm, grid.rowCount(), 0, 1, 3)
+            grid.addWidget(self.tolerance_mm, grid.rowCount(), 0, 1, 3)
             grid.addWidget(self.histogram, grid.rowCount(), 0, 1, 3)
         reset = QToolButton()
         reset.setText("↺")
@@ -213,7 +213,7 @@ class ParameterPanel(QScrollArea):
         reset.setToolTip(f"Reset everything in {title.lower()}")
         reset.clicked.connect(lambda: self._reset_section(name))
         section.add_header_widget(reset)
-        self._section_resets[name] = reset
+        self.section_resets[name] = reset
         return section
 
     def _make_eyedropper_bar(self) -> QWidget:
@@ -231,7 +231,7 @@ class ParameterPanel(QScrollArea):
             button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
             button.setAccessibleName(f"Eyedropper: {mode}")
             button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
-            self._eyedroppers[mode] = button
+            self.eyedroppers[mode] = button
             layout.addWidget(button, 1)
         return bar
 
@@ -241,12 +241,12 @@ class ParameterPanel(QScrollArea):
         for name, section in self.sections.items():
             rows = [row for path, row in self.rows.items() if _section_of(path) == name]
             header = [row.widget for row in rows if row.in_header]
-            chain += [section.button, *header, self._section_resets[name]]
+            chain += [section.button, *header, self.section_resets[name]]
             for row in rows:
                 if not row.in_header:
                     chain += [*row.tab_stops, row.reset]
             if name == "mask":
-                chain += self._eyedroppers.values()
+                chain += self.eyedroppers.values()
         for first, second in pairwise(chain):
             QWidget.setTabOrder(first, second)
 
@@ -281,7 +281,7 @@ class ParameterPanel(QScrollArea):
 
     def _refresh(self) -> None:
         """Bring everything that depends on other values up to date."""
-        for name, reset in self._section_resets.items():
+        for name, reset in self.section_resets.items():
             rows = [row for path, row in self.rows.items() if _section_of(path) == name]
             enabled = self.rows.get(f"{name}.enabled")
             on = enabled is None or bool(enabled.editor.value())
@@ -311,16 +311,16 @@ class ParameterPanel(QScrollArea):
         self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:
-        for button in self._eyedroppers.values():
+        for button in self.eyedroppers.values():
             button.setEnabled(enabled)
-        if not enabled and any(button.isChecked() for button in self._eyedroppers.values()):
+        if not enabled and any(button.isChecked() for button in self.eyedroppers.values()):
             self._choose_eyedropper("off")
 
     def _show_tolerance_mm(self) -> None:
         known = np.isfinite(self._median_m) and self._median_m > 0
         t = float(self.rows["tolerance.t"].editor.value())
-        self._tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
-        self._tolerance_mm.setVisible(bool(known))
+        self.tolerance_mm.setText(f"= {t * self._median_m * 1000:.1f} mm at {self._median_m:.3f} m" if known else "")
+        self.tolerance_mm.setVisible(bool(known))
 
     def _paint_mask_colors(self) -> None:
         """Show on the mask's sliders the colours that their positions mean."""

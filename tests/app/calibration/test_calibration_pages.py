@@ -251,16 +251,16 @@ def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, fr
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     shown = wizard.quality.map
     wizard.go_to(4)
-    assert "Drawing the map" in shown._empty.text() and not shown.layer.marks
+    assert "Drawing the map" in shown.empty_label.text() and not shown.layer.marks
     qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
-    assert "Drawing" not in shown._empty.text()
+    assert "Drawing" not in shown.empty_label.text()
 
 
 def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
     page = wizard.check
     wizard.go_to(5)
-    qtbot.waitUntil(lambda: "No calibration yet" in page.image._empty.text())
+    qtbot.waitUntil(lambda: "No calibration yet" in page.image.empty_label.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: page._overlay is not None and "cm²" in page.note.text(), timeout=15000)
     blended = page.image.grab().toImage()
