@@ -18,7 +18,7 @@ from ...core.scan.scan import UNITS_M
 from ...widgets.basics.message_bar import Severity
 from ..worker.jobs import Job
 from ..worker.results import Result
-from .truth_state import LEAST_PAIRS, FrozenPatch, Place, Side, TruthKeeper, TruthSession, TruthState
+from .truth_state import MIN_PAIRS, FrozenPatch, Place, Side, TruthKeeper, TruthSession, TruthState
 from .truth_work import (
     LoadedScan,
     Refinement,
@@ -220,8 +220,8 @@ class TruthFlow(QObject):
         if self.contact is None or self.state.pose is None:
             return None
         pose = np.asarray(self.state.pose)
-        middle: Float64Array = pose[:3, :3] @ pivot_of(self.contact) + pose[:3, 3]
-        return middle
+        centre: Float64Array = pose[:3, :3] @ pivot_of(self.contact) + pose[:3, 3]
+        return centre
 
     def refine(self, reach_m: float) -> None:
         """Refine the pose by ICP."""
@@ -369,12 +369,12 @@ def next_step(flow: TruthFlow) -> str:
 
 
 def _picking(state: TruthState) -> str:
-    pending, left = state.pending, LEAST_PAIRS - len(state.matched[0])
+    pending, left = state.pending, MIN_PAIRS - len(state.matched[0])
     if pending is not None:
         other = "patch" if pending.patch is None else "scan"
         return f"Pair {len(state.pairs)}: now click the same point on the {other}."
-    if left == LEAST_PAIRS:
-        return f"Click a point on the scan, then the same point on the patch: {LEAST_PAIRS} pairs are needed."
+    if left == MIN_PAIRS:
+        return f"Click a point on the scan, then the same point on the patch: {MIN_PAIRS} pairs are needed."
     if left > 0:
         return f"{left} more pair{'s' if left > 1 else ''}: click far from the others, on the scan or the patch."
     return "These pairs do not determine a pose: add one elsewhere, or delete a wrong one."

@@ -48,7 +48,7 @@ _MEANINGS: Final = {
     "saturation": "Saturation range of the touched paint, 0 grey to 255 pure.",
     "value": "Brightness range of the touched paint, 0 black to 255 brightest.",
 }
-_LEAST = FieldSpec(
+_MIN_AREA = FieldSpec(
     path="least_area_mm2",
     title="Least area",
     description="Smaller spots of paint are removed, and smaller holes are filled.",
@@ -99,7 +99,7 @@ class PaintPanel(CollapsibleSection):
             replace(field_spec(MaskSection, name), description=_MEANINGS[name], default=getattr(_USUAL, name))
             for name in _CHANNELS
         ]
-        self.rows = {spec.path: ParameterRow(spec, self) for spec in (*specs, _LEAST, _LARGEST)}
+        self.rows = {spec.path: ParameterRow(spec, self) for spec in (*specs, _MIN_AREA, _LARGEST)}
         self.droppers = {mode: AccentButton(text, tip) for mode, (text, tip) in _DROPPERS.items()}
         self.highlight = QCheckBox("&Highlight contact")
         self.highlight.setChecked(True)

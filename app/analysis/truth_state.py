@@ -104,7 +104,7 @@ Side = Literal["scan", "patch"]
 #: Origin of a pose.
 Origin = Literal["", "pairs", "hand", "ICP", "file"]
 
-LEAST_PAIRS = 3
+MIN_PAIRS = 3
 
 
 @dataclass(frozen=True)
@@ -222,7 +222,7 @@ class TruthSession(History[TruthState]):
     def _edit_pairs(self, text: str, after: TruthState) -> None:
         """Set the pairs. If there are enough, fit the pose to them."""
         matched, sentence = after.matched, ""
-        if len(matched[0]) >= LEAST_PAIRS and matched != self._state.matched:
+        if len(matched[0]) >= MIN_PAIRS and matched != self._state.matched:
             try:
                 pose = pose_from_pairs(*matched)
                 after = replace(after, pose=pose, origin="pairs")

@@ -18,12 +18,12 @@ from ..worker.jobs import Progress
 
 #: Number of colours and of vertices that a scan is drawn with.
 PALETTE = 127
-_MOST_SHOWN = 300_000
+_MAX_SHOWN = 300_000
 #: Direction of the light that shades a scan, in the scan frame, and brightness of its dark side.
 _LIGHT = np.array([-0.4, -0.7, -0.6]) / np.linalg.norm([0.4, 0.7, 0.6])
 _DARKEST = 0.5
 _SPACINGS_M = (0.0005, 0.001, 0.002, 0.004)
-_MOST_POINTS = 60_000
+_MAX_POINTS = 60_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,8 +99,8 @@ def loading(path: Path, unit_m: float) -> Callable[[Progress], LoadedScan]:
         progress(0.7, "Preparing the view")
         count = len(scan.vertices_m)
         shown = np.arange(count)
-        if count > _MOST_SHOWN:
-            shown = np.sort(np.random.default_rng(0).choice(count, _MOST_SHOWN, replace=False))
+        if count > _MAX_SHOWN:
+            shown = np.sort(np.random.default_rng(0).choice(count, _MAX_SHOWN, replace=False))
         palette, rows = _palette(_shaded(scan)[shown])
         progress(1.0, "Done")
         return LoadedScan(path, unit_m, scan, _key(scan), shown, palette, rows)
@@ -117,7 +117,7 @@ def touching(loaded: LoadedScan, paint: PaintSettings) -> Callable[[Progress], S
         vertices = painted_contact(scan, paint)
         shares = vertices[scan.triangles].mean(axis=1)
         area_m2 = float((scan.areas_m2 * shares).sum())
-        fine = next((step for step in _SPACINGS_M if area_m2 <= _MOST_POINTS * step**2), _SPACINGS_M[-1])
+        fine = next((step for step in _SPACINGS_M if area_m2 <= _MAX_POINTS * step**2), _SPACINGS_M[-1])
         progress(0.6, "Spreading points")
         return ScanContact(loaded, paint, vertices, contact_points(scan, vertices, fine), 1e6 * area_m2)
 
@@ -179,8 +179,8 @@ def laid_on(contact: ScanContact, patch: Float32Array) -> Float64Array:
 def pivot_of(contact: ScanContact) -> Float64Array:
     """Return the centre of rotation in the scan frame: the centre of its contact, or of the whole scan."""
     points: AnyArray = contact.points if len(contact.points) else contact.loaded.scan.vertices_m
-    middle: Float64Array = points.mean(axis=0, dtype=np.float64)
-    return middle
+    centre: Float64Array = points.mean(axis=0, dtype=np.float64)
+    return centre
 
 
 def posed(contact: ScanContact, pose: Matrix4) -> Float64Array:

@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from ...core.calibration import CalibrationReport
 
 #: A pair stands out if its residual exceeds this multiple of the median and half a pixel.
-_WORST_FACTOR = 2.5
-_WORST_LEAST_PX = 0.5
+_OUTLIER_FACTOR = 2.5
+_MIN_OUTLIER_PX = 0.5
 _NAN_PAIR = (nan, nan)
 
 
@@ -71,7 +71,7 @@ class Outcome:
         rejected = {key for key, fit in self.fits.items() if not fit.used}
         if len(lengths) < 5:
             return frozenset(rejected)
-        limit = max(_WORST_FACTOR * float(np.median(list(lengths.values()))), _WORST_LEAST_PX)
+        limit = max(_OUTLIER_FACTOR * float(np.median(list(lengths.values()))), _MIN_OUTLIER_PX)
         return frozenset(rejected | {key for key, length in lengths.items() if length > limit})
 
 
@@ -175,9 +175,9 @@ def _hint(pair: PointPair, fit: PairFit, outcome: Outcome) -> str:
     return ""
 
 
-FEWEST_PAIRS = 4
+MIN_PAIRS = 4
 #: Number of membrane points over which the uncertainty is averaged: enough for a map, fast enough to be instant.
-FEWEST_PLACES, MOST_PLACES = 20, 120
+MIN_PLACES, MAX_PLACES = 20, 120
 _GRID_PX = 32
 _WINDOW = 2
 _SMOOTH_M = 0.004
@@ -241,8 +241,8 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
     """
     pairs = state.complete_pairs
     enabled = sum(pair.enabled for pair in pairs)
-    if enabled < FEWEST_PAIRS:
-        return Outcome(pairs, sentence=f"{_pairs(enabled)}; {_pairs(FEWEST_PAIRS - enabled)} more for a first fit.")
+    if enabled < MIN_PAIRS:
+        return Outcome(pairs, sentence=f"{_pairs(enabled)}; {_pairs(MIN_PAIRS - enabled)} more for a first fit.")
     report = calibrate(
         correspondences(state, rig),
         rig,
@@ -323,9 +323,9 @@ def _membrane(state: SessionState, rig: Rig) -> Float64Array | None:
     """Return membrane points of all snapshots, where the alignment matters; None without snapshots."""
     grids = [membrane_grid(snapshot.frame, rig, _GRID_PX) for snapshot in state.snapshots]
     places = np.concatenate(grids) if grids else np.empty((0, 3))
-    if len(places) < FEWEST_PLACES:
+    if len(places) < MIN_PLACES:
         return None
-    return places[:: -(-len(places) // MOST_PLACES)]
+    return places[:: -(-len(places) // MAX_PLACES)]
 
 
 def _contact_depth(pair: PointPair, snapshot: Snapshot | None, rig: Rig) -> float | None:

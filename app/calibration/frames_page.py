@@ -28,7 +28,7 @@ from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
 from .session import ImageChoice, Session, SessionState, Side, Snapshot
-from .snapshots import MOST_FRAMES, Collector
+from .snapshots import MAX_FRAMES, Collector
 
 _PREVIEW_MS = 80
 _THUMBNAIL = QSize(96, 72)
@@ -72,7 +72,7 @@ class FramesPage(QWidget):
         self.seek.setAccessibleName("Frame of the recording")
         self.seek.setToolTip("Frame of the recording")
         self.average = QSpinBox()
-        self.average.setRange(1, MOST_FRAMES)
+        self.average.setRange(1, MAX_FRAMES)
         self.average.setSuffix(" frames")
         self.average.setSpecialValueText("1 frame")
         self.average.setToolTip(
@@ -279,8 +279,8 @@ class FramesPage(QWidget):
 def apex_m(frame: SensorFrame, rig: Rig) -> float:
     """Return the median tactile depth at the image centre, metres; nan without depth."""
     height, width = frame.tactile_depth.shape
-    middle = frame.tactile_depth[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
-    counts = sorted(middle[valid_depth(middle)])
+    centre = frame.tactile_depth[height // 3 : 2 * height // 3, width // 3 : 2 * width // 3]
+    counts = sorted(centre[valid_depth(centre)])
     return float(counts[len(counts) // 2]) * rig.tactile.depth_unit_m if counts else float("nan")
 
 

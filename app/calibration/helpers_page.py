@@ -175,7 +175,7 @@ _ADVICE = (
 )
 _INTRO = "Press Find; what is found is drawn in green. " + _ADVICE
 #: Above this number of rings, their numbers are hidden.
-_MOST_LABELS = 120
+_MAX_LABELS = 120
 
 
 class HelpersPage(QWidget):
@@ -381,7 +381,7 @@ class HelpersPage(QWidget):
                 place = pair.place(side)
                 assert place is not None
                 kind = MarkKind.OFF if pair.key in self._refused else MarkKind.PROPOSED
-                label = str(pair.key) if len(here) <= _MOST_LABELS else ""
+                label = str(pair.key) if len(here) <= _MAX_LABELS else ""
                 marks.append(Mark(pair.key, *place, label, kind, pair.key in selected))
             self.view.images[side].set_marks(marks)
         count = len(self.proposals)

@@ -121,20 +121,20 @@ class PairView(QWidget):
             return
         image, other = self.images[side], self.images[_other(side)]
         seen, whole, other_whole = image.box.viewRect(), image.image_rect(), other.image_rect()
-        middle = self._partner(side, (seen.center().x(), seen.center().y()))
-        if middle is None:
+        centre = self._partner(side, (seen.center().x(), seen.center().y()))
+        if centre is None:
             share_u = (seen.center().x() - whole.left()) / whole.width()
             share_v = (seen.center().y() - whole.top()) / whole.height()
-            middle = (
+            centre = (
                 other_whole.left() + share_u * other_whole.width(),
                 other_whole.top() + share_v * other_whole.height(),
             )
         width = seen.width() * other_whole.width() / whole.width()
         height = seen.height() * other_whole.height() / whole.height()
         if width >= other_whole.width():
-            middle = (other_whole.center().x(), other_whole.center().y())
+            centre = (other_whole.center().x(), other_whole.center().y())
         self._linking = True
-        other.show_rect(QRectF(middle[0] - width / 2, middle[1] - height / 2, width, height))
+        other.show_rect(QRectF(centre[0] - width / 2, centre[1] - height / 2, width, height))
         self._linking = False
 
 

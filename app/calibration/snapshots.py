@@ -39,7 +39,7 @@ def moved_m(frames: Sequence[SensorFrame], unit_m: float) -> float:
 
 
 #: Upper limit of frames to average; more would take gigabytes and add nothing.
-MOST_FRAMES = 60
+MAX_FRAMES = 60
 _WAITING_SHARE = 0.5
 
 
@@ -83,7 +83,7 @@ class Collector(QObject):
         frame, playback = self._feed.frame, self._feed.playback
         if self.busy or frame is None:
             return
-        self._frames, self._wanted = [], max(1, min(count, MOST_FRAMES))
+        self._frames, self._wanted = [], max(1, min(count, MAX_FRAMES))
         self._number = playback.index + 1
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None

@@ -97,7 +97,7 @@ class CameraControl(QObject):
         before, self._cameras = self._cameras, preset.cameras
         if before == preset.cameras:
             return
-        self._options = tuple(self._brought(option, before) for option in self._options)
+        self._options = tuple(self._sent(option, before) for option in self._options)
         self.panel.set_options(self._options, preset.cameras)
         if _needs_reopening(before, preset.cameras) and self._source.startswith(CAMERA_SCHEMES):
             self._messages.show_message(
@@ -107,7 +107,7 @@ class CameraControl(QObject):
                 offers=[("Open again", self._open_cameras)],
             )
 
-    def _brought(self, option: CameraOption, before: CamerasSection) -> CameraOption:
+    def _sent(self, option: CameraOption, before: CamerasSection) -> CameraOption:
         """Send an option whose value in the preset has changed; without a value, send the default."""
         kept = _kept(self._cameras, option)
         if kept == _kept(before, option):

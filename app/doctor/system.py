@@ -17,7 +17,7 @@ import platformdirs
 from .checks import Check, Child, RunChild, State, python_child, run_child
 
 OLDEST_PYTHON = (3, 11)
-_LEAST_FREE_BYTES, _ENOUGH_FREE_BYTES = 200e6, 2e9
+_MIN_FREE_BYTES, _ENOUGH_FREE_BYTES = 200e6, 2e9
 _FRAMES_BYTES = 32_000_000
 
 #: Distribution names whose import name differs.
@@ -107,7 +107,7 @@ def check_cache_folder(folder: Path | None = None) -> list[Check]:
         return [Check(name, State.FAIL, f"{folder}: {error.strerror or error}", remedy)]
     words = f"{folder}, {free / 1e9:.1f} GB free"
     if free < _ENOUGH_FREE_BYTES:
-        state = State.FAIL if free < _LEAST_FREE_BYTES else State.WARN
+        state = State.FAIL if free < _MIN_FREE_BYTES else State.WARN
         return [Check(name, state, words, "Free some space: a minute of recording takes up to 1 GB.")]
     return [Check(name, State.OK, words)]
 

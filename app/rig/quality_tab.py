@@ -123,7 +123,7 @@ class QualityTab(QWidget):
         self.true_distance = QDoubleSpinBox()
         self.copy = push_button("Copy numbers", "Copy all values as text (Ctrl+Shift+C)", "Ctrl+Shift+C")
         self.save = push_button("Save JSON…", "Save all values as a JSON file (Ctrl+Shift+S)", "Ctrl+Shift+S")
-        self.middle = push_button("Centre", "Move the region to the centre of the image")
+        self.centre = push_button("Centre", "Move the region to the centre of the image")
         self.status = QLabel(_WAITING)
         self.status.setWordWrap(True)
         self._lay_out()
@@ -194,7 +194,7 @@ class QualityTab(QWidget):
         row.addWidget(QLabel("Region"))
         for entry in self.entries.values():
             row.addWidget(entry)
-        row.addWidget(self.middle)
+        row.addWidget(self.centre)
         row.addSpacing(12)
         row.addWidget(QLabel("True distance"))
         row.addWidget(self.true_distance)
@@ -217,7 +217,7 @@ class QualityTab(QWidget):
             entry.valueChanged.connect(self._region_changed)
         self.region_item.edited.connect(lambda region, _: self.set_region(region))
         self.true_distance.valueChanged.connect(self._measure_again)
-        self.middle.clicked.connect(self._to_the_middle)
+        self.centre.clicked.connect(self._to_centre)
         self.copy.clicked.connect(self._copy)
         self.save.clicked.connect(self._ask_where)
 
@@ -235,9 +235,9 @@ class QualityTab(QWidget):
             self.entries[name].setRange(0, limit)
         self.entries["Width"].setRange(2, size.width)
         self.entries["Height"].setRange(2, size.height)
-        self._to_the_middle()
+        self._to_centre()
 
-    def _to_the_middle(self) -> None:
+    def _to_centre(self) -> None:
         if self._rig is None:
             return
         size = self._rig.proximity.intrinsics

@@ -179,7 +179,7 @@ def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(ope
     tab.true_distance.setValue(291.0)
     wait(qtbot, lambda: tab.quality.proximity.region == tab.region and tab.quality.tactile.z_accuracy > 0)
     assert tab.quality.tactile.z_accuracy == pytest.approx(0.003 / 0.291, rel=0.1)
-    tab.middle.click()
+    tab.centre.click()
     assert tab.region == (48, 36, 64, 48)
 
 
