@@ -168,7 +168,7 @@ class TruthFlow(QObject):
     # The patch
 
     def show_result(self, result: Result) -> None:
-        """Take a frame of the main window; it is shown, and scored, while no patch is held fast."""
+        """Show and score a frame of the main window, unless a patch is frozen."""
         self._result = result
         if self.state.patch is None:
             self._refresh_live()
@@ -177,7 +177,7 @@ class TruthFlow(QObject):
                 self._score_timer.start()
 
     def take_present(self) -> None:
-        """Hold the main window's present frame fast instead of an earlier one."""
+        """Freeze the main window's current patch, in place of an earlier one."""
         self._refresh_live()
         if self._live is not None:
             self.session.freeze(self._live)
@@ -199,24 +199,24 @@ class TruthFlow(QObject):
     # Alignment
 
     def click(self, side: Side, place: Place) -> None:
-        """Take a clicked point, in the scan's or the proximity frame."""
+        """Process a clicked point, in the scan frame or the proximity frame."""
         self.session.click(side, place, self.patch)
 
     def residuals_mm(self) -> list[float]:
-        """Return how far each complete pair lies apart, in their order; none without a pose."""
+        """Return the distance between both points of each complete pair, in order; empty without a pose."""
         pose = self.state.pose
         return [] if pose is None else [1e3 * float(apart) for apart in pair_errors_m(pose, *self.state.matched)]
 
     def lay_on(self) -> None:
-        """Lay the scan's contact on the patch, unturned, to go on by hand."""
+        """Move the scan's contact onto the patch without rotation, as a start for manual alignment."""
         patch = self.patch
         if self.contact is None or patch is None or not len(self.contact.points) or not len(patch.points):
             self.said.emit("pose", Severity.WARNING, "The scan cannot be aligned: scan and patch need contact.")
             return
-        self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Lay the scan on the patch", patch)
+        self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Move the scan onto the patch", patch)
 
     def pivot(self) -> Float64Array | None:
-        """Return what the scan turns about, in the proximity frame; None without a pose."""
+        """Return the centre of rotation in the proximity frame; None without a pose."""
         if self.contact is None or self.state.pose is None:
             return None
         pose = np.asarray(self.state.pose)
@@ -234,7 +234,7 @@ class TruthFlow(QObject):
         self._refining.start(refining(contact, self.patch.points, state.pose, reach_m))
 
     def cancel_refining(self) -> None:
-        """Leave the pose as it is."""
+        """Cancel the refinement; the pose is unchanged."""
         self._refining.cancel()
 
     def _refined(self, refinement: Refinement) -> None:
@@ -258,7 +258,7 @@ class TruthFlow(QObject):
     # Files
 
     def save_transform(self, path: Path) -> None:
-        """Write the pose as ``tactune evaluate recording --transform`` reads it."""
+        """Write the pose for ``tactune evaluate recording --transform``."""
         if self.state.pose is None:
             return
         try:
@@ -271,7 +271,7 @@ class TruthFlow(QObject):
         self.scoresChanged.emit()
 
     def load_transform(self, path: Path) -> None:
-        """Take a pose from a file."""
+        """Read the pose from a file."""
         try:
             pose = load_transform(path)
         except TactuneError as error:
@@ -281,7 +281,7 @@ class TruthFlow(QObject):
         self.session.set_pose(pose, "file", f"Load {path.name}", self.patch)
 
     def command(self) -> str:
-        """Return the command line that repeats the scores; empty before there are any."""
+        """Return the command line that repeats the scores; empty without scores."""
         loaded, patch = self.loaded, self.patch
         if loaded is None or patch is None or self.state.pose is None:
             return ""
@@ -324,7 +324,7 @@ class TruthFlow(QObject):
         self.scoresChanged.emit()
 
     def shut_down(self) -> None:
-        """Stop all threads and keep the last state."""
+        """Stop all threads and save the last state."""
         for job in (self._loading, self._finding, self._refining, self._scoring):
             job.stop()
         self._score_timer.stop()
@@ -333,7 +333,7 @@ class TruthFlow(QObject):
 
 
 def _paint_words(paint: PaintSettings) -> list[str]:
-    """Return the options for what differs from the default paint."""
+    """Return the options for settings that differ from the default paint."""
     usual, words = PaintSettings(), []
     for name in ("hue", "saturation", "value"):
         low, high = getattr(paint, name)
@@ -347,7 +347,7 @@ def _paint_words(paint: PaintSettings) -> list[str]:
 
 
 def next_step(flow: TruthFlow) -> str:
-    """Say the next step."""
+    """Return the next step for the user, as a sentence."""
     loaded, contact, patch = flow.loaded, flow.contact, flow.patch
     if loaded is None:
         words = "Reading the scan…" if flow.busy_loading else "Open the object's painted scan, or drop it here."

@@ -263,7 +263,7 @@ class AlignPanel(CollapsibleSection):
         self.table = QTableWidget(0, 2)
         self.remove = QPushButton("&Delete pair")
         self.clear = QPushButton("Delete all")
-        self.lay = QPushButton("&Lay on the patch")
+        self.lay = QPushButton("&Move onto patch")
         self.places = [NumberEntry(_place_spec(axis)) for axis in _AXES]
         self.turns = [NumberEntry(_turn_spec(name, axis)) for name, axis in zip(_TURNS, _AXES, strict=True)]
         self.reach = NumberEntry(_REACH)
