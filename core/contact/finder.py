@@ -108,6 +108,11 @@ class Workspace:
         self.buffers = CandidateBuffers(rig)
         self.neighbours = NeighbourMemory()
 
+    def aligned(self, frame: SensorFrame, alignment: AlignmentModel, region: RegionSection) -> AlignedDepth:
+        """Return both depths for every proximity pixel of a region; nan elsewhere."""
+        bounds = region_bounds(region, self.rig.proximity.intrinsics.shape)
+        return alignment.align(frame.proximity_depth, frame.tactile_depth, bounds)
+
 
 class ContactFinder(ABC):
     """The implementation of a contact test: finds contact in frames. For one thread at a time.

@@ -13,7 +13,7 @@ from ..preset import Preset
 from ..preset.checks import check_rig
 from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
-from .finder import ContactFinder, Inliers, Steps, Workspace, region_bounds
+from .finder import ContactFinder, Inliers, Steps, Workspace
 from .flat import flat
 from .kernels import chain as kernels
 from .membrane.average import AveragedDepth
@@ -129,12 +129,12 @@ class ContactPipeline:
         memory.preset = self._preset
         if memory.patch is not None and not due.stale:
             return memory.patch.again(frame.sequence, due.ms, (UNCHANGED,))
-        alignment, region = self._alignment, region_bounds(self._preset.region, self.rig.proximity.intrinsics.shape)
+        alignment, region = self._alignment, self._preset.region
         memory.patch = ContactPatch(
             frame.sequence,
             found.contact.points,
             Lazy(found.make_provenance),
-            Lazy(lambda: alignment.align(frame.proximity_depth, frame.tactile_depth, region)),
+            Lazy(lambda: self._workspace.aligned(frame, alignment, region)),
             self.rig,
             due.ms,
             found.skipped,

@@ -1,7 +1,7 @@
 """What a contact test is: all that presets, panel, sweeps, messages and Compare need to know of it.
 
-To add a test, write one file like `tolerance` with a subclass of `ContactTest` and add its instance to
-`preset.CONTACT_TESTS`. Everybody else reads the object.
+To add a test, write one file like `tolerance` with a subclass of `ContactTest`, and add one line to `_TESTS` in
+`preset`. Preset files, their schema, the panel, sweeps, Compare and all messages read the object.
 """
 
 from __future__ import annotations

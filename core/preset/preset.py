@@ -7,6 +7,7 @@ import json
 import re
 from collections.abc import Sequence
 from datetime import UTC, datetime
+from pkgutil import resolve_name
 from typing import TYPE_CHECKING, Annotated, Any, Final, Literal
 
 import numpy as np
@@ -16,19 +17,19 @@ from ..errors import PresetError
 from ..model.frames import Rig
 from .alignment import AlignmentSection
 from .contact_test import ContactTest
-from .membrane import MEMBRANE, MembraneSection
+from .membrane import MembraneSection
 from .migrations import SCHEMA_VERSION, Document
 from .sections import CamerasSection, MaskSection, RangeSection, RegionSection, Section, UntouchedRecord, described
-from .tolerance import TOLERANCE, OutlierSection, ToleranceSection
+from .tolerance import OutlierSection, ToleranceSection
 
-#: Every contact test, the default first.
-CONTACT_TESTS: Final[dict[str, ContactTest[Any]]] = {
-    test.name: test
-    for test in (
-        TOLERANCE,
-        MEMBRANE,
-    )
-}
+#: Every contact test as ``module:object`` of this package, the default first. To add one, add its line here.
+_TESTS: Final = (
+    "tolerance:TOLERANCE",
+    "membrane:MEMBRANE",
+)
+_tests = [resolve_name(f"{__package__}.{place}") for place in _TESTS]
+#: Every contact test by name.
+CONTACT_TESTS: Final[dict[str, ContactTest[Any]]] = {test.name: test for test in _tests}
 
 SCHEMA_NAME: Literal["tactune.preset"] = "tactune.preset"
 
