@@ -25,13 +25,13 @@ from simulated_clicks import (
     expected_length,
     judged_places,
     make_clicks,
+    normalised_transform,
 )
 from tactune.core.calibration.homography import (
     design_matrix,
     direct_linear_transform,
     fit_homography,
     normalisation,
-    normalised_transform,
 )
 from tactune.core.calibration.quality import bound_95, bounds_95
 from tactune.core.calibration.rigid import fit_rigid

@@ -233,16 +233,6 @@ def direct_linear_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Flo
     return np.asarray(np.linalg.svd(equations, full_matrices=False)[2][-1].reshape(3, 3))
 
 
-def normalised_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
-    """Return the normalised direct linear transform (algorithm 4.2), in the points' own units."""
-    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
-    (source_center, source_scale), (target_center, target_scale) = normalisation(source), normalisation(target)
-    H = direct_linear_transform((source - source_center) * source_scale, (target - target_center) * target_scale)
-    return np.asarray(
-        np.linalg.inv(_similarity(target_center, target_scale)) @ H @ _similarity(source_center, source_scale)
-    )
-
-
 def design_matrix(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
     """Return the equations A h = 0 of pairs (N, 2), shape (2 N, 9)."""
     x, y = np.asarray(source, np.float64), np.asarray(target, np.float64)

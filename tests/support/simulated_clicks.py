@@ -13,6 +13,7 @@ import numpy.typing as npt
 from scipy.spatial.transform import Rotation
 
 from tactune.core.calibration.correspondences import Correspondence
+from tactune.core.calibration.homography import direct_linear_transform, normalisation
 from tactune.core.calibration.rigid import RigidPoints, color_lens, color_pose, ray_seen
 from tactune.core.model.arrays import BoolArray, Float64Array
 from tactune.core.model.frames import Rig
@@ -185,6 +186,20 @@ def expected_length(covariance: Float64Array) -> float:
     # E|(a x, b y)| = sqrt(pi / 2) * mean over directions of |(a cos, b sin)|, x and y standard normal
     lengths = np.hypot(values[:, :1] * np.cos(angle), values[:, 1:] * np.sin(angle))
     return float(np.sqrt(np.pi / 2) * lengths.mean())
+
+
+def normalised_transform(source: npt.ArrayLike, target: npt.ArrayLike) -> Float64Array:
+    """Return the normalised direct linear transform (Hartley and Zisserman, algorithm 4.2), in the points' units."""
+    source, target = np.asarray(source, np.float64), np.asarray(target, np.float64)
+    (source_center, source_scale), (target_center, target_scale) = normalisation(source), normalisation(target)
+    H = direct_linear_transform((source - source_center) * source_scale, (target - target_center) * target_scale)
+    return np.asarray(
+        np.linalg.inv(_similarity(target_center, target_scale)) @ H @ _similarity(source_center, source_scale)
+    )
+
+
+def _similarity(center: Float64Array, scale: float) -> Float64Array:
+    return np.array([[scale, 0.0, -scale * center[0]], [0.0, scale, -scale * center[1]], [0.0, 0.0, 1.0]])
 
 
 def _seen_from(pose: Float64Array, places: Float64Array, in_color: BoolArray, rig: Rig) -> Float64Array:

@@ -6,7 +6,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.core.calibration.homography import direct_linear_transform, fit_homography, normalised_transform
+from simulated_clicks import normalised_transform
+from tactune.core.calibration.homography import direct_linear_transform, fit_homography
 from tactune.core.calibration.quality import bound_95, bounds_95
 from tactune.core.errors import CalibrationError
 
