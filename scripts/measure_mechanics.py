@@ -24,7 +24,7 @@ from scipy import sparse
 
 from tactune.core.evaluation.metrics import cloud_distances, truth_cloud
 from tactune.core.methods.mechanics import MembraneMechanics
-from tactune.core.methods.mechanics_solver import MembraneSolver
+from tactune.core.methods.mechanics_problem import MembraneSolver
 from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 

@@ -21,11 +21,9 @@ from .common import CliProgress, counted, default_preset, finite_or_none, warn
 if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.tuning.best import Edge, Effect, Score
-    from ...core.tuning.journal import Journal
     from ...core.tuning.plan import Plan, Request
-    from ...core.tuning.sweep import Engine
-    from ...core.tuning.sweep_file import SweepFile
-    from ...core.tuning.table import Row
+    from ...core.tuning.sweep import Engine, Journal, Row
+    from ...core.tuning.values import SweepFile
 
 #: Suffix of the journal beside the table, from which an interrupted sweep continues.
 JOURNAL_SUFFIX = ".runs.jsonl"
@@ -122,9 +120,8 @@ def sweep(
         effects,
         rank,
     )
-    from ...core.tuning.journal import Journal
     from ...core.tuning.plan import little_averaged, make_plan, short_takes
-    from ...core.tuning.table import check_replaced, check_table, sweep_rows, write_table
+    from ...core.tuning.sweep import Journal, check_replaced, check_table, sweep_rows, write_table
 
     options = _options(file, preset, source, settings, method, frames, seeds, sample, seed, objective)
     kept = out.with_name(out.name.removesuffix(".parquet") + JOURNAL_SUFFIX)
@@ -184,8 +181,7 @@ def _options(
     from ...core.sources.presets import load_preset
     from ...core.tuning.clips import FrameRange, parse_frames
     from ...core.tuning.plan import FUSION, Request
-    from ...core.tuning.sweep_file import SweepFile, load_sweep_file
-    from ...core.tuning.values import make_axis, parse_axis
+    from ...core.tuning.values import SweepFile, load_sweep_file, make_axis, parse_axis
 
     told = SweepFile() if file is None else load_sweep_file(file)
     axes = {path: make_axis(path, given) for path, given in told.set.items()}
@@ -236,9 +232,8 @@ def _engine(scheduler: str | None, jobs: int | None) -> Iterator[tuple[Engine, i
 
     from ...core.contact.kernels.threads import available_threads
     from ...core.contact.warmup import warm_up_if_needed
-    from ...core.tuning.cluster import connect
-    from ...core.tuning.local import check_joblib, run_locally
     from ...core.tuning.values import SweepError
+    from ...core.tuning.workers import check_joblib, connect, run_locally
 
     if scheduler is None:
         check_joblib()

@@ -8,9 +8,7 @@ from ..errors import TactuneError
 from ..model.arrays import Float32Array, Float64Array, Uint16Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
-from .mechanics_mesh import build_mesh, interpolation, make_sampler
-from .mechanics_problem import MembraneProblem
-from .mechanics_solver import MembraneSolver, Solution
+from .mechanics_problem import MembraneProblem, MembraneSolver, Solution, build_mesh, interpolation, make_sampler
 from .membrane_view import MembraneView
 from .method import ContactMethod, MethodKind, MethodPatch, failed
 

@@ -14,7 +14,7 @@ from ..errors import PresetError
 from ..methods.registry import fields_of, method_kind
 from ..preset import Preset, now
 from .plan import FUSION, Plan, Setting
-from .table import Row
+from .sweep import Row
 from .values import SweepError
 
 #: Column of each objective, and whether larger is better.

@@ -8,10 +8,9 @@ from scipy.sparse.linalg import spsolve
 
 from tactune.core.errors import FrameError, TactuneError
 from tactune.core.evaluation.metrics import pixel_scores
-from tactune.core.methods import mechanics_solver as membrane_solver
+from tactune.core.methods import mechanics_problem as membrane_solver
 from tactune.core.methods.mechanics import MembraneMechanics
-from tactune.core.methods.mechanics_mesh import MembraneMesh
-from tactune.core.methods.mechanics_problem import curvature_radius, enclosed_volume, stiffness_and_areas
+from tactune.core.methods.mechanics_problem import MembraneMesh, curvature_radius, enclosed_volume, stiffness_and_areas
 from tactune.core.preset import Preset
 
 WITHIN = 0.02  # 2 %
@@ -172,7 +171,7 @@ def test_failures_are_told(bulged, monkeypatch):
     failure = method.find(with_tactile(frame, half)).failure
     assert "nodes, too few" in failure
 
-    monkeypatch.setattr(membrane_solver, "_MOST_STEPS", 2)
+    monkeypatch.setattr(membrane_solver, "_MAX_STEPS", 2)
     patch = mechanics(bulged).find(frame)
     assert "gave up after 2 steps" in patch.failure
     assert len(patch.points) == 0

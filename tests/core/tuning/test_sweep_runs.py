@@ -20,11 +20,10 @@ from tactune.core.methods.registry import make_method
 from tactune.core.preset import Preset
 from tactune.core.sources.folder import FolderSource
 from tactune.core.tuning.clips import FrameRange, parse_frames, seeded
-from tactune.core.tuning.journal import Journal
 from tactune.core.tuning.plan import STAGE_OF, Plan, Request, make_plan
 from tactune.core.tuning.results import Result
 from tactune.core.tuning.run import _one_thread, run_batch
-from tactune.core.tuning.sweep import measure_sweep
+from tactune.core.tuning.sweep import Journal, measure_sweep
 from tactune.core.tuning.values import parse_axis, result_paths
 
 BASE = Preset()
