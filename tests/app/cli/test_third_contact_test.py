@@ -1,0 +1,102 @@
+"""A third contact test needs one file and one line: in a copy of the program, not in the program itself."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+TOY = Path(__file__).with_name("toy_contact_test.py")
+LINE = '    "membrane:MEMBRANE",\n'
+
+PANEL = """
+from PyQt6.QtWidgets import QApplication
+from tactune.core.preset import Preset
+from tactune.widgets.parameters.parameter_panel import ParameterPanel
+from tactune.app.analysis.method_looks import method_rgb, method_tip
+from tactune.app.analysis.compare_table import CompareTable
+from tactune.core.methods.registry import method_names
+application = QApplication([])
+panel = ParameterPanel()
+panel.set_preset(Preset(contact_test="toy"))
+print([name for name, section in panel.sections.items() if not section.isHidden()])
+print(panel.rows["toy.limit_m"].editor.value())
+table = CompareTable(method_names(), [])
+print([table.item(row, 0).text() for row in range(table.rowCount())])
+print(method_rgb("fusion-toy", "dark"), method_tip("fusion-toy"))
+"""
+
+
+@pytest.fixture
+def program(tmp_path: Path) -> Path:
+    """Return a folder with the program, in which the toy's file and line have been added."""
+    package = tmp_path / "program" / "tactune"
+    for folder in ("app", "widgets", "presets", "core"):
+        (package / folder).mkdir(parents=True)
+        for entry in (ROOT / folder).iterdir():
+            if entry.name != "__pycache__" and entry != ROOT / "core" / "preset":
+                (package / folder / entry.name).symlink_to(entry)  # so that compiled kernels are found
+    shutil.copytree(ROOT / "core" / "preset", package / "core" / "preset", ignore=shutil.ignore_patterns("*cache*"))
+    shutil.copy(TOY, package / "core" / "preset" / "toy.py")
+    registry = package / "core" / "preset" / "preset.py"
+    text = registry.read_text()
+    assert text.count(LINE) == 1
+    registry.write_text(text.replace(LINE, LINE + '    "toy:TOY",\n'))
+    return tmp_path / "program"
+
+
+def python(program: Path, *words: str) -> str:
+    environment = os.environ | {"PYTHONPATH": str(program), "QT_QPA_PLATFORM": "offscreen"}
+    done = subprocess.run(
+        [sys.executable, *words], check=False, capture_output=True, text=True, env=environment, cwd=program
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording: Path, tmp_path: Path) -> None:
+    tactune = ("-m", "tactune.app")
+    schema = json.loads(python(program, *tactune, "preset", "schema"))["properties"]
+    assert schema["contact_test"]["enum"] == ["tolerance", "membrane", "toy"]
+    assert "toy: both depths differ" in schema["contact_test"]["description"]
+
+    preset = tmp_path / "toy.json"
+    python(
+        program,
+        *tactune,
+        "preset",
+        "new",
+        "--rig",
+        str(recording / "rig.json"),
+        "--out",
+        str(preset),
+        "--set",
+        "toy.limit_m=0.02",
+    )
+    assert json.loads(preset.read_text())["contact_test"] == "toy"
+
+    frames = [json.loads(line) for line in python(
+        program, *tactune, "run", "-s", str(recording), "-p", str(preset), "--json"
+    ).splitlines()]  # fmt: skip
+    assert set(frames[0]["stage_ms"]) == {"compare", "border"}
+    assert max(frame["points"] for frame in frames) > 0
+
+    words = ("--set", "toy.limit_m=0.01,0.02", "--set", "toy.left_px=0,5", "--frames", "2", "--jobs", "1", "--json")
+    swept = python(
+        program, *tactune, "sweep", "-s", str(recording), "-p", str(preset), *words, "-o", str(tmp_path / "toy.parquet")
+    )
+    assert "toy.left_px" in swept
+    one = python(program, *tactune, "run", "-s", str(recording), "-p", "default", "--method", "fusion-toy", "--json")
+    assert len(one.splitlines()) == len(frames)
+
+    shown = python(program, "-c", PANEL).splitlines()
+    assert shown[0] == "['alignment', 'mask', 'contact_test', 'toy', 'range', 'region']"
+    assert shown[1] == "0.005"
+    assert "'fusion-toy'" in shown[2]
+    assert shown[3] == "(9, 9, 9) A toy."
