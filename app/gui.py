@@ -1,4 +1,4 @@
-"""Starts the window; with a screenshot asked for, takes it and ends."""
+"""Starts the main window; on request takes a screenshot and ends."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
 from .worker.threads import wait_for_abandoned
 
-#: A screenshot waits no longer than this for its frames; opening a source does not count.
-PATIENCE_MS = 60_000
-#: How long the program, its windows closed, waits for work that nobody wants any more.
-LAST_PATIENCE_S = 5.0
-#: How often an idle window lets Python notice a signal.
+#: Longest wait for the frames of a screenshot, in ms; opening the source does not count.
+MAX_WAIT_MS = 60_000
+#: Longest wait for abandoned threads after the windows are closed, in seconds.
+MAX_WAIT_S = 5.0
+#: Interval at which an idle window lets Python notice a signal, in ms.
 WAKE_MS = 200
 
 
@@ -50,9 +50,9 @@ def run_gui(
         Save a picture of the window here once ``after`` frames have been processed, then end.
     after : int
     size : (int, int) or None
-        Width and height of the window; None: as it was left.
+        Width and height of the window; None: as at the last start.
     theme : "light", "dark", "system" or None
-        None: as it was left.
+        None: as at the last start.
 
     Returns
     -------
@@ -73,7 +73,7 @@ def run_gui(
         window.offer_unsaved_work()
         _stop_on_interrupt(window, application)
         return _ended(application.exec())
-    # A picture shall not depend on what somebody chose before, nor leave anything behind.
+    # A screenshot neither depends on remembered settings nor changes them.
     with TemporaryDirectory(prefix="tactune-") as folder:
         window = MainWindow(start_preset, Settings(Path(folder) / "window.ini"), Path(folder))
         _prepare(window, preset_path, size, theme)
@@ -86,16 +86,16 @@ def run_gui(
 
 
 def _ended(status: int) -> int:
-    """Return the exit status once no thread works any more; where one goes on and on, end the program here."""
-    if not wait_for_abandoned(LAST_PATIENCE_S):
+    """Return the exit status after abandoned threads have ended; if one does not, end the process here."""
+    if not wait_for_abandoned(MAX_WAIT_S):
         sys.stdout.flush()
         sys.stderr.flush()
-        os._exit(status)  # the interpreter's own end can hang in a thread that computes
+        os._exit(status)  # the interpreter's own exit can hang in a thread that computes
     return status
 
 
 def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
-    """Let Ctrl+C or the end of the session end the window; unsaved work is kept and offered at the next start."""
+    """End the window on SIGINT and SIGTERM; unsaved work is kept and offered at the next start."""
 
     def stop(number: int) -> None:
         window.autosave.flush()
@@ -105,13 +105,13 @@ def _stop_on_interrupt(window: MainWindow, application: QApplication) -> None:
     ends = (signal.SIGINT, signal.SIGTERM)
 
     def begin(number: int, _: object) -> None:
-        for sent in ends:  # one end is enough: make and shells may send the same signal again
+        for sent in ends:  # make and shells may send the same signal again
             signal.signal(sent, signal.SIG_IGN)
         QTimer.singleShot(0, partial(stop, number))
 
     for sent in ends:
         signal.signal(sent, begin)
-    # Python notices a signal only when it runs, and an idle window runs none of it.
+    # Python handles a signal only while Python code runs, and an idle window runs none.
     wake = QTimer(window)
     wake.timeout.connect(lambda: None)
     wake.start(WAKE_MS)
@@ -141,13 +141,13 @@ def make_application() -> QApplication:
 
 
 def start_with(name: str) -> tuple[Preset, Path | None]:
-    """Return the preset to begin with, and its file unless it is a shipped one."""
+    """Return the first preset, and its file unless it is a shipped one."""
     path = Path(name)
     return load_preset(name), path if path.is_file() and path.suffix != ".mcap" else None
 
 
 class _Screenshot(QObject):
-    """Waits for enough frames, saves the window's picture, and closes the window."""
+    """Waits for enough frames, saves a picture of the window, and closes it."""
 
     def __init__(self, window: MainWindow, path: Path, after: int) -> None:
         super().__init__(window)
@@ -157,8 +157,10 @@ class _Screenshot(QObject):
         self._after = after
         self._patience = QTimer(self)
         self._patience.setSingleShot(True)
-        self._patience.setInterval(PATIENCE_MS)
-        self._patience.timeout.connect(lambda: self._give_up(f"no {after} frames came within {PATIENCE_MS // 1000} s"))
+        self._patience.setInterval(MAX_WAIT_MS)
+        self._patience.timeout.connect(
+            lambda: self._give_up(f"no {after} frames arrived within {MAX_WAIT_MS // 1000} s")
+        )
         window.context.frameShown.connect(self._frame_shown)
         window.worker.opened.connect(lambda _: self._patience.start())
         window.worker.openFailed.connect(lambda _, sentence: self._give_up(sentence))

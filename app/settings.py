@@ -1,4 +1,4 @@
-"""What the window remembers from one start to the next, and the folders it keeps things in."""
+"""Values that the window remembers between starts, and its default folders."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RECENT_LIMIT = 10
 
 
 def default_data_folder() -> Path:
-    """Return the folder for unsaved work, by the habits of the operating system."""
+    """Return the operating system's folder for application data, used for unsaved work."""
     return Path(platformdirs.user_data_dir("tactune"))
 
 
@@ -21,12 +21,12 @@ def default_settings_file() -> Path:
 
 
 def default_recordings_folder() -> Path:
-    """Return the folder for recordings, beside the person's other documents."""
+    """Return the folder for recordings in the user's documents."""
     return Path(platformdirs.user_documents_dir()) / "Tactune"
 
 
 class Settings:
-    """Typed access to the remembered values; a file that is missing or damaged means defaults."""
+    """Typed access to the remembered values; a missing or damaged file gives the defaults."""
 
     def __init__(self, path: Path) -> None:
         self._store = QSettings(str(path), QSettings.Format.IniFormat)
@@ -44,7 +44,7 @@ class Settings:
             return default
 
     def blob(self, key: str) -> QByteArray:
-        """Return remembered bytes (window geometry); empty where there are none."""
+        """Return remembered bytes, such as a window geometry; empty if there are none."""
         value = self._store.value(key)
         return value if isinstance(value, QByteArray) else QByteArray()
 
@@ -53,16 +53,16 @@ class Settings:
         self._store.setValue(key, value if isinstance(value, QByteArray) else str(value))
 
     def recent(self, kind: str) -> list[str]:
-        """Return the things of one kind used lately, newest first."""
+        """Return the recent items of a kind, newest first."""
         return [item for item in self.text(f"recent/{kind}").split("\n") if item]
 
     def add_recent(self, kind: str, item: str) -> None:
-        """Put an item on top of the list of its kind."""
+        """Put an item on top of the recent list of its kind."""
         items = [item, *(other for other in self.recent(kind) if other != item)]
         self.set(f"recent/{kind}", "\n".join(items[:RECENT_LIMIT]))
 
     def remove_recent(self, kind: str, item: str) -> None:
-        """Take an item that no longer exists off the list."""
+        """Remove an item from the recent list of its kind."""
         self.set(f"recent/{kind}", "\n".join(other for other in self.recent(kind) if other != item))
 
     def sync(self) -> None:

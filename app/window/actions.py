@@ -31,10 +31,10 @@ THEMES = ("system", "light", "dark")
 
 @dataclass(frozen=True)
 class Actions:
-    """The actions, by name.
+    """The actions by name.
 
-    ``play`` has no shortcut: the space bar belongs to whatever has the focus (a check box, say), and
-    the window takes it only when nothing else does.
+    ``play`` has no shortcut: the widget with the focus (a check box, for example) gets the space bar first,
+    and the window only if that widget does not use it.
     """
 
     new_preset: QAction
@@ -74,7 +74,7 @@ class Actions:
     about: QAction
 
     def all(self) -> list[QAction]:
-        """Return every action, in the order of the menus."""
+        """Return every action in the order of the fields."""
         return [getattr(self, field.name) for field in fields(self)]
 
 
@@ -156,7 +156,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
 
 @dataclass(frozen=True)
 class Menus:
-    """The menus that the window fills or reads while it runs."""
+    """The menus whose entries change while the window runs."""
 
     source: QMenu
     preset: QMenu
@@ -263,7 +263,7 @@ _MOUSE = (
 
 
 def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
-    """Show every key and what the mouse does."""
+    """Show every shortcut and mouse gesture."""
     rows = [(_keys(action), action.text()) for action in actions]
     keys = "".join(_row(key, _plain(text)) for key, text in rows if key)
     mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)
@@ -289,7 +289,7 @@ def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
 
 
 def show_about(parent: QWidget) -> None:
-    """Show what this is, its version and its licences."""
+    """Show name, version and licences."""
     box = QMessageBox(parent)
     box.setWindowTitle("About Tactune")
     box.setText(f"<b>Tactune {version('tactune')}</b>")

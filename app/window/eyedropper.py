@@ -1,4 +1,4 @@
-"""Clicks in the colour image become the mask's colour ranges."""
+"""The eyedropper: a click in the colour image sets the mask's colour ranges."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from ..worker.rendering import aligned_color
 
 
 class Eyedropper(QObject):
-    """Leads from the panel's eyedropper buttons through a click to one undoable step.
+    """Turns a click in the colour image into one undoable change of the mask.
 
-    The eyedropper stays in hand until it is put away, so that several clicks can refine a mask.
+    The eyedropper stays active until it is switched off, so that several clicks can refine a mask.
     """
 
     def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
@@ -29,16 +29,16 @@ class Eyedropper(QObject):
         self._panel = panel
         self._strip = strip
         self._mode = "off"
-        panel.eyedropperRequested.connect(self.take_up)
+        panel.eyedropperRequested.connect(self.use)
         strip.clicked.connect(self._clicked)
 
     @property
     def mode(self) -> str:
-        """Which eyedropper is in hand: "set", "expand", "shrink" or "off"."""
+        """The active mode: "set", "expand", "shrink" or "off"."""
         return self._mode
 
-    def take_up(self, mode: str) -> None:
-        """Take an eyedropper in hand, or put it away with "off"."""
+    def use(self, mode: str) -> None:
+        """Switch to a mode; "off" switches the eyedropper off."""
         self._mode = mode
         self._panel.set_eyedropper(mode)
         self._strip.set_picking(mode != "off")

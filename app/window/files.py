@@ -1,4 +1,4 @@
-"""File actions: open, save and export presets, recordings and patches; unsaved changes are never lost silently."""
+"""File actions: open and save presets, open recordings, export patches; asks before unsaved changes are lost."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..worker.results import Result
 from .actions import Actions
 
-#: Kinds of recordings that may lie in two files, one a camera.
+#: Kinds of recordings that may consist of two files, one for each camera.
 _IN_TWO_FILES = ("bag",)
 PRESET_FILTER = "Presets (*.json)"
 EXPORT_FILTERS = ["PLY, binary (*.ply)", "PCD, binary (*.pcd)", "NumPy (*.npz)", "Table (*.csv)"]
 
 
 class FileFlows(QObject):
-    """Leads through opening, saving and exporting; asks before changes are lost.
+    """Opens, saves and exports, with dialogs and messages.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ class FileFlows(QObject):
         self._settings, self._messages = context.settings, context.messages
 
     def connect_actions(self, actions: Actions) -> None:
-        """Do what these actions ask for."""
+        """Connect the file actions."""
         actions.new_preset.triggered.connect(lambda _: self.new())
         actions.open_preset.triggered.connect(self.open_preset_dialog)
         actions.save.triggered.connect(lambda _: self.save())
@@ -58,14 +58,14 @@ class FileFlows(QObject):
     # Presets
 
     def guarded(self, then: Callable[[], object]) -> None:
-        """Do something that replaces the preset, after asking about unsaved changes."""
+        """Call ``then``, which replaces the preset, after asking about unsaved changes."""
         if not self._document.dirty:
             then()
             return
         self._dialogs.ask_unsaved(self._document.preset.name, save=lambda: self.save(then), discard=then)
 
     def new(self, shipped: str = "default") -> None:
-        """Begin a new preset from a shipped one."""
+        """Start a new preset from a shipped one."""
 
         def begin() -> None:
             created = now()
@@ -75,7 +75,7 @@ class FileFlows(QObject):
         self.guarded(partial(self._told, begin))
 
     def offer_preset(self, preset: Preset | None) -> None:
-        """Offer the preset that a recording holds, unless it is in use already."""
+        """Offer the preset in a recording, unless it is already in use."""
         if preset is None or preset == self._document.preset:
             self._messages.clear("recorded preset")
             return
@@ -83,7 +83,7 @@ class FileFlows(QObject):
             "recorded preset",
             Severity.INFO,
             f"This recording contains the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
-            [("Use the recorded one", lambda: self.guarded(lambda: self._document.new(preset)))],
+            [("Use recorded preset", lambda: self.guarded(lambda: self._document.new(preset)))],
         )
 
     def open_preset_dialog(self) -> None:
@@ -97,7 +97,7 @@ class FileFlows(QObject):
         self.guarded(lambda: self._read_preset(path))
 
     def save(self, then: Callable[[], object] | None = None) -> None:
-        """Save to the document's file, or ask for one; ``then`` runs only once that has succeeded."""
+        """Save to the document's file, or ask for one; ``then`` runs only after success."""
         if self._document.path is None:
             self.save_as(then)
         else:
@@ -126,11 +126,11 @@ class FileFlows(QObject):
         )
 
     def open_recording_dialog(self) -> None:
-        """Ask for a recording in a file, or for the two files of two cameras."""
+        """Ask for one recording, or for the two files of two cameras."""
         self._dialogs.open_files("Open a recording", self._folder("source"), recording_filters(), self.open_recordings)
 
     def open_recordings(self, paths: list[Path]) -> None:
-        """Open a recording that is a file, or two of one kind that belong together; or say why not."""
+        """Open one recording, or two files of the same kind that belong together; else say why not."""
         schemes = {recording_scheme(path) for path in paths}
         scheme = schemes.pop() if len(schemes) == 1 else ""
         if not scheme:
@@ -144,7 +144,7 @@ class FileFlows(QObject):
             self._open_recording(f"{scheme}:{','.join(map(str, sorted(paths)))}", paths[0])
 
     def open_dropped(self, paths: list[Path]) -> None:
-        """Open whatever was dropped on the window, or say why not."""
+        """Open the preset or recording that was dropped on the window, or say why not."""
         first = paths[0]
         if len(paths) == 1 and first.is_dir():
             self._open_recording(f"folder:{first}", first)
@@ -159,7 +159,7 @@ class FileFlows(QObject):
             self.open_recordings(paths)
 
     def recordings_folder_dialog(self, present: Path, use: Callable[[Path], None]) -> None:
-        """Ask where recordings are to be kept."""
+        """Ask for the folder for recordings."""
         self._dialogs.open_folder("Folder for recordings", present if present.is_dir() else Path.home(), use)
 
     # Export
@@ -177,7 +177,7 @@ class FileFlows(QObject):
 
         self._dialogs.save_file("Export this patch", suggestion, EXPORT_FILTERS, chosen)
 
-    # Unsaved work of a window that died
+    # Unsaved work of a window that crashed
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed, newest first, one piece after the other."""
@@ -223,7 +223,7 @@ class FileFlows(QObject):
             then()
 
     def _complete(self, path: Path) -> None:
-        """Before it is saved, give a preset what it still lacks: a name, and the rig it was tuned on."""
+        """Set a preset's name and rig before it is saved, if they are missing."""
         preset, result = self._document.preset, self._context.result
         missing: dict[str, Any] = {}
         if preset.name == "untitled":
@@ -241,7 +241,7 @@ class FileFlows(QObject):
         self._context.sourceRequested.emit(name)
 
     def _told(self, action: Callable[[], None]) -> bool:
-        """Do something with a file; an error becomes a message. Returns whether it succeeded."""
+        """Call a file action and return whether it succeeded; an error becomes a message."""
         try:
             action()
         except TactuneError as error:
@@ -272,7 +272,7 @@ def recording_filters() -> list[str]:
 
 
 def recording_scheme(path: Path) -> str:
-    """Return the kind of source that opens a file, by its name; empty: none."""
+    """Return the scheme of the source that opens a file, by its name; empty if none does."""
     name = path.name.lower()
     return next((scheme for scheme, patterns in _patterns().items() if any(map(partial(fnmatch, name), patterns))), "")
 
@@ -288,7 +288,7 @@ class _Report(QObject):
 
 
 class _Export(QRunnable):
-    """Writes and reports; the report's signals arrive on the GUI thread."""
+    """Writes on a pool thread; the report's signals arrive on the GUI thread."""
 
     def __init__(self, result: Result, path: Path, report: _Report) -> None:
         super().__init__()
@@ -307,7 +307,7 @@ class _Export(QRunnable):
 
 
 def export_patch(result: Result, path: Path, messages: MessageBar) -> None:
-    """Write the patch of a result in the background and say how it went."""
+    """Write the patch of a result in the background and report the outcome."""
     report = _Report(messages)
     report.written.connect(lambda sentence: messages.show_message("export", Severity.INFO, sentence))
     report.failed.connect(lambda sentence: messages.show_message("export", Severity.ERROR, sentence))

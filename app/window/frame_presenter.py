@@ -24,7 +24,7 @@ _STATES = {"missing": "is not connected: plug it in", "stalled": "sends no image
 
 
 def camera_sentence(camera: CameraHealth) -> str:
-    """Say what is wrong with a camera and what to do; nothing while it streams."""
+    """Return what is wrong with a camera and what to do; empty while it streams."""
     if camera.state == "streaming":
         return ""
     if camera.message:
@@ -35,13 +35,13 @@ def camera_sentence(camera: CameraHealth) -> str:
 
 
 def age(seconds: float) -> str:
-    """Return an age as people say it."""
+    """Return an age such as ``12 s`` or ``3 min``."""
     whole = max(0, int(seconds))
     return f"{whole} s" if whole < 60 else f"{whole // 60} min"
 
 
 def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown: bool) -> str:
-    """Return what to write over a view of one camera or of both; nothing while all is well.
+    """Return the text over a view of one or both cameras; empty while frames come.
 
     Parameters
     ----------
@@ -49,9 +49,9 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
     roles : tuple of "proximity", "tactile"
         The cameras that the view needs.
     now_s : float
-        By ``time.monotonic``.
+        The present time by ``time.monotonic``.
     shown : bool
-        Whether there is a last frame to be seen.
+        Whether a last frame is on the screen.
     """
     sentences = [sentence for camera in state.health.cameras if (sentence := camera_sentence(camera))]
     own = [camera_sentence(camera) for camera in state.health.cameras if camera.role in roles]
@@ -68,19 +68,19 @@ def badge(state: SourceState, roles: tuple[CameraRole, ...], now_s: float, shown
 
 
 def short_badge(state: SourceState, now_s: float) -> str:
-    """Return the same for a small image: that it is old, and how old."""
+    """Return the short text for a small image: its age."""
     return f"{age(now_s - state.last_frame_s)} old" if state.stale else ""
 
 
 def source_sentence(state: SourceState) -> str:
-    """Return what concerns the source as a whole and no camera's view says already."""
+    """Return the source's message, unless a camera's view already shows it."""
     said = " ".join(camera_sentence(camera) for camera in state.health.cameras)
     sentence = state.health.message
     return "" if sentence and sentence.rstrip(".") in said else sentence
 
 
 def readout(result: Result, u: int, v: int) -> str:
-    """Say both distances at a proximity pixel, their difference, and why it was kept or dropped."""
+    """Return both distances at a proximity pixel, their difference, and why it was kept or dropped."""
     patch = result.patch
     height, width = result.frame.proximity_depth.shape
     if patch is None or not (0 <= u < width and 0 <= v < height):
@@ -98,12 +98,12 @@ def _metres(value: float) -> str:
     return f"{value:.4f} m" if math.isfinite(value) else "none"
 
 
-#: The histogram and the readout are read, not watched; while frames run, a few times a second do.
+#: Interval between updates of histogram and readout while frames play, in seconds.
 READING_INTERVAL_S = 0.1
-#: How often the age of an old frame is told anew.
+#: Interval between updates of the age of an old frame, in milliseconds.
 AGE_INTERVAL_MS = 500
 
-#: Whose images each view is made of.
+#: The cameras that each view needs.
 _CAMERAS: dict[CloudName, tuple[CameraRole, ...]] = {
     CloudName.PROXIMITY: ("proximity",),
     CloudName.TACTILE: ("tactile",),
@@ -112,7 +112,7 @@ _CAMERAS: dict[CloudName, tuple[CameraRole, ...]] = {
 
 
 class FramePresenter(QObject):
-    """Shows results in views, strip, panel, controls and status bar; remembers the newest."""
+    """Shows results in views, strip, panel, playback controls and status bar."""
 
     def __init__(
         self,
@@ -130,7 +130,7 @@ class FramePresenter(QObject):
         self._transport, self._status, self._messages = transport, status, context.messages
         self._pixel = (-1, -1)
         self._read_s = 0.0
-        self._said: tuple[str, ...] = ()
+        self._shown_warnings: tuple[str, ...] = ()
         self._state = SourceState()
         self._ages = QTimer(self)
         self._ages.setInterval(AGE_INTERVAL_MS)
@@ -138,15 +138,15 @@ class FramePresenter(QObject):
         strip.hovered.connect(self._hovered)
 
     def forget(self) -> None:
-        """Begin with another source."""
+        """Discard the frame before another source."""
         self._context.result = None
-        self._said = ()
+        self._shown_warnings = ()
         for key in ("problem", "rig"):
             self._messages.clear(key)
         self.show_state(SourceState())
 
     def show_state(self, state: SourceState) -> None:
-        """Show how the source is doing: over the views what is old, above them what else is wrong."""
+        """Show the state of the source: badges over old images, other problems as a message."""
         self._state = state
         self._messages.state("health", Severity.WARNING, source_sentence(state))
         self._status.show_state(state)
@@ -162,7 +162,7 @@ class FramePresenter(QObject):
         self._strip.set_badge(short_badge(self._state, now_s) if shown else "")
 
     def show(self, result: Result) -> None:
-        """Show a result; what was not drawn for it stays as it is."""
+        """Show a result; widgets for which nothing was drawn stay unchanged."""
         self._context.result = result
         self._views.show_result(result, theme_name())
         if result.rendered.strip is not None:
@@ -184,11 +184,11 @@ class FramePresenter(QObject):
         self._show_readout()
 
     def _show_warnings(self, result: Result) -> None:
-        """Say what is wrong once; a dismissed sentence stays away until it changes."""
+        """Show problems and warnings once; a dismissed sentence comes back only after a change."""
         said = (result.problem, *result.warnings)
-        if said == self._said:
+        if said == self._shown_warnings:
             return
-        self._said = said
+        self._shown_warnings = said
         self._messages.state("problem", Severity.ERROR, result.problem)
         self._messages.state("rig", Severity.WARNING, " ".join(result.warnings))
 

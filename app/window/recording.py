@@ -24,8 +24,8 @@ from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState
 
-#: Bytes per second; below that the head of the file is most of it.
-_WORTH_RATING = 1e5
+#: Rate in bytes per second below which no remaining time is shown: then the file is mostly its header.
+_MIN_RATE = 1e5
 
 
 class RecordingBar(QWidget):
@@ -76,7 +76,7 @@ class RecordingBar(QWidget):
         self.show()
 
     def show_hint(self, name: str, hint: str) -> None:
-        """Say beside the name what the recording waits for."""
+        """Show beside the name why no frames arrive."""
         self._name.setText(f"Recording {name}{f': {hint}' if hint else ''}")
 
     def show_progress(self, status: RecordingStatus, elapsed_s: float, free_bytes: int) -> None:
@@ -89,11 +89,11 @@ class RecordingBar(QWidget):
             self._losses = status.dropped > 0
             self._recolor()
         rate = status.bytes / elapsed_s if elapsed_s > 1.0 else 0.0
-        lasts = f", {duration(free_bytes / rate)}" if rate > _WORTH_RATING else ""
+        lasts = f", {duration(free_bytes / rate)}" if rate > _MIN_RATE else ""
         self._room.setText(f"{size(free_bytes)} free{lasts}")
 
     def show_finishing(self, name: str) -> None:
-        """Say that what still waits is being written."""
+        """Show that the remaining frames are being written."""
         self._name.setText(f"Finishing {name}…")
         self.stop.setEnabled(False)
 
@@ -125,7 +125,7 @@ def clock(seconds: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Return roughly how long something lasts, such as 45 s, 12 min or 3 h 20 min."""
+    """Return a rounded duration such as 45 s, 12 min or 3 h 20 min."""
     if seconds < 120:
         return f"{int(seconds)} s"
     minutes = int(seconds // 60)
@@ -136,7 +136,7 @@ def duration(seconds: float) -> str:
 
 
 def size(count: float) -> str:
-    """Return a number of bytes as people read it, such as 850 kB, 12.3 MB or 54 GB."""
+    """Return a number of bytes such as 850 kB, 12.3 MB or 54 GB."""
     for unit, factor in (("GB", 1e9), ("MB", 1e6)):
         if count >= factor:
             value = count / factor
@@ -145,16 +145,16 @@ def size(count: float) -> str:
 
 
 REFRESH_MS = 250
-#: With less room than this on the disk nothing is begun, and with less than that nothing goes on.
-ROOM_TO_BEGIN = 1_000_000_000
-ROOM_TO_GO_ON = 200_000_000
+#: Free space that a recording needs to start, and to continue, in bytes.
+MIN_FREE_TO_START = 1_000_000_000
+MIN_FREE_TO_CONTINUE = 200_000_000
 
 _FOLDER = "folder/recordings"
 _STANDS_STILL = "playback is paused, press Space to continue"
 
 
 class RecordingControl(QObject):
-    """Starts and stops recordings for one action, and tells how they go.
+    """Starts and stops recordings with one action, and shows their state.
 
     Parameters
     ----------
@@ -193,27 +193,27 @@ class RecordingControl(QObject):
 
     @property
     def folder(self) -> Path:
-        """Where recordings go."""
+        """The folder for recordings."""
         return Path(self._settings.text(_FOLDER, str(default_recordings_folder())))
 
     def use_folder(self, folder: Path) -> None:
-        """Put recordings into this folder from now on."""
+        """Store future recordings in this folder."""
         self._settings.set(_FOLDER, str(folder))
         self._messages.show_message("recording", Severity.INFO, f"New recordings will be written to {folder}.")
 
     def start(self) -> None:
-        """Begin a recording named by the date."""
+        """Start a recording named by date and time."""
         folder = self.folder
         try:
             folder.mkdir(parents=True, exist_ok=True)
             free = free_bytes(folder)
         except OSError as error:
-            self._failed(f"Nothing can be recorded in {folder}: {error.strerror or error}; choose another folder.")
+            self._failed(f"Cannot record in {folder}: {error.strerror or error}; choose another folder.")
             return
-        if free < ROOM_TO_BEGIN:
+        if free < MIN_FREE_TO_START:
             self._failed(
                 f"Only {size(free)} are free on the disk of {folder}, and a recording needs "
-                f"{size(ROOM_TO_BEGIN)} to start: free some space, or choose another folder."
+                f"{size(MIN_FREE_TO_START)} to start: free some space, or choose another folder."
             )
             return
         self._messages.clear("recording")
@@ -226,15 +226,15 @@ class RecordingControl(QObject):
         self._worker.stop_recording()
 
     def finish(self, then: Callable[[], object]) -> None:
-        """Finish the recording and do something else once the file is complete."""
+        """Finish the recording and call ``then`` when the file is complete."""
         self._then = then
         if self._path is not None:
             self._bar.show_finishing(self._path.name)
-        # Not by an order to the worker, whose source may hang, nor here, where the disk may be behind.
+        # On its own thread: the worker may hang in its source, and this thread must not wait for the disk.
         Thread(target=self._worker.recorder.stop, name="recording stopper").start()
 
     def _toggle(self) -> None:
-        self._show_action()  # what it shows is what is, not what was asked for
+        self._show_action()  # undo the toggle: the action shows the actual state
         if self.running:
             self.stop()
         else:
@@ -258,11 +258,11 @@ class RecordingControl(QObject):
         try:
             free = free_bytes(self._path.parent)
         except OSError:
-            free = 0  # the disk is gone: what cannot be asked has no room
+            free = 0  # the disk is gone
         self._bar.show_progress(self._with_lost(status), time.monotonic() - self._started_s, free)
         if status.error:
             self._worker.stop_recording()
-        elif free < ROOM_TO_GO_ON:
+        elif free < MIN_FREE_TO_CONTINUE:
             self._worker.stop_recording(f"only {size(free)} are free: free some space, or choose another folder")
 
     def _ended(self, end: RecordingEnd) -> None:
@@ -276,7 +276,7 @@ class RecordingControl(QObject):
             then()
 
     def _tell(self, end: RecordingEnd) -> None:
-        """Say what there is now, why it ended if nobody asked, and offer to look at it."""
+        """Report the finished file, the reason if it stopped by itself, and offer to open it."""
         status = self._with_lost(end.status)
         offers: list[Offer] = []
         if status.frames:
@@ -290,8 +290,8 @@ class RecordingControl(QObject):
             sentence = f"Nothing was recorded: {status.error.rstrip('.') or 'no frame came'}."
         if status.dropped:
             sentence += (
-                f" {status.dropped} frames are missing: the cameras or this computer lost them, they did not fit, "
-                "or the disk was too slow."
+                f" {status.dropped} frames are missing: the cameras or this computer lost them, they did not fit "
+                "the rig, or the disk was too slow."
             )
         if status.error and status.frames:
             sentence += f" {status.error[0].upper()}{status.error[1:]}."
@@ -307,7 +307,7 @@ class RecordingControl(QObject):
         self._lost = state.health.dropped
 
     def _with_lost(self, status: RecordingStatus) -> RecordingStatus:
-        """Count also what never reached the recorder."""
+        """Add the frames that were lost before they reached the recorder."""
         return replace(status, dropped=status.dropped + max(self._lost - self._lost_before, 0))
 
     def _playback_changed(self, state: PlaybackState) -> None:
@@ -322,18 +322,18 @@ class RecordingControl(QObject):
 
 
 def free_bytes(folder: Path) -> int:
-    """Return the room on the disk of a folder.
+    """Return the free bytes on the disk of a folder.
 
     Raises
     ------
     OSError
-        There is no such folder any more.
+        The folder does not exist any more.
     """
     return shutil.disk_usage(folder).free
 
 
 def new_name(folder: Path, moment: datetime) -> Path:
-    """Return a file name by date and time that is not taken."""
+    """Return an unused file name by date and time."""
     stem = f"session_{moment:%Y-%m-%d_%H-%M-%S}"
     path = folder / f"{stem}.mcap"
     number = 2

@@ -11,11 +11,11 @@ from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QSta
 from ...widgets.basics.controls import ElidedLabel
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
-#: Numbers that change thirty times a second cannot be read; a few times is enough.
+#: Interval between updates while frames play, in seconds.
 INTERVAL_S = 0.2
-_WORTH_SAYING_MS = 0.05
-#: Times of the stages that would take a larger share of the bar's width are summed up.
-_WIDEST_SHARE = 0.45
+_MIN_SHOWN_MS = 0.05
+#: If the times of all stages need a larger share of the bar's width, only their sum is shown.
+_MAX_SHARE = 0.45
 
 
 class FrameStatus(QStatusBar):
@@ -49,22 +49,22 @@ class FrameStatus(QStatusBar):
         return self._shown_rate.rate()
 
     def show_source(self, info: SourceInfo) -> None:
-        """Say where the frames come from and which cameras took them, the most telling first."""
+        """Show length, name and cameras of the source."""
         rig = info.rig
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
         length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
         self._source.setText(f"{length}, {info.name}, {cameras}")
 
     def show_state(self, state: SourceState) -> None:
-        """Say that no frame comes, since no frame will say so."""
+        """Show that no frame comes."""
         if state.stale:
-            self._rates.setText("no frame comes")
+            self._rates.setText("no frames")
 
     def _show_losses(self, dropped: int, unmatched: int) -> None:
         self._dropped.setText(f"{dropped} dropped" + (f", {unmatched} unmatched" if unmatched else ""))
 
     def show_result(self, result: Result) -> None:
-        """Count a frame as shown and refresh the numbers when it is time."""
+        """Count a frame as shown; update the numbers every `INTERVAL_S`."""
         self._shown_rate.tick()
         now = time.perf_counter()
         running = result.playback.running
@@ -92,15 +92,15 @@ class FrameStatus(QStatusBar):
         self._area.setText(f"patch {result.area_mm2 / 100:.1f} cm²")
 
     def _in_words(self, times: Mapping[str, float]) -> str:
-        """Return the time of each stage, or of all and the longest where that is too much for the bar."""
-        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _WORTH_SAYING_MS]
+        """Return the time of each stage; if that is too long for the bar, the sum and the slowest stage."""
+        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _MIN_SHOWN_MS]
         if not computed:
             return "unchanged"
         each = "  ".join(computed) + " ms"
-        if self.fontMetrics().horizontalAdvance(each) <= _WIDEST_SHARE * self.width():
+        if self.fontMetrics().horizontalAdvance(each) <= _MAX_SHARE * self.width():
             return each
         longest = max(times, key=lambda stage: times[stage])
-        return f"{sum(times.values()):.1f} ms, {longest} {times[longest]:.1f} of it"
+        return f"{sum(times.values()):.1f} ms ({longest} {times[longest]:.1f})"
 
     def _number(self, widest: str, tip: str) -> QLabel:
         """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
@@ -143,7 +143,7 @@ class OpeningBar(QWidget):
         self.hide()
 
     def show_progress(self, name: str, fraction: float, text: str) -> None:
-        """Show how far opening has come; a fraction of 0 means that nobody knows yet."""
+        """Show the progress of opening; a fraction of 0 means unknown."""
         self._label.setText(f"Opening {name}{': ' + text if text else '…'}")
         self._bar.setRange(0, 1000 if fraction > 0 else 0)
         self._bar.setValue(round(1000 * fraction))

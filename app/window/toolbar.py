@@ -1,4 +1,4 @@
-"""The toolbar: source, playback controls, preset and export; and the menus that are filled when they open."""
+"""The toolbar: source, playback controls, preset and export. Menus with changing entries are filled on opening."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from .icons import icon
 
 
 class Transport(QWidget):
-    """Shows where playback stands and says where the person wants it.
+    """Playback buttons and the frame slider.
 
     Signals
     -------
     seekRequested(index: int)
     held(bool)
-        The slider is held down: playback waits meanwhile.
+        The slider is held down; playback waits.
     """
 
     seekRequested = pyqtSignal(int)
@@ -61,11 +61,11 @@ class Transport(QWidget):
 
     @property
     def state(self) -> PlaybackState:
-        """What is shown now."""
+        """The state that is shown now."""
         return self._state
 
     def show_state(self, state: PlaybackState) -> None:
-        """Show a state of playback; the slider stays put while the person drags it."""
+        """Show a state of playback; the slider does not move while it is dragged."""
         changed = replace(state, index=0) != replace(self._state, index=0)
         self._state = state
         if changed:
@@ -81,7 +81,7 @@ class Transport(QWidget):
                 self.slider.setValue(max(0, state.index))
 
     def _show_mode(self) -> None:
-        """Show what can be done now; everything but the frame number."""
+        """Enable what is possible now; everything but the frame number."""
         state, actions = self._state, self._actions
         several = state.length is None or state.length > 1
         word = "Pause" if state.running else "Play"
@@ -97,11 +97,11 @@ class Transport(QWidget):
         self.slider.setEnabled(state.seekable and several)
 
 
-_LONGEST_NAME = 28
+_MAX_NAME_LENGTH = 28
 
 
 class ToolBar(QToolBar):
-    """One row above everything."""
+    """The row of buttons below the menu bar."""
 
     def __init__(self, actions: Actions, menus: Menus, transport: Transport, parent: QWidget | None = None) -> None:
         super().__init__("Main", parent)
@@ -109,7 +109,7 @@ class ToolBar(QToolBar):
         self.setMovable(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         self._menus = menus
-        self.source = _menu_button(menus.source, "Where the frames come from")
+        self.source = _menu_button(menus.source, "Source of the frames")
         self.preset = _menu_button(menus.preset, "The preset being tuned")
         self.addWidget(self.source)
         self.addSeparator()
@@ -126,7 +126,7 @@ class ToolBar(QToolBar):
         self.show_source("none")
 
     def _name_extension(self) -> None:
-        """Draw and name Qt's button for what finds no room; its own arrow is black in every theme, and nameless."""
+        """Give Qt's button for hidden actions an icon that follows the theme, and a name."""
         extension = self.findChild(QToolButton, "qt_toolbar_ext_button")
         assert extension is not None
         extension.setIcon(icon("more"))
@@ -134,12 +134,12 @@ class ToolBar(QToolBar):
         extension.setAccessibleName("More actions")
 
     def show_source(self, name: str) -> None:
-        """Name the source on its button."""
+        """Show the source's name on its button."""
         self.source.setText(f"Source: {_literal(_shortened(name))}")
-        self.source.setToolTip(f"Where the frames come from\n{name}")
+        self.source.setToolTip(f"Source of the frames\n{name}")
 
     def show_preset(self, title: str, path: Path | None) -> None:
-        """Name the preset on its button, with the unsaved mark."""
+        """Show the preset's name on its button, with the mark of unsaved changes."""
         self.preset.setText(f"Preset: {_literal(_shortened(title))}")
         self.preset.setToolTip(f"The preset being tuned\n{path or 'not saved to a file yet'}")
 
@@ -153,7 +153,7 @@ class ToolBar(QToolBar):
         recent_sources: Callable[[], list[str]],
         open_source: Callable[[str], None],
     ) -> None:
-        """Say what the menus with changing entries list, and what choosing one does."""
+        """Set the entries of the menus that are filled on opening, and what choosing one does."""
         menus = self._menus
         for menu, entries, choose in (
             (menus.shipped_presets, shipped, new),
@@ -189,10 +189,10 @@ def _menu_button(menu: QMenu, tip: str) -> QPushButton:
 
 
 def _shortened(text: str) -> str:
-    """Keep the end of a long text: of a path, that is what tells it from others."""
-    return text if len(text) <= _LONGEST_NAME else f"…{text[1 - _LONGEST_NAME :]}"
+    """Shorten a long text to its end, which distinguishes one path from another."""
+    return text if len(text) <= _MAX_NAME_LENGTH else f"…{text[1 - _MAX_NAME_LENGTH :]}"
 
 
 def _literal(text: str) -> str:
-    """Double each &, which Qt would take for the mark of a key and not show."""
+    """Double each &, which Qt would otherwise use as a mnemonic mark."""
     return text.replace("&", "&&")

@@ -17,17 +17,17 @@ from ..worker.results import CloudName, ColorBy, Rendered, Result
 from .actions import Actions
 
 _PANES = 4
-#: Height of the strip beyond its images: titles, legends and the readout.
+#: Height of titles, legends and readout around the images, in pixels.
 _AROUND = 64
-_LARGEST_SHARE = 0.42
+_MAX_SHARE = 0.42
 
 
 class StripSplitter(QSplitter):
-    """Splits height between the views and the strip."""
+    """Splits the height between views and strip; automatic until the user moves the handle."""
 
     def __init__(self, views: QWidget, strip: QWidget, parent: QWidget | None = None) -> None:
         super().__init__(Qt.Orientation.Vertical, parent)
-        self._decided = False
+        self._chosen = False
         self._aspect = 3 / 4
         self.addWidget(views)
         self.addWidget(strip)
@@ -37,32 +37,32 @@ class StripSplitter(QSplitter):
         self.splitterMoved.connect(self._moved)
 
     def restoreState(self, state: QByteArray | bytes | bytearray | memoryview) -> bool:
-        """Take up a division that somebody once chose."""
-        self._decided = super().restoreState(state)
-        return self._decided
+        """Restore a division that the user chose."""
+        self._chosen = super().restoreState(state)
+        return self._chosen
 
     def saved_state(self) -> QByteArray:
-        """Return the division if somebody chose it, else nothing."""
-        return self.saveState() if self._decided else QByteArray()
+        """Return the division if the user chose it, else empty bytes."""
+        return self.saveState() if self._chosen else QByteArray()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Give the strip what its images need at this width."""
+        """Give the strip the height that its images need at this width."""
         super().resizeEvent(event)
         self._divide()
 
     def set_aspect(self, height_per_width: float) -> None:
-        """Say what shape the images have."""
+        """Set the height of the images over their width."""
         self._aspect = height_per_width
         self._divide()
 
     def _divide(self) -> None:
-        if not self._decided:
+        if not self._chosen:
             wanted = round(self.width() / _PANES * self._aspect) + _AROUND
-            strip = min(wanted, round(self.height() * _LARGEST_SHARE))
+            strip = min(wanted, round(self.height() * _MAX_SHARE))
             self.setSizes([self.height() - strip, strip])
 
     def _moved(self, _position: int, _index: int) -> None:
-        self._decided = True
+        self._chosen = True
 
 
 TITLES = {
@@ -76,9 +76,9 @@ _ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
 _NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
 _COLOR_TIPS = {
-    ColorBy.CONTACT: "Depth in the two cameras' views, contact in its own colour in the patch",
-    ColorBy.DEPTH: "Depth everywhere, also within the patch",
-    ColorBy.DIFFERENCE: "(dp - dt) / dp: how well both cameras agree",
+    ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
+    ColorBy.DEPTH: "Depth in all views, including the patch",
+    ColorBy.DIFFERENCE: "(dp - dt) / dp: how closely both cameras agree",
     ColorBy.PROVENANCE: "Why each point was kept or dropped",
 }
 
@@ -89,7 +89,7 @@ class ViewArea(QWidget):
     Signals
     -------
     wantedChanged()
-        Another choice of colours, or a view was shown or hidden.
+        The colours were changed, or a view was shown or hidden.
     """
 
     wantedChanged = pyqtSignal()
@@ -141,19 +141,19 @@ class ViewArea(QWidget):
         return "opengl" if self.views[CloudName.PATCH].backend_name == "opengl" else "software"
 
     def chosen_colors(self) -> ColorBy:
-        """Return what the colour of a point means."""
+        """Return the chosen meaning of the colours."""
         return ColorBy(self.color_by.currentData())
 
     def choose_colors(self, choice: ColorBy) -> None:
-        """Choose what the colour of a point means."""
+        """Set the meaning of the colours."""
         self.color_by.setCurrentIndex(self.color_by.findData(choice))
 
     def visible_clouds(self) -> frozenset[CloudName]:
-        """Return the views that are to be seen."""
+        """Return the views that are not hidden."""
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
 
     def show_result(self, result: Result, theme: Theme) -> None:
-        """Show the clouds of a result and say what their colours mean."""
+        """Show the clouds of a result with their legends."""
         clouds = result.rendered.clouds
         for name, view in self.views.items():
             if name in clouds:
@@ -163,18 +163,18 @@ class ViewArea(QWidget):
         self._fit_legends()
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
-        """Mark views whose frame is old."""
+        """Write a text over each view whose frame is old."""
         for name, view in self.views.items():
             view.set_badge(badges.get(name, ""))
 
     def show_message(self, message: str) -> None:
-        """Empty all views and say what happens or what to do."""
+        """Empty all views and show a message in them."""
         for view in self.views.values():
             view.set_cloud(None)
             view.set_message(message)
 
     def _show_legend(self, name: CloudName, result: Result, theme: Theme) -> None:
-        """Explain the colours of a view, when they have changed."""
+        """Update a view's legend if it has changed."""
         rendered, color_by = result.rendered, self.chosen_colors()
         legend = legend_of(name, color_by, theme, rendered.accepted, rendered)
         if self._legends.get(name) != legend:
@@ -182,9 +182,9 @@ class ViewArea(QWidget):
             self.views[name].set_legend(legend)
 
     def _fit_legends(self) -> None:
-        """Give all legends as many lines as the longest needs: views of one height show clouds alike.
+        """Give all legends the same number of lines, so that all views have the same height.
 
-        While colours mean the same there are never fewer again, so that nothing jumps when a reason does not occur.
+        The number does not fall while the choice of colours stays, so nothing jumps when a drop reason disappears.
         """
         shown = [view for view in self.views.values() if not view.isHidden()]
         lined_for = self.chosen_colors(), *(view.width() for view in shown)
@@ -219,7 +219,7 @@ class ViewArea(QWidget):
         return row
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Make room for the legends."""
+        """Fit the legends to the new width."""
         super().resizeEvent(event)
         self._fit_legends()
 
@@ -232,11 +232,11 @@ class ViewArea(QWidget):
             view.set_point_size(size)
 
     def _any_view(self) -> CloudView:
-        """Return a visible view; the others follow it."""
+        """Return any visible view; the cameras of the others follow it."""
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
     def restore(self, point_size: float, color_by: str) -> None:
-        """Take up the choices of an earlier start, as far as they still mean something."""
+        """Restore the choices of an earlier start; unknown values are ignored."""
         with QSignalBlocker(self.color_by):
             if color_by in list(ColorBy):
                 self.choose_colors(ColorBy(color_by))
@@ -259,7 +259,7 @@ def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, render
 
 
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:
-    """Return both ends of the colours within a patch, and both sides of zero."""
+    """Return the legend of relative differences within a patch: both ends of the scale, and both sides of zero."""
     limit = patch_difference_limit(t)
     lut = patch_difference_lut(limit, theme)
     places = ((f"−{limit:.1%}", 1), ("below 0", 56), ("above 0", 72), (f"+{limit:.1%}", 127))
@@ -267,7 +267,7 @@ def _patch_difference_legend(t: float, theme: Theme) -> Legend:
 
 
 def _why_empty(name: CloudName, result: Result) -> str:
-    """Say why a view has no points and what to do about it."""
+    """Return why a view has no points and what to do."""
     one_camera = result.source.rig.tactile.model == "none"
     if name is CloudName.TACTILE and one_camera:
         return _NO_TACTILE_CAMERA

@@ -58,7 +58,7 @@ def test_the_view_of_a_missing_camera_says_what_to_do_and_the_others_wait(window
     assert all(pane.badge.text().endswith(" old") for pane in window.strip.panes.values())
     assert window.views.views[CloudName.TACTILE].point_count() > 0
     assert window.views.views[CloudName.TACTILE].accessibleDescription() == said["tactile"]
-    assert "no frame comes" in texts(window.status)
+    assert "no frames" in texts(window.status)
 
 
 def test_the_age_of_the_last_frame_is_told_anew(window, cameras, qtbot):

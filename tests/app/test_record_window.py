@@ -217,7 +217,7 @@ def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
     (tmp_path / "file").write_text("")
     window.settings.set("folder/recordings", str(tmp_path / "file" / "below"))
     press_record(window)
-    assert "Nothing can be recorded in" in told(window)
+    assert "Cannot record in" in told(window)
     assert not window.recording.running
 
 

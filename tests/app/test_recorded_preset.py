@@ -49,12 +49,12 @@ def test_the_window_offers_it(tmp_path: Path, window, qtbot) -> None:  # type: i
     assert info.preset is not None
     before = window.document.preset
     window.file_flows.offer_preset(info.preset)
-    (button,) = [b for b in window.messages.findChildren(_button()) if b.text() == "Use the recorded one"]
+    (button,) = [b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset"]
     button.click()
     assert window.document.preset == info.preset != before
     window.file_flows.offer_preset(info.preset)
     assert not [
-        b for b in window.messages.findChildren(_button()) if b.text() == "Use the recorded one" and b.isVisible()
+        b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset" and b.isVisible()
     ]
 
 

@@ -18,7 +18,7 @@ from tiny_sensor import tiny_frame, tiny_rig
 
 TIMES = {"fusion": 1.5, "gaps": 1.6, "edge": 1.1, "press": 3.2, "balance": 4.6, "clusters": 0.3, "points": 0.5}
 EACH = "fusion 1.5  gaps 1.6  edge 1.1  press 3.2  balance 4.6  clusters 0.3  points 0.5 ms"
-SUM = "12.8 ms, balance 4.6 of it"
+SUM = "12.8 ms (balance 4.6)"
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

@@ -30,11 +30,11 @@ class Dialogs:
         self.native = native
 
     def over(self, parent: QWidget) -> Dialogs:
-        """Return the same for another window."""
+        """Return dialogs over another window."""
         return Dialogs(parent, self.native)
 
     def ask_unsaved(self, name: str, save: Callable[[], object], discard: Callable[[], object]) -> None:
-        """Ask before losing changes; nothing happens on Cancel."""
+        """Ask whether to save or discard changes; Cancel calls nothing."""
         box = QMessageBox(self._parent)
         box.setIcon(QMessageBox.Icon.Warning)
         box.setWindowTitle("Unsaved changes")
@@ -88,7 +88,7 @@ class Dialogs:
         self._ask_path(title, folder, name_filter, QFileDialog.FileMode.ExistingFile, use)
 
     def open_files(self, title: str, folder: Path, name_filters: list[str], use: Callable[[list[Path]], None]) -> None:
-        """Ask for existing files, one or several."""
+        """Ask for one or more existing files."""
         dialog = self._dialog(title, folder)
         dialog.setFileMode(QFileDialog.FileMode.ExistingFiles)
         dialog.setNameFilters([*name_filters, "All files (*)"])
@@ -99,7 +99,7 @@ class Dialogs:
         self._ask_path(title, folder, "", QFileDialog.FileMode.Directory, use)
 
     def save_file(self, title: str, suggestion: Path, name_filters: list[str], use: Callable[[Path], None]) -> None:
-        """Ask where to save; the suffix of the chosen filter is added where none was typed."""
+        """Ask where to save; a name without suffix gets the suffix of the chosen filter."""
         dialog = self._dialog(title, suggestion.parent)
         dialog.setAcceptMode(QFileDialog.AcceptMode.AcceptSave)
         dialog.setNameFilters(name_filters)

@@ -14,7 +14,7 @@ LIMIT = 4
 
 
 class Severity(StrEnum):
-    """How urgent a message is; the stripe at its left shows it, and its first word says it."""
+    """Severity of a message, shown as a coloured stripe and as its first word."""
 
     INFO = "Note"
     WARNING = "Warning"
@@ -27,7 +27,7 @@ Offer = tuple[str, Callable[[], None]]
 
 
 class Message(QFrame):
-    """One sentence with its offers (buttons), optional details, and a button to put it away."""
+    """One sentence with its buttons, optional details, and a button that dismisses it."""
 
     def __init__(
         self, severity: Severity, sentence: str, offers: Sequence[Offer], details: str, close: Callable[[], None]
@@ -111,11 +111,11 @@ class MessageBar(QWidget):
         Parameters
         ----------
         key : str
-            What the message is about; a newer message on the same matter takes its place.
+            Identifies the matter; a newer message of the same key replaces this one.
         severity : Severity
         sentence : str
         offers : sequence of (button text, action)
-            Answering puts the message away.
+            Buttons; pressing one dismisses the message.
         details : str
             Shown on request, such as a traceback.
         """
@@ -131,14 +131,14 @@ class MessageBar(QWidget):
         self.show()
 
     def state(self, key: str, severity: Severity, sentence: str) -> None:
-        """Show a sentence, or put the message away where there is nothing to say any more."""
+        """Show a sentence; an empty one dismisses the message."""
         if sentence:
             self.show_message(key, severity, sentence)
         else:
             self.clear(key)
 
     def clear(self, key: str) -> None:
-        """Put a message away, if there is one of that key."""
+        """Dismiss the message of a key, if there is one."""
         message = self._messages.pop(key, None)
         if message is not None:
             self._layout.removeWidget(message)
@@ -147,7 +147,7 @@ class MessageBar(QWidget):
         self.setVisible(bool(self._messages))
 
     def sentences(self) -> list[str]:
-        """Return what is shown now, oldest first."""
+        """Return the sentences on the screen, oldest first."""
         return [message.sentence for message in self._messages.values()]
 
     def message(self, key: str) -> Message | None:
