@@ -15,8 +15,8 @@ from dataclasses import asdict, dataclass
 from enum import StrEnum
 from typing import Any
 
-#: Time limit of a child process, seconds.
-PATIENCE_S = 8.0
+#: Time limit of a child process, seconds: the first import of a package from a slow disk takes several.
+PATIENCE_S = 20.0
 
 
 class State(StrEnum):

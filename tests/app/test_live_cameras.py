@@ -152,7 +152,7 @@ def test_a_missing_interpreter_is_said(qtbot, monkeypatch):
     search.failed.connect(failed.append)
     search.start()
     qtbot.waitUntil(lambda: len(failed) == 1)
-    assert failed[0].startswith("search for cameras cannot be started")
+    assert failed[0].startswith("The search for cameras cannot be started")
 
 
 def test_an_l515_sees_proximity():

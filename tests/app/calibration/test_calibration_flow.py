@@ -171,7 +171,7 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert [snap.digest for snap in again.session.state.snapshots] == [snap.digest for snap in kept.snapshots]
     np.testing.assert_array_equal(again.session.state.snapshots[0].frame.tactile_depth, frames[0.2].tactile_depth)
     assert again.stack.currentIndex() == 1
-    assert any("left on" in sentence for sentence in again.messages.sentences())
+    assert any("Restored from" in sentence for sentence in again.messages.sentences())
 
     press_button(again.over)
     assert again.session.state.empty

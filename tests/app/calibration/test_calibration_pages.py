@@ -280,7 +280,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
 
 def test_texture_without_a_colour_image_is_said_of_the_snapshot(scene, frames):
     snapshot = Snapshot("digest", "Frames 3 to 7", replace(frames[0.2], tactile_color=None), 5, 0.0)
-    with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: there is no tactile colour image"):
+    with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: the tactile camera has no colour image"):
         find_proposals(HelperOptions(), [snapshot], Choices(), scene.rig, lambda *_: None)
 
 

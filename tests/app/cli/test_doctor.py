@@ -260,7 +260,7 @@ def test_the_real_checks_run_here_without_a_traceback():
         check=False,
         capture_output=True,
         text=True,
-        timeout=60,
+        timeout=300,
     )
     assert done.stderr == ""
     report = json.loads(done.stdout)
