@@ -16,11 +16,9 @@ from .kernels.colors import color_lookup
 from .kernels.compiling import Compiled, compiled_so_far, is_kept
 from .kernels.membrane import find_differences
 from .masking import colors_at, in_hsv_range
-from .outliers import mean_neighbour_distances
-from .outliers.single import search_single
-from .outliers.statistical import compare_with_all
-from .outliers.threshold import below_threshold
-from .outliers.tiles import search_tiles
+from .outliers.point_search import search_points
+from .outliers.row_search import search_rows
+from .outliers.statistical import below_threshold, compare_with_all
 from .pipeline import ContactPipeline
 
 Progress = Callable[[float, str], None]
@@ -33,7 +31,7 @@ _WIDTH, _HEIGHT = 96, 64
 
 def is_compiled() -> bool:
     """Tell, without compiling anything, whether the largest kernels lie ready on the disk."""
-    largest = kernels.find_candidates, search_tiles, search_single, color_lookup, find_differences, settle
+    largest = kernels.find_candidates, search_rows, search_points, color_lookup, find_differences, settle
     return all(map(is_kept, largest))
 
 
@@ -66,12 +64,10 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     points, pixels = patch.points, np.flatnonzero(patch.mask)
     few = np.arange(min(4, len(points)))
     means = np.empty(len(points))
-    lens = rig.proximity.intrinsics
     membrane = preset.with_values({"contact_test": "membrane", "membrane.difference_m": 0.1})
     steps: list[Callable[[], object]] = [
         lambda: patch.provenance,
         lambda: patch.aligned,
-        lambda: mean_neighbour_distances(points, pixels, lens, 8),
         lambda: below_threshold(np.ones(len(points)), 2.0),
         lambda: compare_with_all(few, points, 2, means),
         lambda: colors_at(points, pixels, frame.proximity_color, rig),

@@ -10,7 +10,7 @@ import pytest
 
 from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.bench.scenes import synthetic_scene
-from tactune.core.contact.outliers import statistical_inliers
+from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
 from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform

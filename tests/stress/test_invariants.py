@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from tactune.core.bench.scenes import BenchScene, synthetic_scene
 from tactune.core.bench.stability import random_case
-from tactune.core.contact.outliers import statistical_inliers
+from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame, rigid_transform
 from tactune.core.model.intrinsics import Intrinsics

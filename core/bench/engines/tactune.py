@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ...contact.outliers import statistical_inliers
+from ...contact.outliers.statistical import statistical_inliers
 from ...contact.pipeline import ContactPipeline
 from ..registry import Job, Outcome, Runner, engine
 from ..scenes import BenchScene

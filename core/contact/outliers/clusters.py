@@ -15,7 +15,7 @@ from ..kernels.threads import scratch
 def in_large_cluster(
     depth_m: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, min_area_mm2: float
 ) -> BoolArray:
-    """Tell which pixels belong to an 8-connected group of at least the given area.
+    """Return which pixels belong to an 8-connected group of at least the given area.
 
     Parameters
     ----------

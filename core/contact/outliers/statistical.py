@@ -1,51 +1,63 @@
-"""Statistical outlier removal on an organised cloud: Open3D's inliers, point for point."""
+"""Statistical outlier removal on an organised cloud, with the same inliers as Open3D, point for point.
+
+Neighbours in space are neighbours in the image. The mean distances are computed in float32 from the image grid
+(`row_search`, then `point_search`), with a known error bound. Only if a point lies so close to the threshold that
+rounding could decide are they computed in float64. Only if that is uncertain, too, a k-d tree computes them exactly.
+"""
 
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Float64Array, IndexArray
 from ...model.intrinsics import Intrinsics
-from ..kernels.simd import LANES
-from ..kernels.threads import in_parallel, scratch
-from . import threshold
-from .grid import MOST_SINGLE_RADIUS, NUMBER, Grid, GridPool
-from .rings import mean_neighbour_distances, tree_means
-from .single import part_coordinates, search_all, search_single
-from .threshold import below_threshold, surely_below_threshold
-from .tiles import search_tiles
+from ..kernels.compiling import kernel
+from ..kernels.simd import LANES, doubles, load, total
+from ..kernels.threads import get_threads, in_parallel, scratch
+from .grid import MAX_POINT_RADIUS, NUMBER, Grid, GridPool
+from .point_search import Cloud, Coordinates, part_coordinates, search_all, search_points
+from .row_search import search_rows
 
-#: Up to so many points a k-d tree is faster than laying a grid out.
-_TREE_POINTS = 64
-#: Up to so many distances are rather computed than looked up in a k-d tree, and fewer on one thread alone.
-_MOST_PAIRS, _PAIRS_ALONE = 150_000_000, 1_000_000
-#: Windows of single points hold at most this share of the number of points, but for the least.
-_WINDOW_SHARE, _LEAST_SINGLE_RADIUS = 0.25, 7
-#: Tiles and points compared with all others that one thread takes at a time.
-_TILES, _COMPARED = 192, 16
+#: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
+#: ones (differences exact to half a unit, squares and sums, root).
+UNCERTAINTY = 4 * 2.0**-24
+#: The same for means of float64 distances; covers the order of Open3D's sums, too.
+PRECISE_UNCERTAINTY = 1e-9
+#: Means below this may come from squares that float32 cannot represent, metres.
+_MIN_MEAN_M = 1e-12
+
+#: Up to this number of points, all distances are computed exactly.
+_FEW_POINTS = 64
+#: Up to this number of distances, comparing with all points is faster than a k-d tree; and on one thread.
+_MAX_PAIRS, _MAX_PAIRS_ONE_THREAD = 150_000_000, 1_000_000
+#: Windows of single points cover at most this share of the number of points, but are at least this large.
+_MAX_WINDOW_SHARE, _MIN_POINT_RADIUS = 0.25, 7
+#: Runs, and points compared with all others, that one thread takes at a time.
+_RUNS, _COMPARED = 192, 16
 
 _grids = GridPool()
 
 
 class NeighbourMemory:
-    """The mean distances found last, for the same points and k once more with another ratio.
+    """Remembers the last mean distances, for the same points and k with another ratio.
 
-    Used for one frame after another, it keeps the array that they lie in. For one thread at a time.
+    It also keeps the array that holds them for the next frame. For one thread at a time.
     """
 
     def __init__(self) -> None:
         self._of: tuple[Float32Array, int] | None = None
         self._means = np.empty(0)
-        self._room = np.empty(0)
+        self._buffer = np.empty(0)
 
-    def room(self, count: int) -> Float64Array:
-        """Return an array for so many means; what was remembered is forgotten."""
+    def buffer(self, count: int) -> Float64Array:
+        """Return an array for ``count`` means; forgets what was remembered."""
         self._of = None
-        if len(self._room) < count:
-            self._room = np.empty(count + count // 2)
-        return self._room[:count]
+        if len(self._buffer) < count:
+            self._buffer = np.empty(count + count // 2)
+        return self._buffer[:count]
 
     def recall(self, points: Float32Array, k: int) -> Float64Array | None:
         """Return the means of this very array of points, if remembered."""
@@ -66,13 +78,9 @@ def statistical_inliers(
 ) -> BoolArray:
     """Return which points are inliers, by Open3D's definition.
 
-    A point's mean distance to its k nearest points, itself included, must be positive and below the
-    mean of all these plus ``ratio`` times their standard deviation (Bessel's correction). As in
-    Open3D, a lone point, coinciding points and k = 1 have no inliers.
-
-    The means are found in float32 first. Only where a point lies so near to the threshold that
-    rounding could decide are they summed in float64, and only where that leaves doubt, too, are they
-    found once more in Open3D's own order.
+    The mean distance of an inlier to its k nearest points, itself included, is positive and below the mean of all
+    these distances plus ``ratio`` times their standard deviation (with Bessel's correction). As in Open3D, a single
+    point, coinciding points and k = 1 have no inliers.
 
     Parameters
     ----------
@@ -83,11 +91,11 @@ def statistical_inliers(
     intrinsics : Intrinsics
         Of the camera that sees the points in these pixels.
     k : int
-        Neighbours averaged, the point itself counting as one (PCL's k is one less).
+        Neighbours averaged, the point itself included (PCL's k is one less).
     ratio : float
-        Standard deviations allowed.
+        Number of standard deviations.
     memory : NeighbourMemory, optional
-        Saves the search where only the ratio has changed.
+        Saves the search if only the ratio has changed.
 
     Returns
     -------
@@ -96,120 +104,197 @@ def statistical_inliers(
     if len(points) == 0:
         return np.zeros(0, bool)
     k = min(k, len(points))
-    if len(points) > _TREE_POINTS and k > 1:
+    if len(points) > _FEW_POINTS and k > 1:
         means = memory.recall(points, k) if memory is not None else None
         if means is None:
-            means = near_means(points, pixels, intrinsics, k, memory=memory)
+            means = near_means(points, pixels, intrinsics, k, memory)
             if memory is not None:
                 memory.remember(points, k, means)
-        inliers = surely_below_threshold(means, ratio, threshold.UNCERTAINTY)
+        inliers = surely_below_threshold(means, ratio, UNCERTAINTY)
         if inliers is None:
             means = precise_means(points, pixels, intrinsics, k)
-            inliers = surely_below_threshold(means, ratio, threshold.PRECISE_UNCERTAINTY)
+            inliers = surely_below_threshold(means, ratio, PRECISE_UNCERTAINTY)
         if inliers is not None:
             return inliers
-    return np.asarray(below_threshold(mean_neighbour_distances(points, pixels, intrinsics, k), ratio))
+    return below_threshold(exact_means(points, k), ratio)
+
+
+def exact_means(points: Float32Array, k: int, chosen: IndexArray | None = None) -> Float64Array:
+    """Return the mean distance of points to their k nearest, with the same bits as Open3D.
+
+    Parameters
+    ----------
+    points : float32, shape (N, 3)
+        Metres.
+    k : int
+        At most N.
+    chosen : int, shape (M,), optional
+        Numbers of the points whose means are returned; all by default.
+    """
+    wide = points.astype(np.float64)
+    queries = wide if chosen is None else wide[chosen]
+    if len(points) <= _FEW_POINTS:
+        dx, dy, dz = (queries[:, None, axis] - wide[None, :, axis] for axis in range(3))
+        distances = np.sort(np.sqrt(dx * dx + dy * dy + dz * dz), axis=1)[:, :k]
+    else:
+        from scipy.spatial import cKDTree  # slow to import, and most clouds do not need it
+
+        distances = np.reshape(cKDTree(wide).query(queries, k, workers=get_threads())[0], (-1, k))
+    # Open3D adds the distances one after another, as `numpy.cumsum` does and `numpy.sum` does not
+    return np.asarray(np.cumsum(distances, axis=1)[:, -1] / k)
 
 
 def near_means(
-    points: Float32Array,
-    pixels: IndexArray,
-    intrinsics: Intrinsics,
-    k: int,
-    window: int = 0,
-    memory: NeighbourMemory | None = None,
+    points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int, memory: NeighbourMemory | None = None
 ) -> Float64Array:
-    """Return each point's mean distance to its k nearest, to within `threshold.UNCERTAINTY` of itself.
+    """Return each point's mean distance to its k nearest, with a relative error of at most `UNCERTAINTY`.
 
-    Parameters as in `statistical_inliers`, with 1 < k <= N; ``window`` as in `tiles.search_tiles`. With a
-    ``memory`` the result lies in its array.
+    Parameters as in `statistical_inliers`, with 1 < k <= N. With a ``memory`` the result lies in its array.
     """
     grid = _grids.borrow(intrinsics)
     try:
         if not grid.lay(points, pixels):
-            return tree_means(points, points, k)
-        means = memory.room(len(points)) if memory is not None else np.empty(len(points))
+            return exact_means(points, k)
+        means = memory.buffer(len(points)) if memory is not None else np.empty(len(points))
         radius = _largest_worthwhile_radius(len(points))
-        search = partial(_search_part, grid, points, pixels, k, window, radius, means)
-        in_parallel(search, -(-len(grid.tiles) // _TILES))
+        search = partial(_search_part, grid, Cloud(points, pixels), k, radius, means)
+        in_parallel(search, -(-len(grid.runs) // _RUNS))
     finally:
         grid.clear(pixels)
         _grids.give_back(intrinsics, grid)
     left = np.flatnonzero(np.isnan(means))
     if len(left) == 0:
         return means
-    if len(left) * len(points) > _MOST_PAIRS:
-        means[left] = tree_means(points, points[left], k)
+    if len(left) * len(points) > _MAX_PAIRS:
+        means[left] = exact_means(points, k, left)
     else:
         compare_with_all(left, points, k, means)
     return means
 
 
+def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int) -> Float64Array:
+    """Return the means of `near_means` with a relative error of at most `PRECISE_UNCERTAINTY`."""
+    means = np.full(len(points), np.nan)
+    grid = _grids.borrow(intrinsics)
+    try:
+        if grid.lay(points, pixels):
+            in_parallel(
+                lambda part: search_rows(_runs_of(grid, part), grid.planes, k, True, means),
+                -(-len(grid.runs) // _RUNS),
+            )
+    finally:
+        grid.clear(pixels)
+        _grids.give_back(intrinsics, grid)
+    left = np.flatnonzero(np.isnan(means))
+    if len(left):
+        means[left] = exact_means(points, k, left)
+    return means
+
+
 def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Float64Array) -> None:
-    """Write the mean distance of the points numbered in ``left`` to their k nearest, looking at every point."""
-    planes = tuple(scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
-    part_coordinates(points, *planes)
-    compare = partial(_search_all, left, planes, len(points), k, means)
-    if len(left) * len(points) <= _PAIRS_ALONE:
+    """Write the mean distance of the points numbered in ``left`` to their k nearest, comparing with every point."""
+    planes = (scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
+    all_points = Coordinates(len(points), *planes)
+    part_coordinates(points, all_points)
+
+    def compare(chosen: slice) -> None:
+        squares, kept = (scratch(name, len(points) + 2 * LANES, np.float32) for name in ("squares", "kept"))
+        search_all(left[chosen], all_points, k, squares, kept, means)
+
+    if len(left) * len(points) <= _MAX_PAIRS_ONE_THREAD:
         compare(slice(None))
     else:
         parts = -(-len(left) // _COMPARED)
         in_parallel(lambda part: compare(slice(part * _COMPARED, (part + 1) * _COMPARED)), parts)
 
 
-def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int) -> Float64Array:
-    """Return the means of `near_means` to within `threshold.PRECISE_UNCERTAINTY` of themselves."""
-    means = np.full(len(points), np.nan)
-    grid = _grids.borrow(intrinsics)
-    try:
-        if grid.lay(points, pixels):
-            in_parallel(partial(_search_tiles, grid, k, 0, True, means), -(-len(grid.tiles) // _TILES))
-    finally:
-        grid.clear(pixels)
-        _grids.give_back(intrinsics, grid)
-    left = np.flatnonzero(np.isnan(means))
-    if len(left):
-        means[left] = mean_neighbour_distances(points, pixels, intrinsics, k, left)
-    return means
+def _runs_of(grid: Grid, part: int) -> Any:
+    return grid.runs[part * _RUNS : (part + 1) * _RUNS]
 
 
-def _search_tiles(grid: Grid, k: int, window: int, precise: bool, means: Float64Array, part: int) -> None:
-    tiles = grid.tiles[part * _TILES : (part + 1) * _TILES]
-    search_tiles(tiles, grid.xs, grid.ys, grid.zs, grid.offsets, grid.columns, grid.rows, k, window, precise, means)
-
-
-def _search_part(
-    grid: Grid,
-    points: Float32Array,
-    pixels: IndexArray,
-    k: int,
-    window: int,
-    radius: int,
-    means: Float64Array,
-    part: int,
-) -> None:
-    """Search some tiles' points together, and those that this leaves one by one."""
-    tiles = grid.tiles[part * _TILES : (part + 1) * _TILES]
-    end = (part + 1) * _TILES
-    first = tiles[0, NUMBER]
-    last = grid.tiles[end, NUMBER] if end < len(grid.tiles) else len(points)
-    planes = grid.xs, grid.ys, grid.zs
-    search_tiles(tiles, *planes, grid.offsets, grid.columns, grid.rows, k, window, False, means)
-    search_single(
-        first, last, points, pixels, grid.width, grid.stride, *planes, grid.columns, grid.rows, k, radius, means
-    )
+def _search_part(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, part: int) -> None:
+    """Search the points of some runs together, then one by one those that are left open."""
+    runs, end = _runs_of(grid, part), (part + 1) * _RUNS
+    first = runs[0, NUMBER]
+    last = grid.runs[end, NUMBER] if end < len(grid.runs) else len(cloud.points)
+    search_rows(runs, grid.planes, k, False, means)
+    search_points(cloud, first, last, grid.planes, k, radius, means)
 
 
 def _largest_worthwhile_radius(count: int) -> int:
-    """Return the largest window for single points that is a small part of the work of looking at all points."""
-    radius = MOST_SINGLE_RADIUS
-    while radius > _LEAST_SINGLE_RADIUS and (2 * radius + 1) ** 2 > _WINDOW_SHARE * count:
+    """Return the largest window for single points that is a small part of the work of comparing with all points."""
+    radius = MAX_POINT_RADIUS
+    while radius > _MIN_POINT_RADIUS and (2 * radius + 1) ** 2 > _MAX_WINDOW_SHARE * count:
         radius //= 2
     return radius
 
 
-def _search_all(
-    left: IndexArray, planes: tuple[Float32Array, ...], count: int, k: int, means: Float64Array, chosen: slice
-) -> None:
-    squares, kept = (scratch(name, count + 2 * LANES, np.float32) for name in ("squares", "kept"))
-    search_all(left[chosen], count, *planes, k, squares, kept, means)
+def below_threshold(means: Float64Array, ratio: float) -> BoolArray:
+    """Return which exact means are positive and below Open3D's threshold, summed in its order."""
+    inliers = np.empty(len(means), np.bool_)
+    _compare_exactly(means, ratio, inliers)
+    return inliers
+
+
+def surely_below_threshold(means: Float64Array, ratio: float, uncertainty: float) -> BoolArray | None:
+    """Return which means are below the threshold of the exact means; None if that is uncertain.
+
+    If every mean has a relative error of at most ``uncertainty``, so has the mean of all. The standard deviation is a
+    norm, so it moves by at most the norm of the errors.
+    """
+    count = len(means)
+    if count < 2:
+        return None
+    inliers = np.empty(count, np.bool_)
+    return inliers if _compare(means, ratio, uncertainty, inliers) else None
+
+
+@kernel
+def _compare_exactly(means: Any, ratio: Any, inliers: Any) -> None:
+    """Write which means are positive and below the threshold."""
+    count = len(means)
+    summed = 0.0
+    for value in means:
+        summed += value
+    mean = summed / count
+    squares = 0.0
+    for value in means:
+        if value > 0:
+            squares += (value - mean) * (value - mean)
+    threshold = mean + ratio * np.sqrt(squares / (count - 1)) if count > 1 else np.nan
+    for i in range(count):
+        inliers[i] = means[i] > 0 and means[i] < threshold
+
+
+@kernel
+def _compare(means: Any, ratio: Any, uncertainty: Any, inliers: Any) -> Any:
+    """Write which means are below the threshold; return whether that is certain."""
+    count = len(means)
+    whole = count - count % LANES
+    sums = doubles(0.0)
+    squares = doubles(0.0)
+    for i in range(0, whole, LANES):
+        mean = load(means, i)
+        sums = sums + mean
+        squares = squares + mean * mean
+    sum_of_means, sum_of_squares = total(sums), total(squares)
+    for i in range(whole, count):
+        sum_of_means += means[i]
+        sum_of_squares += means[i] * means[i]
+
+    centre = sum_of_means / count
+    centred = doubles(0.0)
+    for i in range(0, whole, LANES):
+        away = load(means, i) - doubles(centre)
+        centred = centred + away * away
+    sum_of_centred = total(centred)
+    for i in range(whole, count):
+        sum_of_centred += (means[i] - centre) * (means[i] - centre)
+
+    threshold = centre + ratio * np.sqrt(sum_of_centred / (count - 1))
+    error = uncertainty * (centre + ratio * np.sqrt(sum_of_squares / (count - 1))) * (1 + 1e-6)
+    certain = True
+    for i in range(count):
+        inliers[i] = means[i] < threshold
+        certain &= means[i] > _MIN_MEAN_M and abs(means[i] - threshold) > error + uncertainty * means[i]
+    return certain

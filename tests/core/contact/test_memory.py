@@ -51,7 +51,7 @@ def test_outliers_are_searched_in_arrays_from_before(pipeline_and_frame):
     pixels, memory = np.flatnonzero(patch.mask), NeighbourMemory()
 
     def search():
-        memory.room(0)  # forgets what was found before
+        memory.buffer(0)  # forgets what was found before
         return statistical_inliers(patch.points, pixels, camera, 20, 2.0, memory)
 
     search()

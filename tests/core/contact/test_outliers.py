@@ -7,10 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.contact.kernels.threads import get_threads, set_threads
-from tactune.core.contact.outliers import statistical, threshold
+from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
-from tactune.core.contact.outliers.rings import mean_neighbour_distances
-from tactune.core.contact.outliers.statistical import near_means, precise_means, statistical_inliers
+from tactune.core.contact.outliers.statistical import exact_means, near_means, precise_means, statistical_inliers
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
@@ -53,15 +52,18 @@ def test_the_inlier_set_is_open3ds_point_for_point(k, ratio, share, noise_m, dis
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 10_000), k=st.integers(1, 40), share=st.floats(0.001, 1.0), noise=st.floats(0, 0.02))
-def test_neighbour_distances_are_a_brute_force_searchs(seed, k, share, noise):
-    points, pixels, lens = scene(seed, 41, 23, share, noise)
+def test_exact_means_are_those_of_a_brute_force_search(seed, k, share, noise):
+    points, _, _ = scene(seed, 41, 23, share, noise)
     if len(points) == 0:
         return
     k = min(k, len(points))
     wide = points.astype(np.float64)
     distances = np.sqrt(((wide[:, None] - wide[None]) ** 2).sum(axis=2))
-    expected = np.sort(distances, axis=1)[:, :k].mean(axis=1)
-    assert mean_neighbour_distances(points, pixels, lens, k) == pytest.approx(expected, rel=1e-12, abs=1e-15)
+    nearest = np.sort(distances, axis=1)[:, :k]
+    expected = [sum(row) / k for row in nearest.tolist()]  # one after another, as Open3D adds
+    assert exact_means(points, k).tolist() == expected
+    chosen = np.arange(0, len(points), 3)
+    assert exact_means(points, k, chosen).tolist() == expected[::3]
 
 
 @settings(max_examples=60, deadline=None)
@@ -71,30 +73,37 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
     if len(points) < 2:
         return
     k = min(k, len(points))
-    exact = mean_neighbour_distances(points, pixels, lens, k)
-    assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= threshold.UNCERTAINTY
-    assert np.abs(precise_means(points, pixels, lens, k) / exact - 1).max() <= threshold.PRECISE_UNCERTAINTY / 100
+    exact = exact_means(points, k)
+    assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= statistical.UNCERTAINTY
+    assert np.abs(precise_means(points, pixels, lens, k) / exact - 1).max() <= statistical.PRECISE_UNCERTAINTY / 100
 
 
-def test_a_point_too_near_to_the_threshold_is_decided_in_float64(monkeypatch):
+def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactly(monkeypatch):
     points, pixels, lens = scene(5, 80, 60, 0.9, 0.001)
     wanted = open3d_inliers(points, 20, 2.0)
-    exact = mean_neighbour_distances(points, pixels, lens, 20)
+    exact = exact_means(points, 20)
     limit = exact.mean() + 2.0 * exact.std(ddof=1)
     nearest = np.abs(exact / limit - 1).min()
-    assert nearest > 10 * threshold.UNCERTAINTY
+    assert nearest > 10 * statistical.UNCERTAINTY
     calls = []
-    monkeypatch.setattr(
-        statistical, "mean_neighbour_distances", lambda *a: calls.append(len(a)) or mean_neighbour_distances(*a)
-    )
+
+    def counted_exact(points, k, chosen=None):
+        calls.append("exact for some" if chosen is not None else "exact for all")
+        return exact_means(points, k, chosen)
+
+    monkeypatch.setattr(statistical, "exact_means", counted_exact)
+    monkeypatch.setattr(statistical, "precise_means", lambda *a: calls.append("precise") or precise_means(*a))
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
-    assert not calls
-    monkeypatch.setattr(threshold, "UNCERTAINTY", nearest)
+    assert calls == []
+    monkeypatch.setattr(statistical, "UNCERTAINTY", nearest)
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
-    assert calls in ([], [5])  # none, or only those that the tiles left open
-    monkeypatch.setattr(threshold, "PRECISE_UNCERTAINTY", nearest)
+    assert calls[0] == "precise"
+    assert "exact for all" not in calls
+    calls.clear()
+    monkeypatch.setattr(statistical, "PRECISE_UNCERTAINTY", nearest)
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
-    assert calls[-1] == 4
+    assert calls[0] == "precise"
+    assert calls.count("exact for all") == 1
 
 
 def test_equal_distances_everywhere_have_no_inliers():
@@ -111,9 +120,8 @@ def test_equal_distances_everywhere_have_no_inliers():
 def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
     points, pixels, lens = scene(3, 640, 480, 0.0008, 0.001)
     calls = []
-    tree = statistical.tree_means
-    monkeypatch.setattr(statistical, "_MOST_PAIRS", 20_000)
-    monkeypatch.setattr(statistical, "tree_means", lambda *a: calls.append(len(a[1])) or tree(*a))
+    monkeypatch.setattr(statistical, "_MAX_PAIRS", 20_000)
+    monkeypatch.setattr(statistical, "exact_means", lambda *a: calls.append(len(a[-1])) or exact_means(*a))
     assert np.array_equal(statistical_inliers(points, pixels, lens, 60, 2.0), open3d_inliers(points, 60, 2.0))
     assert len(calls) == 1
     few = points[:100], pixels[:100]
@@ -121,6 +129,7 @@ def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
     assert len(calls) == 1  # compared with all others instead
     calls.clear()
     far = points * np.float32(1e9)
+    monkeypatch.setattr(statistical, "exact_means", lambda *a: calls.append(len(a[0])) or exact_means(*a))
     assert np.array_equal(statistical_inliers(far, pixels, lens, 20, 2.0), open3d_inliers(far, 20, 2.0))
     assert calls == [len(points)]
 
@@ -141,7 +150,7 @@ def test_the_result_does_not_depend_on_the_number_of_threads():
     try:
         for count in (1, 2, 5):
             set_threads(count)
-            means.append((near_means(points, pixels, lens, 20), mean_neighbour_distances(points, pixels, lens, 20)))
+            means.append((near_means(points, pixels, lens, 20), exact_means(points, 20)))
     finally:
         set_threads(threads)
     for near, exact in means[1:]:
