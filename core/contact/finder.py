@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
+from ..model.arrays import Uint8Array
 from ..model.frames import Rig, SensorFrame
-from ..model.intrinsics import Intrinsics
 from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates, Found
 from ..preset import Preset, RangeSection, RegionSection, ToleranceSection
 from .alignment import AlignmentModel
@@ -22,10 +20,7 @@ from .kernels.colors import hsv_limits
 from .kernels.simd import LANES
 from .kernels.threads import by_rows
 from .masking import color_lookup_of
-from .outliers.statistical import NeighbourMemory, statistical_inliers
-
-#: Tells which points are inliers, as `outliers.statistical.statistical_inliers` does.
-Inliers = Callable[[Float32Array, IndexArray, Intrinsics, int, float, NeighbourMemory], BoolArray]
+from .outliers.statistical import NeighbourMemory
 
 _NO_LIMITS = np.empty(0, np.int64)
 _NEVER_RUN = object()
@@ -102,9 +97,8 @@ class CandidateBuffers:
 class Workspace:
     """What outlives a change of the preset: the rig, buffers, and what the outlier removal remembers."""
 
-    def __init__(self, rig: Rig, inliers: Inliers = statistical_inliers) -> None:
+    def __init__(self, rig: Rig) -> None:
         self.rig = rig
-        self.inliers = inliers
         self.buffers = CandidateBuffers(rig)
         self.neighbours = NeighbourMemory()
 

@@ -13,11 +13,10 @@ from ..preset import Preset
 from ..preset.checks import check_rig
 from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
-from .finder import ContactFinder, Inliers, Steps, Workspace
+from .finder import ContactFinder, Steps, Workspace
 from .flat import flat
 from .kernels import chain as kernels
 from .membrane.average import AveragedDepth
-from .outliers.statistical import statistical_inliers
 
 __all__ = ["ContactPatch", "ContactPipeline", "Still"]
 
@@ -56,8 +55,6 @@ class ContactPipeline:
     still : Still, optional
         Return the last patch again while nothing moves; without it every frame is computed. The depths of a frame
         are compared with those that the patch was computed from, so small changes do not add up.
-    inliers : callable, optional
-        Replaces `statistical_inliers`, such as one of `outliers.variants`.
 
     Raises
     ------
@@ -65,13 +62,11 @@ class ContactPipeline:
         The preset was made for images of another size, or neither it nor the rig has a pose.
     """
 
-    def __init__(
-        self, preset: Preset, rig: Rig, *, still: Still | None = None, inliers: Inliers = statistical_inliers
-    ) -> None:
+    def __init__(self, preset: Preset, rig: Rig, *, still: Still | None = None) -> None:
         self.rig = rig
         self.warnings = check_rig(preset, rig)
         self._still = still
-        self._workspace = Workspace(rig, inliers)
+        self._workspace = Workspace(rig)
         self._preset = preset
         self._alignment = make_alignment(preset.alignment, rig)
         self._keys = _step_keys(preset)

@@ -17,6 +17,7 @@ from .kernels import chain as kernels
 from .kernels.compiling import kernel
 from .kernels.threads import by_rows
 from .outliers.clusters import in_large_cluster
+from .outliers.statistical import statistical_inliers
 
 #: Below this number of image tiles, other threads are not worth waking.
 _MAX_TILES_ALONE: Final = 300
@@ -68,7 +69,7 @@ def drop_outliers(candidates: Candidates, rig: Rig, section: OutlierSection, wor
     """Return the candidates without statistical outliers."""
     if not section.enabled or len(candidates) == 0:
         return candidates
-    inliers = workspace.inliers(
+    inliers = statistical_inliers(
         candidates.points, candidates.pixels, rig.proximity.intrinsics, section.k, section.ratio, workspace.neighbours
     )
     return keep(candidates, inliers)
