@@ -1,37 +1,99 @@
-"""Passes over cells of two by two pixels for the balance of the membrane, compiled."""
+"""The loops over cells of two by two pixels that find where the membrane has left the object, compiled."""
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
+from ...model.arrays import BoolArray, Float32Array, Int32Array
 from .compiling import inline, kernel
 from .membrane import derivatives
 
-#: Steeper cells count as that steep: their depths are of both sides of an edge. And the least way that tells a slope.
-_STEEPEST: Final = 2.0
-_SHORTEST_M: Final = 1e-5
+#: Upper limit of a slope: the depths of a steeper cell belong to both sides of an edge.
+_MAX_SLOPE: Final = 2.0
+#: Over a shorter distance no slope is measured, metres.
+_MIN_RUN_M: Final = 1e-5
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
-_LEAST_FACING, _LEAST_TURN = np.float32(0.25), 0.25
+_MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
+
+
+class GapImages(NamedTuple):
+    """What `average_cells` averages, images (H, W).
+
+    Attributes
+    ----------
+    differences, depth : float32
+        Proximity minus tactile depth, and proximity depth, metres.
+    usable : bool
+        Where both count.
+    gaps : float32
+        Local means of the gap, metres.
+    known : bool
+        Where there is a local mean.
+    """
+
+    differences: Float32Array
+    depth: Float32Array
+    usable: BoolArray
+    gaps: Float32Array
+    known: BoolArray
+
+
+class Equations(NamedTuple):
+    """The equations of the N cells that are solved for, cells of even row plus column first.
+
+    A cell's sum of ``link`` times the difference to its neighbour, minus ``weight`` times its area over the square of
+    ``trust_m`` times the difference to the measured gap, is its push times its area. Unknown cells are no neighbours.
+
+    Attributes
+    ----------
+    places : int32, shape (N,)
+        Flat places of the cells in their image.
+    links : float32, shape (7, N)
+        To the left, right, upper and lower neighbour; to the measured gap; the area; and one over the sum of the first
+        five.
+    even : int
+        Number of cells of even row plus column. No two of them are neighbours, and no two of the others.
+    """
+
+    places: Int32Array
+    links: Float32Array
+    even: int
+
+
+class Relaxation(NamedTuple):
+    """How `settle` iterates.
+
+    Attributes
+    ----------
+    factor : float32
+        Over-relaxation, 1 to 2.
+    tolerance_m : float32
+        Iteration ends when no gap changes by more, metres.
+    max_sweeps : int
+    """
+
+    factor: np.float32
+    tolerance_m: np.float32
+    max_sweeps: int
 
 
 @kernel
-def average_cells(
-    differences: Any, usable: Any, depth: Any, gaps: Any, known: Any, rays: Any, top: Any, left: Any, out: Any
-) -> None:
-    """Write means over cells of two by two pixels of a rectangle that begins at ``top`` and ``left``.
+def average_cells(images: Any, window: Any, out: Any) -> None:
+    """Write means over cells of two by two pixels.
 
     Parameters
     ----------
-    differences, depth, gaps : float32, shape (H, W)
-    usable, known : bool, shape (H, W)
-    rays : float32, shape (h, w, 2)
-        Of the whole image.
+    images : GapImages
+    window : membrane.RayWindow
+        Of the images.
     out : float32, shape (7, H // 2, W // 2)
         Mean difference of usable pixels, the share of these, and times that share their x, y and z; the mean of known
-        gaps; and how many of four pixels have one.
+        gaps; and the number of pixels with a known gap.
     """
+    differences, depth, usable, gaps, known = images
+    rays, top, left = window
     for row in range(out.shape[1]):
         for column in range(out.shape[2]):
             count, seen = _ZERO, _ZERO
@@ -58,43 +120,44 @@ def average_cells(
 
 @inline
 def _slope_of(rise: Any, way: Any) -> Any:
-    """Return how steep a surface is, at most `_STEEPEST`; over hardly any way it is flat."""
-    return min(max(rise / way, -_STEEPEST), _STEEPEST) if way > _SHORTEST_M else 0.0
+    """Return the slope of a surface, at most `_MAX_SLOPE`; 0 over less than `_MIN_RUN_M`."""
+    return min(max(rise / way, -_MAX_SLOPE), _MAX_SLOPE) if way > _MIN_RUN_M else 0.0
 
 
 @kernel
-def measure_cells(points: Any, shares: Any, least: Any, flat_m: Any, slope: Any, sides: Any, facing: Any) -> None:
-    """Write how long cells are, and how much of a difference of depths along the ray is along the surface's normal.
+def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, slope: Any, sides: Any, facing: Any) -> None:
+    """Write the lengths of cells, and the share of a depth difference along the ray that is along the surface normal.
 
     Parameters
     ----------
     points : float32, shape (3, H, W)
-        Of a smooth surface, going to the right and down.
+        Of a smooth surface, running to the right and down, metres.
     shares : float32, shape (H, W)
-        Where it is below ``least``, and at the border, a cell has sides of 1 mm and faces the camera.
+        Where it is below ``min_share``, and at the border, a cell has sides of 1 mm and faces the camera.
     flat_m : tuple of float
-        Width and height at a depth of 1 m of a cell that faces the camera.
+        Width and height of a cell that faces the camera at a depth of 1 m.
     slope : bool
-        Without it all cells count as facing the camera.
+        If False, all cells count as facing the camera.
     sides : float32, shape (2, H, W)
+        Lengths to the right and down, metres.
     facing : float32, shape (H, W)
     """
     height, width = shares.shape
     sides[:], facing[:] = np.float32(1e-3), _ONE
     for v in range(1, height - 1):
         for u in range(1, width - 1):
-            if shares[v, u] < least:
+            if shares[v, u] < min_share:
                 continue
             x_u, _, _, _, _ = derivatives(points[0], v, u)
             _, y_v, _, _, _ = derivatives(points[1], v, u)
             z_u, z_v, _, _, _ = derivatives(points[2], v, u)
-            # where a window ends, the mean of its points moves less than a cell, but along the surface
+            # at the end of a window the mean of its points moves by less than a cell, but along the surface
             right, down = _slope_of(z_u, x_u), _slope_of(z_v, y_v)
             z = points[2, v, u]
             ray_x, ray_y = points[0, v, u] / z, points[1, v, u] / z
             # from x = ray_x z and y = ray_y z, where ray_x grows along the row only and ray_y down the column only
-            x_u = flat_m[0] * z / max(1 - right * ray_x, _LEAST_TURN)
-            y_v = flat_m[1] * z / max(1 - down * ray_y, _LEAST_TURN)
+            x_u = flat_m[0] * z / max(1 - right * ray_x, _MIN_TURN)
+            y_v = flat_m[1] * z / max(1 - down * ray_y, _MIN_TURN)
             z_u, z_v = right * x_u, down * y_v
             y_u, x_v = ray_y * z_u, ray_x * z_v
             sides[0, v, u] = np.sqrt(x_u * x_u + y_u * y_u + z_u * z_u)
@@ -102,28 +165,23 @@ def measure_cells(points: Any, shares: Any, least: Any, flat_m: Any, slope: Any,
             if slope:
                 nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
                 along = abs(nx * ray_x + ny * ray_y + nz) / np.sqrt(nx * nx + ny * ny + nz * nz)
-                facing[v, u] = min(max(np.float32(along), _LEAST_FACING), _ONE)
+                facing[v, u] = min(max(np.float32(along), _MIN_FACING), _ONE)
 
 
 @kernel
 def link_cells(inside: Any, known: Any, sides: Any, weight: Any, trust_m: Any, places: Any, links: Any) -> Any:
-    """Write the equations of the cells inside, those of even row plus column first; return how many those are.
-
-    A cell's sum of ``link`` times the difference to its neighbour, less ``weight`` times its area over the square of
-    ``trust_m`` times that to what is measured, is its push times its area. What is not known is no neighbour.
+    """Write ``places`` and ``links`` of the `Equations` of the cells inside; return ``even``.
 
     Parameters
     ----------
     inside, known : bool, shape (H, W)
         No cell at the border is inside.
     sides : float32, shape (2, H, W)
-        Metres.
+        From `measure_cells`.
     weight : float32, shape (H, W)
-    places : int32, shape (N,)
-        Flat places of the cells inside.
-    links : float32, shape (7, N)
-        To the left, right, upper and lower neighbour; to what is measured; the area; and one over the sum of the
-        first five.
+        Of the measured gap.
+    trust_m : float32
+        Length over which the measured gap attracts the gap, metres.
     """
     height, width = inside.shape
     count, even = 0, 0
@@ -153,30 +211,25 @@ def link_cells(inside: Any, known: Any, sides: Any, weight: Any, trust_m: Any, p
 
 
 @kernel
-def settle(
-    gaps: Any, width: Any, places: Any, links: Any, loads: Any, even: Any, relax: Any, least_m: Any, most: Any
-) -> Any:
-    """Solve for gaps that are nowhere negative by projected over-relaxation; return how many sweeps it took.
+def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -> Any:
+    """Solve for gaps that are nowhere negative by projected over-relaxation; return the number of sweeps.
 
     Cryer 1971, "The solution of a quadratic programming problem using systematic overrelaxation", SIAM J. Control 9.
 
     Parameters
     ----------
     gaps : float32, flat
-        Of all cells: where it starts, where it ends; those that are not inside stay.
+        Of all cells: the start and the result. Cells that are not solved for keep theirs.
     width : int
         Of the image of cells.
-    places, links : as written by `link_cells`
+    equations : Equations
     loads : float32, shape (N,)
-        What is measured times its link, less push times area.
-    even : int
-        So many of the cells have no neighbour among each other, and so has the rest.
-    least_m : float
-        It ends when no gap changes by more.
-    most : int
-        Sweeps.
+        Measured gap times its link, minus push times area.
+    relaxation : Relaxation
     """
-    for sweep in range(most):
+    places, links, even = equations
+    relax, tolerance_m, max_sweeps = relaxation
+    for sweep in range(max_sweeps):
         change = _ZERO
         for part in range(2):
             first, last = (0, even) if part == 0 else (even, len(places))
@@ -193,19 +246,19 @@ def settle(
                 gap = max(before + relax * (pull * links[6, i] - before), _ZERO)
                 change = max(change, abs(gap - before))
                 gaps[place] = gap
-        if change < least_m:
+        if change < tolerance_m:
             return sweep + 1
-    return most
+    return max_sweeps
 
 
 @kernel
 def misfit_of_groups(
     gaps: Any, along_ray: Any, measured: Any, weight: Any, groups: Any, firm: Any, misfits: Any, touching: Any
 ) -> None:
-    """Add each group's weighed squares of what is measured less the gap, and count its firm cells without a gap.
+    """Add up each group's weighted squared residuals, and count its firm cells whose gap is 0.
 
-    All but the last two have an entry for each cell; ``misfits`` and ``touching`` have one for each group. What is
-    measured is along the ray, and ``along_ray`` times a gap is so, too.
+    A residual is the measured gap minus the gap, both along the ray: ``along_ray`` times a gap along the normal.
+    ``misfits`` and ``touching`` have an element for each group, all other arrays one for each cell.
     """
     for i in range(len(gaps)):
         off = measured[i] - gaps[i] * along_ray[i]

@@ -1,4 +1,4 @@
-"""Passes over pixels that the membrane contact test makes, compiled; see `tactune.core.contact.kernels.chain`."""
+"""The loops over pixels of the membrane contact test, compiled; see `tactune.core.contact.kernels.chain`."""
 
 from __future__ import annotations
 
@@ -28,10 +28,25 @@ MASKED: Final = 2
 EXCLUDED: Final = 3
 
 _NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
-_NONE = np.int32(0)
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-_SHORTEST = np.float32(1e-9)
+_MIN_LENGTH = np.float32(1e-9)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
+
+
+class RayWindow(NamedTuple):
+    """Rays of a part of the image.
+
+    Attributes
+    ----------
+    rays : float32, shape (H, W, 2)
+        x / z and y / z of each pixel of the whole image.
+    top, left : int
+        Row and column of the whole image at which the images of the part begin.
+    """
+
+    rays: Float32Array
+    top: int
+    left: int
 
 
 class Rectangle(NamedTuple):
@@ -133,9 +148,9 @@ def find_differences(
 
 @kernel
 def count_gaps(gaps: Any, known: Any, limit: Any, edges: Any, counts: Any) -> Any:
-    """Add the known gaps (H, W) to a histogram with evenly spaced edges; return how many are below ``limit``.
+    """Add the known gaps (H, W) to a histogram with evenly spaced edges; return the number of gaps below ``limit``.
 
-    The bins are those of `numpy.histogram`: each begins at its lower edge, the last has its upper edge, too.
+    The bins are those of `numpy.histogram`: each includes its lower edge, the last one its upper edge, too.
     """
     bins = counts.shape[0]
     per_bin = bins / (edges[bins] - edges[0])
@@ -158,27 +173,26 @@ def count_gaps(gaps: Any, known: Any, limit: Any, edges: Any, counts: Any) -> An
 
 
 @kernel
-def turn_to_normal(
-    gaps: Any, depth: Any, along_x: Any, along_y: Any, rays: Any, top: Any, left: Any, least: Any
-) -> None:
-    """Multiply gaps (H, W) by the cosine between the optical axis and a surface's normal, at least ``least``.
+def turn_to_normal(gaps: Any, depth: Any, along_x: Any, along_y: Any, window: Any, min_cosine: Any) -> None:
+    """Multiply gaps (H, W) by the cosine between the optical axis and the surface normal, at least ``min_cosine``.
 
-    ``along_x`` and ``along_y`` are the slopes of ``depth`` times the focal lengths; ``rays`` (float32, (H, W, 2)) are
-    those of the whole image, in which the gaps begin at ``top`` and ``left``.
+    ``along_x`` and ``along_y`` are the slopes of ``depth`` times the focal lengths; ``window`` is a `RayWindow`.
     """
+    rays, top, left = window
     for v in range(gaps.shape[0]):
         for u in range(gaps.shape[1]):
             x, y = along_x[v, u], along_y[v, u]
             z = depth[v, u] + rays[top + v, left + u, 0] * x + rays[top + v, left + u, 1] * y
-            cosine = abs(z) / max(np.sqrt(x * x + y * y + z * z), _SHORTEST)
-            gaps[v, u] *= min(max(cosine, least), _ONE)
+            cosine = abs(z) / max(np.sqrt(x * x + y * y + z * z), _MIN_LENGTH)
+            gaps[v, u] *= min(max(cosine, min_cosine), _ONE)
 
 
 @kernel
 def spread_ways(near: Any, labels: Any, between: Any, factor: Any, most: Any, of_label: Any, ways: Any) -> None:
-    """Write the way that is taken away at each pixel: that of the pixel outside ``near`` whose label it bears.
+    """Write the erosion distance of each pixel: that of the pixel outside ``near`` that has the same label.
 
-    There it is ``factor`` times ``between``, the way to the second line, and at most ``most``. Images are (H, W).
+    At that pixel it is ``factor`` times ``between``, the distance to the second isoline, and at most ``most``. Images
+    are (H, W), distances in pixels; ``of_label`` is a buffer with an element for each label.
     """
     height, width = labels.shape
     for v in range(height):
@@ -192,7 +206,7 @@ def spread_ways(near: Any, labels: Any, between: Any, factor: Any, most: Any, of
 
 @kernel
 def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
-    """Write the mean count of the pixels that have a depth, by square of ``side`` pixels, and which share has one."""
+    """Write the mean count of the pixels with a depth, and the share of such pixels, by square of ``side`` pixels."""
     for row in range(means.shape[0]):
         for column in range(means.shape[1]):
             total, known = 0, 0
@@ -209,25 +223,25 @@ def block_means(counts: Any, side: Any, means: Any, shares: Any) -> None:
 @inline
 def derivatives(image: Any, v: Any, u: Any) -> Any:
     """Return the first differences along u and v at a pixel, and the second along u, both, and v."""
-    middle = np.float64(image[v, u])
+    centre = np.float64(image[v, u])
     left, right = np.float64(image[v, u - 1]), np.float64(image[v, u + 1])
     above, below = np.float64(image[v - 1, u]), np.float64(image[v + 1, u])
     across = np.float64(image[v + 1, u + 1]) - image[v + 1, u - 1] - image[v - 1, u + 1] + image[v - 1, u - 1]
-    return (right - left) / 2, (below - above) / 2, right - 2 * middle + left, across / 4, below - 2 * middle + above
+    return (right - left) / 2, (below - above) / 2, right - 2 * centre + left, across / 4, below - 2 * centre + above
 
 
 @kernel
-def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
-    """Write twice the mean curvature of a surface by its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
+def bulges(points: Any, known: Any, min_share: Any, out: Any) -> None:
+    """Write twice the mean curvature of a surface from its fundamental forms, (E N - 2 F M + G L) / (E G - F^2).
 
-    ``points`` (3, H, W) go to the right and down; derivatives are differences over one place to either side. Positive
-    where the surface bulges away from the camera; nan at the border and where ``known`` is below ``least``.
+    ``points`` (3, H, W) run to the right and down; derivatives are central differences. The curvature (1/m) is positive
+    where the surface bulges away from the camera, and nan at the border and where ``known`` is below ``min_share``.
     """
     height, width = known.shape
     out[:] = np.float32(np.nan)
     for v in range(1, height - 1):
         for u in range(1, width - 1):
-            if known[v, u] < least:
+            if known[v, u] < min_share:
                 continue
             x_u, x_v, x_uu, x_uv, x_vv = derivatives(points[0], v, u)
             y_u, y_v, y_uu, y_uv, y_vv = derivatives(points[1], v, u)
@@ -246,10 +260,11 @@ def bulges(points: Any, known: Any, least: Any, out: Any) -> None:
 
 @kernel
 def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, jump: Any) -> Any:
-    """Set ``frames`` to 0 in the squares of ``side`` pixels whose depth has moved; return how many there are.
+    """Set ``frames`` to 0 in the squares of ``side`` pixels whose depth has changed; return the number of these.
 
-    A square has moved if the mean change of its depths is more than ``share`` of their mean; a pixel's change counts
-    as at most ``jump`` of its depth. Squares of which a quarter or less has depth then and now are not judged.
+    A square has changed if the mean change of its depths is more than ``share`` of their mean. The change of a pixel is
+    limited to ``jump`` of its depth. Squares with depth in a quarter of their pixels or less, both before and now, are
+    left as they are.
     """
     height, width = counts.shape
     found = 0
@@ -275,9 +290,10 @@ def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, ju
 
 @kernel
 def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump: Any) -> None:
-    """Add an image of counts to the means over ``frames`` frames, and write these as counts; 0 where there is none.
+    """Add an image of counts to the means over ``frames`` frames, and write the means as counts; 0 for no depth.
 
-    A pixel that differs by more than ``jump`` of its mean begins anew; one without depth counts a frame less.
+    A pixel that differs from its mean by more than ``jump`` of it restarts; a pixel without depth loses one frame of
+    its weight. No mean has the weight of more than ``most`` frames.
     """
     height, width = counts.shape
     for v in range(height):
@@ -297,17 +313,18 @@ def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump
 
 @kernel
 def collect_points(
-    contact: Any, depth: Any, share: Any, least: Any, rays: Any, top: Any, left: Any, pixels_out: Any, points_out: Any
+    contact: Any, depth: Any, share: Any, min_share: Any, window: Any, pixels_out: Any, points_out: Any
 ) -> Any:
-    """Collect the pixels in contact whose share is above ``least``, with their points; return how many.
+    """Write the pixels in contact whose share is above ``min_share``, and their points; return their number.
 
-    Images are (H, W), cut from ``top`` and ``left`` of that of ``rays`` (H, W, 2). ``pixels_out`` takes flat pixels
-    of the whole image, ``points_out`` is (N, 3).
+    Images are (H, W); ``window`` is their `RayWindow`. ``pixels_out`` receives flat pixels of the whole image,
+    ``points_out`` (N, 3) points in metres.
     """
+    rays, top, left = window
     count = 0
     for v in range(contact.shape[0]):
         for u in range(contact.shape[1]):
-            if not contact[v, u] or not share[v, u] > least:
+            if not contact[v, u] or not share[v, u] > min_share:
                 continue
             z = depth[v, u]
             pixels_out[count] = (top + v) * rays.shape[1] + left + u

@@ -41,7 +41,7 @@ _LEAST_PUSH: Final = 5.0
 #: A larger gap is none of contact, metres; and how exactly it is solved for.
 _TOUCHING_M: Final = 5e-5
 _EXACT_M: Final = 2e-5
-_RELAX, _MOST_SWEEPS = np.float32(1.6), 300
+_RELAXATION: Final = balance_kernels.Relaxation(np.float32(1.6), np.float32(_EXACT_M), 300)
 #: Biases are tried up to the largest believed, so far apart, metres; those with fewer cells of contact are left out. No
 #: larger one is sought in any case.
 _BIAS_STEP_M: Final = 0.0003
@@ -122,10 +122,10 @@ def cells_of(gaps: Gaps, free_per_m: float, section: MembraneSection, rig: Rig) 
     differences, camera = gaps.differences, rig.proximity.intrinsics
     height, width = differences.usable.shape
     means = np.empty((7, height // 2, width // 2), np.float32)
-    balance_kernels.average_cells(
-        differences.difference_m, differences.usable, differences.depth_m, gaps.gap_m, gaps.known, ray_table(camera),
-        *differences.corner, means,
-    )  # fmt: skip
+    images = balance_kernels.GapImages(
+        differences.difference_m, differences.depth_m, differences.usable, gaps.gap_m, gaps.known
+    )
+    balance_kernels.average_cells(images, kernels.RayWindow(ray_table(camera), *differences.corner), means)
     difference, weight, *_, gap, seen = means
     share, x, y, z = (
         cv2.GaussianBlur(part, (0, 0), _SHAPE_CELLS, borderType=cv2.BORDER_CONSTANT) for part in means[1:5]
@@ -201,9 +201,10 @@ class _Balance:
     def __init__(self, cells: Cells, inside: BoolArray, firm: BoolArray, groups: Int32Array) -> None:
         size = int(np.count_nonzero(inside))
         self.places, self._links = np.empty(size, np.int32), np.empty((7, size), np.float32)
-        self._even = balance_kernels.link_cells(
+        even = balance_kernels.link_cells(
             inside, cells.known, cells.sides_m, cells.weight, np.float32(_TRUST_M), self.places, self._links
         )
+        self._equations = balance_kernels.Equations(self.places, self._links, even)
         self._cells = cells
         measured, push, facing, self.weight, self.firm, self.groups = (
             image.reshape(-1)[self.places]
@@ -220,10 +221,7 @@ class _Balance:
         gaps = np.maximum(cells.smooth_m - shift, np.float32(0))
         if start is not None:
             gaps.reshape(-1)[self.places] = start.reshape(-1)[self.places]
-        balance_kernels.settle(
-            gaps.reshape(-1), gaps.shape[1], self.places, self._links, loads, self._even, _RELAX, np.float32(_EXACT_M),
-            _MOST_SWEEPS,
-        )  # fmt: skip
+        balance_kernels.settle(gaps.reshape(-1), gaps.shape[1], self._equations, loads, _RELAXATION)
         return gaps
 
 

@@ -214,8 +214,8 @@ def surface_points(
     means = LocalMean(contact & differences.usable, section.smooth_px)
     depth = means.of(differences.depth_m - np.float32(section.tactile_weight) * differences.difference_m)
     count = kernels.collect_points(
-        contact, depth, means.share, _MIN_SHARE_OF_POINT, ray_table(rig.proximity.intrinsics), *differences.corner,
-        buffers.pixels, buffers.points,
+        contact, depth, means.share, _MIN_SHARE_OF_POINT,
+        kernels.RayWindow(ray_table(rig.proximity.intrinsics), *differences.corner), buffers.pixels, buffers.points,
     )  # fmt: skip
     return buffers.collect({0: count})
 
@@ -290,7 +290,7 @@ def turn_to_normal(
         cv2.Sobel(depth_m, cv2.CV_32F, *order, scale=focal / 8)
         for order, focal in zip(((1, 0), (0, 1)), focal_px, strict=True)
     )
-    kernels.turn_to_normal(gap_m, depth_m, along_x, along_y, rays, *corner, _MIN_FACING)
+    kernels.turn_to_normal(gap_m, depth_m, along_x, along_y, kernels.RayWindow(rays, *corner), _MIN_FACING)
 
 
 def erode_rim(

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import lsq_linear
 
 from tactune.core.contact.kernels import balance as balance_kernels
+from tactune.core.contact.kernels.membrane import RayWindow
 from tactune.core.contact.membrane import balance
 from tactune.core.contact.membrane.balance import Cells, balanced_contact, left_cells, lowest
 from tactune.core.contact.pipeline import ContactPipeline
@@ -150,7 +151,8 @@ def test_the_gap_is_that_of_another_solver(seed):
     np.testing.assert_allclose(matrix, matrix.T, atol=1e-6)
     root = np.linalg.cholesky(matrix).T
     expected = lsq_linear(root, np.linalg.solve(root.T, right), (0, np.inf), tol=1e-14).x
-    balance_kernels.settle(gaps.reshape(-1), size, places, links, loads, even, np.float32(1.5), np.float32(1e-8), 5000)
+    relaxation = balance_kernels.Relaxation(np.float32(1.5), np.float32(1e-8), 5000)
+    balance_kernels.settle(gaps.reshape(-1), size, balance_kernels.Equations(places, links, even), loads, relaxation)
     found = gaps.reshape(-1)[places]
     assert 0 < (expected > 1e-6).sum() < count
     np.testing.assert_allclose(found, expected, atol=2e-6)
@@ -187,7 +189,8 @@ def test_a_cell_is_the_mean_of_what_is_usable_and_known():
     usable, known = rng.random((5, 7)) > 0.4, rng.random((5, 7)) > 0.4
     rays = rng.uniform(-0.5, 0.5, (9, 12, 2)).astype(np.float32)
     out = np.empty((7, 2, 3), np.float32)
-    balance_kernels.average_cells(differences, usable, depth, gaps, known, rays, 3, 4, out)
+    images = balance_kernels.GapImages(differences, depth, usable, gaps, known)
+    balance_kernels.average_cells(images, RayWindow(rays, 3, 4), out)
     for row, column in np.ndindex(2, 3):
         box = np.s_[2 * row : 2 * row + 2, 2 * column : 2 * column + 2]
         seen, ray, z = usable[box], rays[3:8, 4:11][box], depth[box]
