@@ -28,8 +28,8 @@ from .simd import (
 
 _HALF = np.float32(0.5)
 
-# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits. The entries are quotients to the nearest
-# whole number, which float32 gives exactly for each of the 255 divisors.
+# OpenCV's 8-bit HSV divides by table, in fixed point with 12 bits. The entries are quotients rounded to the nearest
+# integer, which float32 represents exactly for each of the 255 divisors.
 _SHIFT = 12
 _ONE = np.float32(1.0)
 _NOTHING, _FOUR = np.int32(0), np.int32(4)
@@ -38,20 +38,20 @@ _ROUND, _HUES = np.int32(1 << (_SHIFT - 1)), np.int32(180)
 
 
 def hsv_limits(section: MaskSection) -> Int64Array:
-    """Return the range as the kernels take it: low and high hue, saturation and value."""
+    """Return the range as kernels take it: low and high hue, saturation and value, int64, shape (6,)."""
     return np.array([*section.hue, *section.saturation, *section.value], np.int64)
 
 
 @inline
 def _divided(dividend: Any, divisor: Any) -> Any:
-    """Return the quotient to the nearest whole number; a divisor of 0 counts as 1."""
+    """Return the quotient rounded to the nearest integer; a divisor of 0 counts as 1."""
     quotient = floats(dividend) / greater(to_floats(divisor), floats(_ONE))
     return to_ints(floor(quotient + floats(_HALF)))
 
 
 @inline
 def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
-    """Tell which colours (int32) lie in a range of OpenCV's 8-bit HSV; a low hue above the high wraps."""
+    """Return which colours (int32) lie in a range of OpenCV's 8-bit HSV; a low hue above the high one wraps around."""
     value = greater(r, greater(g, b))
     chroma = value - lesser(r, lesser(g, b))
     saturation = shift_right(chroma * _divided(_FULL, value) + ints(_ROUND), _SHIFT)
@@ -71,7 +71,7 @@ def lanes_in_range(r: Any, g: Any, b: Any, limits: Any) -> Any:
 
 @kernel
 def colors_in_range(image: Any, limits: Any, inside: Any) -> None:
-    """Test colours, uint8, flat with at least `LANES` of them; the first of them for each element of ``inside``."""
+    """Write which of the first ``len(inside)`` colours (uint8, flat, at least `LANES` of them) lie in the range."""
     count = inside.shape[0]
     last = image.shape[0] // 3 - LANES
     for start in range(0, count, LANES):
@@ -86,7 +86,7 @@ def colors_in_range(image: Any, limits: Any, inside: Any) -> None:
 def color_lookup(
     points: Any, rotation: Any, translation: Any, lens: Any, camera: Any, image: Any, colors: Any, seen: Any
 ) -> None:
-    """Write the colour at which a colour camera sees each point; ``seen`` is False outside its image."""
+    """Write the colour of each point (N, 3) in the image of a colour camera; ``seen`` is False outside the image."""
     height, width = image.shape[:2]
     u_end = np.float32(width) - _HALF
     v_end = np.float32(height) - _HALF

@@ -1,4 +1,4 @@
-"""How the kernels are compiled: once, kept on disk where that is possible, never holding the GIL."""
+"""How kernels are compiled: once, cached on disk if possible, and without holding the GIL."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _kernels: list[Any] = []
 
 
 def kernel(function: Callable[..., Any], *, allocates: bool = False, **options: Any) -> Any:
-    """Compile a function at its first call, with numba's options; keep the machine code for the next process.
+    """Compile a function at its first call, with numba's options; cache the machine code for the next process.
 
-    Unless it ``allocates``, a kernel cannot make arrays, and numba refuses to compile one that tries. In return
-    it does not count references to those it is given, which would take longer than the work in inner loops,
-    above all where threads count the same ones.
+    Unless it ``allocates``, a kernel cannot create arrays; numba refuses to compile one that tries. In return, numba
+    does not count references to its arguments. Counting would take longer than the work in inner loops, especially if
+    several threads count the same references.
 
-    numba keeps it beside the source, or else in the user's cache folder, or where the environment's
-    ``NUMBA_CACHE_DIR`` says. Where none of them can be written, the kernel is compiled in each process.
+    numba caches beside the source, or else in the user's cache folder, or in ``NUMBA_CACHE_DIR``. If none of them is
+    writable, the kernel is compiled in each process.
     """
     options["_nrt"] = allocates
     try:
         compiled = njit(nogil=True, cache=True, **options)(function)
-        # numba looks at the kernel's own file only, but other files' code is compiled into it
+        # numba checks the kernel's own file only, but code of other files is compiled into it
         compiled._cache._cache_file._source_stamp = _stamp(function)
-    except RuntimeError:  # numba found no place to keep it
+    except RuntimeError:  # numba found no writable cache folder
         compiled = njit(nogil=True, **options)(function)
     _kernels.append(compiled)
     return compiled
@@ -43,14 +43,14 @@ def inline(function: Callable[..., Any]) -> Any:
 
 
 def _stamp(function: Callable[..., Any]) -> tuple[tuple[str, int, int], ...]:
-    """Return name, time and size of every file of ours whose code may be part of a kernel."""
+    """Return name, time and size of every file of this package whose code may be part of a kernel."""
     files = [(path, path.stat()) for path in map(Path, _sources(function.__module__)) if path.exists()]
     return tuple((path.name, stat.st_mtime_ns, stat.st_size) for path, stat in files)
 
 
 @cache
 def _sources(module_name: str) -> tuple[str, ...]:
-    """Return the files of a module and, in turn, of those of ours that it takes functions or classes from."""
+    """Return the files of a module and, recursively, of the modules of this package that it imports from."""
     found: dict[str, str] = {}
     waiting = [module_name]
     while waiting:
@@ -70,14 +70,14 @@ def _sources(module_name: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Compiled:
-    """What has become of the kernels in this process.
+    """State of the kernels in this process.
 
     Attributes
     ----------
     loaded, compiled : int
-        How many came from the disk and how many were compiled here.
+        Number of kernels loaded from the cache, and compiled in this process.
     folders : tuple of Path
-        Where they are kept; empty where nowhere.
+        Cache folders; empty if none is writable.
     """
 
     loaded: int
@@ -86,7 +86,7 @@ class Compiled:
 
 
 def compiled_so_far() -> Compiled:
-    """Return what has been compiled and loaded so far, over all kernels that are imported."""
+    """Return the state of all imported kernels."""
     stats = [(kernel.stats, kernel) for kernel in _kernels]
     folders = {Path(stat.cache_path) for stat, _ in stats if stat.cache_path}
     loaded = sum(sum(stat.cache_hits.values()) for stat, _ in stats)
@@ -94,7 +94,7 @@ def compiled_so_far() -> Compiled:
 
 
 def is_kept(compiled: Any) -> bool:
-    """Tell whether a kernel's machine code lies on the disk, younger than its sources."""
+    """Return whether the machine code of a kernel is cached and newer than its sources."""
     folder, source = compiled.stats.cache_path, Path(compiled.py_func.__code__.co_filename)
     if not folder:
         return False

@@ -1,4 +1,4 @@
-"""Projection by the lens models, in float32 with one fixed order of operations, for kernels."""
+"""Projection by the lens models, for kernels: float32, with one fixed order of operations."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TWO = np.float32(2.0)
 
 
 def lens_parameters(intrinsics: Intrinsics) -> tuple[int, Float32Array]:
-    """Return the lens model's number and ``fx fy cx cy k1 k2 p1 p2 k3`` as the kernels take them."""
+    """Return the number of the lens model and ``fx fy cx cy k1 k2 p1 p2 k3`` (float32), as kernels take them."""
     if not intrinsics.has_distortion:
         lens = PINHOLE
     elif intrinsics.distortion is Distortion.BROWN_CONRADY:

@@ -1,8 +1,8 @@
 """Shares work between threads, without numba's threading layers.
 
-Those abort the process when two Python threads start parallel kernels at once (workqueue) or in a
-forked child (OpenMP). Here kernels release the GIL and cover a part of the work each; Python threads
-take one part after another. The parts never depend on the number of threads, so neither do results.
+Those abort the process when two Python threads start parallel kernels at once (workqueue) or in a forked child
+(OpenMP). Here each kernel call releases the GIL and covers a part of the work; Python threads take one part after
+another. The parts do not depend on the number of threads, so neither do the results.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ _local = threading.local()
 _lock = threading.Lock()
 _pool: ThreadPoolExecutor | None = None
 
-#: Rows that one thread takes at a time.
+#: Image rows that one thread takes at a time.
 _ROWS = 96
 
 
 def available_threads() -> int:
-    """Return how many processor cores this process may use."""
+    """Return the number of processor cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def get_threads() -> int:
-    """Return how many threads the calling thread's kernels share their work between, itself included."""
+    """Return the number of threads that the calling thread's kernels use, itself included."""
     count: int = getattr(_local, "threads", 0)
     return count or available_threads()
 
 
 def set_threads(count: int) -> None:
-    """Let the calling thread's kernels use so many threads, itself included; at least 1."""
+    """Set the number of threads that the calling thread's kernels use, itself included; at least 1."""
     _local.threads = max(1, count)
 
 
 def scratch(name: str, count: int, dtype: type[np.generic]) -> AnyArray:
-    """Return the calling thread's array of this name with at least so many elements, which may hold anything.
+    """Return the calling thread's buffer of this name, uninitialised, with at least ``count`` elements.
 
-    It is the same array at each call, a larger one where need be.
+    Each call returns the same array until a larger one is needed.
     """
     arrays: dict[str, AnyArray] = _local.__dict__.setdefault("arrays", {})
     found = arrays.get(name)
@@ -54,9 +54,9 @@ def scratch(name: str, count: int, dtype: type[np.generic]) -> AnyArray:
 
 
 def in_parallel(task: Callable[[int], object], count: int) -> None:
-    """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and its helpers.
+    """Call ``task(0)`` to ``task(count - 1)``, each once, on the calling thread and helper threads.
 
-    A helper that has not begun when all work is taken is not waited for. The first error of a task is raised.
+    A helper that has not started when all parts are taken is cancelled. The first error of a task is raised.
     """
     helpers = min(get_threads(), count) - 1
     if helpers <= 0:
@@ -82,7 +82,7 @@ def in_parallel(task: Callable[[int], object], count: int) -> None:
 
 
 def by_rows(task: Callable[[int, int], object], height: int) -> None:
-    """Call ``task(first, last)`` for parts of an image's rows, in parallel; ``last`` is exclusive."""
+    """Call ``task(first, last)`` for parts of the rows of an image, in parallel; ``last`` is exclusive."""
     in_parallel(lambda part: task(part * _ROWS, min((part + 1) * _ROWS, height)), -(-height // _ROWS))
 
 
@@ -95,7 +95,7 @@ def _helpers() -> ThreadPoolExecutor:
 
 
 def _forget_threads() -> None:
-    """Start anew in a forked child, which has none of its parent's threads."""
+    """Reset the pool in a forked child, which has none of its parent's threads."""
     global _pool, _lock  # noqa: PLW0603
     _pool = None
     _lock = threading.Lock()
