@@ -1,1 +1,1 @@
-"""What flows through the pipeline: frames, the rig and its file, lenses, clouds."""
+"""The data that flows through the pipeline: frames, the rig and its file, lenses, clouds, patches."""

@@ -1,4 +1,4 @@
-"""NumPy arrays by their element type: what annotations of arrays are made of."""
+"""Type aliases of NumPy arrays by element type, for annotations."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ AnyArray = npt.NDArray[Any]
 BoolArray = npt.NDArray[np.bool_]
 Float32Array = npt.NDArray[np.float32]
 Float64Array = npt.NDArray[np.float64]
-#: Places in another array, as `numpy.flatnonzero` gives them.
+#: Indices into another array, as `numpy.flatnonzero` returns them.
 IndexArray = npt.NDArray[np.intp]
 Int32Array = npt.NDArray[np.int32]
 Int64Array = npt.NDArray[np.int64]

@@ -1,4 +1,4 @@
-"""Files: written whole or not at all, and paths as people write them."""
+"""Atomic writing of files, and paths as users write them."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from ..errors import ExportError, TactuneError
 def atomic_path(target: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside ``target``; on success it replaces ``target`` in one step.
 
-    The temporary file keeps the target's suffix, so writers that choose a format by it work.
-    Its folder is made if missing. A link stays a link: what it points to is replaced. On any error
-    the temporary file is removed and ``target`` stays as it was.
+    The temporary file has the suffix of the target, for writers that choose a format by it. Its folder is created if
+    missing. If ``target`` is a link, the file it points to is replaced. On any error the temporary file is removed and
+    ``target`` is unchanged.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
 
 
 def user_path(path: Path | str) -> Path:
-    """Return a path with a leading ``~`` replaced; where there is no such user, it stays as it is."""
+    """Return a path with a leading ``~`` expanded; unchanged if there is no such user."""
     try:
         return Path(path).expanduser()
     except RuntimeError:
@@ -66,6 +66,6 @@ def recording_files(text: str) -> tuple[Path, ...]:
 
 
 def refuse_devices(path: Path, error: type[TactuneError]) -> None:
-    """Raise ``error`` where there is something that is no ordinary file: a device might never end."""
+    """Raise ``error`` if the path exists but is not a regular file: reading a device might never end."""
     if path.exists() and not path.is_file():
-        raise error(f"{path} is no ordinary file; name another")
+        raise error(f"{path} is no ordinary file; choose another")

@@ -1,8 +1,8 @@
-"""What a sensor hands over: cameras, the rig they form, and frames.
+"""Cameras, the rig they form, and the frames they record.
 
-Conventions: depth is the z coordinate in a camera's optical frame (x right, y down, z forward);
-pixel centres lie at integers and ``(u, v)`` is ``(column, row)``; ``T_a_b`` takes coordinates in b
-to coordinates in a; lengths are metres; raw depth stays uint16 with its unit beside it.
+Conventions: depth is the z coordinate in a camera's optical frame (x right, y down, z forward). Pixel centres lie at
+integers; ``(u, v)`` is ``(column, row)``. ``T_a_b`` transforms coordinates in b to coordinates in a. Lengths are in
+metres; raw depth is uint16, with its unit in the camera.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from .intrinsics import Intrinsics
 #: Raw counts that mean *no depth*; a D405 stream really contains 65535.
 NO_DEPTH_COUNTS = (0, 65535)
 
-#: Both cameras sit in one housing; a longer way between frames is a mistake, such as millimetres.
-_FARTHEST_M = 10.0
+#: Both cameras sit in one housing; a longer translation is a mistake, such as millimetres.
+_MAX_SHIFT_M = 10.0
 
 Row4 = tuple[float, float, float, float]
 Matrix4 = tuple[Row4, Row4, Row4, Row4]
@@ -52,8 +52,8 @@ def rigid_transform(matrix: Any) -> Matrix4:
     array = raw.astype(np.float64)
     if not np.isfinite(array).all():
         raise ValueError("a pose has finite entries, this one contains nan or inf")
-    if np.abs(array[:3]).max() > _FARTHEST_M:
-        raise ValueError(f"a pose has a rotation and metres up to {_FARTHEST_M:g}, this one contains larger numbers")
+    if np.abs(array[:3]).max() > _MAX_SHIFT_M:
+        raise ValueError(f"a pose has a rotation and metres up to {_MAX_SHIFT_M:g}, this one contains larger numbers")
     rotation = array[:3, :3]
     deviation = float(np.abs(rotation @ rotation.T - np.eye(3)).max())
     if deviation <= 1e-3 and np.linalg.det(rotation) < 0:
@@ -71,7 +71,7 @@ class _Frozen(BaseModel):
 
 
 class DepthCamera(_Frozen):
-    """One depth camera: who it is, its lens, and the length of one raw count in metres."""
+    """One depth camera: its identity, its lens, and the length of one raw count in metres."""
 
     model: str = "unknown"
     serial: str = ""
@@ -80,7 +80,7 @@ class DepthCamera(_Frozen):
 
 
 class ColorCamera(_Frozen):
-    """A colour camera beside a depth camera; ``T_color_depth`` takes depth-frame points to it."""
+    """A colour camera beside a depth camera; ``T_color_depth`` transforms points from the depth frame to its frame."""
 
     intrinsics: Intrinsics
     T_color_depth: Matrix4
@@ -92,7 +92,7 @@ class ColorCamera(_Frozen):
 
 
 class Rig(_Frozen):
-    """Both depth cameras of one sensor and how they stand to each other, as far as is known.
+    """Both depth cameras of one sensor and their relative pose, if known.
 
     Attributes
     ----------
@@ -121,16 +121,16 @@ class Rig(_Frozen):
 
 @dataclass(frozen=True)
 class TrueStrain:
-    """Largest in-plane strain of the membrane, which has 0 where it is flat and clamped.
+    """Largest in-plane strain of the membrane, relative to the flat clamped state.
 
     Attributes
     ----------
     largest : float
-        In any direction at any place; it grows where the solver's mesh is finer.
+        In any direction anywhere on the membrane; it increases with a finer solver mesh.
     length, width : float
         Along the membrane's length and width between neighbours of a grid of 10 mm.
     length_seen, width_seen : float
-        The same over those of which the tactile camera sees both dots whole, at least 90 % of each.
+        The same over neighbours that the tactile camera sees completely, at least 90 % of each dot.
     """
 
     largest: float
@@ -142,7 +142,7 @@ class TrueStrain:
 
 @dataclass(frozen=True, eq=False)
 class GroundTruth:
-    """What a simulator or a labelled recording knows about a frame, in proximity pixels.
+    """Ground truth of a frame, from the simulator or a labelled recording, in proximity pixels.
 
     Attributes
     ----------
@@ -151,7 +151,7 @@ class GroundTruth:
     depth_m : float32, shape (H, W), or None
         True depth of the membrane in the proximity depth frame, metres; nan where unknown.
     strain : TrueStrain or None
-        Recordings do not keep it.
+        Not stored in recordings.
     """
 
     contact: BoolArray
@@ -174,7 +174,7 @@ class SensorFrame:
     tactile_color : uint8, shape (H, W, 3), or None
         RGB, aligned to the tactile depth image.
     proximity_time_s, tactile_time_s : float
-        Time stamps in seconds on one clock.
+        Timestamps in seconds on one clock.
     truth : GroundTruth or None
     """
 
@@ -206,11 +206,11 @@ class SensorFrame:
 
     @property
     def skew_s(self) -> float:
-        """Tactile minus proximity time stamp, seconds."""
+        """Tactile minus proximity timestamp, seconds."""
         return self.tactile_time_s - self.proximity_time_s
 
     def check_against(self, rig: Rig) -> None:
-        """Raise `FrameError` where an image does not have the size that the rig states."""
+        """Raise `FrameError` if the size of an image differs from the rig."""
         expected = {
             "proximity_depth": rig.proximity.intrinsics.shape,
             "tactile_depth": rig.tactile.intrinsics.shape,

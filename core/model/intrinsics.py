@@ -1,4 +1,4 @@
-"""Pinhole cameras with the lens models that librealsense names, in float64."""
+"""Pinhole cameras with the lens models of librealsense, in float64."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ _FocalLength = Annotated[float, Field(ge=0.1, le=1e6)]
 _Centre = Annotated[float, Field(ge=-1e6, le=1e6)]
 _Coefficient = Annotated[float, Field(ge=-1e3, le=1e3)]
 
-#: librealsense's own number of fixed-point steps when it removes distortion.
+#: Number of fixed-point steps in which librealsense removes distortion.
 _UNDISTORT_STEPS = 10
 
 
 class Distortion(StrEnum):
-    """Lens distortion models, named as librealsense names them."""
+    """Lens distortion models, with the names of librealsense."""
 
     NONE = "none"
     BROWN_CONRADY = "brown_conrady"
@@ -86,12 +86,11 @@ class Intrinsics(BaseModel):
         return np.stack([x * self.fx + self.cx, y * self.fy + self.cy], axis=1)
 
     def normalise(self, pixels: npt.ArrayLike) -> Float64Array:
-        """Take pixels to ``(x / z, y / z)`` on the plane z = 1, lens distortion removed.
+        """Return ``(x / z, y / z)`` of pixels, with lens distortion removed.
 
-        Follows librealsense's ``rs2_deproject_pixel_to_point`` step by step, ten fixed-point
-        steps included, so both agree to single precision. Like librealsense, it leaves the modified
-        Brown-Conrady model's distortion in place: its images count as already distorted forward, and
-        the driver's own point clouds ignore it, too.
+        Follows librealsense's ``rs2_deproject_pixel_to_point`` step by step, including its ten fixed-point steps, so
+        that both agree to single precision. Like librealsense, it does not remove the distortion of the modified
+        Brown-Conrady model; the point clouds of the driver ignore it, too.
 
         Parameters
         ----------
@@ -111,7 +110,7 @@ class Intrinsics(BaseModel):
     def rays(self) -> Float32Array:
         """Return ``(x / z, y / z)`` of every pixel: float32, shape (H, W, 2).
 
-        A point is its ray times its depth, so distortion costs nothing per frame.
+        A point is its ray times its depth, so distortion takes no time per frame.
         """
         v, u = np.mgrid[: self.height, : self.width]
         table = self.normalise(np.stack([u.ravel(), v.ravel()], axis=1))

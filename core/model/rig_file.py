@@ -1,4 +1,4 @@
-"""The rig as a JSON file: both cameras flat, one object each, beside a recording's frames.
+"""The rig as a JSON file, beside the frames of a recording: one flat object per camera.
 
 ::
 
@@ -10,8 +10,7 @@
       "T_proximity_tactile": 4 x 4
     }
 
-``model``, ``serial``, ``distortion``, ``coefficients``, ``proximity_color`` and ``T_proximity_tactile``
-may be left out.
+``model``, ``serial``, ``distortion``, ``coefficients``, ``proximity_color`` and ``T_proximity_tactile`` are optional.
 """
 
 from __future__ import annotations
@@ -37,25 +36,25 @@ def load_rig(path: Path | str) -> Rig:
     Raises
     ------
     SourceError
-        No such file, no JSON, or a field that is missing, unknown or out of range; the message
-        names the file, the field and the value.
+        There is no such file, it is not JSON, or a field is missing, unknown or out of range. The message names the
+        file, the field and the value.
     """
     return parse_rig(read_json_object(Path(path)), str(path))
 
 
 def save_rig(rig: Rig, path: Path | str) -> None:
-    """Write a rig file that `load_rig` reads back exactly; it appears whole or not at all."""
+    """Write a rig file, atomically. `load_rig` reads it back exactly."""
     with atomic_path(path) as temporary:
         temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
 
 
 def json_text(data: dict[str, Any]) -> str:
-    """Return the text of a JSON file; floats keep every bit."""
+    """Return JSON text; floats are exact."""
     return json.dumps(data, indent=1, allow_nan=False) + "\n"
 
 
 def read_json_object(path: Path) -> dict[str, Any]:
-    """Read a file that holds one JSON object; `SourceError` names the file and what is wrong with it."""
+    """Read a file that contains one JSON object; `SourceError` names the file and the error."""
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except FileNotFoundError as error:
@@ -87,14 +86,14 @@ def rig_to_json(rig: Rig) -> dict[str, Any]:
 
 
 def parse_rig(data: dict[str, Any], origin: str) -> Rig:
-    """Make a rig of a decoded JSON object.
+    """Return the rig described by a decoded JSON object.
 
     Parameters
     ----------
     data : dict
         As described at the top of this module.
     origin : str
-        Where it came from, for messages.
+        Name of the source, for messages.
 
     Raises
     ------
@@ -125,14 +124,14 @@ def _lens_json(intrinsics: Intrinsics) -> dict[str, Any]:
 
 
 def _nest_lens(flat: dict[str, Any]) -> dict[str, Any]:
-    """Gather the lens fields of a flat camera under ``intrinsics``, where the model has them."""
+    """Move the lens fields of a flat camera to ``intrinsics``, where the model has them."""
     lens = {key: value for key, value in flat.items() if key in _LENS_FIELDS}
     rest = {key: value for key, value in flat.items() if key not in _LENS_FIELDS}
     return {**rest, "intrinsics": lens} if "intrinsics" not in rest else rest
 
 
 def _sentence(error: ValidationError, origin: str) -> str:
-    """Tell the first thing that is wrong, with the path as the file spells it."""
+    """Return a message about the first error, with the path of the field as in the file."""
     details = error.errors(include_url=False)
     first = details[0]
     where = ".".join(str(part) for part in first["loc"] if part != "intrinsics") or "the rig"

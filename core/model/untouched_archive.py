@@ -15,16 +15,16 @@ from ..errors import FrameError, SourceError
 from .frames import GroundTruth, SensorFrame
 
 _ARRAYS = ("proximity_depth", "tactile_depth", "proximity_color", "tactile_color")
-#: What NumPy and zipfile raise for files that are none of theirs, broken, encrypted or packed in unknown ways.
+#: What NumPy and zipfile raise for files that are damaged, encrypted, of another format or of unknown compression.
 _DAMAGE = (
     *(OSError, ValueError, KeyError, TypeError, EOFError, MemoryError, RuntimeError, SyntaxError),
     *(OverflowError, zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError),
 )
 _NUMBERS = ("sequence", "proximity_time_s", "tactile_time_s")
-#: Unpacked; 1280 x 720 pixels with colour and truth take 20 MB. A few packed kilobytes can claim gigabytes.
-_LARGEST_BYTES = 200_000_000
+#: Limit of the unpacked size: 1280 x 720 pixels with colour and truth take 20 MB, but a small file can claim gigabytes.
+_MAX_UNPACKED_BYTES = 200_000_000
 
-#: CPython 3.11 fails where two threads parse literals at once, as NumPy does for the head of each array.
+#: CPython 3.11 fails if two threads parse literals at the same time, as NumPy does for the header of each array.
 _parsing = threading.Lock()
 
 
@@ -39,11 +39,11 @@ def untouched_bytes(frame: SensorFrame) -> bytes:
 
 
 def frame_from_bytes(data: bytes) -> SensorFrame:
-    """Return the frame in the bytes of an ``.npz``; `FrameError` says what is wrong with them."""
+    """Return the frame in the bytes of an ``.npz``; raise `FrameError` if they are damaged."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             unpacked = sum(entry.file_size for entry in archive.infolist())
-        if unpacked > _LARGEST_BYTES:
+        if unpacked > _MAX_UNPACKED_BYTES:
             raise FrameError(f"it unpacks to {unpacked / 1e6:.0f} MB, which no frame has")
         with _parsing, np.load(io.BytesIO(data), allow_pickle=False) as archive:
             arrays = dict(archive)
