@@ -1,7 +1,14 @@
-"""The coarse test never rules out a tile that holds a candidate, and does rule out most of the others."""
+"""The kernels: the coarse test is safe, the colour test is OpenCV's, cached machine code is never stale."""
 
 from __future__ import annotations
 
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import cv2
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -9,12 +16,15 @@ from hypothesis import strategies as st
 
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.finder import depth_images, depth_limits
+from tactune.core.contact.kernels import chain as kernels
+from tactune.core.contact.kernels import compiling
 from tactune.core.contact.kernels.chain import TILE_ROWS
 from tactune.core.contact.kernels.coarse import CoarseTest, tile_grid
 from tactune.core.contact.kernels.simd import LANES
+from tactune.core.contact.masking import in_hsv_range
 from tactune.core.contact.tolerance import ToleranceFinder
 from tactune.core.model.provenance import Provenance
-from tactune.core.preset import Preset
+from tactune.core.preset import MaskSection, Preset
 
 
 def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
@@ -83,3 +93,69 @@ def test_an_empty_scene_has_no_tile_left(make_rig, make_frame, model):
 def test_a_distorted_tactile_lens_rules_nothing_out(make_rig, make_frame):
     rig = make_rig(distortion="brown_conrady", bend=0.05)
     assert marked(Preset(), rig, make_frame(rig)).all()
+
+
+def test_every_colour_has_opencvs_hue_saturation_and_value():
+    steps = np.unique(np.r_[np.arange(0, 256, 5), 1, 2, 127, 128, 254, 255]).astype(np.uint8)
+    colors = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    hue, saturation, value = cv2.cvtColor(colors[None], cv2.COLOR_RGB2HSV)[0].T
+    for section in (
+        MaskSection(hue=(30, 90)), MaskSection(hue=(150, 20)),
+        MaskSection(saturation=(60, 200)), MaskSection(value=(3, 99)),
+    ):  # fmt: skip
+        low, high = section.hue
+        expected = (low <= hue) & (hue <= high) if low <= high else (low <= hue) | (hue <= high)
+        for channel, (floor, ceiling) in ((saturation, section.saturation), (value, section.value)):
+            expected &= (floor <= channel) & (channel <= ceiling)
+        assert np.array_equal(in_hsv_range(colors, section), expected)
+
+
+def test_hue_ranges_wrap_around_red():
+    red, green = np.array([255, 0, 8], np.uint8), np.array([0, 255, 0], np.uint8)
+    colors = np.stack([red, green])
+    assert in_hsv_range(colors, MaskSection(hue=(170, 10))).tolist() == [True, False]
+    assert in_hsv_range(colors, MaskSection(hue=(10, 170))).tolist() == [False, True]
+
+
+_PROGRAM = """
+import sys
+sys.path.insert(0, {folder!r})
+from small.core.outer import doubled
+print(doubled(21.0))
+"""
+
+
+@pytest.fixture
+def package(tmp_path: Path) -> Path:
+    """A package like ours: a kernel that takes a function of another module in."""
+    core = tmp_path / "small" / "core"
+    core.mkdir(parents=True)
+    (tmp_path / "small" / "__init__.py").write_text("")
+    (core / "__init__.py").write_text("")
+    shutil.copy(Path(compiling.__file__), core / "compiling.py")
+    (core / "inner.py").write_text("from .compiling import inline\n\n\n@inline\ndef factor():\n    return 2.0\n")
+    (core / "outer.py").write_text(
+        "from .compiling import kernel\nfrom .inner import factor\n\n\n"
+        "@kernel\ndef doubled(x):\n    return x * factor()\n"
+    )
+    return tmp_path
+
+
+def _run(folder: Path) -> float:
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"}
+    program = [sys.executable, "-c", _PROGRAM.format(folder=str(folder))]
+    return float(subprocess.run(program, capture_output=True, text=True, check=True, env=environment).stdout)
+
+
+def test_a_change_in_another_module_reaches_the_kernel(package: Path) -> None:
+    assert _run(package) == 42.0
+    assert list(package.rglob("outer.doubled-*.nbi"))
+    inner = package / "small" / "core" / "inner.py"
+    inner.write_text(inner.read_text().replace("2.0", "3.0"))
+    os.utime(inner, ns=(1, inner.stat().st_mtime_ns + 1_000_000))
+    assert _run(package) == 63.0
+
+
+def test_the_pipelines_kernels_know_all_their_files() -> None:
+    names = {Path(path).name for path in compiling._sources(kernels.find_candidates.py_func.__module__)}
+    assert {"chain.py", "simd.py", "lenses.py"} <= names
