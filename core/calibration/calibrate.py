@@ -301,11 +301,11 @@ def _recommend(quality: dict[str, ModelQuality], refused: dict[str, str], span_m
     left = f"a homography leaves {plane.cross_validated_px:.1f} px, rigid {rigid.cross_validated_px:.1f} px"
     if rigid.cross_validated_px > _MUCH_WORSE * plane.cross_validated_px:
         return "homography", (
-            f"Recommended: homography, because on pairs it has not seen {left}; "
+            f"Recommended: homography, because in cross-validation {left}; "
             "check the tactile depths and the rig's lenses."
         )
     if rigid.cross_validated_px > plane.cross_validated_px / _MUCH_WORSE:
-        return "rigid", f"Recommended: rigid: both fit alike ({left}), and rigid holds at every depth."
+        return "rigid", f"Recommended: rigid: both fit equally well ({left}), and rigid holds at every depth."
     return "rigid", f"Recommended: rigid: the points span {span_mm:.0f} mm of depth; {left}."
 
 

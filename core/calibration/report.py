@@ -372,7 +372,7 @@ def grade(quality: ModelQuality) -> str:
     if quality.degrees <= 0:
         used = sum(pair.used for pair in quality.pairs)
         return (
-            f"Unknown: {used} points fit a {quality.model} exactly, so residuals of 0 say nothing; clicks of usual "
+            f"Unknown: {used} points fit a {quality.model} exactly, so residuals of 0 mean nothing; clicks of usual "
             f"noise would leave an alignment error of {quality.alignment_px:.1f} px."
         )
     word = "Good" if quality.alignment_px <= GOOD_PX else "Usable" if quality.alignment_px <= USABLE_PX else "Poor"
@@ -396,7 +396,7 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
         )
     missing = ADVISED_POINTS - used
     if missing > 0:
-        return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be seen."
+        return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
     found = _weakest_place(quality, proximity, rig) or _shallow_points(quality, coverage) or _suspicious_pair(quality)
     if found:
         return found

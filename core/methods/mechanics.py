@@ -146,7 +146,7 @@ def _make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMet
 
 METHOD = MethodKind(
     "mechanics",
-    "Tactile camera: where something must press for an elastic membrane to look as it does",
+    "Tactile camera: where something must press to explain the membrane's shape, by an elastic model",
     (110, 40, 0),
     _make,
     needs_untouched=True,

@@ -53,7 +53,7 @@ def _make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMet
 
 METHOD = MethodKind(
     "proximity-only",
-    "Proximity camera: points that are nearer than the untouched membrane was",
+    "Proximity camera: points nearer than the untouched membrane",
     (0, 114, 178),
     _make,
     needs_untouched=True,

@@ -107,7 +107,7 @@ SHARE = MethodKind(
 )
 THRESHOLD = MethodKind(
     "tactile-threshold",
-    "Tactile camera: what moved by more than 5 mm",
+    "Tactile camera: parts that moved by more than 5 mm",
     (105, 60, 90),
     _make_by_threshold,
     needs_untouched=True,

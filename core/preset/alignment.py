@@ -141,7 +141,7 @@ class AlignmentSection(Section):
         described(
             "Model",
             "rigid: each proximity point is projected into the tactile image and its expected depth compared; "
-            "exact at every depth. homography: the images are laid over each other by one plane's homography.",
+            "exact at every depth. homography: the images are aligned by the homography of one plane.",
         ),
     ] = "rigid"
     rigid: RigidAlignment = RigidAlignment()

@@ -208,9 +208,9 @@ class MembraneTest(ContactTest[MembraneSection]):
     looser_words = "raise the largest gap"
     drop_reasons = {
         Provenance.MASKED: MASK_REASON,
-        Provenance.RIM: DropReason("the erosion of the rim", "right while nothing touches; else lower it"),
+        Provenance.RIM: DropReason("the erosion of the rim", "correct if nothing touches; otherwise lower it"),
         Provenance.NOT_PRESSED: DropReason(
-            "the membrane's curvature", "right while nothing presses; else raise the largest one"
+            "the membrane's curvature", "correct if nothing presses; otherwise raise it"
         ),
         Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
     }
@@ -224,17 +224,17 @@ class MembraneTest(ContactTest[MembraneSection]):
         FusionVariant(
             "fusion-averaged",
             {"contact_test": "membrane", "alignment.model": "rigid", "membrane.frames": 15},
-            "As fusion-membrane, on the mean of up to 15 frames while the membrane is still",
+            "fusion-membrane on the mean of up to 15 frames while the membrane is still",
             (119, 68, 255),
         ),
     )
     frames_field = "membrane.frames"
     unmasked_note = (
-        "makes the membrane test without the mask, so parts of the membrane that reflect infrared, such as prints, "
+        "uses the membrane test without the mask, so parts of the membrane that reflect infrared, such as prints, "
         "pass as contact; set mask.hue, mask.saturation and mask.value to their colour."
     )
     homography_note = (
-        "tests contact by gaps of a millimetre, which a homography resolves on one plane only; choose the rigid "
+        "judges gaps of a millimetre, which a homography resolves on one plane only; choose the rigid "
         "alignment, or the tolerance test."
     )
     moves_points = True
@@ -247,7 +247,7 @@ class MembraneTest(ContactTest[MembraneSection]):
         """Return what the test corrects or a third of its largest gap, and that plus the largest gap."""
         third_m = HARMLESS_SHARE * section.gap_m
         good_m = max(section.bias_m, third_m)
-        why = "what the membrane contact test takes off" if good_m > third_m else "a third of its largest gap"
+        why = "what the membrane contact test corrects" if good_m > third_m else "a third of its largest gap"
         return BiasLimits(good_m, section.bias_m + section.gap_m, f"below {1e3 * good_m:.2g} mm, {why}")
 
 

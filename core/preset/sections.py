@@ -110,8 +110,7 @@ class CameraSection(Section):
         dict[Annotated[str, Field(min_length=1, max_length=80)], float],
         described(
             "Options",
-            "Settings of the camera by the driver's own names, such as laser_power; "
-            "what is not named here stays as the camera has it.",
+            "Camera settings by the driver's names, such as laser_power. Settings that are not listed are unchanged.",
             hidden=True,
         ),
     ] = Field(default_factory=dict)
@@ -126,8 +125,8 @@ class CamerasSection(Section):
         float,
         described(
             "Tactile delay",
-            "How much later than the proximity camera's images with equal time stamps the tactile camera's show "
-            "the same moment; it is taken off their time stamps before images are paired.",
+            "Delay of the tactile camera's images relative to the proximity camera's with equal time stamps. "
+            "It is subtracted from the tactile time stamps before images are paired.",
             unit="s",
             step=0.001,
             hidden=True,
@@ -146,9 +145,11 @@ class UntouchedRecord(Section):
     ]
     sha256: Annotated[
         str,
-        described("Hash", "SHA-256 of the images in it, so that no other file is taken for it.", hidden=True),
+        described("Hash", "SHA-256 of the images in it, so that another file is not mistaken for it.", hidden=True),
         Field(pattern=r"^[0-9a-f]{64}$"),
     ]
     frames: Annotated[
-        int, described("Frames", "How many frames were averaged.", unit="frames", hidden=True), Field(ge=1, le=100_000)
+        int,
+        described("Frames", "Number of frames that were averaged.", unit="frames", hidden=True),
+        Field(ge=1, le=100_000),
     ]

@@ -222,7 +222,7 @@ class SessionWriter:
         except TactuneError as error:
             self._fail(str(error))
         except Exception as error:
-            self._fail(f"cannot go on writing {self._bag.path} ({type(error).__name__}: {error})")
+            self._fail(f"cannot continue writing {self._bag.path} ({type(error).__name__}: {error})")
 
     def _fail(self, reason: str) -> None:
         """Keep the first thing that went wrong."""

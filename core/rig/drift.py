@@ -179,7 +179,7 @@ def _judge(
     if dented > _DENT_SHARE:
         return "touched", (
             f"Something touches the membrane: {100 * dented:.0f} % of it differs from the untouched frame by more than "
-            f"{1e3 * _DENT_M:.0f} mm; take it away and check again."
+            f"{1e3 * _DENT_M:.0f} mm; remove it and check again."
         )
     known = {"tactile": tactile} | ({} if proximity is None else {"proximity": proximity})
     moved = {name: change.moved_m for name, change in known.items() if change.moved_m > LIMIT_M}

@@ -270,7 +270,7 @@ def _check_peak(delays: Float64Array, curve: Float64Array) -> int:
     """Return the index of the only clear peak."""
     known = np.flatnonzero(np.isfinite(curve))
     if len(known) < 3:
-        raise SkewError("the series of both cameras hardly overlap in time; check their clocks and measure again")
+        raise SkewError("the series of both cameras overlap too little in time; check their clocks and measure again")
     best = int(np.nanargmax(curve))
     if curve[best] < _MIN_CORRELATION:
         raise SkewError(
@@ -401,7 +401,7 @@ def pressed_depths(
     seen = valid_depth(tactile)
     often = seen.mean(axis=0) >= _SEEN_SHARE
     if often.sum() < _MIN_PIXELS:
-        raise FrameError("the tactile camera sees hardly any depth; check its light and its distance")
+        raise FrameError("the tactile camera sees almost no depth; check its light and its distance")
     rest = np.where(often, _high(np.where(seen, tactile, np.uint16(0)), _REST_SHARE), np.uint16(0))
     membrane = np.where(seen & often, rest.astype(np.float32) - tactile, np.float32(np.nan)) * np.float32(unit)
     object_ = np.empty((len(samples), *samples[0].proximity_depth.shape), np.float32)
@@ -421,7 +421,7 @@ def _series(time_s: Float64Array, depth_m: Float32Array, camera: str) -> MotionS
     flat = depth_m.reshape(len(depth_m), -1)
     flat = flat[:, np.isfinite(flat).mean(axis=0) >= _SEEN_SHARE]
     if flat.shape[1] < _MIN_PIXELS:
-        raise FrameError(f"the {camera} camera sees hardly any depth where the membrane is; check the alignment")
+        raise FrameError(f"the {camera} camera sees almost no depth where the membrane is; check the alignment")
     deepest = _high(np.where(np.isfinite(flat), flat, np.float32(-np.inf)), _DEEPEST_SHARE)
     core = flat[:, deepest >= _CORE_SHARE * np.percentile(deepest, 99.0)]
     mean = np.array([_trimmed_mean(row[np.isfinite(row)]) for row in core])

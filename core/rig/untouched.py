@@ -185,7 +185,7 @@ def copy_untouched(record: UntouchedRecord, preset_path: Path, to: Path) -> None
             load_untouched(record, to)
         except PresetError as error:
             raise ExportError(
-                f"the untouched frame cannot go beside {to}, {target} is in the way; remove it"
+                f"the untouched frame cannot be written beside {to}, {target} is in the way; remove it"
             ) from error
         return
     frame = load_untouched(record, preset_path)

@@ -101,7 +101,7 @@ def seeded(source: str, seeds: int) -> list[tuple[str, int]]:
     """
     scheme = source.partition(":")[0]
     if scheme in ("live", "realsense"):
-        raise SweepError(f"{source} is live and never twice the same; record it first with tactune record")
+        raise SweepError(f"{source} is live, so its frames are never the same; record it first with tactune record")
     if scheme != "sim":
         return [(_absolute(source), 0)]
     if "seed=" in source:

@@ -51,7 +51,7 @@ def run_batch(batch: Batch) -> list[Result]:
     if code_version() != batch.code:
         raise SweepError(
             "a worker runs another version of Tactune than this sweep; install the same one everywhere, "
-            "start the workers anew and give the same command again"
+            "restart the workers and give the same command again"
         )
     with _one_thread():
         return _OpenTake.of(batch.take).run(batch)

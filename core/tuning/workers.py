@@ -59,8 +59,8 @@ def run_locally(batches: Iterable[Batch], jobs: int) -> Iterator[list[Result]]:
             yield from results
         except BrokenProcessPool as error:
             raise SweepError(
-                "a worker process was killed, perhaps for want of memory; try fewer --jobs, "
-                "and the same command goes on"
+                "a worker process was killed, perhaps for lack of memory; try fewer --jobs, "
+                "and the same command continues"
             ) from error
         finally:
             with warnings.catch_warnings():
@@ -227,13 +227,13 @@ def _result_of(future: Any) -> list[Result]:
     if isinstance(error, TactuneError):
         raise error
     raise SweepError(
-        f"a worker of the cluster could not go on ({type(error).__name__}: {_first_line(error)}); see that each has "
+        f"a worker of the cluster failed ({type(error).__name__}: {_first_line(error)}); check that each has "
         "this version of Tactune and enough memory, and give the same command again"
     )
 
 
 def _gone() -> SweepError:
-    return SweepError("the Dask scheduler is gone; start it again, and the same command goes on")
+    return SweepError("the Dask scheduler is gone; start it again, and the same command continues")
 
 
 def _first_line(error: BaseException) -> str:

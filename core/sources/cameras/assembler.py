@@ -283,7 +283,7 @@ class Assembler:
                 (self._sets[role].add_first if image.kind == "depth" else self._sets[role].add_second)(timed)
             self._advance(arrival_s)
             if had_settled and clock.settling and image.kind == "depth":
-                return f"clock jumped by {clock.jumped_by_s:+.1f} s; its images are placed by their arrival."
+                return f"clock jumped by {clock.jumped_by_s:+.1f} s; its images are timed by their arrival."
             return ""
 
     def restart(self, role: CameraRole) -> None:

@@ -93,8 +93,7 @@ def choose(
     if not devices:
         note = f"; note that {hint}" if hint else ""
         raise SourceError(
-            f"{source} finds no {what} connected: plug both into USB 3 ports; "
-            f"tactune doctor says what else may be wrong{note}"
+            f"{source} finds no {what} connected: plug both into USB 3 ports; tactune doctor finds other causes{note}"
         )
     named = {cameras.proximity.serial, cameras.tactile.serial} - {""}
     if cameras.proximity.serial and cameras.proximity.serial == cameras.tactile.serial:

@@ -201,7 +201,7 @@ class CameraFeed:
         height, width = image.pixels.shape[:2]
         self.tell(
             f"The {self.info.title} sent a {image.kind} image of {width} x {height} pixels instead of "
-            f"{expected[1]} x {expected[0]}; it was left out."
+            f"{expected[1]} x {expected[0]}; it was ignored."
         )
         return False
 
@@ -213,7 +213,7 @@ class CameraFeed:
 
     def _check_plugged_in(self) -> None:
         if self.info.serial not in self._driver.serials():
-            self._lose(f"The {self.info.title} is unplugged: plug it in again and it goes on by itself.")
+            self._lose(f"The {self.info.title} is unplugged: plug it in again and it continues automatically.")
 
     def _revive_if_silent(self, now_s: float) -> None:
         needed = self._kinds if self.role == "proximity" else ("depth",)
@@ -238,10 +238,10 @@ class CameraFeed:
         if others:
             self._problem = (
                 f"The {self.info.title} is unplugged and another {others[0].model} with the serial "
-                f"{others[0].serial} is connected: plug the former in again, or choose the cameras again."
+                f"{others[0].serial} is connected: plug the first one in again, or choose the cameras again."
             )
         elif self._camera is None and not self._problem:
-            self._problem = f"The {self.info.title} is unplugged: plug it in again and it goes on by itself."
+            self._problem = f"The {self.info.title} is unplugged: plug it in again and it continues automatically."
         self._quit.wait(_POLL_S)
 
     def _reopen(self) -> None:

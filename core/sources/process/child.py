@@ -174,7 +174,7 @@ class _Capture:
         """Leave out a frame that does not fit the rig and report it; raise if too many in a row do not fit."""
         self._unfit += 1
         self._unfit_in_a_row += 1
-        self._unfit_message = f"A frame was left out: {error}."
+        self._unfit_message = f"A frame was ignored: {error}."
         self._unfit_told_until_s = self._round_s + _TOLD_S
         if lossless or self._unfit_in_a_row >= _MAX_UNFIT:
             raise error

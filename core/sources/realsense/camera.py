@@ -29,16 +29,16 @@ _AUTO_EXPOSURE: Final = "enable_auto_exposure"
 
 #: Options that are offered where the camera has them, in the order in which they are applied: description, unit.
 _OFFERED: Final = {
-    VISUAL_PRESET: ("A set of values for a purpose; choosing one changes other settings.", ""),
-    _AUTO_EXPOSURE: ("Let the camera choose its exposure and gain; 1 on, 0 off.", ""),
-    "exposure": ("Exposure time; setting it turns the automatic off.", "us"),
+    VISUAL_PRESET: ("A set of values for one purpose; selecting one changes other settings.", ""),
+    _AUTO_EXPOSURE: ("Automatic exposure and gain; 1 on, 0 off.", ""),
+    "exposure": ("Exposure time; setting it turns automatic exposure off.", "us"),
     "gain": ("Amplification of the image sensor; more is brighter and noisier.", ""),
     "emitter_enabled": ("The infrared projector; 0 off, 1 on.", ""),
-    "laser_power": ("Power of the infrared laser; less helps near objects, which else are too bright.", ""),
+    "laser_power": ("Power of the infrared laser; less helps near objects, which are otherwise too bright.", ""),
     "receiver_gain": ("Gain of the laser's receiver; less helps near objects, more helps dark ones.", ""),
     "digital_gain": ("Gain after the laser's receiver: 1 high, 2 low, for places with ambient light.", ""),
-    "confidence_threshold": ("Depths that the camera is less sure of are left out.", ""),
-    "min_distance": ("Depths nearer than this are left out.", "mm"),
+    "confidence_threshold": ("Depths with lower confidence are dropped.", ""),
+    "min_distance": ("Depths nearer than this are dropped.", "mm"),
     "noise_filtering": ("Strength of the camera's own noise filter.", ""),
     "pre_processing_sharpening": ("Sharpening before depth is computed.", ""),
     "post_processing_sharpening": ("Sharpening of the depth image.", ""),
@@ -250,7 +250,7 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
     unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
     if not unit_m > 0.0:
         raise SourceError(
-            f"the {info.title} reports a depth unit of {unit_m:g} m, so its depths mean nothing; "
+            f"the {info.title} reports a depth unit of {unit_m:g} m, so its depths are meaningless; "
             "plug it in again, or update its firmware"
         )
     try:

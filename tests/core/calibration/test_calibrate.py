@@ -62,7 +62,7 @@ def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
     quality = report.quality["homography"]
     assert quality.rms_px is quality.worst_px is quality.cross_validated_px is quality.click_noise_px is None
     assert report.to_json()["rms_px"] is None
-    assert "say nothing" in report.verdict
+    assert "mean nothing" in report.verdict
     assert "Add 2 more points" in report.verdict
     assert " 0.00" not in report.words().split("Points per cell")[0]
 

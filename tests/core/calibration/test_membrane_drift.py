@@ -107,7 +107,7 @@ def test_a_dent_is_a_touch_and_no_drift() -> None:
     dent = 0.012 * np.exp(-((U - 60) ** 2 + (V - 50) ** 2) / (2 * 10**2))
     drift = compare_with_untouched(Preset(), RIG, seen(membrane() - dent, membrane()), UNTOUCHED)
     assert drift.verdict == "touched"
-    assert "take it away" in drift.sentence
+    assert "remove it" in drift.sentence
 
 
 def test_without_prints_the_proximity_camera_is_not_judged() -> None:

@@ -276,5 +276,5 @@ def test_an_error_of_the_thread_is_told_and_nobody_waits_for_it(
     status = writer.close()
     assert not accepted[-1]
     assert (status.frames, status.dropped) == (0, 4)
-    assert status.error == f"cannot go on writing {tmp_path / 'a.mcap'} (MemoryError: no memory)"
+    assert status.error == f"cannot continue writing {tmp_path / 'a.mcap'} (MemoryError: no memory)"
     assert not (tmp_path / "a.mcap").exists()

@@ -204,9 +204,9 @@ def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
 @pytest.mark.parametrize(
     ("bias_m", "bias_taken_off_m", "verdict", "limit"),
     [
-        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the membrane contact test takes off"),
-        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the membrane contact test takes off"),
-        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the membrane contact test takes off"),
+        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the membrane contact test corrects"),
+        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the membrane contact test corrects"),
+        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the membrane contact test corrects"),
         (0.001, 0.0, Verdict.FAIR, "below 0.6 mm, a third of its largest gap"),
     ],
 )

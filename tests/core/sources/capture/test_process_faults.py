@@ -140,7 +140,7 @@ def test_odd_frames_are_left_out_and_told(nothing_left: None, tmp_path: Path, un
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         order("size 25")(source, tmp_path)
         until(lambda: "tactile_depth is 10 x 7 pixels" in source.health().message)
-        assert source.health().message.startswith("A frame was left out: frame ")
+        assert source.health().message.startswith("A frame was ignored: frame ")
         until(lambda: source.health().dropped >= 25 and not source.health().stale)
         assert {frame.tactile_depth.shape for frame in take(source, 20)} == {(14, 20)}
 
