@@ -15,7 +15,6 @@ that agree no better than random ones never become a calibration.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import combinations
 from math import comb
@@ -29,7 +28,7 @@ from ..errors import CalibrationError
 from ..model.arrays import BoolArray, Float64Array, IndexArray
 from .maximum_likelihood import Linearised, Measurements, Prior, Solution, condition_number, deleted_distances, maximise
 
-Model = TypeVar("Model")
+Theta = TypeVar("Theta")
 
 #: A consensus is significant below this log10 of the number of false alarms.
 SIGNIFICANT = -3.0
@@ -39,7 +38,6 @@ _HYPOTHESES = 700
 _FAR_PX = 1e300
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
-Theta = TypeVar("Theta")
 
 #: One correct pair in this many is rejected as an outlier.
 _HONEST_LOSS = 100_000
@@ -110,71 +108,51 @@ def score(residuals_px: Float64Array, sample_size: int, area: float, largest_px:
     return Consensus(inliers, float(radius[best]), float(log_nfa[best] / np.log(10)))
 
 
-def find_consensus(
-    count: int,
-    sample_size: int,
-    area: float,
-    hypotheses: Callable[[IndexArray], list[Model]],
-    residuals_px: Callable[[Model], Float64Array],
-    refit: Callable[[BoolArray], Model | None],
-    first: list[Model],
-    largest_px: float = np.inf,
-) -> tuple[Consensus, Model] | None:
+def find_consensus(problem: Problem[Theta], pairs: IndexArray, first: list[Theta]) -> tuple[Consensus, Theta] | None:
     """Search for the hypothesis with the fewest false alarms and refine it by refitting.
 
     Parameters
     ----------
-    count : int
-        Number of pairs.
-    hypotheses : callable
-        Index samples (M, sample_size) to models; degenerate samples give none.
-    residuals_px : callable
-        Distances (N,) of every pair from a model.
-    refit : callable
-        Inliers to a model, or None if they determine none.
+    problem : Problem
+    pairs : intp, shape (K,)
+        Indices of the pairs to search among; the inliers count within them.
     first : list
-        Further models to try.
-    largest_px : float
-        See `score`.
+        Further hypotheses to try.
 
     Returns
     -------
-    Consensus and model, or None if no sample determines a model.
+    Consensus and theta, or None if no sample determines a model.
     """
-    some = np.arange(count)
-    if count > _SCORED_POINTS:
-        some = np.random.default_rng(1).choice(count, _SCORED_POINTS, replace=False)
-    models = [*first, *hypotheses(some[samples(len(some), sample_size)])]
-    ranked = [(score(residuals_px(model)[some], sample_size, area, largest_px).log10_nfa, model) for model in models]
-    if not ranked:
+    some = np.arange(len(pairs))
+    if len(pairs) > _SCORED_POINTS:
+        some = np.random.default_rng(1).choice(len(pairs), _SCORED_POINTS, replace=False)
+    thetas = [*first, *problem.hypotheses(pairs[some[samples(len(some), problem.sample_size)]])]
+    if not thetas:
         return None
+    ranked = [(_scored(problem, theta, pairs[some]).log10_nfa, theta) for theta in thetas]
     ranked.sort(key=lambda entry: entry[0])
-    best: tuple[Consensus, Model] | None = None
-    for _, model in ranked[:5]:
-        found = _polish(model, sample_size, area, residuals_px, refit, largest_px)
-        if best is None or found[0].log10_nfa < best[0].log10_nfa:
-            best = found
-    return best
+    refined = [_refined(problem, theta, pairs) for _, theta in ranked[:5]]
+    return min(refined, key=lambda found: found[0].log10_nfa)
 
 
-def _polish(
-    model: Model,
-    sample_size: int,
-    area: float,
-    residuals_px: Callable[[Model], Float64Array],
-    refit: Callable[[BoolArray], Model | None],
-    largest_px: float,
-) -> tuple[Consensus, Model]:
-    best = score(residuals_px(model), sample_size, area, largest_px)
+def _scored(problem: Problem[Theta], theta: Theta, pairs: IndexArray) -> Consensus:
+    return score(problem.residuals_px(theta)[pairs], problem.sample_size, problem.area, problem.largest_px)
+
+
+def _refined(problem: Problem[Theta], theta: Theta, pairs: IndexArray) -> tuple[Consensus, Theta]:
+    """Refit a hypothesis to its inliers while the number of false alarms decreases."""
+    best = _scored(problem, theta, pairs)
     for _ in range(5):
-        candidate = refit(best.inliers)
-        if candidate is None:
+        inliers = np.zeros(len(problem.measurements), bool)
+        inliers[pairs[best.inliers]] = True
+        solution = _try(problem, inliers)
+        if solution is None:
             break
-        found = score(residuals_px(candidate), sample_size, area, largest_px)
+        found = _scored(problem, solution.theta, pairs)
         if not found.log10_nfa < best.log10_nfa:
             break
-        best, model = found, candidate
-    return best, model
+        best, theta = found, solution.theta
+    return best, theta
 
 
 def _log_binomial(n: float | IndexArray, k: float | IndexArray) -> Float64Array:
@@ -292,21 +270,8 @@ def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Flo
 
 
 def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Theta]:
-    def refit(inliers: BoolArray) -> Theta | None:
-        solution = _try(problem, inliers)
-        return None if solution is None else solution.theta
-
     count = len(problem.measurements)
-    found = find_consensus(
-        count,
-        problem.sample_size,
-        problem.area,
-        problem.hypotheses,
-        problem.residuals_px,
-        refit,
-        [] if first is None else [first],
-        problem.largest_px,
-    )
+    found = find_consensus(problem, np.arange(count), [] if first is None else [first])
     if found is None:
         raise CalibrationError(
             f"no {problem.sample_size} of the {count} pairs determine a {problem.name}: "
@@ -322,23 +287,7 @@ def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
     left = np.flatnonzero(~used)
     if len(left) < max(problem.sample_size + 3, _LEAST_SECOND_SHARE * len(used)):
         return
-
-    def refit(inliers: BoolArray) -> Theta | None:
-        chosen = np.zeros(len(used), bool)
-        chosen[left[inliers]] = True
-        solution = _try(problem, chosen)
-        return None if solution is None else solution.theta
-
-    found = find_consensus(
-        len(left),
-        problem.sample_size,
-        problem.area,
-        lambda samples: problem.hypotheses(left[samples]),
-        lambda theta: problem.residuals_px(theta)[left],
-        refit,
-        [],
-        problem.largest_px,
-    )
+    found = find_consensus(problem, left, [])
     if found is not None and found[0].log10_nfa < SIGNIFICANT and found[0].inliers.mean() >= _SECOND_AGREEMENT:
         raise CalibrationError(
             f"the pairs agree on two different alignments: {int(used.sum())} on one {problem.name}, "
