@@ -1,4 +1,4 @@
-"""Recordings as folders of PNG images that anyone can open, make or hand on.
+"""Recordings as folders of PNG images that any program can read and write.
 
 A recording is a folder with ``rig.json`` (see `tactune.core.model.rig_file`) and either one frame or
 numbered subfolders with one frame each; a subfolder ``untouched`` may hold a frame of the untouched
@@ -46,7 +46,7 @@ _REQUIRED = ("proximity_depth.png", "proximity_color.png", "tactile_depth.png")
 
 @dataclass(frozen=True)
 class _Stamp:
-    """What ``frame.json`` says of a frame."""
+    """The contents of ``frame.json``."""
 
     sequence: int
     proximity_time_s: float
@@ -80,7 +80,7 @@ class FolderSource(SeekableSource):
 
     @property
     def frame_rate_hz(self) -> float:
-        """Rate from the median distance of the time stamps; 30 Hz where they do not tell."""
+        """Rate from the median interval of the time stamps; 30 Hz where they have none."""
         gaps = np.diff([stamp.proximity_time_s for stamp in self._stamps])
         median = float(np.median(gaps)) if len(gaps) else 0.0
         return 1.0 / median if median > 0 else _NOMINAL_RATE_HZ
@@ -90,7 +90,7 @@ class FolderSource(SeekableSource):
         return _read_frame(self._folders[index], self._stamps[index], self._rig)
 
     def _refuse_same_sequence(self) -> None:
-        """Files that are made of a frame are named by its sequence number: two of one number would collide."""
+        """Refuse equal sequence numbers: files of results are named by them."""
         seen: dict[int, Path] = {}
         for folder, stamp in zip(self._folders, self._stamps, strict=True):
             first = seen.setdefault(stamp.sequence, folder)
@@ -162,7 +162,7 @@ def export_folder(
 
 
 def _frame_folders(path: Path) -> list[Path]:
-    """Find the frames of a recording, in the order of their numbers."""
+    """Return the frames of a recording by their numbers."""
     try:
         numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
     except OSError as error:
@@ -254,7 +254,7 @@ def _read_color(path: Path, shape: tuple[int, int]) -> Uint8Array:
 
 
 def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[int, int]) -> AnyArray:
-    """Read one image and insist on its bit depth, its channels and the size that the rig states."""
+    """Read one image and check its bit depth, its channels and its size."""
     try:
         # Not cv2.imread: a name that is no valid Unicode makes it crash the whole process.
         image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
@@ -366,7 +366,7 @@ def _write_image(path: Path, image: AnyArray) -> None:
 
 
 def _write_file(path: Path, data: bytes | str) -> None:
-    """Write a file and have the disk hold it before the folder gets its final name."""
+    """Write a file and wait until it is on the disk, before the folder gets its final name."""
     path.write_bytes(data.encode() if isinstance(data, str) else data)
     with path.open("rb+") as file:
         os.fsync(file.fileno())

@@ -1,4 +1,4 @@
-"""Starts the capture process and ends it for certain.
+"""Starts the capture process and makes sure that it ends.
 
 Neither `multiprocessing` nor a fork: a fresh interpreter that imports nothing but the capture
 process works from a script without a main guard, from a notebook and from inside a Qt application.
@@ -26,7 +26,7 @@ _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[3]); "
     "from tactune.core.sources.process.child import main; main(int(sys.argv[1]), int(sys.argv[2]))"
 )
-#: How long a process may take to close its source, seconds; then it is told to end, then made to.
+#: Time to close the source, then time to end after SIGTERM, seconds; then the process is killed.
 _CLOSING_S: Final = 1.5
 _ENDING_S: Final = 0.5
 
@@ -81,11 +81,11 @@ class CaptureProcess:
         return self._process.poll() is None
 
     def map_ring(self, slots: int, size: int) -> Ring:
-        """Return the shared memory, which the process has given its size."""
+        """Map the shared memory, whose size the process has set."""
         return Ring(self._memory, slots, size)
 
     def receive(self, timeout_s: float) -> Any:
-        """Return the next message, or None where none comes in time.
+        """Return the next message, or None after ``timeout_s``.
 
         Raises
         ------
@@ -95,7 +95,7 @@ class CaptureProcess:
         return self._connection.recv() if self._connection.poll(timeout_s) else None
 
     def send(self, message: Any) -> None:
-        """Tell the process.
+        """Send a message to the process.
 
         Raises
         ------
@@ -106,7 +106,7 @@ class CaptureProcess:
             self._connection.send(message)
 
     def end(self, *, politely: bool) -> int | None:
-        """End the process and let go of everything; return its exit status, None where it cannot be ended."""
+        """End the process and release everything; return its exit status, None where it cannot be ended."""
         with self._sending:
             self._connection.close()
         try:
@@ -115,7 +115,7 @@ class CaptureProcess:
             os.close(self._memory)
 
     def _wait(self, politely: bool) -> int | None:
-        """Wait after the closed socket, then after SIGTERM, then after SIGKILL."""
+        """Wait for the process after closing its socket, then after SIGTERM, then after SIGKILL."""
         if politely:
             with suppress(subprocess.TimeoutExpired):
                 return self._process.wait(_CLOSING_S)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class LiveLoop(FrameSource):
-    """A recording that has no length any more: frames come when they are due, whoever waits.
+    """A recording without a length: each frame comes when it is due.
 
     The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that
     cannot be read in time is left out and counted as dropped, as a camera would. Times go on rising
@@ -75,7 +75,7 @@ class LiveLoop(FrameSource):
         return self._source.untouched()
 
     def health(self) -> Health:
-        """Report how the recording is doing, and how many frames came too late."""
+        """Return the health of the recording and how many frames were late."""
         health = self._source.health()
         return replace(health, dropped=health.dropped + self._dropped)
 
@@ -89,7 +89,7 @@ class LiveLoop(FrameSource):
         return self._began_s + self._count * self._period_s - time.monotonic()
 
     def _prepare(self) -> SensorFrame:
-        """Read the next frame before it is due; leave out those whose time has passed."""
+        """Read the next frame before it is due; drop frames whose time has passed."""
         if self._next is not None:
             return self._next
         late = max(0, int(-self._due_in_s() / self._period_s)) if self._count else 0
@@ -106,7 +106,7 @@ class LiveLoop(FrameSource):
         return self._next
 
     def _length_s(self) -> float:
-        """Return how long one loop takes by the recording's own time stamps, where those make sense."""
+        """Return the length of one loop by the recording's time stamps, where these are plausible."""
         taken_s = self._read(self._length - 1).proximity_time_s - self._read(0).proximity_time_s
         return max(taken_s, 0.0) + self._period_s
 

@@ -143,7 +143,7 @@ class _Indexing:
             self._wanted.setdefault(chunk, []).append((name, index if are_images else None, time_ns, offset))
 
     def _read_chunk(self, number: int, chunk: bytes) -> int:
-        """Take what is wanted from a chunk and return how many images it holds."""
+        """Read the wanted messages of a chunk and return its number of images."""
         images = 0
         for name, index, time_ns, offset in self._wanted[number]:
             start, size = message_bounds(chunk, offset)
@@ -158,7 +158,7 @@ class _Indexing:
         return images
 
     def _read_metadata(self, name: str, time_ns: int, message: bytes) -> None:
-        # Cameras write two dozen of these for every image, so the others are passed over quickly.
+        # Cameras write two dozen of these for every image, so others are skipped quickly.
         if message.startswith((_CLOCK_KEY, _ARRIVAL_KEY), 4):
             cursor = Cursor(message)
             key, value = cursor.text(), cursor.text()
@@ -179,7 +179,7 @@ class _Indexing:
 
 
 def _skip_header(cursor: Cursor) -> None:
-    """Pass over a ``std_msgs/Header``: number, seconds, nanoseconds, name of the frame."""
+    """Skip a ``std_msgs/Header``: number, seconds, nanoseconds, name of the frame."""
     cursor.take(12)
     cursor.text()
 

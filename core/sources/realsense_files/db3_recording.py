@@ -56,7 +56,7 @@ class Db3Recording(Recording):
 
     def _open(self) -> None:
         size = self.path.stat().st_size
-        # No row takes less than a few bytes and a few steps: more steps mean pages that form loops.
+        # A row takes at least a few bytes and a few steps: more steps mean that pages form a loop.
         self._steps_allowed = (size // _STEPS_A_CALL + 1) * 10
         with self.path.open("rb") as file:
             head = file.read(100)
@@ -175,7 +175,7 @@ class Db3Recording(Recording):
         return facts
 
     def _facts(self, topic: str) -> dict[str, str]:
-        """Return what all messages of a topic of strings say together."""
+        """Return the merged key-value pairs of all messages of a string topic."""
         if topic not in self._ids:
             return {}
         facts: dict[str, str] = {}
@@ -184,7 +184,7 @@ class Db3Recording(Recording):
         return facts
 
     def _topic_index(self, topic: str) -> Int64Array:
-        """Return time in ns and row of a topic's messages in the order of time: shape (N, 2)."""
+        """Return time in ns and row of a topic's messages, sorted by time: shape (N, 2)."""
         if topic not in self._ids:
             return np.zeros((0, 2), np.int64)
         query = "SELECT timestamp, rowid FROM messages WHERE topic_id = ? AND typeof(timestamp) = 'integer'"
@@ -213,7 +213,7 @@ class Db3Recording(Recording):
             yield from self._database.execute(query, values)
 
     def _check_tables(self) -> None:
-        """Insist on plain tables: a view or a computed column could run anything."""
+        """Refuse views and computed columns, which could run any code."""
         query = "SELECT name, type, rootpage FROM sqlite_master WHERE name IN ('topics', 'messages')"
         tables = {name for name, kind, page in self._rows(query) if kind == "table" and page}
         if tables != {"topics", "messages"}:
@@ -255,7 +255,7 @@ def _raw(cursor: Cursor) -> RawImage:
 
 
 def _pairs(text: str) -> dict[str, str]:
-    """Return ``key=value;key=value``; a part without a value is a key of nothing."""
+    """Return ``key=value;key=value``; a part without a value is a key with an empty value."""
     return {key: value for key, _, value in (part.partition("=") for part in text.split(";")) if key}
 
 

@@ -47,7 +47,7 @@ def check_size(size: int | None, largest: int = LARGEST_BYTES) -> int:
 
 
 class Cursor:
-    """Reads little-endian fields one after the other.
+    """Reads consecutive little-endian fields.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Cursor:
 
     @property
     def rest(self) -> int:
-        """Number of bytes that are left."""
+        """Number of remaining bytes."""
         return len(self._data) - self._at
 
     def take(self, size: int) -> bytes:
@@ -94,14 +94,14 @@ class Cursor:
         return tuple(self._number("<d", 8) for _ in range(count))
 
     def text(self) -> str:
-        """Return a string with its length in front."""
+        """Return a string that follows its length."""
         data = self.take(self.u32())
         if self._aligned:
             data = data.removesuffix(b"\x00")
         return data.decode(errors="replace")
 
     def bytes(self) -> Uint8Array:
-        """Return an array of bytes with its length in front, without a copy."""
+        """Return an array of bytes that follows its length, without a copy."""
         size = self.u32()
         if size > self.rest:
             raise DamagedFileError(f"an array of {size} bytes has only {self.rest} left")
@@ -173,7 +173,7 @@ def _rows(image: RawImage, shape: tuple[int, int], bytes_per_pixel: int) -> Uint
 
 
 def _decoded(data: Uint8Array, shape: tuple[int, int]) -> AnyArray:
-    # Size and checksums are looked at first: the decoder allocates whatever the file claims, and
+    # Size and checksums are checked first: the decoder allocates whatever the file claims, and
     # complains about damage on the terminal.
     raw = data.tobytes()
     if len(raw) < len(_PNG_START) + 8 or not raw.startswith(_PNG_START):

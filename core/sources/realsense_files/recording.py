@@ -1,4 +1,4 @@
-"""What every RealSense recording tells, whatever its file format: cameras, lenses, poses, units, times."""
+"""RealSense recordings independent of the file format: cameras, lenses, poses, units, times."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ HARDWARE_CLOCK = "Hardware Clock"
 
 @dataclass(frozen=True, eq=False)
 class Stream:
-    """One image stream: its lens and when each image was taken.
+    """One image stream: its lens and time stamps.
 
     Attributes
     ----------
     topic : str
-        What all its topics begin with, such as ``"/device_0/sensor_0/Depth_0"``.
+        Prefix of all its topics, such as ``"/device_0/sensor_0/Depth_0"``.
     clock : str
-        What ``stamps_s`` count on, in librealsense's words; empty where unknown.
+        Clock of ``stamps_s``, in librealsense's words; empty where unknown.
     stamps_s : float64, shape (N,)
         The images' own time stamps, seconds.
     recorded_s : float64, shape (N,)
@@ -56,7 +56,7 @@ class Stream:
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """One device: its depth stream and, where recorded, its colour stream and how that stands to depth."""
+    """One device: its depth stream and, where recorded, its colour stream and the pose between them."""
 
     recording: Recording
     info: DepthCamera
@@ -73,9 +73,9 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class ImageTimes:
-    """When the images of one stream were taken, as the file has it; clock and arrival may be unknown.
+    """Time stamps of the images of one stream as in the file; clock and arrival may be unknown.
 
-    ``clocks`` has an empty string and ``arrived_ms`` has 0 for an image that does not say.
+    ``clocks`` is an empty string and ``arrived_ms`` is 0 where an image has none.
     """
 
     recorded_ns: Int64Array
@@ -86,7 +86,7 @@ class ImageTimes:
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens as the file has it, unchecked."""
+    """A lens as in the file, unchecked."""
 
     width: int
     height: int
@@ -101,7 +101,7 @@ class Lens:
 class Recording(ABC):
     """An open recording: its cameras, by device number, and their images on demand.
 
-    Formats say how to read the parts; what the parts mean together is said here.
+    Subclasses read the parts of one file format; this class puts them together.
 
     Raises
     ------
@@ -137,7 +137,7 @@ class Recording(ABC):
         with self._damage_told(f"image {index} of {stream.topic}"):
             return self._color_image(stream, index)
 
-    # What a format answers; each may raise DamagedFileError.
+    # A format implements these; each may raise DamagedFileError.
 
     @abstractmethod
     def _open(self) -> None: ...
@@ -238,7 +238,7 @@ class Recording(ABC):
             raise self._refusal(f"{topic}: {field} of the lens is out of range") from error
 
     def _pose(self, color: Stream, depth: Stream) -> Matrix4:
-        """Take depth coordinates to colour coordinates by way of the reference that both name."""
+        """Return the transform from depth to colour coordinates, via a reference frame of both."""
         to_color, to_depth = self._poses(color.topic), self._poses(depth.topic)
         common = to_color.keys() & to_depth.keys()
         if not common:
@@ -254,7 +254,7 @@ class Recording(ABC):
 
     @contextmanager
     def _damage_told(self, where: str = "") -> Iterator[None]:
-        """Turn whatever is wrong with the bytes into one sentence."""
+        """Turn damage into a `SourceError` of one sentence."""
         if not self._is_open:
             raise SourceError(f"{self.path} is closed; open it again")
         try:
@@ -268,10 +268,10 @@ class Recording(ABC):
 
 
 def on_one_clock(times: ImageTimes) -> tuple[str, Float64Array, Float64Array | None]:
-    """Return the clock of most images, stamps of all on it, and their arrival in seconds, if known.
+    """Return the clock of most images, the stamps of all on it, and their arrival in seconds, if known.
 
-    The first images of a camera may still be on its own clock, before the driver knows how that
-    stands to the computer's. Their stamps are estimated from when they were recorded.
+    The first images of a camera may be on its own clock, until the driver knows its offset to the computer's. Their
+    stamps are estimated from their recording times.
     """
     clock = Counter(times.clocks).most_common(1)[0][0]
     recorded_s = times.recorded_ns * 1e-9
@@ -284,7 +284,7 @@ def on_one_clock(times: ImageTimes) -> tuple[str, Float64Array, Float64Array | N
 
 
 def milliseconds(text: str) -> float:
-    """Return a time that a recording has as text; 0, which means unknown, where it is none."""
+    """Return a time in text as a number; 0, which means unknown, where it is not a number."""
     try:
         value = float(text)
     except ValueError:

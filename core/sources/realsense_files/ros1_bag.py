@@ -1,7 +1,7 @@
 """The container of a ROS 1 bag: which messages it holds, when each was written, and their bytes.
 
-Bags come from anywhere, so every claim of the file (sizes, places, counts) is checked before it is
-believed, and reading costs no more than the file's own size allows.
+Bags are untrusted: every size, offset and count is checked before use, and the memory for reading is bounded by the
+size of the file.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from .decoding import Cursor, DamagedFileError, check_size
 MAGIC = b"#ROSBAG V2.0\n"
 _MESSAGE, _BAG_HEADER, _INDEX, _CHUNK, _CHUNK_INFO, _CONNECTION = range(2, 8)
 _LARGEST_HEADER = 2**20
-#: LZ4 cannot do better, and other compressors do not with real images.
+#: Upper limit of the compression ratio: LZ4 cannot exceed it, and real images do not.
 _LARGEST_RATIO = 256
 _CACHED_CHUNKS = 4
 _INDEXING_THREADS = 4
@@ -34,7 +34,7 @@ _Result = TypeVar("_Result")
 
 @dataclass(frozen=True, eq=False)
 class Topic:
-    """The messages of one topic in the order of time.
+    """The messages of one topic, sorted by time.
 
     Attributes
     ----------
@@ -64,8 +64,8 @@ class _Chunk:
 class Ros1Bag:
     """An open bag.
 
-    A bag whose recorder was killed has no index; its chunks are then read once from start to end,
-    and what follows the last whole one is left out.
+    A bag whose recorder was killed has no index. Its chunks are then read once from start to end, and data after the
+    last complete chunk are ignored.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Ros1Bag:
     Raises
     ------
     DamagedFileError
-        The file is no bag, or not a whole one.
+        The file is not a bag, or is incomplete.
     """
 
     def __init__(self, path: Path) -> None:
@@ -113,10 +113,10 @@ class Ros1Bag:
         return chunk[start : start + size]
 
     def map_chunks(self, numbers: list[int], work: Callable[[int, bytes], _Result]) -> Iterator[_Result]:
-        """Do ``work(number, bytes)`` for some chunks on several threads; results come in order."""
+        """Yield ``work(number, bytes)`` of some chunks in order, computed on several threads."""
         with ThreadPoolExecutor(_INDEXING_THREADS, thread_name_prefix="bag") as threads:
             try:
-                # In groups, so that a refusal does not first wait for the whole file.
+                # In groups, so that an error does not wait for the whole file.
                 for start in range(0, len(numbers), 4 * _INDEXING_THREADS):
                     group = numbers[start : start + 4 * _INDEXING_THREADS]
                     yield from threads.map(lambda number: work(number, self._chunk(number)), group)
@@ -173,7 +173,7 @@ class Ros1Bag:
         return _topics(entries)
 
     def _scan(self, at: int) -> dict[str, Topic]:
-        """Read every whole chunk of a bag without an index."""
+        """Read every complete chunk of a bag without an index."""
         names: dict[int, str] = {}
         entries: dict[str, list[Int64Array]] = {}
         while at < self._size:

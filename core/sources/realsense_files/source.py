@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ...contact.masking import colors_at
 from ...errors import SourceError
 from ...model.arrays import Float64Array, IndexArray, Uint8Array, Uint16Array
-from ...model.clouds import deproject, valid_depth
 from ...model.files import recording_files, user_path
 from ...model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
 from ..base import Health, Progress, SeekableSource
+from ..cameras.camera import Calibration
 from . import db3_recording, ros1_bag
 from .bag_recording import BagRecording
 from .db3_recording import Db3Recording
 from .recording import HARDWARE_CLOCK, Camera, Recording, Stream
 
-#: Seconds between these are a date, below they count from some start.
+#: Seconds in this range are a date; smaller ones count from an arbitrary start.
 _FIRST_DATE_S = 1e9
 _LAST_DATE_S = 1e11
 _IDENTITY = rigid_transform(np.eye(4))
@@ -29,30 +28,28 @@ _IDENTITY = rigid_transform(np.eye(4))
 class BagSource(SeekableSource):
     """A RealSense recording: one file with one or two depth cameras, or two files with one each.
 
-    The proximity camera is the L515, or the first device where none is called so. A frame is one
-    proximity and one tactile depth image that are each other's nearest in time, within half a period
-    of the faster camera; other images are left out, and `health` counts them. Time is that of the
-    images' own stamps where both are on one clock (global or system time), else of their recording
-    or, for two files, of their arrival at the computer. Each camera's colour image is the nearest to
-    its depth image. How the two cameras stand to each other is not in a recording, so the rig has no
-    pose and the preset must bring it.
+    The proximity camera is the L515, or the first device where there is none. A frame consists of a proximity and a
+    tactile depth image that are mutually nearest in time, at most half a period of the faster camera apart; `health`
+    counts the other images. Times are the images' stamps where both cameras use one clock (global or system time),
+    else the recording times or, for two files, the times of arrival at the computer. Each camera's colour image is the
+    one nearest to its depth image. A recording does not contain the pose between the cameras: the preset must have it.
 
-    With one depth camera the recording is for viewing only, and `health` says so: the rig's tactile
-    camera is a copy in the same place with the model ``"none"``, its depth is 0 everywhere.
+    A recording with one depth camera is for viewing only, and `health` says so: the rig's tactile camera is then a
+    copy in the same place with the model ``"none"`` and depth 0.
 
     Parameters
     ----------
     name : path of the file, or two paths with a comma between them
-        A path may contain commas: what is a file as it stands is that file, else the name is parted
-        at the first comma that has a file on either side.
+        A path may contain commas: a name that is a file as it stands is that file, else it is split at the first
+        comma with a file on either side.
     progress : callable, optional
-        Told the share of the images that are indexed, and what is being done.
+        Receives the fraction of the images that are indexed, and the current step.
 
     Raises
     ------
     SourceError
-        No such file, damaged, not such a recording, or two that do not belong together; the message
-        says which and what to do.
+        No such file, damaged, not a RealSense recording, or two that do not belong together; the message says what
+        to do.
     """
 
     def __init__(self, name: Path | str, progress: Progress | None = None) -> None:
@@ -67,7 +64,7 @@ class BagSource(SeekableSource):
     def _set_up(self, name: str, recordings: list[Recording]) -> None:
         self._recordings = recordings
         self._is_open = True
-        # PNG and LZ4 take most of a frame's time, and both leave the interpreter alone meanwhile.
+        # PNG and LZ4 take most of a frame's time, and both release the interpreter lock.
         self._helper = ThreadPoolExecutor(1, thread_name_prefix="tactile images")
         self._proximity, self._tactile = _roles(name, recordings)
         self._cameras = [self._proximity] if self._tactile is None else [self._proximity, self._tactile]
@@ -77,7 +74,8 @@ class BagSource(SeekableSource):
             self._proximity_index = self._tactile_index = np.arange(len(self._proximity.depth))
         else:
             self._pair(name, self._tactile)
-            self._tactile_rig = _rig(self._tactile, None)
+            color = None if self._tactile.color is None else self._tactile.color.intrinsics
+            self._tactile_calibration = Calibration(self._tactile.info, color, self._tactile.T_color_depth)
         self._color_index = {camera: _color_index(camera) for camera in self._cameras if camera.color is not None}
         super().__init__(name, _rig(self._proximity, self._tactile), len(self._proximity_index))
 
@@ -87,7 +85,7 @@ class BagSource(SeekableSource):
         return self._proximity.depth.rate_hz or super().frame_rate_hz
 
     def health(self) -> Health:
-        """Say what the recording lacks."""
+        """Return what the recording lacks."""
         lacks = []
         if self._tactile is None:
             lacks.append("this recording has one depth camera: for viewing only")
@@ -132,9 +130,7 @@ class BagSource(SeekableSource):
         assert self._tactile is not None
         depth = self._tactile.recording.depth_image(self._tactile.depth, index)
         color = self._color(self._tactile, index)
-        if color is not None and not self._tactile.color_is_aligned:
-            color = _color_on_depth(color, depth, self._tactile_rig)
-        return depth, color
+        return depth, color if color is None else self._tactile_calibration.color_on_depth(color, depth)
 
     def _color(self, camera: Camera, depth_index: int) -> Uint8Array | None:
         """Return the colour image nearest to a depth image of the same camera."""
@@ -143,7 +139,7 @@ class BagSource(SeekableSource):
         return camera.recording.color_image(camera.color, int(self._color_index[camera][depth_index]))
 
     def _pair(self, name: str, tactile: Camera) -> None:
-        """Find which depth images belong together, and refuse recordings of which none do."""
+        """Pair the depth images; raise `SourceError` where no pair is found."""
         first, second = self._proximity, tactile
         times = common_times(
             first.depth, second.depth, same_recording=first.recording is second.recording, same_device=False
@@ -179,7 +175,7 @@ class BagSource(SeekableSource):
 
 
 def _roles(name: str, recordings: list[Recording]) -> tuple[Camera, Camera | None]:
-    """Return the proximity and the tactile camera; the latter is None where there is one only."""
+    """Return the proximity and the tactile camera; the latter is None if there is only one."""
     cameras = [camera for recording in recordings for camera in recording.cameras]
     models = ", ".join(camera.info.model for camera in cameras)
     if len(recordings) == 2 and len(cameras) != 2:
@@ -219,19 +215,10 @@ def _color_index(camera: Camera) -> IndexArray:
     return nearest(*times)
 
 
-def _color_on_depth(color: Uint8Array, depth: Uint16Array, rig: Rig) -> Uint8Array:
-    """Bring a camera's colour image to its depth pixels; black where there is no depth or no colour."""
-    pixels = np.flatnonzero(valid_depth(depth))
-    points = deproject(depth, rig.proximity, pixels)
-    aligned = np.zeros((*depth.shape, 3), np.uint8)
-    aligned.reshape(-1, 3)[pixels], _ = colors_at(points, pixels, color, rig)
-    return aligned
-
-
 def common_times(
     first: Stream, second: Stream, *, same_recording: bool, same_device: bool
 ) -> tuple[Float64Array, Float64Array] | None:
-    """Return both streams' times in seconds on one clock, the most exact that they share.
+    """Return both streams' times in seconds on the most exact clock that they share.
 
     That is the clock of the images' own stamps where both name the same (a camera's own clock counts
     for that camera alone), else when the images were recorded or, across two recordings, when they

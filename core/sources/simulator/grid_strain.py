@@ -1,4 +1,4 @@
-"""Strain between the dots of the printed grid, as the solver knows it: over all dots, and over those seen whole."""
+"""True strain between the dots of the printed grid: over all dots, and over completely visible ones."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from .objects import compiled
 from .render import Camera
 from .sheet import DOT_RADIUS_M, DOT_SPACING_M, dot_counts, dot_grid
 
-#: A dot is seen whole where at least this share of its disc is shown: the middle of what is left is its own.
+#: Visible share of a dot's disc from which the dot counts as completely visible: its centroid is then exact.
 WHOLE_SHARE: Final = 0.9
-#: Points of a dot's disc that are looked for, across its diameter.
+#: Sample points across a dot's diameter.
 _POINTS_ACROSS: Final = 11
-#: What is nearer on a point's ray by more than this hides it, metres.
+#: A surface hides a point if it is nearer on its ray by more than this, metres.
 _BEFORE_M: Final = 1e-6
 
 
@@ -38,7 +38,7 @@ class GridStrain:
 
 
 def grid_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> GridStrain:
-    """Measure the grid of a membrane whose nodes, shape (N, 3), are given; the camera looks at it."""
+    """Return the grid's strain for membrane nodes of shape (N, 3), and which dots the camera sees."""
     design = membrane.design
     columns, rows = dot_counts(design.width_m, design.height_m)
     flat = dot_grid(design.width_m, design.height_m)
@@ -54,7 +54,7 @@ def grid_strain(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Grid
 
 
 def dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Float64Array:
-    """Tell how much of each dot's disc, as printed on the flat sheet, a camera sees: 0 to 1, shape (M,).
+    """Return the share of each dot's disc that a camera sees: 0 to 1, shape (M,).
 
     Points all over the disc are followed to the pressed membrane; one is seen that lies in the picture and
     before which the ray from the camera meets no other part of the membrane.
@@ -81,7 +81,7 @@ def dots_shown(membrane: Membrane, nodes: Float64Array, camera: Camera) -> Float
 
 
 def _on_triangles(mesh: Mesh, cells: tuple[int, int], flat: Float64Array, nodes: Float64Array) -> Float64Array:
-    """Return where places of the flat sheet, (M, 2), lie on the triangles between nodes, (N, 3): (M, 3)."""
+    """Return points of the flat sheet, (M, 2), on the triangles between nodes, (N, 3): (M, 3)."""
     (nx, ny), low, high = cells, mesh.flat[0, :2], mesh.flat[-1, :2]
     i, j = np.clip(((flat - low) / (high - low) * (nx, ny)).astype(np.intp), 0, (nx - 1, ny - 1)).T
     first = 2 * (j * nx + i)  # a cell's two triangles follow each other
@@ -111,7 +111,7 @@ def _covered(
     width: int,
     height: int,
 ) -> BoolArray:
-    """Tell the points, (M, 2) and (M,), in the order of their pixels' squares, before which a triangle lies."""
+    """Return which points, (M, 2) and (M,), sorted by pixel, a triangle hides."""
     covered = np.zeros(len(depth), np.bool_)
     for t in range(triangles.shape[0]):
         a, b, c = triangles[t, 0], triangles[t, 1], triangles[t, 2]

@@ -8,7 +8,7 @@ must not be penetrated: signed distance >= 0 at every node, reaction >= 0, one o
 
 The equilibrium minimises the energy of rubber, air and atmosphere under that inequality, by
 Nesterov's accelerated gradient with projection to the object's surface and restarts.
-Lengths are metres in the membrane's frame: origin in the middle of the rim's plane, x along the
+Lengths are metres in the membrane's frame: origin in the centre of the rim's plane, x along the
 long side, z outward, away from the cameras. Everything is float64 and single-threaded, so that the
 same input gives the same bits.
 """
@@ -18,6 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Final
 
+import cv2
 import numpy as np
 
 from ...model.arrays import BoolArray, Float64Array, Int32Array
@@ -27,10 +28,12 @@ from .objects import NO_OBJECT, compiled, distance, normal
 ATMOSPHERE_PA: Final = 101_325.0
 #: Nodes closer than this to the object count as touching, metres.
 TOUCH_GAP_M: Final = 1e-7
-#: A residual so many times the least one means that the descent overshot.
+#: The descent has overshot where the residual exceeds the smallest one by this factor.
 _OVERSHOT: Final = 1e3
-#: Steps shorter than this share of what the start's stiffness allows are not tried, either.
+#: Shortest step, as a share of the step that the start's stiffness allows.
 _SHORTEST_SHARE: Final = 0.05
+#: A node nearer to the object than this lies on it, metres.
+_ON_SURFACE_M = 1e-9
 
 
 @dataclass(frozen=True)
@@ -288,7 +291,7 @@ class Membrane:
         start : float64, shape (N, 3), optional
             First guess; the untouched membrane by default.
         limit : int
-            Most iterations; `MembraneState.residual` tells how far they got.
+            Maximum number of iterations; see `MembraneState.residual`.
         """
         return self._solve(kind, pose, self.rest.nodes if start is None else start, self.tolerance, limit)
 
@@ -304,7 +307,7 @@ class Membrane:
                 nodes, *body, mesh.relief_m, kind, pose, nodal_area, step, tolerance, limit, reaction, gap
             )
             iterations += done
-            # Squeezed triangles are stiffer than the start's: too long a step overshoots, and never comes back.
+            # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
             if residual < tolerance or share < _SHORTEST_SHARE:
                 break
             share /= 2
@@ -357,13 +360,13 @@ class Membrane:
         return gradient
 
     def surface(self, nodes: Float64Array) -> Float64Array:
-        """Return the places of the surface that is seen and touched, folds included: float64, shape (N, 3)."""
+        """Return the outer surface, folds included: float64, shape (N, 3)."""
         surface = nodes.copy()
         surface[:, 2] += self.mesh.relief_m
         return surface
 
     def at(self, flat: Float64Array, nodes: Float64Array) -> Float64Array:
-        """Return where places of the flat sheet, (M, 2), are now, by interpolation between nodes: (M, 3)."""
+        """Return the present positions, (M, 3), of points of the flat sheet, (M, 2), interpolated between nodes."""
         (nx, ny), design = self.design.cells, self.design
         grid = nodes.reshape(ny + 1, nx + 1, 3)
         s = np.clip((flat[:, 0] / design.width_m + 0.5) * nx, 0, nx)
@@ -385,6 +388,79 @@ class Membrane:
 
 
 def object_pose(rotation: Any, origin: Any) -> Float64Array:
-    """Return the 3 x 4 matrix that takes surrounding points to an object's frame."""
+    """Return the 3 x 4 matrix from the surrounding frame to an object's frame."""
     rotation, origin = np.asarray(rotation, dtype=np.float64), np.asarray(origin, dtype=np.float64)
     return np.hstack([rotation.T, -(rotation.T @ origin)[:, None]])
+
+
+def contact_share(membrane: Membrane, state: MembraneState, kind: int, pose: Float64Array) -> Float64Array:
+    """Return how much of each node's share of the sheet is in contact, 0 to 1, shape (N,).
+
+    A node at the edge of contact carries only part of what it would carry if its neighbours touched as well: in
+    one dimension a string that leaves the object a way s beyond its last node, in cells of length h, loads that
+    node with the share 1/2 + s / h, whether pressure or tension about a curved object makes the load. So the whole
+    load is computed with the first free nodes laid onto the object, and the edge is where the share falls through
+    one half. Where nodes simply count as touching or not, the patch is half a cell too wide.
+
+    Parameters
+    ----------
+    membrane : Membrane
+    state : MembraneState
+    kind : int
+        Kind of the object.
+    pose : float64, shape (3, 4)
+        From the membrane's frame to the object's.
+    """
+    mesh = membrane.mesh
+    touching = state.reaction_n > 0.0
+    share = touching.astype(np.float64)
+    beside = _beside(touching, membrane.design.cells) & mesh.free
+    if not beside.any():
+        return share
+    laid = state.nodes.copy()
+    _lay(kind, pose, laid, mesh.relief_m, beside)
+    gradient = membrane.gradient(laid)
+    edge = touching & _beside(~touching, membrane.design.cells)
+    whole = np.zeros(len(laid))
+    _loads(kind, pose, laid, mesh.relief_m, gradient, edge, whole)
+    share[edge] = np.where(whole[edge] > state.reaction_n[edge], state.reaction_n[edge] / whole[edge], 1.0)
+    return share
+
+
+def _beside(nodes: BoolArray, cells: tuple[int, int]) -> BoolArray:
+    """Return the nodes next to the given ones, diagonals included, without these."""
+    grid = nodes.reshape(cells[1] + 1, cells[0] + 1).astype(np.uint8)
+    return (cv2.dilate(grid, np.ones((3, 3), np.uint8)).ravel() > 0) & ~nodes
+
+
+@compiled
+def _lay(kind: int, pose: Float64Array, nodes: Float64Array, relief: Float64Array, chosen: BoolArray) -> None:
+    """Move the chosen nodes onto the object."""
+    for n in range(nodes.shape[0]):
+        if not chosen[n]:
+            continue
+        for _ in range(20):
+            gap = distance(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            if abs(gap) < _ON_SURFACE_M:
+                break
+            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            nodes[n, 0] -= gap * nx
+            nodes[n, 1] -= gap * ny
+            nodes[n, 2] -= gap * nz
+
+
+@compiled
+def _loads(
+    kind: int,
+    pose: Float64Array,
+    nodes: Float64Array,
+    relief: Float64Array,
+    gradient: Float64Array,
+    chosen: BoolArray,
+    load: Float64Array,
+) -> None:
+    """Write the part of the chosen nodes' unbalanced force that the object carries."""
+    for n in range(nodes.shape[0]):
+        if chosen[n]:
+            nx, ny, nz = normal(kind, pose, nodes[n, 0], nodes[n, 1], nodes[n, 2] + relief[n])
+            load[n] = gradient[n, 0] * nx + gradient[n, 1] * ny + gradient[n, 2] * nz

@@ -1,6 +1,6 @@
 """The membrane before it is inflated: size, material and triangles.
 
-Lengths are metres in the membrane's frame: origin in the middle of the rim's plane, x along the
+Lengths are metres in the membrane's frame: origin in the centre of the rim's plane, x along the
 long side, z outward, away from the cameras.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 
 from ...model.arrays import BoolArray, Float64Array, Int32Array
 
-#: Round regions of a membrane of varied stiffness: middle x and y, and radius, metres.
+#: Round regions of a membrane of varied stiffness: centre x and y, and radius, metres.
 STIFF_REGIONS: Final = ((0.035, 0.020, 0.028), (-0.060, -0.025, 0.034), (0.105, -0.035, 0.025), (-0.020, 0.065, 0.022))
 STIFF_FACTOR: Final = 8.0
 #: Number of folds round the turned part of a twisted membrane, and its radius, metres.
@@ -36,7 +36,7 @@ class MembraneDesign:
     stiffness_n_m : float
         Shear modulus times thickness.
     stiffening : float
-        How much stiffer the rubber gets with strain: c in W = mu/2 (I + c I^2), I = tr C - 3.
+        Strain stiffening of the rubber: c in W = mu/2 (I + c I^2), I = tr C - 3.
     stiff_regions : bool
         Whether some regions are 8 times as stiff as the rest, see `STIFF_REGIONS`.
     fold_m : float
@@ -91,7 +91,7 @@ class Mesh:
 
 
 def build_mesh(design: MembraneDesign) -> Mesh:
-    """Cut the sheet into quads of alternating diagonals and these into triangles."""
+    """Divide the sheet into quads, and these by alternating diagonals into triangles."""
     nx, ny = design.cells
     xs = np.linspace(-design.width_m / 2, design.width_m / 2, nx + 1)
     ys = np.linspace(-design.height_m / 2, design.height_m / 2, ny + 1)
@@ -121,7 +121,7 @@ def build_mesh(design: MembraneDesign) -> Mesh:
 
 
 def folds(flat: Float64Array, height_m: float) -> Float64Array:
-    """Return the height of the folds that a torque about the middle draws into a sheet.
+    """Return the height of the folds of a sheet that is twisted about its centre.
 
     Shear leaves tension along the diagonals only, so the folds run out from the turned part as
     spirals that cross every circle at 45 degrees. They are widest apart, and highest, a little

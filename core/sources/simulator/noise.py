@@ -1,4 +1,4 @@
-"""From clean images to measurements: the errors that the two depth cameras really make.
+"""From clean images to measurements: the errors of real depth cameras.
 
 Random numbers come from banks made once from the seed; where a frame starts to read in them is a
 hash of seed, frame and row. So any frame can be made at any time, always with the same bits, and
@@ -195,7 +195,7 @@ class NoiseModel:
         cosine: Uint8Array,
         flags: Uint8Array,
     ) -> Uint16Array:
-        """Measure what lies behind the membrane by time of flight; raw counts of the rig's unit."""
+        """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(behind)
         drift = _TOF_DRIFT_M * np.sin(2 * np.pi * frame / _DRIFT_PERIOD_FRAMES + self._phase)
         _time_of_flight(
@@ -205,7 +205,7 @@ class NoiseModel:
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
-        """Measure the membrane by stereo; raw counts of the rig's unit, 0 and 65535 where there is no match."""
+        """Return the stereo measurement of the membrane in raw counts; 0 and 65535 where there is no match."""
         out = np.empty_like(clean)
         tactile = self._rig.tactile
         _stereo(

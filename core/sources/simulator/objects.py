@@ -48,7 +48,7 @@ _NORMAL_STEP: Final = 2e-6
 
 
 def compiled(function: _Kernel) -> _Kernel:
-    """Compile a kernel: kept on disk, free of the interpreter lock, and the same bits every time."""
+    """Compile a kernel: cached on disk, without the interpreter lock, bit-reproducible."""
     return cast(_Kernel, kernel(function, allocates=True, error_model="numpy"))
 
 
@@ -63,11 +63,11 @@ class PressedObject:
     rotation_deg : tuple of float
         Turns about x, y and z of the membrane's frame, applied in that order, degrees.
     offset_m : tuple of float
-        Where the object's origin stands beside the membrane's middle, x and y, metres.
+        Offset of the object's origin from the membrane's centre, x and y, metres.
     colour : tuple of float
         Linear RGB of its surface, 0 to 1.
     held_out : bool
-        Whether methods must not be developed on it, only judged.
+        Whether it is reserved for judging methods, not for developing them.
     """
 
     kind: int
@@ -179,7 +179,7 @@ def _capsule(
 
 @compiled
 def _knobs(x: float, y: float, z: float) -> float:
-    """Return the distance to a round plate with a ring of six round knobs of two heights and one in its middle."""
+    """Return the distance to a round plate with a ring of six round knobs of two heights and one in its centre."""
     radius, half_height, rounding, fillet = 0.044, 0.009, 0.006, 0.005
     qr, qz = math.sqrt(x * x + y * y) - radius + rounding, abs(z - 0.010) - half_height + rounding
     knobs = math.sqrt(max(qr, 0.0) ** 2 + max(qz, 0.0) ** 2) + min(max(qr, qz), 0.0) - rounding

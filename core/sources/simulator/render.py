@@ -1,6 +1,6 @@
 """What each camera sees of the membrane and the object: rasterising, sphere tracing, shading.
 
-Everything here is clean; `noise` makes a measurement of it. Positions are metres in the membrane's
+Images here have no noise; `noise` adds it. Positions are metres in the membrane's
 frame unless a name says otherwise, and every camera looks from its own place.
 """
 
@@ -164,9 +164,9 @@ def see_through(
     backdrop : float64, shape (4,)
         A plane n . x = d in the membrane's frame: n, d.
     depth : float32, shape (H, W)
-        Filled in with the depth of what lies behind, metres; 0 where the housing is.
+        Output: depth of the surface behind, metres; 0 where the housing is.
     cosine : uint8, shape (H, W)
-        Filled in with the cosine of the angle of incidence times 255.
+        Output: cosine of the angle of incidence times 255.
     """
     height, width = depth.shape
     r = camera_pose
@@ -205,7 +205,7 @@ def see_through(
 
 @compiled
 def _sample(texture: Uint8Array, channel: int, x: float, y: float, texel: float) -> float:
-    """Look up a texture, centred on the sheet's middle, bilinearly; 0 to 1."""
+    """Return a texture's value, 0 to 1, bilinearly; its origin is the sheet's centre."""
     rows, columns = texture.shape[0], texture.shape[1]
     s = min(max(x / texel + 0.5 * (columns - 1), 0.0), columns - 1.001)
     t = min(max(y / texel + 0.5 * (rows - 1), 0.0), rows - 1.001)
@@ -220,7 +220,7 @@ def _sample(texture: Uint8Array, channel: int, x: float, y: float, texel: float)
 def _seen_through_film(
     kind: int, pose: Float64Array, x: float, y: float, z: float, dx: float, dy: float, dz: float
 ) -> float:
-    """Return the share, 0 to 1, that an object behind the film has in what is seen at a point along a unit direction.
+    """Return the share, 0 to 1, of an object behind the film in the light from a point along a unit direction.
 
     Falls with the gap along the ray (haze); rays that miss by less than the blur at that gap see a part.
     """

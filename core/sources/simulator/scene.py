@@ -1,4 +1,4 @@
-"""A press: the rig, the object's positions solved one after the other, and the clean images of every state."""
+"""One press: the rig, the equilibrium at each object position, and the clean images of every state."""
 
 from __future__ import annotations
 
@@ -11,9 +11,8 @@ import numpy as np
 from ...model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 from ...model.frames import ColorCamera, DepthCamera, Matrix4, Rig, rigid_transform
 from ...model.intrinsics import Intrinsics
-from .contact_edge import contact_share
 from .grid_strain import grid_strain
-from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, object_pose
+from .membrane import ATMOSPHERE_PA, Membrane, MembraneState, contact_share, object_pose
 from .mesh import MembraneDesign
 from .objects import NO_OBJECT, PressedObject, distance
 from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_normals, rasterise, see_through, shade
@@ -22,14 +21,14 @@ from .sheet import TEXEL_M, paint_sheet
 
 #: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
-#: Deep presses tear a mesh with fewer columns.
+#: A mesh with fewer columns tears in deep presses.
 _FEWEST_COLUMNS: Final = 56
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
 _BACKDROP: Final = (0.09, -0.05, 0.9946, 0.62)
 
 
 def simulator_rig() -> Rig:
-    """Return the rig with its true poses: an L515 and, 40 mm beside it and turned a little, a D405."""
+    """Return the rig with its true poses: an L515 and a D405, 40 mm beside it and slightly rotated."""
     return Rig(
         proximity=DepthCamera(
             model="Intel RealSense L515",
@@ -61,7 +60,7 @@ def _rigid(degrees: tuple[float, float, float], translation_m: tuple[float, floa
 def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
     """Return proximity, tactile and proximity colour cameras in the membrane's frame.
 
-    The membrane's middle lies between the two depth cameras.
+    The membrane's centre lies between the two depth cameras.
     """
     assert rig.proximity_color is not None
     assert rig.T_proximity_tactile is not None
@@ -78,15 +77,15 @@ def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
 
 @dataclass(frozen=True)
 class CleanState:
-    """What the cameras would see of one state without noise.
+    """Noise-free images of one state.
 
     Attributes
     ----------
     behind, membrane : uint16, shape (H, W)
-        In the proximity camera: depth of what lies behind the membrane and of the membrane, in
+        In the proximity camera: depth of the surface behind the membrane and of the membrane, in
         ``CLEAN_UNIT_M``; 0 where neither.
     cosine : uint8, shape (H, W)
-        Cosine of incidence at what lies behind, times 255.
+        Cosine of incidence at the surface behind the membrane, times 255.
     flags : uint8, shape (H, W)
         Contact, step of depth, reflective rubber.
     proximity_color, tactile_color : uint8, shape (H, W, 3)
@@ -109,12 +108,12 @@ class CleanState:
 
 @dataclass(frozen=True)
 class PressFacts:
-    """What is true of one state beyond its images.
+    """Ground truth of one state beyond its images.
 
     Attributes
     ----------
     depth_m : float
-        How far the object has moved past first touch; a gap is negative.
+        Travel of the object past first touch; a gap is negative.
     max_strain : float
         Largest principal stretch of any triangle, minus 1; the unstretched sheet has 0.
     strain_length, strain_width : float
@@ -145,7 +144,7 @@ class PressFacts:
 
 
 class Press:
-    """The object of a scene, moved step by step against its membrane, and three cameras that watch."""
+    """The object of a scene, moved step by step against the membrane, and three cameras."""
 
     def __init__(self, scene: Scene, membrane: Membrane, rig: Rig) -> None:
         self.pressed, self.scene = scene.pressed, scene
@@ -158,12 +157,12 @@ class Press:
         self._touch_z = self._first_touch()
 
     def pose(self, step: tuple[float, float, float]) -> Float64Array:
-        """Return the object's pose, shape (3, 4), at one step of the scene's way."""
+        """Return the object's pose, shape (3, 4), at one step of the scene's path."""
         x, y = self.pressed.offset_m
         return object_pose(self._rotation, (x + step[0], y + step[1], self._touch_z - step[2]))
 
     def _first_touch(self) -> float:
-        """Lower the object by its distance from the membrane until that is nothing."""
+        """Lower the object by its distance from the membrane until it touches."""
         surface, z = self.membrane.surface(self.membrane.rest.nodes), self.membrane.design.apex_m + 0.2
         for _ in range(200):
             pose = object_pose(self._rotation, (*self.pressed.offset_m, z))
@@ -174,9 +173,9 @@ class Press:
         return z
 
     def states(self) -> Iterator[tuple[float, Float64Array, MembraneState]]:
-        """Solve the steps of the way in turn; yield depth, pose and equilibrium of those that are drawn.
+        """Solve the steps of the path in turn; yield depth, pose and equilibrium of the steps that are drawn.
 
-        What comes before the first of these only leads there, and is solved on a coarse mesh.
+        Steps before the first drawn one only lead there and are solved on a coarse mesh.
         """
         way, drawn = self.scene.way, self.scene.drawn
         before = self._led_to(drawn[0])
@@ -204,7 +203,7 @@ class Press:
         return [fine]
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
-        """Sum up one state."""
+        """Return the ground truth of one state."""
         grid = grid_strain(self.membrane, state.nodes, self._cameras[1])
         object_membrane = np.vstack([pose, (0.0, 0.0, 0.0, 1.0)])
         proximity_membrane = np.vstack([self._cameras[0].pose, (0.0, 0.0, 0.0, 1.0)])
@@ -268,13 +267,13 @@ def _counts(depth_m: Float32Array) -> Uint16Array:
 
 
 def _way_cells(design: MembraneDesign) -> tuple[int, int]:
-    """Return the cells of the mesh that leads to a scene's first picture: half as many, but fit for deep presses."""
+    """Return the coarse mesh's cells, half as many along each side but enough for deep presses."""
     columns, rows = design.cells
     return (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
 
 
 def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array]) -> MembraneState:
-    """Solve the next step, guessed from the ones before, or from the last alone where the guess leads astray."""
+    """Solve the next step from an extrapolated guess, or from the last state where the extrapolation fails."""
     guesses: list[Float64Array | None] = [2 * before[-1] - before[-2]] if len(before) > 1 else []
     guesses.append(before[-1] if before else None)
     for guess in guesses:

@@ -1,4 +1,4 @@
-"""The simulator's scenes by name: which object, which membrane, which way, and what is printed on it.
+"""The simulator's scenes by name: object, membrane, path of the object, and print.
 
 A scene is a way that an object takes, step by step, and the steps at which pictures are taken.
 Everything that a picture depends on is in `Scene`; light and noise come live on top.
@@ -22,7 +22,7 @@ Press = Literal["", "none", "low", "medium", "high"]
 Side = Literal["right", "left"]
 Light = Literal["normal", "bright", "dim"]
 
-#: Scenes that are named after their object, and those that take any.
+#: Scenes that are named after their object, and scenes that take any object.
 OBJECT_SCENES: Final = tuple(OBJECTS)
 SPECIAL_SCENES: Final = {
     "hover": "the object stays gap=1...20 mm away from the membrane",
@@ -33,7 +33,7 @@ SPECIAL_SCENES: Final = {
 SCENES: Final = (*OBJECT_SCENES, *SPECIAL_SCENES)
 HELD_OUT: Final = tuple(name for name, pressed in OBJECTS.items() if pressed.held_out)
 
-#: Gaps before touch and depths after it, metres; one frame each, so the approach is 150 mm/s and the
+#: Gaps before and depths after first touch, metres; one frame each, so the approach is 150 mm/s and the
 #: press 45 mm/s at 30 frames/s.
 HOVER_M: Final = tuple(0.005 * n for n in range(6, 0, -1))
 PRESS_STEP_M: Final = 0.0015
@@ -44,7 +44,7 @@ HOLD_FRAMES: Final = 10
 _STILL_FRAMES: Final = 30
 _WAY_STEP_M: Final = 0.003
 _PRESS_DEPTH_M: Final = {"low": 0.004, "medium": 0.024}
-#: Deep presses off the middle, so that the free part bulges: where (x, y) and how deep, metres.
+#: Deep presses away from the centre, so that the free part bulges: where (x, y) and how deep, metres.
 _HIGH: Final = {
     "cube": ((0.060, 0.020), 0.105),
     "cup": ((0.060, 0.020), 0.105),
@@ -55,7 +55,7 @@ _HIGH: Final = {
     "mug": ((0.060, 0.010), 0.095),
     "hand": ((0.065, -0.005), 0.080),
 }
-#: Where an object neither touches the membrane nor comes near it, metres.
+#: Gap of an object that is far from the membrane, metres.
 _AWAY_M: Final = 0.060
 _SLIDE_M: Final = 0.045
 _SLIDE_STEP_M: Final = 0.003
@@ -67,21 +67,21 @@ _FOLD_M: Final = 0.0012
 
 @dataclass(frozen=True)
 class Variant:
-    """What can be asked of a scene beyond its name.
+    """Options of a scene.
 
     Attributes
     ----------
     press : {"", "none", "low", "medium", "high"}
         A still press instead of the scene's own motion; "none" shows the untouched membrane.
     side : {"right", "left"}
-        On which side of the middle, seen by the cameras, the high press is: nearer to the tactile or
-        to the proximity camera. The left one is the right one turned by 180 degrees about the middle.
+        On which side of the centre, seen by the cameras, the high press is: nearer to the tactile or
+        to the proximity camera. The left one is the right one turned by 180 degrees about the centre.
     object : str
-        Which object a special scene takes.
+        Object of a special scene.
     gap_mm : float
-        How far the object of ``hover`` stays away.
+        Gap of the object of ``hover``.
     grid : {"droplets", "dots"}
-        What is printed on the membrane.
+        Print on the membrane.
     """
 
     press: Press = ""
@@ -93,12 +93,12 @@ class Variant:
 
 @dataclass(frozen=True)
 class Scene:
-    """One scene, worked out.
+    """One scene with all its parameters.
 
     Attributes
     ----------
     name : str
-        Scene and variant, fit for a file's name.
+        Scene and variant, usable as a file name.
     pressed : PressedObject
     design : MembraneDesign
     print : {"droplets", "dots"}
@@ -106,9 +106,9 @@ class Scene:
         Where the object goes, one solved step after the other: shift in x and y from its offset, and
         how deep past first touch; metres, gaps negative.
     drawn : tuple of int
-        The steps of which there is a picture.
+        The steps that are drawn.
     frames : tuple of int
-        Which of the pictures each frame shows.
+        Index into ``drawn`` for each frame.
     """
 
     name: str
@@ -121,7 +121,7 @@ class Scene:
 
     @property
     def key(self) -> str:
-        """Text that tells everything the pictures depend on, apart from the rig."""
+        """Text with everything that the images depend on, apart from the rig."""
         return f"{self.pressed} {self.design} {self.print} {self.way} {self.drawn}"
 
 
@@ -131,7 +131,7 @@ def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]
     Raises
     ------
     SourceError
-        The gap is no number.
+        The gap is not a number.
     """
     try:
         gap_mm = float(options.get("gap", Variant.gap_mm))
@@ -145,7 +145,7 @@ def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
-    """Work out a scene.
+    """Return a scene by its name.
 
     Raises
     ------
@@ -186,7 +186,7 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
 
 
 def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
-    """Return an object at the place of a still press, and its depth past first touch in metres."""
+    """Return the object of a still press at its place, and its depth past first touch in metres."""
     pressed = OBJECTS[shape]
     if press != "high":
         return pressed, _PRESS_DEPTH_M[press]
@@ -222,7 +222,7 @@ Way = tuple[tuple[tuple[float, float, float], ...], tuple[int, ...], tuple[int, 
 
 
 def _approach() -> Way:
-    """Come, press, hold, leave; pressing in and pulling out pass through the same states."""
+    """Approach, press, hold, leave; pressing and leaving pass through the same states."""
     depths = [-gap for gap in HOVER_M] + [PRESS_STEP_M * (n + 1) for n in range(PRESS_STEPS)]
     inward = list(range(len(depths)))
     frames = inward + [inward[-1]] * HOLD_FRAMES + inward[::-1]
@@ -248,7 +248,7 @@ def _slide() -> Way:
 
 
 def light_table(light: Light) -> Uint8Array | None:
-    """Return what a change of light makes of 8-bit colours, shape (256, 3), or None for none.
+    """Return the lookup table of a change of light for 8-bit colours, shape (256, 3), or None.
 
     Bright daylight adds exposure and blue and saturates; dim lamps are redder.
     """

@@ -1,4 +1,4 @@
-"""What is printed on the membrane, as a texture on the flat sheet.
+"""The print on the membrane, as a texture of the flat sheet.
 
 Channel 0 is dark dye that infrared passes: droplets at random, which give the stereo camera its
 texture, or a grid of dots for measuring strain. Channel 1 is the opaque print of the membrane's
@@ -20,14 +20,14 @@ TEXEL_M: Final = 0.0004
 DOT_SPACING_M: Final = 0.010
 DOT_RADIUS_M: Final = 0.0014
 _DROPLET_SPACING_M: Final = 0.0105
-#: Middles of the patches that reflect infrared, metres.
+#: Centres of the patches that reflect infrared, metres.
 _OPAQUE_PLACES: Final = ((-0.128, -0.046), (-0.112, 0.058), (0.116, -0.060), (0.134, 0.030), (0.020, 0.084))
 
 
 def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "droplets") -> Uint8Array:
     """Paint the sheet: uint8, shape (rows, columns, 2). The prints of one seed are always the same.
 
-    With a grid of dots there is nothing else, so that no dot is hidden.
+    A grid of dots has no other print, so no dot is hidden.
     """
     rng = np.random.default_rng([seed, 1])
     sheet = np.zeros((round(height_m / TEXEL_M) + 1, round(width_m / TEXEL_M) + 1, 2), dtype=np.uint8)
@@ -45,7 +45,7 @@ def paint_sheet(width_m: float, height_m: float, seed: int, kind: Print = "dropl
 
 
 def dot_grid(width_m: float, height_m: float) -> Float64Array:
-    """Return the places of the grid's dots on the flat sheet, row by row: float64, shape (N, 2), metres."""
+    """Return the positions of the grid's dots on the flat sheet, row by row: float64, shape (N, 2), metres."""
     columns, rows = dot_counts(width_m, height_m)
     i, j = np.meshgrid(np.arange(columns) - (columns - 1) / 2, np.arange(rows) - (rows - 1) / 2)
     return np.stack([i.ravel(), j.ravel()], axis=1) * DOT_SPACING_M
@@ -83,6 +83,6 @@ def _places(rows: int, columns: int) -> tuple[Float64Array, Float64Array]:
 
 
 def _span(centre: float, radius: float, texels: int) -> tuple[int, int]:
-    middle = centre / TEXEL_M + 0.5 * (texels - 1)
+    texel = centre / TEXEL_M + 0.5 * (texels - 1)
     reach = 1.3 * radius / TEXEL_M + 2
-    return max(int(middle - reach), 0), max(min(int(middle + reach) + 1, texels), 0)
+    return max(int(texel - reach), 0), max(min(int(texel + reach) + 1, texels), 0)

@@ -1,21 +1,32 @@
-"""The simulator as a source of frames."""
+"""The simulator as a source of frames, and the cache of solved scenes on disk.
+
+A cache file is a zip of PNG images. Its name contains a hash of everything that the images depend on, the code of this
+folder included. A damaged or unreadable file counts as missing; one that cannot be written is reported.
+"""
 
 from __future__ import annotations
 
+import hashlib
+import json
 import math
+import zipfile
+from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Final, get_args
 from weakref import WeakValueDictionary
 
 import cv2
 import numpy as np
+from platformdirs import user_cache_dir
 
 from ...errors import ExportError, SourceError
-from ...model.arrays import Uint8Array
+from ...model.arrays import AnyArray, Uint8Array
+from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain
 from ..base import Health, Progress, SeekableSource
-from .cache import SolvedScene, cache_file, load_scene, save_scene
 from .membrane import Membrane
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
@@ -25,19 +36,32 @@ from .scenes import Light, Scene, Variant, light_table, resolve_scene
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
 
-#: Added to the seed of frames that must not have the noise of those that are judged.
+#: Added to the seed of frames that need other noise than those that are judged.
 _OTHER_SEEDS: Final = 1_000_000
 
-#: Scenes that a source in this process has open, shared because each takes some 200 MB.
+#: Cached versions of a scene, and size of the whole cache, bytes.
+_VERSIONS: Final = 3
+_ALL_BYTES: Final = 2_000_000_000
+
+_NAMES = tuple(field.name for field in fields(CleanState))
+
+#: Open scenes of this process, shared because each takes some 200 MB.
 _open_scenes: WeakValueDictionary[Path, SolvedScene] = WeakValueDictionary()
 
 
-class SimulatorSource(SeekableSource):
-    """A simulated sensor, pressed by an object that comes, presses, holds and leaves, or does as another scene says.
+@dataclass(frozen=True)
+class SolvedScene:
+    """The clean states of a scene in the order of ``Scene.drawn``, and their ground truth."""
 
-    The clean images of a scene are computed once (some ten seconds) and kept in the user's cache
-    folder; the noise is added frame by frame. A frame depends on nothing but scene, seed, noise and
-    its index.
+    states: Sequence[CleanState]
+    facts: Sequence[PressFacts]
+
+
+class SimulatorSource(SeekableSource):
+    """A simulated sensor, pressed by an object as the scene says; usually it approaches, presses, holds and leaves.
+
+    The clean images of a scene are computed once (some ten seconds) and cached in the user's cache folder; noise is
+    added frame by frame. A frame depends on scene, seed, noise and its index only.
 
     Parameters
     ----------
@@ -46,7 +70,7 @@ class SimulatorSource(SeekableSource):
     seed : int
         From 0; chooses the noise.
     noise : float
-        1: as the cameras' data sheets give it; 0: none; 2: twice as much.
+        1: as in the cameras' data sheets; 0: none; 2: twice as much.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done.
     cells : tuple of int, optional
@@ -89,11 +113,11 @@ class SimulatorSource(SeekableSource):
 
     @property
     def held_out(self) -> bool:
-        """Whether methods must not be developed on this scene, only judged."""
+        """Whether the scene is reserved for judging methods, not for developing them."""
         return self.scene.pressed.held_out
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
-        """Return the same membrane with the object far away; its noise is none that a frame of this source has."""
+        """Return the same membrane with the object far away, and with other noise."""
         scene, seed, noise, cells, variant, light = self._made_of
         away = Variant(press="none", object=variant.object, grid=variant.grid)
         return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light)
@@ -104,7 +128,7 @@ class SimulatorSource(SeekableSource):
         return facts
 
     def health(self) -> Health:
-        """Report that the cache could not be written, if so; all else is well."""
+        """Report a cache that could not be written."""
         return Health(message=self._message)
 
     def read(self, index: int) -> SensorFrame:
@@ -131,7 +155,7 @@ class SimulatorSource(SeekableSource):
         return np.asarray(cv2.LUT(image, self._light[None]), dtype=np.uint8)
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
-        """Take the scene from the cache, or compute and keep it."""
+        """Return the scene from the cache, or compute and cache it."""
         path = cache_file(scene.name, f"{scene.key} {self.rig.model_dump_json()}")
         progress(0.0, f"Looking for the {_title(scene)} scene in the cache")
         solved = _open_scenes.get(path) or load_scene(path, len(scene.drawn))
@@ -146,7 +170,7 @@ class SimulatorSource(SeekableSource):
         return solved
 
     def _compute(self, scene: Scene, progress: Progress) -> SolvedScene:
-        """Solve state after state while a second thread draws the ones before."""
+        """Solve the states in turn while a second thread draws the solved ones."""
         progress(0.0, "Inflating the simulated membrane; the very first time its solver is compiled, too")
         press = Press(scene, Membrane(scene.design), self.rig)
         drawn: list[Future[CleanState]] = []
@@ -186,3 +210,82 @@ def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light) -
     options += [f"light={light}"] * (light != "normal")
     options += [f"seed={seed}"] * (seed != 0) + [f"noise={noise:g}"] * (noise != 1.0)
     return f"sim:{scene}" + ("?" + "&".join(options) if options else "")
+
+
+def cache_file(scene: str, key: str) -> Path:
+    """Return the cache file of a scene; ``key`` is text with all its parameters."""
+    digest = hashlib.sha256(key.encode())
+    for source in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(source.read_bytes())
+    return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest.hexdigest()[:16]}.zip"
+
+
+def load_scene(path: Path, count: int) -> SolvedScene | None:
+    """Return ``count`` states from a file, or None where the file is missing or damaged."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]
+            packed = [{name: archive.read(f"{n}/{name}.png") for name in _NAMES} for n in range(count)]
+    except (OSError, KeyError, TypeError, ValueError, zipfile.BadZipFile):
+        return None
+    with suppress(OSError):
+        path.touch()
+    with ThreadPoolExecutor(2) as pool:
+        unpacked = list(pool.map(_unpack, packed))
+    states = [state for state in unpacked if state is not None]
+    return SolvedScene(states, facts) if len(states) == len(facts) == count else None
+
+
+def save_scene(path: Path, scene: SolvedScene) -> None:
+    """Write a scene to a file, whole or not at all, and remove the files that were used least recently.
+
+    Raises
+    ------
+    ExportError
+        The operating system refuses.
+    """
+    with ThreadPoolExecutor(2) as pool:
+        packed = list(pool.map(_pack, scene.states))
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))
+        for n, images in enumerate(packed):
+            for name, data in images.items():
+                archive.writestr(f"{n}/{name}.png", data)
+    _clean_up(path)
+
+
+def _clean_up(path: Path) -> None:
+    """Keep the most recently used versions of this scene, and of all scenes as many as fit."""
+    last_used = sorted(path.parent.glob("*.zip"), key=_last_used, reverse=True)
+    versions = [file for file in last_used if file.name.rpartition("-")[0] == path.name.rpartition("-")[0]]
+    total, spare = 0, set(versions[_VERSIONS:])
+    for file in last_used:
+        with suppress(OSError):
+            total += 0 if file in spare else file.stat().st_size
+        if total > _ALL_BYTES:
+            spare.add(file)
+    for file in spare - {path}:
+        with suppress(OSError):  # another user's, or already removed
+            file.unlink()
+
+
+def _last_used(file: Path) -> float:
+    try:
+        return file.stat().st_mtime
+    except OSError:
+        return 0.0
+
+
+def _pack(state: CleanState) -> dict[str, bytes]:
+    fast = [cv2.IMWRITE_PNG_COMPRESSION, 1]
+    return {name: cv2.imencode(".png", image, fast)[1].tobytes() for name, image in state.arrays().items()}
+
+
+def _unpack(packed: dict[str, bytes]) -> CleanState | None:
+    images: dict[str, AnyArray] = {}
+    for name, data in packed.items():
+        image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), cv2.IMREAD_UNCHANGED)
+        if image is None:
+            return None
+        images[name] = image
+    return CleanState(**images)

@@ -12,11 +12,10 @@ import pytest
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.sources.presets import load_preset
-from tactune.core.sources.simulator import cache, source
-from tactune.core.sources.simulator.cache import SolvedScene, load_scene, save_scene
+from tactune.core.sources.simulator import source
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG, REFLECTIVE_FLAG
 from tactune.core.sources.simulator.scene import APEX_M, CleanState, PressFacts, simulator_rig
-from tactune.core.sources.simulator.source import SimulatorSource
+from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene, load_scene, save_scene
 
 COARSE = (88, 52)
 REST, DEEP = 0, 45
@@ -278,7 +277,7 @@ def test_cache_keeps_the_versions_used_last(tmp_path, monkeypatch):
         os.utime(tmp_path / f"{name}.zip", (1e9 - age, 1e9 - age))
     save_scene(tmp_path / "cup-5.zip", fake_scene(1))
     assert {file.stem for file in tmp_path.iterdir()} == {"cup-5", "cup-4", "cup-3", "cube-1"}
-    monkeypatch.setattr(cache, "_ALL_BYTES", 1500)
+    monkeypatch.setattr(source, "_ALL_BYTES", 1500)
     save_scene(tmp_path / "cup-6.zip", fake_scene(1))
     assert {file.stem for file in tmp_path.iterdir()} == {"cup-6"}
 
@@ -295,7 +294,7 @@ def test_damaged_cache_counts_as_missing(tmp_path):
 
 
 def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
-    monkeypatch.setattr(cache, "user_cache_dir", lambda name: str(tmp_path / name))
+    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path / name))
     computed = []
 
     def compute(self, *_):
