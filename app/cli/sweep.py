@@ -120,7 +120,7 @@ def sweep(
         effects,
         rank,
     )
-    from ...core.tuning.plan import little_averaged, make_plan, short_takes
+    from ...core.tuning.plan import little_averaged, make_plan, short_clips
     from ...core.tuning.sweep import Journal, check_replaced, check_table, sweep_rows, write_table
 
     options = _options(file, preset, source, settings, method, frames, seeds, sample, seed, objective)
@@ -140,9 +140,9 @@ def sweep(
         chosen = choose_objective(options.objective, plan)
         if best is not None:
             check_presentable(plan)
-        if options.request.seeds > 1 and len(plan.takes) == len(options.request.sources):
+        if options.request.seeds > 1 and len(plan.clips) == len(options.request.sources):
             warn("--seeds changes the noise of simulated sources only; no source is simulated")
-        for sentence in (*short_takes(plan, options.request.frames), *little_averaged(plan)):
+        for sentence in (*short_clips(plan, options.request.frames), *little_averaged(plan)):
             warn(sentence)
         with Journal(kept) as journal:
             _measure(plan, journal, engine, workers, progress)

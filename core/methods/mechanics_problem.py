@@ -15,7 +15,7 @@ from ..model.arrays import BoolArray, Float32Array, Float64Array, IndexArray, Ui
 from ..model.clouds import valid_depth
 from ..model.intrinsics import Intrinsics
 
-_FEWEST_NODES = 20
+_MIN_NODES = 20
 #: Depth that differs so much from its surroundings' mean is a false match, metres.
 _FALSE_MATCH_M = 0.015
 #: Nicks in the region's outline up to this width are closed.
@@ -117,7 +117,7 @@ def build_mesh(
     spacing = np.sqrt(np.count_nonzero(whole) / (0.866 * nodes))
     for _ in range(6):
         region = _eroded(whole, crop_px + round(spacing / 4))
-        if np.count_nonzero(region) < _FEWEST_NODES:
+        if np.count_nonzero(region) < _MIN_NODES:
             raise TactuneError(
                 f"the untouched frame shows the membrane in {np.count_nonzero(whole)} tactile pixels, too small "
                 f"for a mesh with a rim of {crop_px} pixels left out; take a new untouched frame or leave out less"
@@ -130,10 +130,10 @@ def build_mesh(
     pixels = np.concatenate([outline, inner])
     depth = make_sampler(pixels, spacing, factor_m).sample(untouched) * factor_m + offset_m
     kept, rim = np.isfinite(depth), np.arange(len(pixels)) < len(outline)
-    if np.count_nonzero(kept & ~rim) < _FEWEST_NODES:
+    if np.count_nonzero(kept & ~rim) < _MIN_NODES:
         raise TactuneError(
             f"the untouched frame has depth at {np.count_nonzero(kept & ~rim)} nodes in the membrane's outline only, "
-            f"but the mechanics needs {_FEWEST_NODES}; take a new untouched frame or ask for more nodes"
+            f"but the mechanics needs {_MIN_NODES}; take a new untouched frame or ask for more nodes"
         )
     pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]

@@ -33,7 +33,7 @@ WITHOUT_TRUTH: Final = ("ms", "area", "stability")
 FOUND_BY: Final = "found by tactune sweep"
 
 #: Groups that the values of a parameter are put into where there are more.
-_MOST_GROUPS: Final = 8
+_MAX_GROUPS: Final = 8
 _GROUPS: Final = 5
 
 
@@ -96,7 +96,7 @@ def choose_objective(asked: str | None, plan: Plan) -> str:
         return "rmse_mm" if plan.has_truth else "stability"
     if asked not in OBJECTIVES:
         raise SweepError(f"there is no objective {asked!r}; choose of {', '.join(OBJECTIVES)}")
-    blind = next((take.source for take in plan.takes if not take.has_truth), None)
+    blind = next((clip.source for clip in plan.clips if not clip.has_truth), None)
     if blind is not None and asked not in WITHOUT_TRUTH:
         raise SweepError(f"{blind} knows no truth, so {asked} cannot be told; choose {', '.join(WITHOUT_TRUTH)}")
     return asked
@@ -115,7 +115,7 @@ def rank(plan: Plan, rows: Iterable[Row], objective: str) -> list[Score]:
             bad = sum(row["missed"] + bool(row["failure"]) for row in found)
             value = _over_sources(found, column)
             if objective in WITHOUT_TRUTH and not any(row["points"] for row in found):
-                value = math.nan  # to find nothing is quick and steady, and no use
+                value = math.nan  # finding nothing is fast and stable, but useless
             scores.append(Score(setting, value, _over_sources(found, "ms"), bad, len(found)))
 
     def order(score: Score) -> tuple[bool, int, float, float]:
@@ -207,8 +207,8 @@ def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
     if math.isnan(best.value):
         raise SweepError(f"no run gave {objective}, so no parameters are best; see the failures in the table")
     setting = best.setting
-    sources = list(dict.fromkeys(take.source for take in plan.takes))
-    seeds = len({take.seed for take in plan.takes})
+    sources = list(dict.fromkeys(clip.source for clip in plan.clips))
+    seeds = len({clip.seed for clip in plan.clips})
     values = ", ".join(f"{path} {json.dumps(value)}" for path, value in setting.values.items()) or "none"
     told = (
         f"Best of {len(plan.settings)} settings by {objective}: {best.value:.4g}, mean over {len(sources)} sources "
@@ -248,7 +248,7 @@ def _groups(scores: Sequence[Score], path: str) -> list[tuple[str, list[Score]]]
     by_value: dict[str, list[Score]] = {}
     for score in scores:
         by_value.setdefault(json.dumps(value(score)), []).append(score)
-    if len(by_value) <= _MOST_GROUPS or not all(isinstance(value(score), int | float) for score in scores):
+    if len(by_value) <= _MAX_GROUPS or not all(isinstance(value(score), int | float) for score in scores):
         return sorted(by_value.items(), key=lambda item: _sortable(json.loads(item[0])))
     ordered = sorted(scores, key=value)
     cuts = [round(len(ordered) * part / _GROUPS) for part in range(_GROUPS + 1)]

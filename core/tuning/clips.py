@@ -43,7 +43,7 @@ class FrameRange:
 
 
 @dataclass(frozen=True)
-class Take:
+class Clip:
     """Frames of one source with one seed.
 
     Attributes
@@ -112,7 +112,7 @@ def seeded(source: str, seeds: int) -> list[tuple[str, int]]:
     return [(f"{name}{'&' if '?' in name else '?'}seed={seed}", seed) for seed in range(seeds)]
 
 
-def inspect_takes(
+def inspect_clips(
     sources: Sequence[str],
     seeds: int,
     frames: FrameRange,
@@ -121,7 +121,7 @@ def inspect_takes(
     untouched: SensorFrame | None = None,
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
-) -> list[Take]:
+) -> list[Clip]:
     """Open every source once and find out what identifies its frames.
 
     Raises
@@ -129,7 +129,7 @@ def inspect_takes(
     TactuneError
         A source cannot be read, is live, has no such frames, or does not fit the preset.
     """
-    takes: list[Take] = []
+    clips: list[Clip] = []
     for source in dict.fromkeys(sources):
         held: FrameSource | None = None  # seeds share a solved scene as long as one of its sources is open
         try:
@@ -142,11 +142,11 @@ def inspect_takes(
                 check_rig(preset, opened.rig)
                 images, has_truth, chosen = _read_frames(source, opened, frames)
                 of_untouched = _untouched_identity(opened, untouched) if with_untouched else ""
-                takes.append(Take(source, name, seed, chosen, images, of_untouched, has_truth))
+                clips.append(Clip(source, name, seed, chosen, images, of_untouched, has_truth))
         finally:
             if held is not None:
                 held.close()
-    return takes
+    return clips
 
 
 def frames_identity(rig: Rig) -> hashlib.blake2b:

@@ -15,9 +15,9 @@ from ..model.frames import SensorFrame
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths
 from ..sources.registry import open_source
-from .clips import FrameRange, OpenSource, Take, inspect_takes
+from .clips import Clip, FrameRange, OpenSource, inspect_clips
 from .values import (
-    MOST_RUNS,
+    MAX_RUNS,
     Axis,
     Choice,
     SweepError,
@@ -103,19 +103,19 @@ class Setting:
 
 @dataclass(frozen=True)
 class Run:
-    """One setting on one take; the key stands for all that its result depends on."""
+    """One setting on one clip; the key stands for all that its result depends on."""
 
     key: str
     setting: Setting
-    take: Take
+    clip: Clip
 
 
 @dataclass(frozen=True)
 class Batch:
-    """Runs over one take that a worker does together."""
+    """Runs over one clip that a worker does together."""
 
     base: Preset
-    take: Take
+    clip: Clip
     code: str
     runs: tuple[tuple[str, str, dict[str, Any]], ...]
     untouched: SensorFrame | None = None
@@ -136,7 +136,7 @@ class Plan:
     paths : tuple of str
         The swept fields.
     settings : tuple of Setting
-    takes : tuple of Take
+    clips : tuple of Clip
     code : str
         Version of the program's code.
     untouched : SensorFrame or None
@@ -146,38 +146,38 @@ class Plan:
     base: Preset
     paths: tuple[str, ...]
     settings: tuple[Setting, ...]
-    takes: tuple[Take, ...]
+    clips: tuple[Clip, ...]
     code: str
     untouched: SensorFrame | None = None
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
-        """All runs: take by take, with the parameters of late stages varying fastest."""
-        return tuple(Run(self._key(setting, take), setting, take) for take in self.takes for setting in self.settings)
+        """All runs: clip by clip, with the parameters of late stages varying fastest."""
+        return tuple(Run(self._key(setting, clip), setting, clip) for clip in self.clips for setting in self.settings)
 
     @property
     def has_truth(self) -> bool:
         """Whether every source knows its truth."""
-        return all(take.has_truth for take in self.takes)
+        return all(clip.has_truth for clip in self.clips)
 
     def batches(self, done: Callable[[str], bool], workers: int) -> Iterator[Batch]:
-        """Part the runs that are not done into pieces of work, each over one take."""
-        for number, take in enumerate(self.takes):
+        """Part the runs that are not done into pieces of work, each over one clip."""
+        for number, clip in enumerate(self.clips):
             of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
             waiting = [run for run in of_take if not done(run.key)]
             share = -(-len(waiting) // (_BATCHES_A_WORKER * workers))
-            size = max(1, min(_FRAMES_A_BATCH // len(take.frames), _RUNS_A_BATCH, share))
+            size = max(1, min(_FRAMES_A_BATCH // len(clip.frames), _RUNS_A_BATCH, share))
             for start in range(0, len(waiting), size):
                 part = waiting[start : start + size]
                 runs = tuple((run.key, run.setting.method, run.setting.values) for run in part)
-                yield Batch(self.base, take, self.code, runs, self.untouched)
+                yield Batch(self.base, clip, self.code, runs, self.untouched)
 
-    def _key(self, setting: Setting, take: Take) -> str:
-        untouched = take.untouched if needs_untouched(setting.method) else ""
-        frames = take.frames
+    def _key(self, setting: Setting, clip: Clip) -> str:
+        untouched = clip.untouched if needs_untouched(setting.method) else ""
+        frames = clip.frames
         text = json.dumps(
-            [setting.method, setting.parameters, take.source, take.seed, frames.start, frames.stop, frames.step,
-             take.identity, untouched, self.code],
+            [setting.method, setting.parameters, clip.source, clip.seed, frames.start, frames.stop, frames.step,
+             clip.identity, untouched, self.code],
             sort_keys=True,
         )  # fmt: skip
         return hashlib.sha256(text.encode()).hexdigest()[:32]
@@ -220,23 +220,23 @@ def make_plan(
         check_contact_test(axes, base)
     settings = _settings(base, axes, request)
     wanted = any(map(needs_untouched, request.methods))
-    takes = inspect_takes(
+    clips = inspect_clips(
         request.sources, request.seeds, request.frames, base, wanted, request.untouched, opener, progress
     )
-    count = len(settings) * len(takes)
+    count = len(settings) * len(clips)
     _check_size(count, request)
     untouched = request.untouched if wanted else None
-    return Plan(base, tuple(paths), tuple(settings), tuple(takes), code_version(), untouched)
+    return Plan(base, tuple(paths), tuple(settings), tuple(clips), code_version(), untouched)
 
 
-def short_takes(plan: Plan, frames: FrameRange) -> list[str]:
+def short_clips(plan: Plan, frames: FrameRange) -> list[str]:
     """Say of each source that has fewer frames than were asked for which ones are taken."""
     if frames.last is None:
         return []
     return list(dict.fromkeys(
-        f"{take.source} ends after {take.frames.stop} frames, so of --frames {frames} only "
-        f"{len(take.frames)} {'are' if len(take.frames) > 1 else 'is'} taken"
-        for take in plan.takes if take.frames.stop < frames.last
+        f"{clip.source} ends after {clip.frames.stop} frames, so of --frames {frames} only "
+        f"{len(clip.frames)} {'are' if len(clip.frames) > 1 else 'is'} used"
+        for clip in plan.clips if clip.frames.stop < frames.last
     ))  # fmt: skip
 
 
@@ -250,16 +250,16 @@ def little_averaged(plan: Plan) -> list[str]:
                 (field, most), (test.frames_field, setting.parameters[test.frames_field]), key=lambda pair: pair[1]
             )
     said = []
-    for take in plan.takes:
-        count, step = len(take.frames), take.frames.step
+    for clip in plan.clips:
+        count, step = len(clip.frames), clip.frames.step
         if step > 1 < min(most, count):
             said.append(
-                f"{take.source} gives one frame in {step}, so {field} {most} averages frames that do not follow each "
+                f"{clip.source} gives one frame in {step}, so {field} {most} averages frames that do not follow each "
                 "other; leave the step out of --frames"
             )
         elif count < most:
             said.append(
-                f"{take.source} gives {count} frame{'' if count == 1 else 's'}, so {field} {most} averages no more "
+                f"{clip.source} gives {count} frame{'' if count == 1 else 's'}, so {field} {most} averages no more "
                 "than that; take more frames"
             )
     return list(dict.fromkeys(said))
@@ -294,6 +294,6 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
 
 
 def _check_size(count: int, request: Request) -> None:
-    if count > MOST_RUNS:
+    if count > MAX_RUNS:
         remedy = "sample fewer" if request.sample is not None else "take some of them with --sample N, or fewer values"
-        raise SweepError(f"these are {count} runs, and at most {MOST_RUNS} make sense; {remedy}")
+        raise SweepError(f"these are {count} runs, and at most {MAX_RUNS} make sense; {remedy}")

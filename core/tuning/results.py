@@ -140,7 +140,7 @@ class Tally:
     _frames: int = 0
     _failure: str = ""
     _mask: BoolArray | None = None
-    _steady: list[float] = field(default_factory=list)
+    _overlaps: list[float] = field(default_factory=list)
 
     def add(self, frame: JudgedFrame, patch: MethodPatch, ms: float) -> None:
         """Take in the patch of the next frame."""
@@ -152,7 +152,7 @@ class Tally:
         for name, number in frame.judge(patch).items():
             self._numbers.setdefault(name, []).append(number)
         if self._mask is not None:
-            self._steady.append(pixel_scores(self._mask, patch.mask).iou)
+            self._overlaps.append(pixel_scores(self._mask, patch.mask).iou)
         self._mask = patch.mask
 
     def fail(self, reason: str) -> None:
@@ -166,7 +166,7 @@ class Tally:
         return Result(
             self.key,
             **means,
-            stability=_mean(self._steady) if found_something else None,
+            stability=_mean(self._overlaps) if found_something else None,
             frames=self._frames,
             missed=int(sum(self._numbers.get("missed", ()))),
             ms=median(self._ms) if self._ms else None,

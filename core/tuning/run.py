@@ -1,4 +1,4 @@
-"""The work of a sweep's worker: a batch of runs over one take.
+"""The work of a sweep's worker: a batch of runs over one clip.
 
 Frames come in the outer loop and runs in the inner one, so a frame is read once for all runs, and what
 two runs that follow each other have in common is not computed again. A worker keeps its last source open.
@@ -27,7 +27,7 @@ from ..preset import Preset
 from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from .clips import Take, add_frame, frames_identity
+from .clips import Clip, add_frame, frames_identity
 from .plan import FUSION, Batch
 from .results import JudgedFrame, Result, Tally
 from .values import SweepError
@@ -54,28 +54,28 @@ def run_batch(batch: Batch) -> list[Result]:
             "restart the workers and give the same command again"
         )
     with _one_thread():
-        return _OpenTake.of(batch.take).run(batch)
+        return _OpenClip.of(batch.clip).run(batch)
 
 
-class _OpenTake:
-    """A take whose source is open."""
+class _OpenClip:
+    """A clip whose source is open."""
 
-    def __init__(self, take: Take) -> None:
-        self.take = take
-        self.source = open_source(take.name)
+    def __init__(self, clip: Clip) -> None:
+        self.clip = clip
+        self.source = open_source(clip.name)
         self._checked = False
         self._untouched: SensorFrame | None = None
 
     @staticmethod
-    def of(take: Take) -> _OpenTake:
-        """Return the calling thread's open take, another one where need be."""
-        before: _OpenTake | None = getattr(_kept, "take", None)
-        if before is not None and before.take == take:
+    def of(clip: Clip) -> _OpenClip:
+        """Return the calling thread's open clip, another one where need be."""
+        before: _OpenClip | None = getattr(_kept, "clip", None)
+        if before is not None and before.clip == clip:
             return before
         if before is None:
             warm_up()  # so that no run's time is that of loading code
-        fresh = _OpenTake(take)  # before the old one is closed: they may share a solved scene
-        _kept.take = fresh
+        fresh = _OpenClip(clip)  # before the old one is closed: they may share a solved scene
+        _kept.clip = fresh
         if before is not None:
             before.source.close()
         return fresh
@@ -97,20 +97,20 @@ class _OpenTake:
                 if find is not None:
                     with _failures_of(tally):
                         tally.add(judged, *find(frame))
-        if digest is not None and digest.hexdigest() != self.take.identity:
+        if digest is not None and digest.hexdigest() != self.clip.identity:
             raise SweepError(
-                f"{self.take.source} holds other frames than when this sweep began, or on this worker; "
+                f"{self.clip.source} holds other frames than when this sweep began, or on this worker; "
                 "make it the same everywhere and give the same command again"
             )
         self._checked = True
         return [tally.result() for tally in tallies]
 
     def _frames(self) -> Iterator[SensorFrame]:
-        for index in self.take.frames:
+        for index in self.clip.frames:
             self.source.seek(index)
             frame = self.source.next_frame()
             if frame is None:
-                raise SweepError(f"{self.take.source} ends before its frame {index}; check the recording")
+                raise SweepError(f"{self.clip.source} ends before its frame {index}; check the recording")
             yield frame
 
     def _make_find(

@@ -194,11 +194,11 @@ def sweep_rows(plan: Plan, journal: Journal) -> list[Row]:
     for run in plan.runs:
         if run.key in journal:
             result = journal[run.key]
-            frames = run.take.frames
+            frames = run.clip.frames
             row = {
                 "key": run.key,
-                "source": run.take.source,
-                "seed": run.take.seed,
+                "source": run.clip.source,
+                "seed": run.clip.seed,
                 "first_frame": frames.start,
                 "end_frame": frames.stop,
                 "frame_step": frames.step,
@@ -206,7 +206,7 @@ def sweep_rows(plan: Plan, journal: Journal) -> list[Row]:
                 **run.setting.parameters,
                 **{name: getattr(result, name) for name in MEASURES},
                 "failure": result.failure,
-                "source_hash": run.take.identity,
+                "source_hash": run.clip.identity,
                 "code_hash": plan.code,
             }
             rows.append(row)

@@ -29,7 +29,7 @@ _FIXED: Final = ("untouched",)
 _TEST_OF: Final = {section: test.name for test in CONTACT_TESTS.values() for section in test.section_names}
 
 #: More runs than this are a mistake, or a case for a sample.
-MOST_RUNS: Final = 100_000
+MAX_RUNS: Final = 100_000
 
 _RANGE: Final = re.compile(r"([^:]+):([^:]+?)(?::([0-9]*)(log)?)?")
 
@@ -225,8 +225,8 @@ def _span(path: str, text: str, low: str, high: str, count: str | None, log: str
     if log and ends[0] <= 0:
         raise SweepError(f"{path}: equal ratios cannot begin at {ends[0]:g}; give a low end above 0 or leave log out")
     steps = int(count) if count and len(count) < 12 else None
-    if count and (steps is None or not 2 <= steps <= MOST_RUNS):
-        raise SweepError(f"{path}: {text} has {count} steps; give 2 to {MOST_RUNS}")
+    if count and (steps is None or not 2 <= steps <= MAX_RUNS):
+        raise SweepError(f"{path}: {text} has {count} steps; give 2 to {MAX_RUNS}")
     return Span(path, *ends, steps, bool(log))
 
 

@@ -172,7 +172,7 @@ class ParameterPanel(QScrollArea):
         if record is not None:
             points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
             self.alignment_info.setText(
-                f"Membrane {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
+                f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
                 f"expected error {record.quality.alignment_px:.1f} px, good for t from "
                 f"{record.quality.supported_tolerance:.3f}"
             )

@@ -7,7 +7,7 @@ import pytest
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
 from tactune.core.tuning.best import OBJECTIVES, best_preset, choose_objective, edges, effects, rank
-from tactune.core.tuning.clips import Take
+from tactune.core.tuning.clips import Clip
 from tactune.core.tuning.plan import Plan, Setting
 from tactune.core.tuning.values import plain_value, result_paths
 
@@ -20,8 +20,8 @@ def setting(k: int, method: str = "fusion") -> Setting:
 
 
 def plan_of(*settings: Setting, truth: bool = True) -> Plan:
-    takes = tuple(Take(source, source, 0, range(3), "", "", truth) for source in ("one", "other"))
-    return Plan(BASE, ("outliers.k",), settings, takes, "")
+    clips = tuple(Clip(source, source, 0, range(3), "", "", truth) for source in ("one", "other"))
+    return Plan(BASE, ("outliers.k",), settings, clips, "")
 
 
 def row(of: Setting, source: str = "one", **measured) -> dict[str, object]:

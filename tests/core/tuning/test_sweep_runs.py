@@ -144,7 +144,7 @@ def test_late_stages_vary_fastest_and_batches_keep_to_one_take(make_recording):
     assert values[:4] == [(0.0, 0.02, 5), (40.0, 0.02, 5), (0.0, 0.02, 20), (40.0, 0.02, 20)]
     batches = list(plan.batches(lambda key: key == plan.runs[0].key, workers=1))
     assert [key for batch in batches for key, _, _ in batch.runs] == [run.key for run in plan.runs[1:]]
-    assert all(batch.take in plan.takes for batch in batches)
+    assert all(batch.clip in plan.clips for batch in batches)
     assert len({batch.name for batch in batches}) == len(batches)
 
 
@@ -222,7 +222,7 @@ def test_a_worker_refuses_other_frames_and_other_code(make_recording):
     with pytest.raises(TactuneError, match="another version of Tactune"):
         run_batch(replace(batch, code="older"))
     with pytest.raises(TactuneError, match="other frames"):
-        run_batch(replace(batch, take=replace(batch.take, identity="0")))
+        run_batch(replace(batch, clip=replace(batch.clip, identity="0")))
 
 
 def test_a_batch_uses_one_thread_and_leaves_the_callers_setting(recording, monkeypatch):

@@ -8,7 +8,7 @@ import pytest
 from tactune.core.errors import TactuneError
 from tactune.core.preset import Preset
 from tactune.core.tuning.values import (
-    MOST_RUNS,
+    MAX_RUNS,
     check_contact_test,
     check_switched_on,
     checked_axis,
@@ -100,7 +100,7 @@ def test_a_grid_has_every_combination_once():
     assert grid_size(axes) == len(found) == len(set(found)) == 6
     with pytest.raises(TactuneError, match="no number of steps"):
         grid_size([parse_axis("tolerance.t=0.01:0.02")])
-    assert grid_size([make_axis("tolerance.t", f"0:1:{MOST_RUNS}")] * 3) == MOST_RUNS**3
+    assert grid_size([make_axis("tolerance.t", f"0:1:{MAX_RUNS}")] * 3) == MAX_RUNS**3
 
 
 def test_a_sample_covers_each_axis_evenly_and_its_seed_decides():
