@@ -1,4 +1,4 @@
-"""The grid of linked views, one a method, each with its numbers beneath."""
+"""The grid of linked 3D views, one for each method, with its numbers below."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from .compare_table import caption
 from .comparer import Outcome
 from .method_looks import agreement_legend, method_color, method_tip
 
-#: Width over height that a view looks best at.
+#: Preferred width over height of a view.
 _ASPECT = 1.25
 #: Views narrower than this show every other row and column.
 _FINE_WIDTH = 480
-#: A point grows by a pixel for so much width of a view, times `step`, so that surfaces close up.
+#: Points grow by `step` pixels for each of these pixels of a view's width, so that surfaces have no gaps.
 _POINT_EVERY = 320
 _CHOOSE = "Tick a method in the table to see its patch here."
 
@@ -42,7 +42,7 @@ class Tile(QWidget):
         layout.addWidget(self.caption)
 
     def show_outcome(self, outcome: Outcome, truth: bool, by_truth: bool, theme: Theme) -> None:
-        """Show patch and numbers; with truth, also how the patch agrees with it."""
+        """Show patch and numbers; with truth, also the agreement with it."""
         self.view.set_cloud(outcome.cloud)
         legend = agreement_legend() if by_truth else [("contact", method_color(self.name, theme))]
         if legend != self.view.legend():
@@ -51,18 +51,18 @@ class Tile(QWidget):
         self.caption.setText(caption(outcome, truth))
 
     def show_setting_up(self) -> None:
-        """Say that the method is being made ready."""
+        """Show that the method is being set up."""
         self.caption.setText(f"Setting up {self.name}…")
         self.view.set_message(f"Setting up {self.name}…")
 
 
 class TileGrid(QWidget):
-    """As many tiles as methods are chosen, as large as they can be; orbit one and all follow.
+    """One tile for each chosen method, as large as possible, with linked cameras.
 
     Signals
     -------
     stepChanged()
-        Another `step` is enough at the present size.
+        `step` changed with the size of the views.
     """
 
     stepChanged = pyqtSignal()
@@ -71,7 +71,7 @@ class TileGrid(QWidget):
         super().__init__()
         self._backend: BackendChoice = backend
         self._columns = 0
-        #: Every how many rows and columns are worth drawing.
+        #: Every ``step``-th row and column is drawn.
         self.step = 1
         self.tiles: dict[str, Tile] = {}
         self._shown: list[Tile] = []
@@ -83,11 +83,11 @@ class TileGrid(QWidget):
         self._layout.addWidget(self._empty, 0, 0)
 
     def shown(self) -> list[str]:
-        """Return the names of the tiles that are to be seen, in their order."""
+        """Return the names of the visible tiles in order."""
         return [tile.name for tile in self._shown]
 
     def show_tiles(self, names: Sequence[str]) -> None:
-        """Show these tiles and no others; those that come take over the camera of those that stay."""
+        """Show only these tiles; new ones take the camera of those that stay."""
         if list(names) == self.shown():
             return
         stay = [tile for tile in self._shown if tile.name in names]
@@ -102,14 +102,14 @@ class TileGrid(QWidget):
         self._place()
 
     def clear(self) -> None:
-        """Empty all views; they frame what comes next."""
+        """Empty all views; they frame the next cloud."""
         for tile in self.tiles.values():
             tile.view.set_cloud(None)
             tile.view.set_message("")
             tile.caption.setText("")
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Choose another number of columns where that makes the views larger."""
+        """Choose the number of columns that makes the views largest."""
         super().resizeEvent(event)
         if best_columns(len(self._shown), self.width(), self.height()) != self._columns:
             self._place()
@@ -134,7 +134,7 @@ class TileGrid(QWidget):
         self._choose_step()
 
     def _choose_step(self) -> None:
-        """Draw every other row and column where views are small: nobody sees more, and it is much faster."""
+        """Draw every other row and column in small views: it looks the same and is much faster."""
         wide = self.width() / max(1, self._columns)
         step = 1 if wide >= _FINE_WIDTH else 2
         for tile in self._shown:

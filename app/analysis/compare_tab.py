@@ -1,4 +1,4 @@
-"""The methods' patches side by side on the live frame."""
+"""The tab Compare methods: their patches side by side on the live frame."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from .tab import TabKind
 _CHOSEN = "compare/methods"
 _AT_FIRST = ("fusion-rigid", "fusion-membrane", "proximity-only", "tactile-only", "mechanics")
 _WAITING = "Waiting for a frame: open a source in the main window."
-#: Setting up is worth saying when it takes longer than this.
-_PATIENCE_MS = 300
+#: Delay after which setting up a method is shown, in ms.
+_SETUP_DELAY_MS = 300
 
 
 class CompareTab(MeasuringTab):
-    """One linked view per method and one of the truth, all on the same frame, and a table of their numbers.
+    """One linked 3D view per method and one of the truth, all on the same frame, and a table of their numbers.
 
     Signals
     -------
@@ -49,7 +49,7 @@ class CompareTab(MeasuringTab):
         self.thread_ = CompareThread(self)
         self._late = QTimer(self)
         self._late.setSingleShot(True)
-        self._late.setInterval(_PATIENCE_MS)
+        self._late.setInterval(_SETUP_DELAY_MS)
         self.color_by = QComboBox()
         self.give_up = QPushButton("Cancel")
         self._lay_out()
@@ -59,7 +59,7 @@ class CompareTab(MeasuringTab):
     # What the window calls
 
     def show_result(self, result: Result) -> None:
-        """Compare this frame as soon as there is time for it."""
+        """Compare this frame next."""
         if self._result is not None and self._result.source is not result.source:
             self.grid.clear()
         self._result = result
@@ -127,7 +127,7 @@ class CompareTab(MeasuringTab):
         self.grid.show_tiles([*([TRUTH] if truth else []), *self.table.chosen()])
 
     def _send(self) -> None:
-        """Have the newest frame compared, the way things are chosen now."""
+        """Compare the newest frame with the present choices."""
         result = self._result
         if result is None:
             return
@@ -188,7 +188,7 @@ class CompareTab(MeasuringTab):
             self.grid.tiles[self._setting_up].show_setting_up()
 
     def _show_progress(self, share: float) -> None:
-        """Show how preparing the untouched frame goes, once that has something to say."""
+        """Show the progress of preparing the untouched frame."""
         self.progress.setValue(round(100 * share))
         if self.untouched.searching:
             self.progress.show()
@@ -204,7 +204,7 @@ class CompareTab(MeasuringTab):
     def _cancel_or_retry(self) -> None:
         (self.untouched.cancel if self.untouched.searching else self.untouched.retry)()
 
-    # Taking things out
+    # Export
 
     def _ask_where(self) -> None:
         if self.comparison is None:

@@ -44,18 +44,18 @@ def cells(outcome: Outcome) -> tuple[str, ...]:
 
 
 def method_cell(name: str, averaged: int) -> str:
-    """Return the table's first column: the method, and over how many frames it has averaged where these are several."""
+    """Return the table's first column: the method, and the number of averaged frames if greater than 1."""
     return f"{name} ({averaged} frames)" if averaged > 1 else name
 
 
 def caption(outcome: Outcome, truth: bool) -> str:
-    """Return the lines beneath a view: time and size, and where truth is known, agreement with it."""
+    """Return the lines below a view: time and size and, if the truth is known, the agreement with it."""
     time, points, area, rmse, iou, _ = cells(outcome)
     size = "no patch" if outcome.scores.points is None else f"{points} points · {area} cm²"
     first = size if outcome.ms is None else f"{time} ms · {size}"
     if not truth:
         return first
-    return f"{first}\n" + ("what really touches" if outcome.name == TRUTH else f"RMSE {rmse} mm · IoU {iou}")
+    return f"{first}\n" + ("true contact" if outcome.name == TRUTH else f"RMSE {rmse} mm · IoU {iou}")
 
 
 def table_text(rows: Iterable[tuple[str, ...]]) -> str:
@@ -65,7 +65,7 @@ def table_text(rows: Iterable[tuple[str, ...]]) -> str:
 
 
 def comparison_csv(comparison: Comparison) -> str:
-    """Return a comparison as CSV, one row a method; what does not exist is empty, and the frame counts from 0."""
+    """Return a comparison as CSV, one row per method; missing values are empty, frames count from 0."""
     result = comparison.task.result
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -93,11 +93,11 @@ def comparison_csv(comparison: Comparison) -> str:
 
 
 _SWATCH_PX = 12
-_ROOM_PX = 18
+_PADDING_PX = 18
 
 
 class CompareTable(QTableWidget):
-    """One row for the truth, and one for each method with a box to tick.
+    """One row for the truth, and one with a check box for each method.
 
     Signals
     -------
@@ -139,7 +139,7 @@ class CompareTable(QTableWidget):
                 self._at(row, 0).setIcon(QIcon(swatch))
 
     def show_outcomes(self, outcomes: Mapping[str, Outcome]) -> None:
-        """Show the numbers of these methods; the other rows are empty."""
+        """Show the numbers of these methods and clear the other rows."""
         with QSignalBlocker(self):
             for row, name in enumerate(self._names):
                 outcome = outcomes.get(name)
@@ -163,13 +163,13 @@ class CompareTable(QTableWidget):
             first.setToolTip(method_tip(name) + mean)
 
     def full_height(self) -> int:
-        """Return the height at which no row is hidden."""
+        """Return the height at which all rows are visible."""
         across = self.horizontalHeader()
         assert across is not None
         return across.sizeHint().height() + self.rowCount() * self.rowHeight(1) + 2 * self.frameWidth()
 
     def copy(self) -> None:
-        """Put the selected rows, or all that have numbers, on the clipboard."""
+        """Copy the selected rows, or all rows with numbers, to the clipboard."""
         selected = {index.row() for index in self.selectedIndexes()}
         rows = sorted(selected) or [row for row in range(self.rowCount()) if self._at(row, 2).text()]
         texts = [tuple(self._at(row, column).text() for column in range(len(COLUMNS))) for row in rows]
@@ -179,7 +179,7 @@ class CompareTable(QTableWidget):
             self.copied.emit(len(texts))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Copy whole rows; the space bar ticks the present row, whatever its column."""
+        """Copy whole rows; the space bar ticks the current row from any column."""
         if event is not None and event.matches(QKeySequence.StandardKey.Copy):
             self.copy()
             return
@@ -214,11 +214,11 @@ class CompareTable(QTableWidget):
         across.setStretchLastSection(True)
         across.setHighlightSections(False)
         metrics = self.fontMetrics()
-        boxes = 4 * "0"  # as wide as the box to tick and the colour
+        boxes = 4 * "0"  # the width of check box and colour
         widest = (method_cell("fusion-averaged", 15) + boxes, "00000.0", "000,000", "0000.0", "00.00", "0.000")
         for column, text in enumerate(widest):
             width = max(metrics.horizontalAdvance(shown) for shown in (text, self._heading(column)))
-            self.setColumnWidth(column, width + _ROOM_PX)
+            self.setColumnWidth(column, width + _PADDING_PX)
         across.setSectionResizeMode(len(COLUMNS) - 1, QHeaderView.ResizeMode.Stretch)
 
     def _heading(self, column: int) -> str:

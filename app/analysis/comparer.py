@@ -1,4 +1,4 @@
-"""Runs the chosen methods on the newest frame, on a thread of its own: patches, times, scores against the truth."""
+"""Runs the chosen methods on the newest frame, on its own thread: patches, times, and scores against the truth."""
 
 from __future__ import annotations
 
@@ -32,20 +32,20 @@ from ..worker.threads import Mailbox, abandon, leave_room_for_the_window
 from .method_looks import CONTACT_ROW, FALSE_ROW, HIDDEN_ROW, MISSED_ROW, TRUTH, agreement_lut, method_lut
 
 _IDENTITY = np.eye(4)
-_MOST_COUNTS = 65534
+_MAX_COUNTS = 65534
 
 
 class Drawing:
-    """Makes the clouds of one frame, which share all but the patches.
+    """Draws the clouds of one frame, which differ only in their patches.
 
     Parameters
     ----------
     result : Result
     theme : "light" or "dark"
     by_truth : bool
-        Colour by the agreement with the frame's truth, which there must be, not by method.
+        Colour by agreement with the frame's truth, which must be known, instead of by method.
     step : int
-        Every how many rows and columns a point is drawn.
+        Draw every ``step``-th row and column.
     """
 
     def __init__(self, result: Result, theme: Theme, by_truth: bool, step: int) -> None:
@@ -61,7 +61,7 @@ class Drawing:
         self._truth = frame.truth if by_truth else None
 
     def cloud(self, name: str, patch: MethodPatch) -> DepthCloud:
-        """Return a patch at its own depth; the scene around it ends where the depth colours end."""
+        """Return a patch at its own depth, over the scene within the range of the depth colours."""
         depth, rows = self._depth.copy(), self._context.copy()
         mask = self._coarse(patch.mask)
         rows[mask] = CONTACT_ROW
@@ -86,9 +86,9 @@ class Drawing:
         return mask[:: self._step, :: self._step]
 
     def _lift(self, depth: Uint16Array, where: BoolArray, points: Float32Array) -> None:
-        """Put pixels to the depth of the point that is projected nearest to each.
+        """Give each pixel in ``where`` the depth of the point projected nearest to it.
 
-        Points need not be proximity pixels: those of tactile methods are another camera's.
+        The points of tactile methods come from the other camera, so they do not lie on proximity pixels.
         """
         points = points[points[:, 2] > 0]
         columns, rows = np.rint(self._camera.intrinsics.project(points) / self._step).astype(np.intp).T
@@ -96,7 +96,7 @@ class Drawing:
         if not inside.any() or not where.any():
             return
         known: Uint16Array = np.zeros(depth.shape, np.uint16)
-        counts = np.clip(np.rint(points[:, 2] / self._camera.depth_unit_m), 1, _MOST_COUNTS)
+        counts = np.clip(np.rint(points[:, 2] / self._camera.depth_unit_m), 1, _MAX_COUNTS)
         known[rows[inside], columns[inside]] = counts[inside].astype(np.uint16)
         _, labels = cv2.distanceTransformWithLabels(
             (known == 0).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
@@ -112,7 +112,7 @@ def _coarse_rays(intrinsics: Intrinsics, step: int) -> Float32Array:
     return np.ascontiguousarray(ray_table(intrinsics)[::step, ::step])
 
 
-#: Over how many frames the median of the times goes.
+#: Number of frames over which the median time is taken.
 TIMED_FRAMES = 15
 
 NO_CONTACT = "No contact found in this frame"
@@ -120,7 +120,7 @@ NO_CONTACT = "No contact found in this frame"
 
 @dataclass(frozen=True, eq=False)
 class Task:
-    """What to compare.
+    """A frame, and the methods to compare on it.
 
     Attributes
     ----------
@@ -129,11 +129,11 @@ class Task:
     methods : tuple of str
     untouched : SensorFrame or None
     no_untouched : str
-        Why there is no untouched frame, as a sentence with the next step.
+        The reason why there is no untouched frame and what to do, as one sentence.
     by_truth : bool
         Colour points by their agreement with the truth.
     step : int
-        Every how many rows and columns a point is drawn.
+        Draw every ``step``-th row and column.
     """
 
     result: Result
@@ -147,7 +147,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Scores:
-    """What can be said of a patch; None where there is no patch, no truth, or no distance to it."""
+    """Size and agreement of a patch; None without a patch, without truth, or if the distance is infinite."""
 
     points: int | None = None
     area_mm2: float | None = None
@@ -164,11 +164,11 @@ class Outcome:
     Attributes
     ----------
     ms : float or None
-        The median of the last frames.
+        Median time of the last frames, in milliseconds.
     note : str
-        Why there is no patch.
+        The reason why there is no patch.
     averaged_frames : int
-        Over how many frames the method has averaged, this one included.
+        Number of frames that the method averaged, including this one.
     """
 
     name: str
@@ -181,7 +181,7 @@ class Outcome:
 
 @dataclass(frozen=True, eq=False)
 class Comparison:
-    """All chosen methods on one and the same frame; the truth first, where it is known."""
+    """The outcomes of all chosen methods on one frame; the truth comes first if it is known."""
 
     task: Task
     outcomes: tuple[Outcome, ...]
@@ -189,7 +189,7 @@ class Comparison:
 
 @dataclass(frozen=True, eq=False)
 class _Found:
-    """What a method found in a frame."""
+    """The patch of one method in one frame."""
 
     frame: SensorFrame
     patch: MethodPatch
@@ -199,18 +199,18 @@ class _Found:
 
 @dataclass(eq=False)
 class _Entrant:
-    """A method that is ready, or the reason why it cannot be; and its last frame.
+    """A method, or the reason why it cannot be set up; with its last frame.
 
     Attributes
     ----------
     place : tuple
-        Source, rig and untouched frame: where these change, the method is made anew.
+        Source, rig and untouched frame; if one changes, the method is made again.
     settings : tuple
-        As `settings_of` returns them.
+        The preset fields it depends on, from `settings_of`.
     warm : bool
-        It has run once.
+        Whether it has run once.
     shown : SensorFrame or None
-        The last frame that it was given.
+        Its last frame.
     """
 
     place: tuple[Any, ...]
@@ -224,12 +224,12 @@ class _Entrant:
 
 
 class Comparer:
-    """Keeps every method ready from frame to frame; belongs to one thread.
+    """Keeps the methods from frame to frame; belongs to one thread.
 
     Parameters
     ----------
     tell : callable
-        Told the name of a method that is being set up, which may take a while.
+        Called with the name of a method before it is set up, which may take seconds.
     """
 
     def __init__(self, tell: Callable[[str], None] = lambda _name: None) -> None:
@@ -237,9 +237,9 @@ class Comparer:
         self._entrants: dict[str, _Entrant] = {}
 
     def compare(self, task: Task) -> Comparison:
-        """Run the chosen methods on a frame; those that have seen it already are not run again.
+        """Run the chosen methods on a frame, except those that have already run on it.
 
-        A method that fails, in whatever way, has an empty patch and a note.
+        A method that fails with any exception has an empty patch and a note.
         """
         drawing = Drawing(task.result, task.theme, task.by_truth, task.step)
         outcomes = []
@@ -254,7 +254,7 @@ class Comparer:
         return Comparison(task, tuple(outcomes))
 
     def _entrant(self, name: str, task: Task) -> _Entrant:
-        """Return a method that fits the task; where the preset has changed, a warm pipeline takes the new one over."""
+        """Return a method that fits the task; a changed preset updates a fusion pipeline in place."""
         preset, source = task.result.preset, task.result.source
         against = (task.untouched, task.no_untouched) if needs_untouched(name) else ()
         fresh = _Entrant((source.name, source.rig, *against), settings_of(name, preset))
@@ -293,21 +293,21 @@ class Comparer:
         return entrant.found
 
     def _timed(self, name: str, entrant: _Entrant, method: ContactMethod, frame: SensorFrame) -> MethodPatch:
-        """Run a method and note how long that took, without what it loads at its first run."""
+        """Run a method and note its time, except that of its first run."""
         if method.remembers > 1:
             return self._timed_once(name, entrant, method, frame)
         if not entrant.warm:
             self._tell(name)
             method.find(replace(frame))
             entrant.warm = True
-        asked = replace(frame)  # a pipeline that knows the frame leaves stages out, and then the time is no frame's
+        asked = replace(frame)  # a copy: for a known frame, a pipeline skips stages and the time would be too short
         started = time.perf_counter_ns()
         patch = method.find(asked)
         entrant.times_ms.append((time.perf_counter_ns() - started) / 1e6)
         return patch
 
     def _timed_once(self, name: str, entrant: _Entrant, method: ContactMethod, frame: SensorFrame) -> MethodPatch:
-        """Run a method that averages frames, to which the same frame must not be shown as if it were two."""
+        """Run a method that averages frames; it must not see the same frame twice."""
         if not entrant.warm:
             self._tell(name)
         started = time.perf_counter_ns()
@@ -328,7 +328,7 @@ def _truth_outcome(truth: GroundTruth, rig: Rig, drawing: Drawing) -> Outcome:
 
 
 def _scores(patch: MethodPatch, truth: GroundTruth | None, rig: Rig) -> Scores:
-    """Return size and agreement of a patch; a method that failed has none."""
+    """Return size and agreement of a patch; none for a method that failed."""
     if patch.failure:
         return Scores()
     size = len(patch.points), float(method_area_mm2(patch, rig))
@@ -339,21 +339,21 @@ def _scores(patch: MethodPatch, truth: GroundTruth | None, rig: Rig) -> Scores:
     return Scores(*size, rmse_mm, known["iou"], known["precision"], known["recall"])
 
 
-_LONGEST_REST_S = 0.5
+_MAX_REST_S = 0.5
 
 
 class CompareThread(QThread):
-    """Takes tasks through a one-slot mailbox and gives comparisons back through another.
+    """Takes tasks from a one-slot mailbox and returns comparisons through another.
 
-    While frames run it rests after each comparison for as long as that took, since window and worker
-    share the processor with it.
+    While frames play, it rests after each comparison for as long as the comparison took, because window and
+    worker share the processor with it.
 
     Signals
     -------
     compared()
-        `take` has something new.
+        `take` has a new comparison.
     settingUp(name: str)
-        A method is made ready, which may take a while.
+        A method is being set up, which may take seconds.
     failed(sentence: str)
         A frame could not be compared.
     """
@@ -371,26 +371,26 @@ class CompareThread(QThread):
 
     @property
     def skipped(self) -> int:
-        """Frames that were not compared because a newer one came first."""
+        """Number of frames that were replaced by a newer one before they were compared."""
         return self._tasks.dropped
 
     def compare(self, task: Task) -> None:
-        """Compare this frame next; one that still waits is skipped."""
+        """Compare this frame next; a waiting one is skipped."""
         self._tasks.put(task)
         self._wake.set()
 
     def take(self) -> Comparison | None:
-        """Take the newest comparison, or None."""
+        """Return the newest comparison once; None if there is no new one."""
         return self._comparisons.take()
 
     def shut_down(self) -> None:
-        """Stop after the present frame, for good; nobody waits for that, and nothing is emitted any more."""
+        """Stop for good after the present frame. Does not wait; no signal is emitted any more."""
         self._stopping.set()
         self._wake.set()
         abandon(self)
 
     def run(self) -> None:
-        """Compare frame after frame until told to stop."""
+        """Compare frames until `shut_down`."""
         leave_room_for_the_window()
         comparer = Comparer(self.settingUp.emit)
         while not self._stopping.is_set():
@@ -402,7 +402,7 @@ class CompareThread(QThread):
             started = time.perf_counter()
             self._compare(comparer, task)
             if task.result.playback.running:
-                self._stopping.wait(min(time.perf_counter() - started, _LONGEST_REST_S))
+                self._stopping.wait(min(time.perf_counter() - started, _MAX_REST_S))
 
     def _compare(self, comparer: Comparer, task: Task) -> None:
         try:

@@ -23,25 +23,25 @@ from ..worker.results import RateMeter, Result, SourceInfo
 from .tab import AnalysisTab
 
 CAPTURE = "Capture the untouched frame while nothing touches the membrane: Ctrl+Shift+R"
-_SEARCHING = "Compares with the untouched membrane, which is being prepared…"
-_MISSING = f"Compares with the untouched membrane, which this source does not have. {CAPTURE}"
-_CANCELLED = f"Compares with the untouched membrane; preparing it was cancelled. Try again above. {CAPTURE}"
+_SEARCHING = "Needs the untouched frame, which is being prepared…"
+_MISSING = f"Needs an untouched frame, which this source does not have. {CAPTURE}"
+_CANCELLED = f"Needs the untouched frame; preparing it was cancelled. Try again above. {CAPTURE}"
 
 
 class UntouchedSearch(QObject):
-    """Finds the untouched frame of whatever is shown, on a thread of its own.
+    """Finds the untouched frame for the frame on the screen, on its own thread.
 
     Parameters
     ----------
     document : Document
-        Knows beside which file the preset's own lies; asked when another preset, file or source is shown, since it
-        looks at the disk.
+        Knows the folder of the preset's untouched frame. It is asked only after a change of preset, file or
+        source, because it reads the disk.
     parent : QObject, optional
 
     Signals
     -------
     changed()
-        `searching`, `frame`, `sentence` or `warning` is another.
+        `searching`, `frame`, `sentence` or `warning` changed.
     progress(share: float)
         0 to 1.
     """
@@ -55,9 +55,9 @@ class UntouchedSearch(QObject):
         self._key: tuple[SourceInfo, UntouchedRecord | None, Path | None] | None = None
         self._preset = Preset()
         self.frame: SensorFrame | None = None
-        #: Why there is none, with the next step.
+        #: The reason why there is no frame, and what to do.
         self.sentence = ""
-        #: Why the preset's own is not used.
+        #: The reason why the preset's own untouched frame is not used.
         self.warning = ""
         self.searching = False
         self.cancelled = False
@@ -67,14 +67,14 @@ class UntouchedSearch(QObject):
         self._job.progress.connect(lambda share, _words: self.progress.emit(share))
 
     def look(self, result: Result) -> None:
-        """Find the untouched frame that belongs to a frame and the preset's file, unless that is known already."""
+        """Find the untouched frame for a result, unless source, preset and file are the same as before."""
         key = result.source, result.preset.untouched, self._document.path
         if self._key is None or key[0] is not self._key[0] or key[1:] != self._key[1:]:
             self._key, self._preset = key, result.preset
             self.retry()
 
     def retry(self) -> None:
-        """Look for it anew."""
+        """Search again."""
         if self._key is None:
             return
         info = self._key[0]
@@ -85,12 +85,12 @@ class UntouchedSearch(QObject):
         self.changed.emit()
 
     def cancel(self) -> None:
-        """Do without."""
+        """Cancel the search."""
         self.cancelled = True
         self._job.cancel()
 
     def shut_down(self) -> None:
-        """Stop, for good."""
+        """Stop the thread for good."""
         self._job.stop()
 
     def _found(self, found: FoundUntouched) -> None:
@@ -101,13 +101,13 @@ class UntouchedSearch(QObject):
 
     def _failed(self, sentence: str) -> None:
         if not sentence and not self.cancelled:
-            return  # given up for another one
+            return  # replaced by another search
         self.searching, self.sentence = False, sentence or _CANCELLED
         self.changed.emit()
 
 
 def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -> str:
-    """Write ``path`` as PNG and the numbers as CSV of the same name; without a picture, the numbers as ``path``.
+    """Write ``path`` as PNG and the numbers as a CSV file of the same name; without a picture, only the CSV.
 
     Parameters
     ----------
@@ -116,12 +116,12 @@ def write_picture(picture: QImage | None, numbers: str, path: Path, what: str) -
         The text of the CSV.
     path : Path
     what : str
-        Begins the sentence that is returned, such as ``"Frame 4 was"``.
+        Start of the returned sentence, such as ``"Frame 4 was"``.
 
     Raises
     ------
     ExportError
-        The place cannot be written, or the CSV would replace a file that belongs to no such picture.
+        The files cannot be written, or the CSV would replace a file that does not belong to such a picture.
     """
     beside = path if picture is None else path.with_suffix(".csv")
     if picture is not None and beside.exists() and not path.exists():
@@ -140,13 +140,13 @@ _FOLDER = "folder/export"
 
 
 class MeasuringTab(AnalysisTab):
-    """A row of controls with a status, messages, and a sheet that is exported as a picture with numbers beside it.
+    """A row of controls with a status, messages, and a sheet that is exported as PNG and CSV.
 
     Parameters
     ----------
     context : Context
     waiting : str
-        The status before there is a frame.
+        The status before the first frame.
     """
 
     def __init__(self, context: Context, waiting: str) -> None:
@@ -161,7 +161,7 @@ class MeasuringTab(AnalysisTab):
         self.messages = MessageBar()
         self.progress = QProgressBar()
         self.progress.setRange(0, 100)
-        self.progress.setFormat("Preparing the untouched membrane: %p %")
+        self.progress.setFormat("Preparing the untouched frame: %p %")
         self.progress.hide()
         self.export = QPushButton("&Export…")
         self.export.setShortcut("Ctrl+E")
@@ -187,7 +187,7 @@ class MeasuringTab(AnalysisTab):
         return Path(self._settings.text(_FOLDER) or Path.home())
 
     def _write(self, picture: QImage | None, numbers: str, path: Path, what: str) -> None:
-        """Write as `write_picture` does, beside the window, and remember the folder."""
+        """Call `write_picture` on another thread and remember the folder."""
         self._settings.set(_FOLDER, str(path.parent))
         self._writing.start(lambda _: write_picture(picture, numbers, path, what))
 

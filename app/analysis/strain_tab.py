@@ -1,4 +1,4 @@
-"""The tab Strain: the strain map of the present frame, its largest strains, and strain against displacement."""
+"""The tab Membrane strain: strain map, largest strains, and strain against displacement."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from .strain_work import MapOf, StrainTask, StrainView, examine
 from .tab import TabKind
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
-_MOST_AVERAGED = 30
+_MAX_AVERAGED = 30
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
 _NO_UNTOUCHED = (
     "No displacement: the untouched membrane is not known. Show it without contact, then press “Take as untouched”."
@@ -40,7 +40,7 @@ _FILTERS = ["PNG picture, CSV beside it (*.png)", "Curve only (*.csv)"]
 
 
 class StrainTab(MeasuringTab):
-    """Measures the newest frame on another thread as often as it can.
+    """Measures the newest frame on another thread, as often as possible.
 
     Signals
     -------
@@ -52,7 +52,7 @@ class StrainTab(MeasuringTab):
     def __init__(self, context: Context) -> None:
         super().__init__(context, _WAITING)
         self._source: SourceInfo | None = None
-        self._frames: deque[SensorFrame] = deque(maxlen=_MOST_AVERAGED)
+        self._frames: deque[SensorFrame] = deque(maxlen=_MAX_AVERAGED)
         self._captured: SensorFrame | None = None
         self._last: SensorFrame | None = None
         self.view: StrainView | None = None
@@ -69,7 +69,7 @@ class StrainTab(MeasuringTab):
     # What the window calls
 
     def show_result(self, result: Result) -> None:
-        """Measure this frame as soon as there is time for it."""
+        """Measure this frame next."""
         if result.source is not self._source:
             self._begin(result.source)
         self._result = result
@@ -95,7 +95,7 @@ class StrainTab(MeasuringTab):
         self.spacing.setValue(self._settings.number(_SPACING, 1e3 * SPACING_M))
         self.curve.set_spacing_mm(self.spacing.value())
         self.spacing.setToolTip("Distance between neighbouring dots on the flat, unstretched sheet, in millimetres")
-        self.average.setRange(1, _MOST_AVERAGED)
+        self.average.setRange(1, _MAX_AVERAGED)
         self.average.setValue(round(self._settings.number(_AVERAGE, 1)))
         self.average.setSuffix(" frames")
         self.average.setSpecialValueText("1 frame")
@@ -169,12 +169,12 @@ class StrainTab(MeasuringTab):
     # Frames
 
     def _begin(self, source: SourceInfo) -> None:
-        """Forget the former source; its curve can still be saved."""
+        """Discard the former source; its curve can still be saved."""
         former, points = self._source, self.curve.points
         self._source, self._captured, self._last = source, None, None
         self._frames.clear()
         self._job.cancel()
-        self.messages.clear("reset")  # those points are not this source's
+        self.messages.clear("reset")  # its points belong to the former source
         if former is not None and points:
             text = self.curve.as_csv()
             sentence = f"The curve of {former.name} ({len(points)} points) ended because {source.name} was opened."
@@ -184,7 +184,7 @@ class StrainTab(MeasuringTab):
         self.curve.reset()
 
     def _measure(self) -> None:
-        """Have the newest frame measured, the way things are entered now."""
+        """Measure the newest frame with the present entries."""
         if self._result is None or not self._frames:
             return
         frames = list(self._frames)[-self.average.value() :]
@@ -226,7 +226,7 @@ class StrainTab(MeasuringTab):
             parts.append(self.untouched.warning)
         self.status.setText(" · ".join(parts))
 
-    # What a person does
+    # Entries and buttons
 
     def _spacing_changed(self, spacing_mm: float) -> None:
         self._settings.set(_SPACING, spacing_mm)
@@ -243,12 +243,12 @@ class StrainTab(MeasuringTab):
             self.map.show_view(self.view, MapOf(choice), self.view.problem)
 
     def _capture(self) -> None:
-        """Take what is shown now for the untouched membrane; the curve's displacements begin anew."""
+        """Use the present frame as the untouched frame, and start a new curve."""
         if self.view is None:
             return
         self._captured = self.view.task.frame
         self._reset()
-        self._last = None  # this frame begins the curve
+        self._last = None  # this frame is the first point of the curve
         self._say(f"Displacement is now measured from frame {self.view.task.number}.")
         self._measure()
 
@@ -269,21 +269,21 @@ class StrainTab(MeasuringTab):
         )
 
     def _ask_where(self, text: str, _checked: bool = False) -> None:
-        """Ask for a file for the present curve and map, or for the text of a former curve."""
+        """Ask for a file for the present curve and map, or for the CSV text of a former curve."""
         if not text and not self.curve.points:
             return
         name, filters = ("strain.csv", _FILTERS[1:]) if text else ("strain.png", _FILTERS)
         self._dialogs.save_file("Save strain", self._export_folder() / name, filters, partial(self.save_to, text=text))
 
     def save_to(self, path: Path, text: str = "") -> None:
-        """Write map and curve as a picture and its points beside it; only the points into a .csv file."""
+        """Write map and curve as a picture with the points as CSV; into a .csv file, only the points."""
         points = text or self.curve.as_csv()
         if text or path.suffix.lower() == ".csv":
             self._write(None, points, path, "The curve was")
         else:
             self._write(self.sheet.grab().toImage(), points, path, "Map and curve were")
 
-    # What others tell
+    # Untouched frame
 
     def _show_progress(self, share: float) -> None:
         self.progress.setValue(round(100 * share))

@@ -56,7 +56,7 @@ class StrainMap(ImagePane):
         self.resized.connect(self._fit)
 
     def show_view(self, view: StrainView | None, shown: MapOf, message: str) -> None:
-        """Show a measurement, or only its image with what stands in its way."""
+        """Show a measurement; without one, the image and the reason."""
         self._view, self._shown = view, shown
         pixels = paint(view, shown) if view is not None else None
         size = (640, 480) if pixels is None else (pixels.shape[1], pixels.shape[0])
@@ -116,22 +116,22 @@ class StrainMap(ImagePane):
 
 
 def largest_pair(axis: AxisStrain, pixels: Float64Array) -> Float64Array:
-    """Return both dots between which strain is largest, shape (2, 2), pixels."""
+    """Return the two dots with the largest strain between them, pixels (2, 2)."""
     return np.asarray(pixels[axis.pairs[np.argmax(axis.strain)]])
 
 
 def _inside(corners: Float64Array, u: float, v: float) -> IndexArray:
-    """Return the numbers of the convex quadrilaterals, shape (K, 4, 2), that contain a place."""
+    """Return the indices of the convex quadrilaterals (K, 4, 2) that contain a pixel."""
     edges = np.roll(corners, -1, axis=1) - corners
     to = np.array([u, v]) - corners
     turn = edges[..., 0] * to[..., 1] - edges[..., 1] * to[..., 0]
     return np.flatnonzero((turn >= 0).all(axis=1) | (turn <= 0).all(axis=1))
 
 
-#: As many points as half an hour of measurements; then the oldest go.
-MOST_POINTS = 5000
-#: A plot is not zoomed further in, mm and percent.
-_LEAST_RANGE = 10.0
+#: Maximum number of points, about half an hour of measurements; older ones are dropped.
+MAX_POINTS = 5000
+#: Smallest range of both axes, in mm and percent.
+_MIN_RANGE = 10.0
 _COLUMNS = (
     "sequence", "displacement_mm", "strain_length_percent", "strain_width_percent",
     "strain_length_sigma_percent", "strain_width_sigma_percent", "dots", "averaged_frames", "spacing_mm",
@@ -142,7 +142,7 @@ _COLUMNS = (
 
 @dataclass(frozen=True)
 class CurvePoint:
-    """One measurement; strains are percent, for the spacing of then."""
+    """One measurement; strains in percent, for the dot spacing at that time."""
 
     sequence: int
     displacement_mm: float | None
@@ -155,7 +155,7 @@ class CurvePoint:
 
     @classmethod
     def of(cls, view: StrainView) -> CurvePoint:
-        """Return what a curve keeps of a view that has a measurement."""
+        """Return the point of a view that has a measurement."""
         measured = view.measured
         assert measured is not None
         known = view.truth
@@ -173,13 +173,13 @@ class CurvePoint:
         )
 
     def at_spacing(self, spacing_mm: float) -> tuple[float, float]:
-        """Return both strains as they are where the dots were so far apart: lengths stay what they are."""
+        """Return both strains for another dot spacing; the measured lengths stay the same."""
         ratio = self.spacing_mm / spacing_mm
         length, width = self.strain
         return (100 + length) * ratio - 100, (100 + width) * ratio - 100
 
     def row(self, spacing_mm: float) -> list[object]:
-        """Return the values of a CSV line; None where there is none."""
+        """Return the values of a CSV line; None for missing ones."""
         ratio = self.spacing_mm / spacing_mm
         truth = self.truth or (None,) * 4
         values = [self.displacement_mm, *self.at_spacing(spacing_mm), *(ratio * sigma for sigma in self.sigma)]
@@ -189,7 +189,7 @@ class CurvePoint:
 
 
 class StrainCurve(QWidget):
-    """The plot, and the points that it shows."""
+    """The plot of strain against displacement, and its points."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -198,7 +198,7 @@ class StrainCurve(QWidget):
         self.plot = pg.PlotWidget()
         self.plot.setMenuEnabled(False)
         self.plot.hideButtons()
-        self.plot.getViewBox().setLimits(minXRange=_LEAST_RANGE, minYRange=_LEAST_RANGE)
+        self.plot.getViewBox().setLimits(minXRange=_MIN_RANGE, minYRange=_MIN_RANGE)
         self.plot.setLabel("bottom", "Displacement, mm")
         self.plot.setLabel("left", "Largest strain, %")
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
@@ -217,30 +217,30 @@ class StrainCurve(QWidget):
         self._recolor()
 
     def add(self, view: StrainView) -> None:
-        """Add a measurement; one of the same frame, seen again in a loop, goes."""
+        """Add a measurement; it replaces an earlier one of the same frame, as in a loop."""
         added = CurvePoint.of(view)
         others = [point for point in self.points if point.sequence != added.sequence]
-        self.points = [*others[-MOST_POINTS + 1 :], added]
+        self.points = [*others[-MAX_POINTS + 1 :], added]
         self.redraw()
 
     def complete(self, view: StrainView) -> None:
-        """Take a better measurement of the newest frame, such as with the displacement that was missing."""
+        """Replace the newest point by a more complete measurement of the same frame."""
         if self.points and self.points[-1].sequence == view.task.frame.sequence:
             self.points = [*self.points[:-1], CurvePoint.of(view)]
             self.redraw()
 
     def set_spacing_mm(self, spacing_mm: float) -> None:
-        """Take the dots for so far apart on the flat sheet; what was measured stays."""
+        """Set the dot spacing on the flat sheet; measured lengths stay the same."""
         self._spacing_mm = spacing_mm
         self.redraw()
 
     def reset(self) -> None:
-        """Forget all points."""
+        """Delete all points."""
         self.points = []
         self.redraw()
 
     def redraw(self) -> None:
-        """Draw the points whose displacement is known, in the order in which they came."""
+        """Draw the points whose displacement is known, in order of time."""
         known = [point for point in self.points if point.displacement_mm is not None]
         x = [point.displacement_mm for point in known]
         for number, curve in enumerate(self._curves):
@@ -256,7 +256,7 @@ class StrainCurve(QWidget):
         )
 
     def as_csv(self) -> str:
-        """Return all points, a line each."""
+        """Return all points as CSV, one per line."""
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_COLUMNS)
@@ -301,7 +301,7 @@ _NOTHING = "–"
 
 
 class StrainNumbers(QWidget):
-    """A verdict in words, and a line each for length and width."""
+    """The result as a sentence, and one line each for length and width."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -330,7 +330,7 @@ class StrainNumbers(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Preferred, QSizePolicy.Policy.Maximum)
 
     def show_view(self, view: StrainView) -> None:
-        """Show a measurement, or why there is none and what to do next."""
+        """Show a measurement, or the reason why there is none."""
         measured = view.measured
         self.verdict.setText(_verdict(view))
         for row, name in enumerate(("length", "width")):

@@ -1,4 +1,4 @@
-"""What the tab Strain shows of a frame, made on another thread: the measurement, and the map over the colour image."""
+"""Measures the strain in a frame on another thread, and paints the map over the colour image."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _ROUNDED = 0.10
 
 
 class MapOf(StrEnum):
-    """What the map's colours mean."""
+    """The strain that the map's colours show."""
 
     LARGEST = "Largest"
     LENGTH = "Along length"
@@ -33,14 +33,14 @@ class MapOf(StrEnum):
 
 @dataclass(frozen=True, eq=False)
 class StrainTask:
-    """One measurement that is wanted.
+    """The input of one measurement.
 
     Attributes
     ----------
     frames : sequence of SensorFrame
-        The newest last; those before it are averaged with it where nothing has moved.
+        The newest frame last; earlier ones are averaged with it where nothing has moved.
     number : int
-        The newest one's, as windows show it: from 1.
+        Number of the newest frame, counted from 1.
     untouched : SensorFrame or None
         The untouched membrane.
     """
@@ -59,18 +59,18 @@ class StrainTask:
 
 @dataclass(frozen=True, eq=False)
 class StrainView:
-    """One measurement, or why there is none.
+    """One measurement, or the reason why there is none.
 
     Attributes
     ----------
     averaged : int
-        Frames that were averaged.
+        Number of averaged frames.
     color : uint8, shape (H, W, 3), or None
         The tactile colour image.
     displacement_mm : float or None
-        Against the untouched frame.
+        Displacement from the untouched frame.
     problem : str
-        Empty where ``measured`` is there.
+        The reason why ``measured`` is None; else empty.
     """
 
     task: StrainTask
@@ -84,7 +84,7 @@ class StrainView:
 
 
 def examine(task: StrainTask) -> StrainView:
-    """Measure the strain of the newest frame; what cannot be measured is said in words.
+    """Measure the strain of the newest frame; if that fails, `StrainView.problem` says why.
 
     Raises
     ------
@@ -106,18 +106,18 @@ def examine(task: StrainTask) -> StrainView:
 
 
 def _numbered(task: StrainTask) -> list[SensorFrame]:
-    """Return the frames with the numbers that windows show, since errors name frames by their numbers."""
+    """Return the frames numbered as windows show them, because errors name frames by number."""
     shift = task.number - task.frame.sequence
     return [replace(frame, sequence=frame.sequence + shift) for frame in task.frames]
 
 
 def values_of(cells: GridCells, shown: MapOf) -> Float64Array:
-    """Return what colours the squares, shape (K,)."""
+    """Return the strain that colours each square, shape (K,)."""
     return {MapOf.LARGEST: cells.largest, MapOf.LENGTH: cells.length, MapOf.WIDTH: cells.width}[shown]
 
 
 def color_range(values: Float64Array) -> tuple[float, float]:
-    """Return the strains at both ends of the colours: whole tens of percent around all values."""
+    """Return the range of the colours: multiples of `_ROUNDED` that contain all values."""
     if len(values) == 0:
         return 0.0, _ROUNDED
     low = min(float(np.floor(values.min() / _ROUNDED)) * _ROUNDED, 0.0)
@@ -125,7 +125,7 @@ def color_range(values: Float64Array) -> tuple[float, float]:
 
 
 def paint(view: StrainView, shown: MapOf) -> Uint8Array | None:
-    """Return the colour image with the squares of the grid coloured, as ``QImage.Format_RGB32`` has it in memory."""
+    """Return the colour image with coloured grid squares, in the memory layout of ``QImage.Format_RGB32``."""
     if view.color is None:
         return None
     image = view.color.copy()
