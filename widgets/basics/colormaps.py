@@ -34,7 +34,7 @@ CONTACT_ROW: Final = 255
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 _DIFFERENCE_MAP = "CET-D13"
-#: Where the map continues outside the band: its pale middle would vanish on a light background.
+#: Colour map outside the tolerance band; the pale centre of the map would vanish on a light background.
 _DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.35, 0.85
 _CANDIDATE_RGB = (245, 158, 120)
 _UNDEFINED_RGBA = (128, 128, 128, 70)
@@ -91,7 +91,7 @@ def depth_lut() -> Uint8Array:
 
 
 def depth_legend(near_m: float, far_m: float) -> Legend:
-    """Return near, middle and far of the depth colours, labelled in millimetres."""
+    """Return the near, central and far depth colours, labelled in millimetres."""
     return [
         (f"{near_m + share * (far_m - near_m):.3f} m", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)
     ]

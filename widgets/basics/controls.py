@@ -65,7 +65,7 @@ class AccentButton(QPushButton):
 
 
 class ElidedLabel(QLabel):
-    """A plain-text label that never asks for width; the tooltip has the whole text where some is missing."""
+    """A plain-text label that accepts any width; the tooltip has the whole text if it is elided."""
 
     def __init__(self, text: str = "", parent: QWidget | None = None) -> None:
         super().__init__(text, parent)
@@ -77,11 +77,11 @@ class ElidedLabel(QLabel):
         return QSize(0, self.fontMetrics().height() + 4)
 
     def minimumSizeHint(self) -> QSize:
-        """The width is up to the layout."""
+        """The layout decides on the width."""
         return self.sizeHint()
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
-        """Paint what fits."""
+        """Paint the elided text."""
         shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
         self.setToolTip("" if shown == self.text() else self.text())
         painter = QPainter(self)
@@ -90,7 +90,7 @@ class ElidedLabel(QLabel):
 
 
 class CollapsibleSection(QFrame):
-    """A titled section: a header button that folds the body, and room for a few widgets beside the title.
+    """A titled section: a header button that folds the body, and header widgets beside the title.
 
     Signals
     -------

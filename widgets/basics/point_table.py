@@ -104,7 +104,7 @@ class _Model(QAbstractTableModel):
         self.rows: tuple[PointRow, ...] = ()
 
     def set_rows(self, rows: Sequence[PointRow]) -> None:
-        """Show other rows; same keys in the same order only repaint."""
+        """Replace the rows; equal keys in equal order only repaint."""
         rows = tuple(rows)
         same = [row.key for row in rows] == [row.key for row in self.rows]
         if same:
@@ -237,7 +237,7 @@ class PointTable(QTableView):
         return tuple(self._model.rows[self._sorted.mapToSource(index).row()].key for index in indexes)
 
     def select(self, keys: Sequence[int]) -> None:
-        """Select the rows of these keys and bring the first into sight; never emits."""
+        """Select the rows with these keys and scroll to the first; never emits."""
         selection = self.selectionModel()
         assert selection is not None
         if set(keys) == set(self.selected_keys()):

@@ -1,4 +1,4 @@
-"""Marks a picture as old: a veil over it, and a plate that says why in plain words."""
+"""Marks a picture as old: dims it and shows the reason on a plate."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def paint_badge(painter: QPainter, area: QRectF, palette: QPalette, font: QFont,
 
 
 class StaleBadge(QWidget):
-    """Lies over another widget and lets the mouse through; hidden while there is nothing to say."""
+    """A transparent overlay that ignores the mouse; hidden while its text is empty."""
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
@@ -47,11 +47,11 @@ class StaleBadge(QWidget):
         self.hide()
 
     def text(self) -> str:
-        """Return what is said."""
+        """Return the text."""
         return self._text
 
     def set_text(self, text: str) -> None:
-        """Say why the picture is old; nothing: it is not."""
+        """Set the reason; an empty text hides the badge."""
         if text == self._text:
             return
         self._text = text

@@ -1,4 +1,4 @@
-"""Light and dark: Fusion with a palette, the few named colours that widgets paint with, and pyqtgraph to match."""
+"""Light and dark theme: Fusion with a palette, named colours for painting, and pyqtgraph settings."""
 
 from __future__ import annotations
 
@@ -76,17 +76,17 @@ _state: dict[str, ThemeName] = {"name": "light"}
 
 
 def theme_name() -> ThemeName:
-    """Return the theme in force; "system" has been resolved to one of the two."""
+    """Return the current theme; "system" is resolved to light or dark."""
     return _state["name"]
 
 
 def theme_colors(name: ThemeName | None = None) -> ThemeColors:
-    """Return the colours of a theme, by default of the one in force."""
+    """Return the colours of a theme, by default of the current one."""
     return _THEMES[name or theme_name()]
 
 
 def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
-    """Put a theme on the whole application and return the one in force.
+    """Apply a theme to the whole application and return the resolved one.
 
     Widgets that paint with `theme_colors` repaint on the ``PaletteChange`` event that follows.
     With ``"system"`` the theme follows the desktop, also when that changes later.

@@ -17,7 +17,7 @@ _HIGHEST_COUNT = 65534
 
 @dataclass(frozen=True, eq=False)
 class DepthCloud:
-    """A depth image with all that is needed to show it as a coloured point cloud.
+    """A depth image with everything needed to draw it as a coloured point cloud.
 
     Arrays are shared, not copied, and must not change afterwards. Views recognise arrays by identity:
     hand over the same ``rays``, ``depth``, ``index`` or ``lut`` object and it is not uploaded again.
@@ -144,7 +144,7 @@ def _check(name: str, array: Any, dtype: type[np.generic], shape: tuple[int | No
 
 
 _LEVELS = 65533
-_LEAST_SPAN_M = 1e-3
+_MIN_SPAN_M = 1e-3
 
 
 def free_cloud(
@@ -155,7 +155,7 @@ def free_cloud(
     count: int | None = None,
     framed: bool = True,
 ) -> DepthCloud:
-    """Show any points: an image one row high, whose rays and depths meet at them.
+    """Return a cloud of arbitrary points: an image of one row whose rays and depths give these points.
 
     Depth is 16 bits, so along z points move by up to half of 1 / 65533 of the cloud's depth (2.3 um for 300 mm).
 
@@ -181,9 +181,9 @@ def free_cloud(
     if len(places) == 0:
         nothing = np.zeros((1, 1), np.uint16)
         rays = np.zeros((1, 1, 2), np.float32)
-        return DepthCloud(nothing, _LEAST_SPAN_M, rays, lut, np.eye(4), count=count, framed=framed)
+        return DepthCloud(nothing, _MIN_SPAN_M, rays, lut, np.eye(4), count=count, framed=framed)
     near = float(places[:, 2].min())
-    span = max(float(places[:, 2].max()) - near, _LEAST_SPAN_M)
+    span = max(float(places[:, 2].max()) - near, _MIN_SPAN_M)
     unit = span / _LEVELS
     counts = np.rint((places[:, 2] - near) / unit).astype(np.uint16) + np.uint16(1)
     # Seen from one span before the nearest point, so that no ray is steeper than the cloud is wide.

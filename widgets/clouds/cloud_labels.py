@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 from ..basics.controls import ElidedLabel
 
 _MARGIN, _TOP, _GAP = 2, 2, 8
-#: What the title's label keeps free around its text.
+#: Horizontal padding of the title, in pixels.
 _TITLE_PADDING = 6
 
 
@@ -25,9 +25,9 @@ def short_count(count: int) -> str:
 
 
 class CloudHeader(QWidget):
-    """Title left, number of points right; where both do not fit, the number is rounded and the title elided.
+    """Title on the left, number of points on the right. A narrow header rounds the number and elides the title.
 
-    The labels are placed by hand: a layout would be done anew through the whole window for each frame.
+    The labels have no layout: a layout would repeat its work through the whole window for every frame.
     """
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
@@ -51,18 +51,18 @@ class CloudHeader(QWidget):
         self._place()
 
     def sizeHint(self) -> QSize:
-        """One line high, as wide as there is room."""
+        """One line high, with flexible width."""
         return QSize(100, self._title.sizeHint().height() + _TOP)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Choose again what fits."""
+        """Update the shortened texts."""
         super().resizeEvent(event)
         self._place()
 
     def _place(self) -> None:
         full = f"{self._value:,} point{'' if self._value == 1 else 's'}"
         metrics = self._count.fontMetrics()
-        # As if all digits were the widest one, so that the form does not flicker from frame to frame.
+        # Every digit counts as wide as an 8, so that the format does not flicker between frames.
         needed = metrics.horizontalAdvance(re.sub(r"\d", "8", full)) + 2
         title = self._title.fontMetrics().horizontalAdvance(self._title.text()) + _TITLE_PADDING
         room, height = self.width() - 2 * _MARGIN, self.height() - _TOP
@@ -83,7 +83,7 @@ _MAX_LINES = 4
 
 
 class LegendLine(QWidget):
-    """Shows as many entries as fit on its lines; the rest hides behind ``+N``, and the tooltip lists all."""
+    """Shows the entries that fit; ``+N`` counts the hidden ones, and the tooltip lists all."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -99,7 +99,7 @@ class LegendLine(QWidget):
         return list(self._entries)
 
     def setValue(self, entries: list[tuple[str, QColor]]) -> None:
-        """Show other entries, the most important first."""
+        """Show these entries, the most important first."""
         self._entries = list(entries)
         rows = "".join(
             f'<tr><td style="color:{color.name()}">■&nbsp;</td><td>{escape(text)}</td></tr>' for text, color in entries
@@ -108,23 +108,23 @@ class LegendLine(QWidget):
         self.update()
 
     def sizeHint(self) -> QSize:
-        """As high as its lines, as wide as there is room."""
+        """As high as its lines, with flexible width."""
         return QSize(100, round(self._lines * QFontMetricsF(self.font()).height() + _PADDING))
 
     def needed_lines(self) -> int:
-        """Return on how many lines all entries fit at the present width, or the most there can be."""
+        """Return the number of lines that all entries need at the current width, at most `_MAX_LINES`."""
         places = self._places()
         return min(places[-1][0] + 1, _MAX_LINES) if places else 1
 
     def set_lines(self, lines: int) -> None:
-        """Take up so many lines."""
+        """Set the number of lines."""
         if lines != self._lines:
             self._lines = lines
             self.updateGeometry()
             self.update()
 
     def fitting(self) -> int:
-        """Return how many entries fit at the present width and number of lines."""
+        """Return how many entries fit at the current width and number of lines."""
         places = self._places()
         last = self._lines - 1
         if all(line <= last and end <= self.width() for line, _, end in places):
@@ -134,7 +134,7 @@ class LegendLine(QWidget):
         return sum(line < last or (line == last and end <= room) for line, _, end in places)
 
     def _places(self) -> list[tuple[int, float, float]]:
-        """Return the line, the left and the right end of each entry at the present width."""
+        """Return line, left end and right end of each entry at the current width."""
         metrics = QFontMetricsF(self.font())
         places: list[tuple[int, float, float]] = []
         line, x = 0, _PADDING

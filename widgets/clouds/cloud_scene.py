@@ -19,7 +19,7 @@ AXIS_COLORS = {
     "dark": (QColor(255, 115, 110), QColor(100, 210, 130), QColor(125, 165, 255)),
 }
 _AXIS_LENGTH, _AXIS_MARGIN = 22.0, 34.0
-#: An axis that points this much at the eye is a dot, and its letter would cover the others.
+#: Cosine to the viewing direction above which an axis gets no letter: it appears as a dot.
 _FACING = 0.97
 
 
@@ -100,7 +100,7 @@ def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
     painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
     room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
     metrics = QFontMetricsF(font)
-    # Where the reason does not fit, the tooltip still has it.
+    # The tooltip has the whole reason.
     fitting = note if metrics.horizontalAdvance(note) <= room.width() else note.partition(":")[0]
     text = metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, room.width())
     painter.drawText(room, int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom), text)

@@ -32,7 +32,7 @@ BackendChoice = Literal["auto", "opengl", "software"]
 _ORBIT_STEP = radians(5.0)
 _ZOOM_STEP = 1.15
 _RING = 2
-#: Every how many rows and columns a cloud is sampled to frame it.
+#: Step in rows and columns at which a cloud is sampled for framing.
 _FRAMING_STEP = 8
 
 _ORBIT_KEYS: dict[int, tuple[float, float]] = {
@@ -64,12 +64,12 @@ class CloudView(QWidget):
         "opengl" insists even on emulated OpenGL, yet falls back where there is none.
     """
 
-    #: What mouse and keys do, for the tooltip.
+    #: Help on mouse and keys, shown as the tooltip.
     HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
     <b>double click</b> to reset.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
 
-    #: The camera moved, by hand, by call or by a linked view; carries the `ViewCamera`.
+    #: The camera moved (user, call or linked view); carries the `ViewCamera`.
     cameraChanged = pyqtSignal(object)
 
     def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
@@ -128,7 +128,7 @@ class CloudView(QWidget):
         self._canvas.update()
 
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
-        """Explain the colours, the most important first; what does not fit is in the tooltip."""
+        """Set the legend, the most important entry first; the tooltip lists all entries."""
         self._legend.setValue(entries)
 
     def legend(self) -> list[tuple[str, QColor]]:
@@ -136,17 +136,17 @@ class CloudView(QWidget):
         return self._legend.value()
 
     def legend_lines(self) -> int:
-        """Return on how many lines the whole legend fits."""
+        """Return the number of lines that the whole legend needs."""
         return self._legend.needed_lines()
 
     def set_legend_lines(self, lines: int) -> None:
-        """Give the legend so many lines; the cloud is framed again, unless somebody steered."""
+        """Set the number of legend lines; frame the cloud again unless the user moved the camera."""
         self._legend.set_lines(lines)
         if not self._steered and self._scene.cloud is not None:
             self._resized.start()
 
     def set_message(self, message: str) -> None:
-        """Say what to do while the view states no points."""
+        """Set the message that is shown while there are no points."""
         self._message = message
         self._show_count()
         self._canvas.update()
@@ -156,7 +156,7 @@ class CloudView(QWidget):
         return self._scene.message
 
     def set_badge(self, text: str) -> None:
-        """Mark the cloud as old and say why; nothing: it is what the cameras see."""
+        """Mark the cloud as old and show why; an empty text removes the mark."""
         if text != self._scene.badge:
             self._scene.badge = text
             self.setAccessibleDescription(text)
@@ -178,7 +178,7 @@ class CloudView(QWidget):
         return self._scene.camera
 
     def set_camera(self, camera: ViewCamera) -> None:
-        """Move the camera, and those of linked views; from now on it does not frame by itself."""
+        """Move the camera and those of linked views; automatic framing ends."""
         self._move(camera, steered=True)
 
     def look_from(self, viewpoint: Viewpoint) -> None:
@@ -239,7 +239,7 @@ class CloudView(QWidget):
         self.setToolTip(self.HELP + (f"<p>{reason}.</p>" if reason else ""))
 
     def _fall_back(self, reason: str) -> None:
-        """Go on in software when OpenGL fails while running."""
+        """Switch to the software back end after an OpenGL failure."""
         if self.backend_name == "software":
             return
         broken = self._canvas
@@ -254,7 +254,7 @@ class CloudView(QWidget):
     # Events
 
     def sizeHint(self) -> QSize:
-        """Large: the clouds are what one looks at."""
+        """Large: the clouds are the main content of a window."""
         return QSize(420, 440)
 
     def minimumSizeHint(self) -> QSize:
@@ -262,7 +262,7 @@ class CloudView(QWidget):
         return QSize(160, 160)
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Frame again, unless somebody steered."""
+        """Frame again unless the user moved the camera."""
         super().resizeEvent(event)
         if not self._steered and self._scene.cloud is not None:
             self._resized.start()
@@ -272,7 +272,7 @@ class CloudView(QWidget):
             self.fit()
 
     def event(self, event: QEvent | None) -> bool:
-        """Keep our keys for ourselves where the application has shortcuts on them."""
+        """Claim the keys of this view before shortcuts of the application."""
         if isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and self._knows(event):
             event.accept()
             return True
@@ -311,7 +311,7 @@ class CloudView(QWidget):
         self._canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Orbit or pan by what the mouse moved."""
+        """Orbit or pan with the mouse."""
         if event is None or self._drag_from is None:
             super().mouseMoveEvent(event)
             return
@@ -354,7 +354,7 @@ class CloudView(QWidget):
         self.update()
 
     def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Take the focus ring away."""
+        """Hide the focus ring."""
         super().focusOutEvent(event)
         self.update()
 
@@ -370,7 +370,7 @@ class CloudView(QWidget):
 
 
 def link_cameras(views: Sequence[CloudView]) -> None:
-    """Let all views share one camera: move one and the others follow. The first one's camera is taken."""
+    """Let all views share one camera, initially that of the first view."""
     for view in views:
         view._companions = [other for other in views if other is not view]
     if views:

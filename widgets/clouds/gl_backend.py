@@ -1,4 +1,4 @@
-"""Draws a point cloud with OpenGL 2.1: the depth image goes up as it is, the vertex shader deprojects it."""
+"""Draws a point cloud with OpenGL 2.1: uploads the raw depth image and deprojects it in the vertex shader."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from .view_camera import ViewCamera
 
 _ERRORS = {gl.OUT_OF_MEMORY: "out of graphics memory", gl.CONTEXT_LOST: "the graphics driver was reset"}
 
-#: What emulated OpenGL calls itself.
+#: Renderer names of emulated OpenGL.
 _EMULATORS = ("llvmpipe", "softpipe", "swrast", "software rasterizer", "swiftshader", "gdi generic", "basic render")
 
 _VERTEX_SHADER = """#version 120
@@ -59,7 +59,7 @@ void main() {
 
 @dataclass(frozen=True)
 class GLProbe:
-    """What OpenGL offers here. ``reason`` says why it is better not used, and is empty if it is fine."""
+    """OpenGL on this display. ``reason`` says why it should not be used; empty if it is fine."""
 
     usable: bool
     emulated: bool
@@ -69,7 +69,7 @@ class GLProbe:
 
 @cache
 def probe_opengl() -> GLProbe:
-    """Make a context off screen and look at who draws. Needs a QGuiApplication; asked once per process."""
+    """Create an offscreen context and read its renderer, once per process. Needs a QGuiApplication."""
     context, surface = QOpenGLContext(), QOffscreenSurface()
     surface.create()
     if not context.create() or not context.makeCurrent(surface):
@@ -193,7 +193,7 @@ class GLRenderer:
             self._colors = cloud.lut, background
 
     def destroy(self) -> None:
-        """Free what lies in graphics memory."""
+        """Free graphics memory."""
         for image in (self._depth, self._rays, self._index):
             if image.buffer:
                 self._gl.delete_name("glDeleteBuffers", image.buffer)
@@ -202,7 +202,7 @@ class GLRenderer:
 
 
 class GLCanvas(QOpenGLWidget):
-    """Shows a scene with `GLRenderer`; says so when it cannot."""
+    """Shows a scene with `GLRenderer`; emits a signal on failure."""
 
     #: OpenGL failed; carries the reason in words.
     failed = pyqtSignal(str)
@@ -213,7 +213,7 @@ class GLCanvas(QOpenGLWidget):
         self._renderer: GLRenderer | None = None
 
     def initializeGL(self) -> None:
-        """Build everything anew: Qt makes another context when the view moves to another window."""
+        """Build all resources: Qt makes a new context when the view moves to another window."""
         context = self.context()
         if context is None:
             self.failed.emit("no OpenGL context")
@@ -251,7 +251,7 @@ class GLCanvas(QOpenGLWidget):
         painter.end()
 
     def release(self) -> None:
-        """Free what lies in graphics memory; drawing is over until Qt makes another context."""
+        """Free graphics memory; nothing is drawn until Qt makes another context."""
         if self._renderer is not None:
             self.makeCurrent()
             self._renderer.destroy()

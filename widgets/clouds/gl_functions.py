@@ -72,7 +72,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
 
 
 class GLError(Exception):
-    """OpenGL cannot draw, and why, in words for the person who looks at the view."""
+    """OpenGL cannot draw; the message tells the user why."""
 
 
 class GLFunctions:

@@ -1,4 +1,4 @@
-"""A 3D view in which points are clicked, marks stand, and something is moved by handles, by hand or by keys."""
+"""A 3D view with clickable points, marks, and handles that move something by mouse or keys."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from .pose_handles import Handle, PoseHandles, moving, turning
 #: How far, in pixels, a point may lie from the cursor to be taken, and a press from its release to be a click.
 PICK_PX: Final = 10.0
 _CLICK_PX = 4.0
-#: A point is drawn as a square; within so many pixels it lies under the cursor.
+#: Distance in pixels within which a point counts as under the cursor; points are drawn as squares.
 _UNDER_PX = 1.5
-#: What one press of a key moves and turns.
+#: Step of one key press: metres and radians.
 STEP_M: Final = 0.0005
 STEP_RAD: Final = radians(0.5)
 _RADIUS = 6.0
@@ -97,7 +97,7 @@ class PickView(CloudView):
         self._canvas.setMouseTracking(True)
 
     def set_spots(self, spots: Sequence[Spot]) -> None:
-        """Show these marks and no others."""
+        """Replace the marks."""
         self._spots = tuple(spots)
         self._canvas.update()
 
@@ -116,11 +116,11 @@ class PickView(CloudView):
         return self._handles
 
     def set_pickable(self, pixels: int | None) -> None:
-        """Let clicks take only the first so many pixels of the cloud; None: all."""
+        """Restrict clicks to the first ``pixels`` pixels of the cloud; None: all."""
         self._pickable = pixels
 
     def pick(self, at: QPointF) -> tuple[int, tuple[float, float, float]] | None:
-        """Return the flat pixel and the place of the point that is seen at a place of the canvas, if there is one."""
+        """Return the flat pixel index and position of the point visible at a canvas position, or None."""
         cloud = self.cloud()
         if cloud is None:
             return None
@@ -145,7 +145,7 @@ class PickView(CloudView):
     # Mouse
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Take hold of a handle, begin a nudge, or whatever the view does with a press."""
+        """Grab a handle or begin a nudge; otherwise as the base class."""
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             super().mousePressEvent(event)
             return
@@ -189,7 +189,7 @@ class PickView(CloudView):
         super().mouseReleaseEvent(event)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
-        """Be two clicks; R resets the view."""
+        """A double click counts as two clicks; R resets the view."""
         self.mousePressEvent(event)
 
     def _click(self, at: QPointF) -> None:
@@ -218,7 +218,7 @@ class PickView(CloudView):
     # Keys
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Nudge by a step with Ctrl, or whatever the view does with a key."""
+        """Nudge by a step with Ctrl; otherwise as the base class."""
         if event is None or not self._nudges(event):
             super().keyPressEvent(event)
             return

@@ -1,4 +1,4 @@
-"""Handles that move and turn something in a 3D view: three arrows and three rings, free of any widget."""
+"""Handles that move and turn something in a 3D view: three arrows and three rings; no widget needed."""
 
 from __future__ import annotations
 
@@ -18,19 +18,19 @@ from .view_camera import NEAR, ViewCamera
 
 Size = tuple[int, int]
 
-#: How near, in pixels, the mouse must come to take hold of a handle.
+#: Distance in pixels within which the mouse grabs a handle.
 REACH: Final = 7.0
 _ARROW_PX, _RING_PX = 74.0, 56.0
 _RING_STEPS = 48
 #: How far an arrow seen from its end may be foreshortened before its drags are no longer made up for.
 _FLATTEST: Final = 0.1
 #: An arrow that points at the eye is shorter than this on the screen, and a ring seen from its edge flatter.
-_LEAST_PX = 14.0
+_MIN_LENGTH_PX = 14.0
 _CASING = QColor(0, 0, 0, 150)
 
 
 class Handle(StrEnum):
-    """What can be taken hold of, by what it does."""
+    """A handle, named by its effect."""
 
     MOVE_X = "move along x"
     MOVE_Y = "move along y"
@@ -63,7 +63,7 @@ class PoseHandles:
     centre: tuple[float, float, float]
 
     def lines(self, camera: ViewCamera, size: Size) -> dict[Handle, Float64Array]:
-        """Return each handle as it lies on the screen, float64 (K, 2) pixels; those that cannot be dragged lack."""
+        """Return the screen polyline of each draggable handle, float64 (K, 2) pixels."""
         if camera.project([self.centre], *size)[0, 2] <= NEAR * camera.distance:
             return {}
         metre = self._metres_per_px(camera, size)
@@ -76,12 +76,12 @@ class PoseHandles:
             else:
                 offsets = np.outer([0.0, _ARROW_PX * metre], np.eye(3)[handle.axis])
             line = camera.project(np.array(self.centre) + offsets, *size)[:, :2]
-            if np.ptp(line, axis=0).max() >= _LEAST_PX:
+            if np.ptp(line, axis=0).max() >= _MIN_LENGTH_PX:
                 lines[handle] = line
         return lines
 
     def at(self, place: tuple[float, float], camera: ViewCamera, size: Size) -> Handle | None:
-        """Return the handle under the mouse; arrows are hit from their middle on, so that rings stay reachable."""
+        """Return the handle under the mouse. Only the outer half of an arrow counts, so that rings stay reachable."""
         best, found = REACH, None
         for handle, line in self.lines(camera, size).items():
             start, end = (line[:-1], line[1:]) if handle.turns else (line.mean(axis=0)[None], line[1:])
@@ -93,7 +93,7 @@ class PoseHandles:
     def dragged(
         self, handle: Handle, before: tuple[float, float], after: tuple[float, float], camera: ViewCamera, size: Size
     ) -> Float64Array:
-        """Return what a drag between two pixels does: float64 (4, 4), applied from the left in the view's frame."""
+        """Return the transform of a drag between two pixels: float64 (4, 4), applied from the left in view coordinates."""
         moved = np.array(after) - np.array(before)
         centre, axis = np.array(self.centre), np.eye(3)[handle.axis]
         metre = self._metres_per_px(camera, size)
@@ -112,7 +112,7 @@ class PoseHandles:
     def dragged_freely(
         self, before: tuple[float, float], after: tuple[float, float], turn: bool, camera: ViewCamera, size: Size
     ) -> Float64Array:
-        """Return what a drag beside the handles does: move with the hand across the view, or turn as orbiting does."""
+        """Return the transform of a drag beside the handles: translation in the view plane, or an orbit."""
         dx, dy = np.array(after) - np.array(before)
         right, up, _ = camera.axes()
         if not turn:
@@ -123,7 +123,7 @@ class PoseHandles:
     def paint(
         self, painter: QPainter, held: Handle | None, colors: tuple[QColor, ...], camera: ViewCamera, size: Size
     ) -> None:
-        """Paint all handles, the one that is held or under the mouse thicker; ``colors`` of x, y and z."""
+        """Paint all handles, the active one thicker; ``colors`` are those of x, y and z."""
         for handle, line in self.lines(camera, size).items():
             points = [QPointF(float(x), float(y)) for x, y in line]
             width = 3.4 if handle is held else 1.8

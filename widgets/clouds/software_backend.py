@@ -2,7 +2,7 @@
 
 Every pixel of the picture is one 32-bit number while it is drawn: its distance in the upper 24 bits, the
 row of the colour table in the lower 8. So *the nearest point wins* is a single minimum. A point is drawn
-as one such pixel first; a moving minimum over the whole picture then makes squares of them.
+as one such pixel first; a moving minimum over the whole picture then widens the points to squares.
 
 Distances are positive floating-point numbers, whose bits sort like the numbers. Counted from the bits of
 the nearest distance and without the last three, they fit into 24 bits as long as the farthest distance is

@@ -1,4 +1,4 @@
-"""The orbiting perspective camera of a 3D view, free of any drawing."""
+"""The orbiting perspective camera of a 3D view; draws nothing."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ NEAR, FAR = 0.02, 50.0
 #: Share of the view that a framed cloud may fill.
 _FILL = 0.92
 
-#: Flying pixels must not decide how a cloud is framed: percentiles that count as its edges.
+#: Percentiles that count as the edges of a cloud, so that flying pixels do not affect framing.
 _EDGES = (0.5, 99.5)
 
 _SHORTEST_M, _LONGEST_M = 0.005, 100.0
@@ -111,7 +111,7 @@ class ViewCamera:
         return replace(self, target=_triple(target))
 
     def zoomed(self, factor: float, at: tuple[float, float], width: int, height: int) -> Self:
-        """Divide the distance by ``factor``, holding what lies under pixel ``at`` at the target's distance."""
+        """Divide the distance by ``factor``, keeping the point under pixel ``at`` in place."""
         distance = min(max(self.distance / factor, _SHORTEST_M), _LONGEST_M)
         kept = 1.0 - distance / self.distance
         dx, dy = kept * (width / 2 - at[0]), kept * (height / 2 - at[1])

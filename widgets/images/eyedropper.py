@@ -18,9 +18,9 @@ from ...core.model.arrays import BoolArray, Int64Array, Uint8Array
 Mode = Literal["set", "expand", "shrink"]
 Span = tuple[int, int]
 
-#: Pixels beside the clicked one in each direction.
+#: Half width of the sampled square, pixels.
 RADIUS: Final = 3
-#: Room around what was sampled, so that the rest of the same membrane falls in too.
+#: Margin around the sampled colours, so that the rest of the membrane matches too.
 HUE_MARGIN: Final = 6
 SATURATION_MARGIN: Final = 30
 VALUE_MARGIN: Final = 40
@@ -55,7 +55,7 @@ class HsvRanges:
 
 @dataclass(frozen=True)
 class Sample:
-    """What is typical of some pixels: the span of their core and the median, per channel.
+    """Typical colour of some pixels: span of the core and median, per channel.
 
     ``hue`` and ``median_hue`` are None where the pixels are too grey or too dark to have one.
     """
@@ -119,7 +119,7 @@ def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
 
 
 def take_sample(rgb: Uint8Array) -> Sample:
-    """Measure pixels, uint8 (h, w, 3); one in ten may be anything without a say in the core."""
+    """Measure pixels, uint8 (h, w, 3); up to one in ten may be outliers."""
     hsv = cv2.cvtColor(np.ascontiguousarray(rgb), cv2.COLOR_RGB2HSV).reshape(-1, 3).astype(np.int64)
     chromatic = (hsv[:, 1] >= _CHROMATIC_SATURATION) & (hsv[:, 2] >= _CHROMATIC_VALUE)
     hue: Span | None = None
@@ -136,7 +136,7 @@ def take_sample(rgb: Uint8Array) -> Sample:
 
 
 def _core(numbers: Int64Array) -> tuple[Span, int]:
-    """Return the middle share of some numbers, and their median, which is one of them."""
+    """Return the central share of some numbers, and their median, which is one of them."""
     tail = 50.0 * (1.0 - _CORE_SHARE)
     low = np.percentile(numbers, tail, method="lower")
     high = np.percentile(numbers, 100.0 - tail, method="higher")
@@ -213,14 +213,14 @@ def _shrunk(present: HsvRanges, sample: Sample) -> HsvRanges:
 
 
 def _cut_span(span: Span, core: Span) -> list[tuple[float, Span]]:
-    """Return what is left of a range on either side of a core, each with the share that is lost."""
+    """Return the remainders of a range on both sides of a core, each with the lost share."""
     length = span[1] - span[0] + 1
     sides = [(span[0], core[0] - 1), (core[1] + 1, span[1])]
     return [(1.0 - (high - low + 1) / length, (low, high)) for low, high in sides if span[0] <= low <= high <= span[1]]
 
 
 def _cut_arc(arc: Span, core: Span | None) -> list[tuple[float, Span]]:
-    """Return what is left of a hue range on either side of a core, each with the share that is lost."""
+    """Return the remainders of a hue range on both sides of a core, each with the lost share."""
     if core is None:
         return []
     length = _arc_length(arc)

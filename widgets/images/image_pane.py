@@ -41,7 +41,7 @@ class ColorBar:
 
 
 class PaneHeader(QWidget):
-    """Paints a title and a legend, on one line or on two; what does not fit is left out, last things first."""
+    """Paints a title and a legend, on one line or on two; entries that do not fit are omitted, the last first."""
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -59,7 +59,7 @@ class PaneHeader(QWidget):
         self.update()
 
     def full_width(self) -> int:
-        """Return the width in pixels that the title and the bar, or else the swatches, take on one line."""
+        """Return the width in pixels of title and bar (or swatches) on one line."""
         metrics = self.fontMetrics()
         title = metrics.horizontalAdvance(self._title) + 2 + 2 * _GAP
         if self._bar is None:
@@ -79,7 +79,7 @@ class PaneHeader(QWidget):
         return QSize(200, self._lines * (self.fontMetrics().height() + 4))
 
     def minimumSizeHint(self) -> QSize:
-        """The width is up to the pane."""
+        """The pane decides on the width."""
         return QSize(0, self.sizeHint().height())
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
@@ -101,7 +101,7 @@ class PaneHeader(QWidget):
             right = self._paint_swatch(painter, swatch, left, right, line)
 
     def _paint_bar(self, painter: QPainter, bar: ColorBar, left: float, right: float, line: float) -> float:
-        """Paint the bar right-aligned; return where the space left of it ends."""
+        """Paint the bar right-aligned; return the x where the free space ends."""
         metrics = self.fontMetrics()
         low, high = metrics.horizontalAdvance(bar.low), metrics.horizontalAdvance(bar.high)
         length = min(_BAR_WIDTH, right - left - low - high - 2 * _GAP)
@@ -132,7 +132,7 @@ class PaneHeader(QWidget):
         return start - 2 * _GAP
 
     def _describe(self) -> None:
-        """Say the legend in words, for the tooltip and for screen readers."""
+        """Write the legend as text, for the tooltip and for screen readers."""
         parts = [swatch.text for swatch in self._swatches]
         if self._bar is not None:
             parts.insert(0, f"{self._bar.low} to {self._bar.high}")
@@ -206,7 +206,7 @@ class ImagePane(QWidget):
     clicked(u: int, v: int, modifiers: Qt.KeyboardModifier)
     doubleClicked()
     viewChanged(rect: QRectF)
-        Zoomed or panned, by whomever, in image coordinates.
+        Zoomed or panned, in image coordinates.
     viewMoved()
         Zoomed or panned by a person.
     resized()
@@ -262,16 +262,16 @@ class ImagePane(QWidget):
         self._pixels.set_pixels(pixels, stride)
 
     def set_message(self, text: str) -> None:
-        """Say why there is no image; empty where there is one."""
+        """Set the message that is shown while there is no image."""
         self.empty_label.setText(text)
         self.empty_label.setGeometry(self.view.rect())
 
     def set_badge(self, text: str) -> None:
-        """Mark the image as old and say so; nothing: it is what the cameras see."""
+        """Mark the image as old with this text; an empty text removes the mark."""
         self.badge.set_text(text)
 
     def set_cross(self, u: int, v: int) -> None:
-        """Mark a pixel; negative numbers unmark."""
+        """Show the crosshair at a pixel; negative numbers hide it."""
         inside = self.contains(u, v)
         if inside:
             width, height = self._size
@@ -287,11 +287,11 @@ class ImagePane(QWidget):
         return QRectF(-0.5, -0.5, *self._size)
 
     def contains(self, u: int, v: int) -> bool:
-        """Whether the image has such a pixel."""
+        """Whether the pixel lies inside the image."""
         return 0 <= u < self._size[0] and 0 <= v < self._size[1]
 
     def scale(self) -> float:
-        """Return how many screen pixels an image pixel takes."""
+        """Return the screen pixels per image pixel."""
         width = self.box.viewRect().width()
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 
@@ -306,7 +306,7 @@ class ImagePane(QWidget):
             self._recolor()
 
     def resizeEvent(self, event: Any) -> None:
-        """Keep the message in the middle."""
+        """Keep the message centred."""
         super().resizeEvent(event)
         self.empty_label.setGeometry(self.view.rect())
         self.badge.setGeometry(self.view.rect())

@@ -99,12 +99,12 @@ class ImageStrip(QWidget):
         self._show_legends(rendered)
 
     def set_badge(self, text: str) -> None:
-        """Mark the images as old and say so; nothing: they are what the cameras see."""
+        """Mark the images as old with this text; an empty text removes the mark."""
         for pane in self.panes.values():
             pane.set_badge(text)
 
     def set_readout(self, text: str) -> None:
-        """Say what is known of the pixel pointed at."""
+        """Show the readout of the pixel under the crosshair."""
         self.readout.setText(text)
 
     def set_region(self, rectangle: Rectangle | None) -> None:
@@ -113,12 +113,12 @@ class ImageStrip(QWidget):
             region.set_rectangle(rectangle)
 
     def set_picking(self, picking: bool) -> None:
-        """Show by the cursor that a click on the colour image picks a colour."""
+        """Show a picking cursor on the colour image, or the normal one."""
         shape = Qt.CursorShape.CrossCursor if picking else Qt.CursorShape.ArrowCursor
         self.panes["color"].view.viewport().setCursor(shape)
 
     def width_hint(self) -> int:
-        """Return how many screen pixels the whole width of an image takes now, for `render_strip`."""
+        """Return the width of the whole image in screen pixels, for `render_strip`."""
         return max(1, round(self.panes["color"].scale() * self._size[0]))
 
     def reset_view(self) -> None:
@@ -203,7 +203,7 @@ class ImageStrip(QWidget):
         self._fitted = False
 
     def _fit_headers(self) -> None:
-        """Give all headers a second line where one does not do; panes of one height zoom alike."""
+        """Give all headers two lines if one needs them; panes of equal height zoom alike."""
         crowded = any(pane.header.full_width() > pane.width() for pane in self.panes.values())
         for pane in self.panes.values():
             pane.header.set_lines(2 if crowded else 1)
@@ -213,12 +213,12 @@ class ImageStrip(QWidget):
             self.reset_view()
 
     def resizeEvent(self, event: QResizeEvent | None) -> None:
-        """Make room for the legends."""
+        """Adapt the headers to the new width."""
         super().resizeEvent(event)
         self._fit_headers()
 
     def _zoom(self, factor: float) -> None:
-        """Scale what is seen about the crosshair, or about the middle."""
+        """Zoom about the crosshair, or about the centre."""
         self._fitted = False
         box = self.panes["color"].box
         box.scaleBy((factor, factor), center=self._pixel if self._pixel != (-1, -1) else None)

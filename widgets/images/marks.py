@@ -17,17 +17,17 @@ from ..basics.theme import ACCENT
 from ..parameters.gestures import GestureClock
 from .image_pane import ImagePane, Rectangle
 
-#: How near, in screen pixels, the mouse must come to a mark to take hold of it.
+#: Distance in screen pixels within which the mouse grabs a mark.
 REACH: Final = 9.0
 _RADIUS = 6.5
-#: From so many marks on, they are drawn small.
+#: Number of marks above which they are drawn small.
 _CROWD, _SMALL_RADIUS = 80, 3.5
 _ARROW_HEAD = 8.0
 _CASING = QColor(0, 0, 0, 170)
 
 
 class MarkKind(StrEnum):
-    """What a mark stands for; each has a colour that reads on any image."""
+    """Meaning of a mark; each has a colour that is legible on any image."""
 
     POINT = "point"
     WORST = "worst residual"
@@ -93,27 +93,27 @@ class MarkLayer(QWidget):
 
     @property
     def ghost(self) -> tuple[float, float] | None:
-        """The predicted place that is offered, in image pixels."""
+        """The predicted position on offer, in image pixels."""
         return self._ghost
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
-        """Draw these marks and no others."""
+        """Replace the marks."""
         self._marks = tuple(marks)
         self.update()
 
     def set_ghost(self, place: tuple[float, float] | None) -> None:
-        """Offer a predicted place, or none."""
+        """Offer a predicted position, or none."""
         self._ghost = place
         self.update()
 
     def set_partner(self, place: tuple[float, float] | None) -> None:
-        """Show faintly where the other image's cursor is expected here."""
+        """Show the expected position of the other image's cursor."""
         if place != self._partner:
             self._partner = place
             self.update()
 
     def set_arrow_factor(self, factor: float) -> None:
-        """Enlarge residual arrows so many times; 0 hides them."""
+        """Set the magnification of residual arrows; 0 hides them."""
         self._factor = factor
         self.update()
 
@@ -214,7 +214,7 @@ def _arrow(painter: QPainter, start: QPointF, end: QPointF) -> None:
 
 
 def _text(painter: QPainter, place: QPointF, text: str, color: QColor) -> None:
-    """Write with a dark rim, so that it reads on any image."""
+    """Draw text with a dark outline, legible on any image."""
     painter.setPen(QColor(0, 0, 0, 200))
     for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
         painter.drawText(place + QPointF(dx, dy), text)
@@ -226,7 +226,7 @@ _CORNERS = (((0, 0), (1, 1)), ((1, 0), (0, 1)), ((0, 1), (1, 0)), ((1, 1), (0, 0
 
 
 class RegionItem(QObject):
-    """Shows (left, top, width, height) on a pane; corners resize it, the middle moves it.
+    """Shows (left, top, width, height) on a pane; corners resize it, the interior moves it.
 
     Signals
     -------

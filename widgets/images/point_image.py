@@ -16,7 +16,7 @@ from ..basics.theme import theme_colors
 from .image_pane import ImagePane
 from .marks import COLORS, Mark, MarkKind, MarkLayer
 
-#: Edge of the magnified square in screen pixels, and how many image pixels it spans.
+#: Edge of the magnified square in screen pixels, and the image pixels that it spans.
 EDGE: Final = 168
 SPAN: Final = 21.0
 _LINE = 20
@@ -65,7 +65,7 @@ class Loupe(QWidget):
         self.update()
 
     def set_snapped(self, place: tuple[float, float] | None) -> None:
-        """Mark the place that a click would take."""
+        """Mark the position that a click would set."""
         self._snapped = place
         self.update()
 
@@ -191,7 +191,7 @@ class PointImage(ImagePane):
             self.show_all()
 
     def set_marks(self, marks: Sequence[Mark]) -> None:
-        """Draw these marks and no others."""
+        """Replace the marks."""
         self.layer.set_marks(marks)
 
     def set_loupe_wanted(self, wanted: bool) -> None:
@@ -206,7 +206,7 @@ class PointImage(ImagePane):
         self.show_rect(self.image_rect())
 
     def zoom(self, factor: float) -> None:
-        """Zoom about the middle."""
+        """Zoom about the centre."""
         rect = self.box.viewRect()
         width, height = rect.width() / factor, rect.height() / factor
         self.show_rect(QRectF(rect.center().x() - width / 2, rect.center().y() - height / 2, width, height))
@@ -226,7 +226,7 @@ class PointImage(ImagePane):
     # Mouse
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
-        """Take what concerns marks and clicks; leave panning and zooming to the view."""
+        """Handle marks and clicks; leave panning and zooming to the view."""
         if event is None or watched is not self.view.viewport():
             return super().eventFilter(watched, event)
         kind = event.type()

@@ -1,4 +1,4 @@
-"""Turns a frame's images into pixels that the image strip only has to show; runs on any thread."""
+"""Renders the images of a frame to pixels for the image strip; runs on any thread."""
 
 from __future__ import annotations
 
@@ -122,12 +122,12 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
 
 
 def stride_for(width: int, width_hint: int) -> int:
-    """Return which n makes every n-th pixel of an image ``width`` wide enough for the screen; 0 asks for all."""
+    """Return the step at which an image of this width is drawn on ``width_hint`` screen pixels; 0 draws all pixels."""
     return max(1, int(width / width_hint + 0.1)) if width_hint > 0 else 1
 
 
 def depth_range_of(*depths_m: Float32Array) -> tuple[float, float]:
-    """Return a range for the depth colours in metres: the middle 98 %, widened to whole centimetres."""
+    """Return a range for the depth colours in metres: the central 98 %, widened to whole centimetres."""
     samples = np.concatenate([depth[::_SAMPLE_STEP, ::_SAMPLE_STEP].ravel() for depth in depths_m])
     samples = samples[np.isfinite(samples)]
     if samples.size == 0:
@@ -157,7 +157,7 @@ def _colored(color: Uint8Array, mask: BoolArray | None, stride: int) -> _Packed:
 
 
 def _outline(region: BoolArray) -> BoolArray:
-    """Return the rim of a region; pores would be nothing but rim and hide the image, so they are filled first."""
+    """Return the outline of a region. Small holes are filled first, since their outlines would hide the image."""
     closed = cv2.morphologyEx(np.ascontiguousarray(region).view(np.uint8), cv2.MORPH_CLOSE, _KERNEL)
     return np.asarray(closed != cv2.erode(closed, _KERNEL))
 

@@ -30,7 +30,7 @@ Span = tuple[int, int]
 def groove_colors(hue: Span, saturation: Span, value: Span) -> dict[str, list[QColor]]:
     """Return the colours along the grooves of hue, saturation and value, by these names.
 
-    Saturation and value are shown at the middle of the hue's range, OpenCV's 8-bit convention.
+    Saturation and value are shown at the centre of the hue range, OpenCV's 8-bit convention.
     """
     middle = (hue[0] + ((hue[1] - hue[0]) % 180) // 2) % 180
     typical_saturation, typical_value = sum(saturation) // 2, sum(value) // 2
@@ -60,7 +60,7 @@ class BandSlider(QWidget):
     Signals
     -------
     edited(low: float, high: float, gesture: int)
-        By a person.
+        Changed by the user.
     """
 
     edited = pyqtSignal(float, float, int)
@@ -343,9 +343,9 @@ class _Entries(QWidget):
     Signals
     -------
     valueChanged(value: tuple)
-        For whatever reason.
+        On every change.
     edited(value: tuple, gesture: int)
-        By a person.
+        Changed by the user.
     refused(sentence: str)
     """
 
@@ -369,7 +369,7 @@ class _Entries(QWidget):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """What takes the focus, in order."""
+        """Focusable widgets, in tab order."""
         return list(self.entries)
 
     def value(self) -> Numbers:
@@ -377,7 +377,7 @@ class _Entries(QWidget):
         return self._value
 
     def setValue(self, value: Sequence[float]) -> None:
-        """Show numbers without telling that a person edited them."""
+        """Show numbers; `edited` is not emitted."""
         target = tuple(value)
         if target != self._value:
             self._show(target)
@@ -417,7 +417,7 @@ class RangeEditor(_Entries):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """What takes the focus, in order."""
+        """Focusable widgets, in tab order."""
         return [self.entries[0], self.slider, self.entries[1]]
 
     def set_colors(self, colors: Sequence[QColor]) -> None:

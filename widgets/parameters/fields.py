@@ -1,4 +1,4 @@
-"""What a widget has to know of a preset field: read from the pydantic model, so that both never differ."""
+"""Description of a preset field for widgets, read from the pydantic model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic.fields import FieldInfo
 
 Kind = Literal["flag", "choice", "number", "range", "rectangle", "matrix"]
 
-#: Model unit -> (factor, suffix) of what people read.
+#: Model unit -> (factor, suffix) of the displayed number.
 _SHOWN_UNITS: dict[str, tuple[float, str]] = {
     "": (1.0, ""),
     "m": (1000.0, " mm"),
@@ -82,25 +82,25 @@ class FieldSpec:
 
     @property
     def decimals(self) -> int:
-        """How many decimals people read: one more than the step has, and what a logarithmic slider resolves."""
+        """Number of displayed decimals: one more than the step has, or the resolution of a logarithmic slider."""
         of_step = len(format_number(self.step * self.factor).partition(".")[2])
         return of_step + (2 if self.log else 0 if self.integer else 1)
 
     def shown(self, value: float) -> str:
-        """Write one number as people read it, with its unit; rounded, but never to zero."""
+        """Format a number for display, with its unit; rounded, but never to zero."""
         number = value * self.factor
         rounded = round(number, self.decimals)
         return format_number(rounded or float(f"{number:.2g}"), 15) + self.suffix
 
     def from_shown(self, number: float) -> float | int:
-        """Take a number that a person typed to the model's unit."""
+        """Convert a typed number to the model's unit."""
         if self.integer:
             return round(number)
         return number if self.factor == 1.0 else float(f"{number / self.factor:.12g}")
 
 
 def format_number(value: float, digits: int = 6) -> str:
-    """Write a number without exponent, to so many significant digits, without trailing zeros."""
+    """Write a number without exponent or trailing zeros, to ``digits`` significant digits."""
     text = f"{float(f'{value:.{digits}g}'):.12f}".rstrip("0").rstrip(".")
     return "0" if text in ("-0", "") else text
 

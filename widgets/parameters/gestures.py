@@ -1,4 +1,4 @@
-"""Numbers for gestures: all edits of one drag, or of one burst of keys, carry the same number."""
+"""Numbers of gestures: all edits of one drag, or of one burst of keys, share a number."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import time
 
 _numbers = itertools.count(1)
 
-#: Key presses or wheel steps that follow each other within this time belong to one gesture.
+#: Key presses or wheel steps within this time of each other belong to one gesture, seconds.
 BURST_S = 0.8
 
 
 def new_gesture() -> int:
-    """Return a number that no gesture of this process has had yet; never 0."""
+    """Return a number that is unique in this process; never 0."""
     return next(_numbers)
 
 
 class GestureClock:
-    """Tells one gesture of a widget from the next."""
+    """Assigns edits of a widget to gestures."""
 
     def __init__(self) -> None:
         self._number = 0

@@ -28,7 +28,7 @@ class Scale:
     log: bool = False
 
     def fraction(self, value: float) -> float:
-        """Return where a value sits; values beyond the ends sit at the ends."""
+        """Return the position of a value, clamped to the ends."""
         value = min(max(value, self.low), self.high)
         if self.log:
             return math.log(value / self.low) / math.log(self.high / self.low)
@@ -44,7 +44,7 @@ class Scale:
 
     @property
     def positions(self) -> int:
-        """How many steps lie between the ends."""
+        """Number of steps between the ends."""
         if self.log:
             return round(100 * math.log10(self.high / self.low))
         return max(1, round((self.high - self.low) / self.step))
@@ -96,7 +96,7 @@ class NumberEntry(QAbstractSpinBox):
         return self._value
 
     def setValue(self, value: float | int) -> None:
-        """Show a value; never emits, and leaves alone what is being typed unless the value differs."""
+        """Show a value; never emits. Typed text stays unless the value differs."""
         if value == self._value and type(value) is type(self._value):
             return
         self._value = value
@@ -124,7 +124,7 @@ class NumberEntry(QAbstractSpinBox):
         return flags
 
     def validate(self, text: str | None, position: int) -> tuple[QValidator.State, str, int]:
-        """Any text may be typed; `refused` says what is wrong with it once it is entered."""
+        """Accept any text; `refused` reports an invalid one once it is entered."""
         return QValidator.State.Acceptable, text or "", position
 
     def sizeHint(self) -> QSize:
@@ -140,7 +140,7 @@ class NumberEntry(QAbstractSpinBox):
         return self.sizeHint()
 
     def event(self, event: QEvent | None) -> bool:
-        """Leave undo and redo to the window, unless there is something typed to take back."""
+        """Leave undo and redo to the window unless typed text can be undone."""
         is_shortcut = event is not None and event.type() == QEvent.Type.ShortcutOverride
         if is_shortcut and not self._typing and isinstance(event, QKeyEvent) and any(map(event.matches, _UNDO_KEYS)):
             event.ignore()
@@ -236,7 +236,7 @@ class JumpSlider(QSlider):
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
 
     def mousePressEvent(self, event: QMouseEvent | None) -> None:
-        """Grip the handle, or bring it here first."""
+        """Grab the handle; first move it here if needed."""
         if event is None or event.button() != Qt.MouseButton.LeftButton:
             return
         x = event.position().x()
@@ -288,9 +288,9 @@ class NumberSlider(QWidget):
     Signals
     -------
     valueChanged(value)
-        For whatever reason.
+        On every change.
     edited(value, gesture: int)
-        By a person.
+        Changed by the user.
     refused(sentence: str)
     """
 
@@ -325,7 +325,7 @@ class NumberSlider(QWidget):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """What takes the focus, in order."""
+        """Focusable widgets, in tab order."""
         return [self.slider, self.entry]
 
     def value(self) -> float | int:
@@ -333,7 +333,7 @@ class NumberSlider(QWidget):
         return self.entry.value()
 
     def setValue(self, value: float | int) -> None:
-        """Show a value without telling that a person edited it."""
+        """Show a value; `edited` is not emitted."""
         if value == self.value() and type(value) is type(self.value()):
             return
         self.entry.setValue(value)

@@ -16,7 +16,7 @@ from .number_slider import NumberSlider
 
 
 class Editor(Protocol):
-    """What a row asks of the widget that edits a field."""
+    """Interface of the widget that edits a field."""
 
     edited: pyqtBoundSignal
 
@@ -24,7 +24,7 @@ class Editor(Protocol):
         """Return the field's value."""
 
     def setValue(self, value: Any) -> None:
-        """Show a value without telling that a person edited it."""
+        """Show a value; `edited` is not emitted."""
 
 
 class ChoiceEditor(QComboBox):
@@ -45,7 +45,7 @@ class ChoiceEditor(QComboBox):
         return self.currentText()
 
     def setValue(self, value: str) -> None:
-        """Show a choice without telling that a person made it."""
+        """Show a choice; `edited` is not emitted."""
         self.setCurrentText(value)
         self._shown = value
 
@@ -75,7 +75,7 @@ class FlagEditor(QCheckBox):
         return self.isChecked()
 
     def setValue(self, value: bool) -> None:
-        """Show a state without telling that a person chose it."""
+        """Show a state; `edited` is not emitted."""
         self.setChecked(value)
 
 
@@ -211,7 +211,7 @@ class ParameterRow(QObject):
 
     @property
     def tab_stops(self) -> list[QWidget]:
-        """What takes the focus, in order."""
+        """Focusable widgets, in tab order."""
         return list(getattr(self.widget, "tab_stops", [self.widget]))
 
     def add_to(self, grid: QGridLayout) -> None:
@@ -236,7 +236,7 @@ class ParameterRow(QObject):
         self._update_reset(editable)
 
     def set_reset_target(self, value: Any, origin: str) -> None:
-        """Say what the reset button goes back to, and where that value comes from."""
+        """Set the value of the reset button and describe its origin."""
         self._target = value
         self.reset.setToolTip(f"Reset to {self.describe(value)} ({origin})")
         self._update_reset(self.widget.isEnabled())
@@ -255,7 +255,7 @@ class ParameterRow(QObject):
         self._update_reset(self.widget.isEnabled())
 
     def describe(self, value: Any) -> str:
-        """Write a value of this field as people read it."""
+        """Format a value of this field for display."""
         spec = self.spec
         if value is None:
             return "the rig's own"
@@ -270,7 +270,7 @@ class ParameterRow(QObject):
         return "the saved matrix" if spec.kind == "matrix" else str(value)
 
     def _place_editor(self) -> None:
-        """Put the editor beside the label, or below it where it is too wide for that."""
+        """Put the editor beside the label, or below it if it is too wide."""
         if self._grid is None:
             return
         wide = self.spec.kind == "rectangle" or (self.spec.kind == "matrix" and self.editor.value() is not None)

@@ -18,7 +18,7 @@ _ENOUGH = 3
 
 
 class CoverageGrid(QWidget):
-    """Paints the number of points in each cell, empty cells hatched, and a depth line below."""
+    """Paints the number of points in each grid cell, empty ones hatched, and a depth line below."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -28,11 +28,11 @@ class CoverageGrid(QWidget):
         self.setAccessibleName("Coverage of the image and of depth")
 
     def sizeHint(self) -> QSize:
-        """Return room for three rows of four and the line."""
+        """Return the size for three rows of four grid cells and the line."""
         return QSize(260, 190)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the least at which the counts are read."""
+        """Return the smallest size with legible counts."""
         return QSize(160, 120)
 
     def set_coverage(self, cells: Sequence[Sequence[int]], depths_mm: Sequence[float]) -> None:
@@ -98,7 +98,7 @@ _STEPS: Final = (1.0, 2.0, 5.0, 10.0)
 
 @dataclass(frozen=True)
 class Residual:
-    """One pair: offset in pixels, its name, and whether it sticks out."""
+    """Residual of one pair: offset in pixels, name, and whether it is an outlier."""
 
     du: float
     dv: float
@@ -107,7 +107,7 @@ class Residual:
 
 
 class ResidualPlot(QWidget):
-    """Rings at round numbers of pixels, a dot for each pair, names at those that stick out."""
+    """Rings at round numbers of pixels, a dot for each pair, names at outliers."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -118,15 +118,15 @@ class ResidualPlot(QWidget):
         self.setAccessibleName("Residuals")
 
     def sizeHint(self) -> QSize:
-        """Return room for a dozen names."""
+        """Return the size for a dozen names."""
         return QSize(260, 220)
 
     def minimumSizeHint(self) -> QSize:
-        """Return the least at which the rings are told apart."""
+        """Return the smallest size with distinct rings."""
         return QSize(140, 120)
 
     def set_residuals(self, residuals: Sequence[Residual], limit: float | None = None, message: str = "") -> None:
-        """Show residuals; ``limit`` is the outer ring in pixels, by default round and around all."""
+        """Show residuals; ``limit`` is the outer ring in pixels, by default a round number beyond all residuals."""
         self._residuals, self._message = tuple(residuals), message
         self._limit = limit or round_limit(residuals)
         self.setToolTip(

@@ -112,7 +112,7 @@ class DifferenceHistogram(QWidget):
             self._recolor()
 
     def showEvent(self, event: Any) -> None:
-        """Draw what arrived while hidden."""
+        """Draw the counts that arrived while hidden."""
         super().showEvent(event)
         if self._stale:
             self._draw()
@@ -165,7 +165,7 @@ class DifferenceHistogram(QWidget):
 
 
 def split_at(edges: Float64Array, counts: Float64Array, cuts: tuple[float, ...]) -> tuple[Float64Array, Float64Array]:
-    """Cut the bars of a histogram at some places, so that each part can have its own colour.
+    """Split the bars of a histogram at given positions, so that each part can have its own colour.
 
     Returns
     -------
