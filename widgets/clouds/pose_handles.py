@@ -93,7 +93,7 @@ class PoseHandles:
     def dragged(
         self, handle: Handle, before: tuple[float, float], after: tuple[float, float], camera: ViewCamera, size: Size
     ) -> Float64Array:
-        """Return the transform of a drag between two pixels: float64 (4, 4), applied from the left in the view frame."""
+        """Return the transform of a drag between two pixels: float64 (4, 4), applied from the left."""
         moved = np.array(after) - np.array(before)
         centre, axis = np.array(self.centre), np.eye(3)[handle.axis]
         metre = self._metres_per_px(camera, size)
