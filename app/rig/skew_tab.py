@@ -12,7 +12,7 @@ from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
 from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
-from ...core.rig.skew import LARGEST_GAP_S, LEAST_TIME_S, MotionSeries, Sample, Skew, measure_skew
+from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, MotionSeries, Sample, Skew, measure_skew
 from ...widgets.basics.controls import keep_place, make_verdict
 from ...widgets.basics.theme import theme_colors
 from ..document.document import Document
@@ -149,7 +149,7 @@ class SkewTab(QWidget):
     def _lay_out(self) -> None:
         intro = QLabel(_INTRO)
         intro.setWordWrap(True)
-        self.seconds.setRange(LEAST_TIME_S, _LONGEST_TIME_S)
+        self.seconds.setRange(MIN_TIME_S, _LONGEST_TIME_S)
         self.seconds.setValue(_START_TIME_S)
         self.seconds.setDecimals(0)
         self.seconds.setSuffix(" s")
@@ -288,7 +288,7 @@ class SkewTab(QWidget):
 def watched_s(samples: Sequence[Sample]) -> float:
     """Return the time that the frames cover according to their own stamps, seconds."""
     steps = np.diff([sample.proximity_time_s for sample in samples])
-    return float(steps[(steps > 0) & (steps <= LARGEST_GAP_S)].sum())
+    return float(steps[(steps > 0) & (steps <= MAX_GAP_S)].sum())
 
 
 def _lines(series: MotionSeries, origin_s: float) -> tuple[Float64Array, Float64Array]:

@@ -327,10 +327,10 @@ def _refuse_repeated(pairs: list[Correspondence]) -> None:
 def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, depth_scale: bool) -> list[str]:
     warnings = []
     if depth_scale and rigid is not None and all(pair.proximity_depth_m is None for pair in pairs):
-        holder = "usual scales near 1" if rig.T_proximity_tactile is None else "the rig's stated baseline"
+        prior = "a prior near 1" if rig.T_proximity_tactile is None else "the rig's stated baseline"
         warnings.append(
-            f"clicks alone cannot tell the depth scale, {holder} had to; give proximity_depth_m to points of contact "
-            "clicked in the depth image"
+            f"clicks alone do not determine the depth scale, so it rests on {prior}; give proximity_depth_m to points "
+            "of contact clicked in the depth image"
         )
     outside = [pair.id for pair in pairs if not _inside(pair, rig)]
     if outside:

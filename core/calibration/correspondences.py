@@ -141,7 +141,7 @@ def write_points(path: Path | str, pairs: Sequence[Correspondence]) -> None:
 
 
 def csv_text(pairs: Sequence[Correspondence]) -> str:
-    """Return the text of a CSV file; floats keep every bit. Optional columns appear where they say something."""
+    """Return the text of a CSV file; floats are exact. Optional columns are written if any row has a value."""
     extra = [name for name in OPTIONAL_COLUMNS if any(getattr(pair, name) not in (None, "depth") for pair in pairs)]
     columns = [*REQUIRED_COLUMNS, *extra]
     file = io.StringIO()

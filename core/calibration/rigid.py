@@ -1,14 +1,13 @@
-"""The tactile camera's pose in the proximity frame, from clicks that carry a tactile depth.
+"""The tactile camera's pose in the proximity frame, from clicks with tactile depth.
 
-Every tactile click is a point in space: its ray times its depth. Its partner is a ray of the proximity
-depth camera or of the proximity colour camera, chained by the factory extrinsic; both kinds may be mixed.
-Start: perspective-n-point (SQPnP; Terzakis and Lourakis 2020), wrong pairs by P3P samples. Refinement:
-maximum likelihood with noise in both clicks and in the depth (`maximum_likelihood`).
+Each tactile click is a point in space: its ray times its depth. It corresponds to a ray of the proximity depth camera,
+or of the proximity colour camera through the factory extrinsics; both kinds may be mixed. Initial value:
+perspective-n-point (SQPnP; Terzakis and Lourakis 2020), with outliers removed by P3P samples. Refinement: maximum
+likelihood with noise in both clicks and in the depth (`maximum_likelihood`).
 
-With ``depth_scale`` the tactile depth is corrected to ``scale * raw + offset``. Clicks alone cannot see
-the scale: scene, baseline and all may grow together without moving a pixel. What holds it is the
-distance of the proximity camera where it was measured at contact (``proximity_depth_m``), and otherwise
-the baseline that the rig states.
+With ``depth_scale`` the tactile depth is corrected to ``scale * raw + offset``. Clicks alone leave the scale open:
+scene and baseline can grow together without moving a pixel. It is determined by distances that the proximity camera
+measures at contact (``proximity_depth_m``), otherwise by the rig's stated baseline.
 """
 
 from __future__ import annotations
@@ -33,19 +32,19 @@ _DIFFERENCE_PX = 0.5
 #: Standard deviations of the tactile and the proximity depth under a click, metres.
 TACTILE_DEPTH_SIGMA_M = 0.0005
 PROXIMITY_DEPTH_SIGMA_M = 0.001
-#: How well the mount of a rig keeps its stated baseline, metres; only used where a depth scale is fitted.
+#: Standard deviation of the rig's stated baseline, metres; only used if a depth scale is fitted.
 BASELINE_SIGMA_M = 0.0002
-#: What is known of scale and offset beforehand: data sheets allow some percent.
+#: Standard deviations of the prior on scale and offset, from data sheets.
 _SCALE_SIGMA, _OFFSET_SIGMA_M = 0.05, 0.03
 
-#: A prior has to be weighed against the noise that the pairs show, which a first fit tells.
-_NOISE_ROUNDS, _LEAST_NOISE = 3, 1e-6
+#: A prior must be weighed against the observed noise, so the fit is repeated with the noise of the fit before.
+_NOISE_ROUNDS, _MIN_NOISE = 3, 1e-6
 
-#: The pose is the true model: what lies farther off, pixels, is a wrong pair, whatever the lenses and depths.
-_LARGEST_PX = 12.0
+#: A pair with a larger residual is an outlier, because the rigid model is exact, pixels.
+_MAX_PX = 12.0
 
 _SAMPLE = 3
-LEAST_POINTS = 4
+MIN_POINTS = 4
 
 
 def ray_seen(intrinsics: Intrinsics, pixels: npt.ArrayLike) -> Float64Array:
@@ -128,9 +127,9 @@ class RigidPoints:
     proximity : float64, shape (N, 2)
         Pixels of the proximity depth or colour image.
     in_color : bool, shape (N,)
-        Which of both.
+        Whether the colour image was clicked.
     proximity_depth_m : float64, shape (N,)
-        Distance at contact that the proximity camera measured; nan where there is none.
+        Distance measured by the proximity camera at contact; nan if unknown.
     """
 
     tactile: Float64Array
@@ -294,7 +293,7 @@ class RigidProblem(Problem[Pose]):
         self.space = np.column_stack([rays * points.tactile_depth_m[:, None], points.tactile_depth_m])
         self.start_rays = self._rays_of_depth_camera()
         _, self.area = spread(points.proximity)
-        self.largest_px = self.largest_rms_px = _LARGEST_PX
+        self.largest_px = self.largest_rms_px = _MAX_PX
         self.prior = Prior(self._prior_residuals) if depth_scale else None
 
     def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
@@ -337,7 +336,7 @@ class RigidProblem(Problem[Pose]):
     def start(self, used: BoolArray) -> Pose | None:
         """Solve SQPnP on the used pairs."""
         space = self.space[used]
-        if len(space) < LEAST_POINTS or on_a_line(space):
+        if len(space) < MIN_POINTS or on_a_line(space):
             return None
         found, turn, shift = cv2.solvePnP(
             space, self.start_rays[used], np.eye(3), None, flags=cv2.SOLVEPNP_SQPNP
@@ -432,7 +431,7 @@ def fit_rigid(
     CalibrationError
         There are fewer than four pairs with depth, the points are collinear, or the pairs do not agree on one pose.
     """
-    least = LEAST_POINTS + (1 if depth_scale else 0)
+    least = MIN_POINTS + (1 if depth_scale else 0)
     name = f"rigid alignment{' with depth scale' if depth_scale else ''}"
     check_space(points.places, points.proximity, least, name)
     stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
@@ -440,7 +439,7 @@ def fit_rigid(
     for _ in range(_NOISE_ROUNDS if depth_scale else 1):
         problem = RigidProblem(points, rig, observed * stated, depth_scale)
         fit = fit_robustly(problem, known)
-        known, observed = fit.used, max(observed * fit.solution.noise_factor, _LEAST_NOISE)
+        known, observed = fit.used, max(observed * fit.solution.noise_factor, _MIN_NOISE)
     return RigidFit(
         pose=fit.solution.theta,
         used=fit.used,

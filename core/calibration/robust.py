@@ -1,16 +1,13 @@
-"""One robust fit for both models: consensus where it is needed, then maximum likelihood of what agrees.
+"""The robust fit of both models: a search for the consensus if needed, then maximum likelihood of the inliers.
 
-Which pairs agree on one alignment: consensus without a threshold to choose.
-
-The a-contrario criterion (Moisan and Stival 2004; Moulon, Monasse and Marlet 2012) asks of every
-hypothesis and every radius r how many agreeing pairs chance alone would give: for k of n pairs within
-r, with samples of s pairs and an image area a,
+The a-contrario criterion (Moisan and Stival 2004; Moulon, Monasse and Marlet 2012) needs no inlier threshold. For each
+hypothesis and each radius r it computes the expected number of agreements by chance (number of false alarms): for k of
+n pairs within r, with samples of s pairs and an image area a,
 
     NFA = (n - s) C(n, k) C(k, s) (pi r^2 / a)^(k - s)
 
-The hypothesis and radius with the smallest NFA win, and an NFA that is not small is a refusal: pairs
-that agree no better than random ones never become a calibration.
-
+The hypothesis and radius with the smallest NFA win. If the NFA is not small, the pairs agree no better than random ones
+and are refused.
 """
 
 from __future__ import annotations
@@ -33,22 +30,22 @@ Theta = TypeVar("Theta")
 #: A consensus is significant below this log10 of the number of false alarms.
 SIGNIFICANT = -3.0
 #: Minimum share of inliers; with fewer, the outliers might be the right ones.
-SMALLEST_SHARE = 0.55
+MIN_INLIER_SHARE = 0.55
 _HYPOTHESES = 700
 _FAR_PX = 1e300
 _EXHAUSTIVE = 700
 _SCORED_POINTS = 400
 
 #: One correct pair in this many is rejected as an outlier.
-_HONEST_LOSS = 100_000
+_CORRECT_PER_REJECTED = 100_000
 #: Weight of the nominal click noise beside the observed one, in degrees of freedom, while judging pairs.
 _NOMINAL_DEGREES = 12
 #: Up to this ratio of observed to nominal noise, all pairs are fitted without a search for a consensus.
 _USUAL_NOISE = 1.5
 #: Outliers are searched for a second alignment above this share of all pairs; it counts with this share of inliers.
-_LEAST_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
+_MIN_SECOND_SHARE, _SECOND_AGREEMENT = 0.2, 0.7
 #: Above this condition number of the scaled design, the result is dominated by noise.
-LARGEST_CONDITION = 3e4
+MAX_CONDITION = 3e4
 #: Cross-validation: leave-one-out up to this number of pairs, beyond that `FOLDS` groups.
 LEAVE_ONE_OUT, FOLDS = 60, 10
 
@@ -63,8 +60,8 @@ class Consensus:
 
     @property
     def significant(self) -> bool:
-        """Whether chance is ruled out and at least `SMALLEST_SHARE` of the pairs are inliers."""
-        return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= SMALLEST_SHARE
+        """Whether chance is ruled out and at least `MIN_INLIER_SHARE` of the pairs are inliers."""
+        return self.log10_nfa < SIGNIFICANT and self.inliers.mean() >= MIN_INLIER_SHARE
 
 
 def samples(count: int, size: int, seed: int = 0) -> IndexArray:
@@ -262,7 +259,7 @@ def left_out_residuals_px(problem: Problem[Theta], fit: RobustFit[Theta]) -> Flo
             residuals[fold] = np.nan
             continue
         solution = maximise(fit.solution.theta, left, problem.linearise, problem.retract, problem.prior)
-        if condition_number(solution.information) > LARGEST_CONDITION:
+        if condition_number(solution.information) > MAX_CONDITION:
             residuals[fold] = np.nan
         else:
             residuals[fold] = problem.residual_vectors_px(solution.theta)[fold]
@@ -285,7 +282,7 @@ def _search(problem: Problem[Theta], first: Theta | None) -> tuple[Consensus, Th
 def _refuse_second_opinion(problem: Problem[Theta], used: BoolArray) -> None:
     """Raise if the outliers agree on another alignment: either group may be the right one."""
     left = np.flatnonzero(~used)
-    if len(left) < max(problem.sample_size + 3, _LEAST_SECOND_SHARE * len(used)):
+    if len(left) < max(problem.sample_size + 3, _MIN_SECOND_SHARE * len(used)):
         return
     found = find_consensus(problem, left, [])
     if found is not None and found[0].log10_nfa < SIGNIFICANT and found[0].inliers.mean() >= _SECOND_AGREEMENT:
@@ -356,14 +353,14 @@ def _plausible(problem: Problem[Theta], solution: Solution[Theta], used: BoolArr
     degrees = np.maximum(solution.degrees - per_pair * used, 0)
     others = np.maximum(solution.cost - np.where(used & np.isfinite(distance), distance, 0.0), 0.0)
     noise = (_NOMINAL_DEGREES + others) / (_NOMINAL_DEGREES + degrees)
-    limit = per_pair * f_distribution.ppf(1 - 1 / _HONEST_LOSS, per_pair, _NOMINAL_DEGREES + degrees)
+    limit = per_pair * f_distribution.ppf(1 - 1 / _CORRECT_PER_REJECTED, per_pair, _NOMINAL_DEGREES + degrees)
     indispensable = used & ~np.isfinite(distance)
     return np.asarray((distance <= limit * noise) | indispensable)
 
 
 def _finish(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray) -> RobustFit[Theta]:
     condition = condition_number(solution.information)
-    if condition > LARGEST_CONDITION:
+    if condition > MAX_CONDITION:
         raise CalibrationError(
             f"the points determine no {problem.name} (condition number {condition:.1e}): they lie almost on one line "
             "or on each other; spread them over the image"
@@ -372,7 +369,7 @@ def _finish(problem: Problem[Theta], solution: Solution[Theta], used: BoolArray)
     count = len(used)
     agreement = score(np.where(used, residuals, np.inf), problem.sample_size, problem.area)
     rms = float(np.sqrt(np.mean(residuals[used] ** 2)))
-    few = used.mean() < SMALLEST_SHARE
+    few = used.mean() < MIN_INLIER_SHARE
     if count > problem.sample_size and (few or not rms <= problem.largest_rms_px):
         raise no_agreement(problem.name, int(used.sum()), count, agreement.log10_nfa if few else 0.0)
     return RobustFit(solution, used, condition, agreement.log10_nfa)

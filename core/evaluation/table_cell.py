@@ -48,7 +48,7 @@ STRAIGHT_T: Final = 0.03
 FRAMES_PER_CELL: Final = 16
 _FRAMES_WITHOUT_MEMORY: Final = 4
 
-NO_CONTACT_FOUND = "it found no contact where there is one"
+NO_CONTACT_FOUND = "it found no contact although there is one"
 
 MakeMethod = Callable[[str, Preset, Rig, SensorFrame | None], ContactMethod]
 

@@ -51,7 +51,7 @@ _NOTE = (
 Panel = tuple[Float32Array, dict[str, Float32Array | str]]
 
 #: Upper end of the colour scale, millimetres.
-FARTHEST_MM: Final = 10.0
+MAX_DISTANCE_MM: Final = 10.0
 _SUFFIXES = (".png", ".svg", ".pdf")
 
 
@@ -303,7 +303,7 @@ def _draw_one(axis: Any, points: Float32Array | str, truth: Float32Array) -> Any
     order = np.argsort(away_mm)  # largest distances on top
     drawn = axis.scatter(
         1e3 * points[order, 0], 1e3 * points[order, 1], c=away_mm[order], s=0.3, linewidths=0,
-        cmap="viridis", vmin=0, vmax=FARTHEST_MM,
+        cmap="viridis", vmin=0, vmax=MAX_DISTANCE_MM,
     )  # fmt: skip
     axis.set_xlabel(f"{1e3 * symmetric_rmse_m(points, truth):.2f} mm", fontsize=8, labelpad=2)
     return drawn

@@ -37,12 +37,12 @@ from ..preset import AlignmentSection
 from ..sources.base import Progress
 
 #: Largest delay that is searched, seconds.
-LARGEST_DELAY_S = 0.75
+MAX_DELAY_S = 0.75
 #: Shortest time and smallest motion for a measurement.
-LEAST_TIME_S = 2.0
-LEAST_WAY_M = 0.004
+MIN_TIME_S = 2.0
+MIN_MOTION_M = 0.004
 #: Longest gap between two frames that is interpolated, seconds.
-LARGEST_GAP_S = 0.25
+MAX_GAP_S = 0.25
 _MIN_NOISE_RATIO = 5.0
 _MIN_CORRELATION = 0.8
 #: The result is ambiguous if another delay leaves less than this many times the unexplained variance.
@@ -150,7 +150,7 @@ def measure_skew(
     """
     if len(samples) < _MIN_SAMPLES:
         raise SkewError(
-            f"there are only {len(samples)} frames; record at least {LEAST_TIME_S:g} s in which something moves"
+            f"there are only {len(samples)} frames; record at least {MIN_TIME_S:g} s in which something moves"
         )
     proximity, tactile = pressed_depths(samples, rig, section, progress)
     return find_delay(proximity, tactile)
@@ -171,7 +171,7 @@ def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
     """
     _check_motion("proximity", proximity)
     _check_motion("tactile", tactile)
-    steps = round(LARGEST_DELAY_S / _DELAY_STEP_S)
+    steps = round(MAX_DELAY_S / _DELAY_STEP_S)
     delays: Float64Array = _DELAY_STEP_S * np.arange(-steps, steps + 1, dtype=np.float64)
     regressors, shifted = _resample(proximity, tactile, delays)
     curve = _correlate(regressors, shifted)
@@ -189,7 +189,7 @@ def find_delay(proximity: MotionSeries, tactile: MotionSeries) -> Skew:
 
 def _check_motion(camera: str, series: MotionSeries) -> None:
     """Raise if a series has too little motion."""
-    way, needed = series.way_m, max(LEAST_WAY_M, _MIN_NOISE_RATIO * series.noise_m)
+    way, needed = series.way_m, max(MIN_MOTION_M, _MIN_NOISE_RATIO * series.noise_m)
     if not way >= needed:
         raise SkewError(
             f"the {camera} camera sees too little motion, {1e3 * way:.1f} mm where {1e3 * needed:.0f} mm are needed; "
@@ -233,7 +233,7 @@ def _resample(
 def _stretches(proximity: MotionSeries, tactile: MotionSeries) -> list[slice]:
     """Split where time runs backwards (a recording restarts) or a gap is too long."""
     steps = np.stack([np.diff(proximity.time_s), np.diff(tactile.time_s)])
-    breaks = np.flatnonzero(((steps <= 0) | (steps > LARGEST_GAP_S)).any(axis=0)) + 1
+    breaks = np.flatnonzero(((steps <= 0) | (steps > MAX_GAP_S)).any(axis=0)) + 1
     ends = [0, *breaks.tolist(), len(proximity.time_s)]
     return [slice(first, last) for first, last in pairwise(ends)]
 
@@ -279,7 +279,7 @@ def _check_peak(delays: Float64Array, curve: Float64Array) -> int:
         )
     if best in (known[0], known[-1]):
         raise SkewError(
-            f"no peak lies within ±{1e3 * LARGEST_DELAY_S:.0f} ms; check that both cameras use global time, "
+            f"no peak lies within ±{1e3 * MAX_DELAY_S:.0f} ms; check that both cameras use global time, "
             "and measure again"
         )
     other = _other_peak(curve, best)

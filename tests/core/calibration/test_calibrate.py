@@ -10,7 +10,7 @@ from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration import Correspondence, calibrate
 from tactune.core.calibration.quality import patch_effect
 from tactune.core.calibration.report import place_name
-from tactune.core.calibration.rigid import LEAST_POINTS
+from tactune.core.calibration.rigid import MIN_POINTS
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
 from tactune.core.preset import Preset
@@ -58,7 +58,7 @@ def test_clicks_in_colour_reach_the_homography_through_the_extrinsic(rig):
 
 
 def test_four_points_never_show_a_residual_of_zero_as_quality(rig):
-    report = calibrate(clicked(rig, LEAST_POINTS), rig, "homography")
+    report = calibrate(clicked(rig, MIN_POINTS), rig, "homography")
     quality = report.quality["homography"]
     assert quality.rms_px is quality.worst_px is quality.cross_validated_px is quality.click_noise_px is None
     assert report.to_json()["rms_px"] is None
