@@ -56,7 +56,7 @@ STAGE_OF: Final = {
 
 @dataclass(frozen=True)
 class Request:
-    """What a person asks of a sweep; as `make_plan` takes it.
+    """What a sweep is asked to do; the argument of `make_plan`.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class Request:
     seeds : int
         Choices of noise for each simulated source.
     sample : int or None
-        Take so many combinations instead of all.
+        Draw this number of combinations instead of all.
     sample_seed : int
     untouched : SensorFrame or None
         The preset's own untouched membrane, for methods that compare with one; without it the sources'.
@@ -161,7 +161,7 @@ class Plan:
         return all(clip.has_truth for clip in self.clips)
 
     def batches(self, done: Callable[[str], bool], workers: int) -> Iterator[Batch]:
-        """Part the runs that are not done into pieces of work, each over one clip."""
+        """Split the runs that are not done into batches, each over one clip."""
         for number, clip in enumerate(self.clips):
             of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
             waiting = [run for run in of_take if not done(run.key)]

@@ -95,7 +95,7 @@ class Journal:
         self._results |= fresh
 
     def read(self) -> None:
-        """Read the file anew, such as after an interrupted `add`.
+        """Read the file again, such as after an interrupted `add`.
 
         Raises
         ------

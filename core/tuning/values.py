@@ -198,7 +198,7 @@ def grid(axes: Sequence[Axis], base: Preset) -> Iterator[dict[str, Any]]:
 
 
 def sample(axes: Sequence[Axis], base: Preset, count: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield so many combinations that cover every axis evenly: a Latin hypercube."""
+    """Yield ``count`` combinations that cover every axis evenly: a Latin hypercube."""
     from scipy.stats import qmc
 
     if not axes:

@@ -125,7 +125,7 @@ class Cluster:
     def run(self, batches: Iterable[Batch], waiting: Callable[[], None] = lambda: None) -> Iterator[list[Result]]:
         """Yield the results of each batch as it is done, in any order and each once.
 
-        What a worker had begun when it died is begun anew on another one. To cancel, close the iterator.
+        A batch whose worker died is repeated on another one. To cancel, close the iterator.
 
         Parameters
         ----------

@@ -1,11 +1,11 @@
-"""Where contact ends: there the membrane leaves the object, as its tension and the pressure make it.
+"""The edge of contact from the equilibrium of tension and pressure in the membrane.
 
-A free membrane of tension T under the pressure p bulges by p / T (Young and Laplace), twice its mean curvature. Between
-it and an object that bulges by k there is a gap g, whose second derivatives on the surface add up to p / T - k. Where
-the object touches, g is 0, and nowhere is it negative: an obstacle problem, as in Kinderlehrer and Stampacchia 1980,
-"An Introduction to Variational Inequalities and Their Applications", chapter 1. The proximity camera tells k, the
-tactile camera p / T, and both their depths the gap, with noise and a bias that is another one in each part of the
-image. The solution is drawn to what is measured; the bias is that with which it comes nearest.
+A free membrane of tension T under the pressure p has twice the mean curvature p / T (Young-Laplace). For an object of
+curvature k, the gap g between membrane and object satisfies laplacian(g) = p / T - k on the surface. In contact g is
+0, and g is never negative: an obstacle problem (Kinderlehrer and Stampacchia, "An Introduction to Variational
+Inequalities and Their Applications", 1980, chapter 1). The proximity camera measures k, the tactile camera p / T, and
+both depths measure the gap, with noise and a bias that varies over the image. The solution is regularised towards the
+measured gaps; the bias of each group is the one with the smallest misfit.
 """
 
 from __future__ import annotations
@@ -25,52 +25,52 @@ from ..kernels import membrane as kernels
 from .gaps import Gaps
 from .press import Pressed, with_nearest
 
-#: Over so many cells of two by two pixels the object's shape is averaged, sigma.
+#: Sigma with which the object's shape is averaged, grid cells of two by two pixels.
 _SHAPE_CELLS: Final = 2.0
-#: Share of such a window that must be usable for the curvature, and for the slope.
-_LEAST_SHARE, _LEAST_SHARE_OF_SLOPE = np.float32(0.5), np.float32(0.05)
-#: How far the object's curvature is carried on to where it is not known, cells.
+#: Usable share of that window needed for the curvature, and for the slope.
+_MIN_SHARE, _MIN_SHARE_OF_SLOPE = np.float32(0.5), np.float32(0.05)
+#: How far the object's curvature is extrapolated, grid cells.
 _REACH_CELLS: Final = 8.0
-#: The gap is solved for where it is at most so many times the largest gap of what is near; cells at the border of what
-#: is known are held at what is measured from the largest gap itself on.
-_FARTHEST: Final = 2.5
-#: Over this length what is measured draws the gap to it, metres.
+#: The gap is solved for where it is below this multiple of the preset's largest gap. Cells at the border of the known
+#: region are fixed at the measured gap if that is above the largest gap.
+_MAX_GAP_RATIO: Final = 2.5
+#: Length over which the solution follows the measured gap, metres.
 _TRUST_M: Final = 0.008
-#: The least by which the membrane is pushed against the object, 1/m; a flat one is pushed by p / T, some 10/m.
-_LEAST_PUSH: Final = 5.0
-#: A larger gap is none of contact, metres; and how exactly it is solved for.
+#: Lower limit of p / T - k, 1/m; for a flat object it is p / T, about 10/m.
+_MIN_PUSH: Final = 5.0
+#: Largest gap in contact, metres, and the accuracy of the solution.
 _TOUCHING_M: Final = 5e-5
 _EXACT_M: Final = 2e-5
 _RELAXATION: Final = balance_kernels.Relaxation(np.float32(1.6), np.float32(_EXACT_M), 300)
-#: Biases are tried up to the largest believed, so far apart, metres; those with fewer cells of contact are left out. No
-#: larger one is sought in any case.
+#: Step between the biases that are tried, metres; the fewest cells in contact for a bias to count; and the upper limit
+#: of the bias whatever the preset says, metres.
 _BIAS_STEP_M: Final = 0.0003
-_FEWEST_TOUCHING: Final = 6
-_LARGEST_BIAS_M: Final = 0.003
-#: A larger group of contact of which nothing is left was no speck, and stays, pixels.
+_MIN_TOUCHING: Final = 6
+_MAX_BIAS_M: Final = 0.003
+#: A group that would vanish is kept if it is larger than this, pixels.
 _SPECK_PX: Final = 80
 
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """Squares of two by two pixels, with what the balance needs; images are (H, W).
+    """Grid cells of two by two pixels, with what the equilibrium needs; images are (H, W).
 
     Attributes
     ----------
     measured_m : float32
-        Gap along the normal, free of the bias that prints tell.
+        Gap along the normal, corrected for the bias measured on prints.
     smooth_m : float32
         Its local mean.
     weight : float32
-        Share of the pixels that tell it.
+        Share of usable pixels.
     known : bool
         Whether there is a local mean.
     push_per_m : float32
-        How much less the object bulges than the free membrane.
+        p / T - k: curvature of the free membrane less that of the object.
     sides_m : float32, shape (2, H, W)
         Length along the surface to the right and down.
     facing : float32
-        Share of a difference along the ray that is along the normal.
+        Ratio of a gap along the normal to the difference along the ray.
     """
 
     measured_m: Float32Array
@@ -83,9 +83,9 @@ class Cells:
 
 
 def balanced_contact(pressed: Pressed, gaps: Gaps, section: MembraneSection, rig: Rig) -> BoolArray:
-    """Return contact without the pixels at which a membrane in balance has left the object.
+    """Return contact without the pixels where a membrane in equilibrium has left the object.
 
-    Specks of which nothing would be left go; larger groups stay, and the only ones do.
+    Small groups that would vanish are removed. Larger ones are kept, and so is contact that would vanish altogether.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def balanced_contact(pressed: Pressed, gaps: Gaps, section: MembraneSection, rig
 
 
 def cells_of(gaps: Gaps, free_per_m: float, section: MembraneSection, rig: Rig) -> Cells:
-    """Average over squares of two by two pixels and measure the object's shape.
+    """Return the grid cells: averages over two by two pixels, and the object's shape.
 
     Parameters
     ----------
@@ -132,9 +132,9 @@ def cells_of(gaps: Gaps, free_per_m: float, section: MembraneSection, rig: Rig) 
     )
     points = np.stack([x, y, z]) / np.maximum(share, np.float32(1e-6))
     bulge, sides, facing = np.empty_like(weight), np.empty((2, *weight.shape), np.float32), np.empty_like(weight)
-    kernels.bulges(points, share, _LEAST_SHARE, bulge)
+    kernels.bulges(points, share, _MIN_SHARE, bulge)
     flat_m = 2 / camera.fx, 2 / camera.fy
-    balance_kernels.measure_cells(points, share, _LEAST_SHARE_OF_SLOPE, flat_m, section.slope, sides, facing)
+    balance_kernels.measure_cells(points, share, _MIN_SHARE_OF_SLOPE, flat_m, section.slope, sides, facing)
     bias_m = gaps.differences.print_bias_m if section.bias_m > 0 else 0.0
     push = np.nan_to_num(np.float32(free_per_m) - with_nearest(bulge, _REACH_CELLS), nan=free_per_m)
     return Cells(
@@ -142,14 +142,14 @@ def cells_of(gaps: Gaps, free_per_m: float, section: MembraneSection, rig: Rig) 
         gap + np.float32(gaps.bias_m - bias_m) * facing,
         weight,
         seen > 0,
-        np.maximum(push, np.float32(_LEAST_PUSH)),
+        np.maximum(push, np.float32(_MIN_PUSH)),
         sides,
         facing,
     )
 
 
 def _framed(cells: Cells) -> Cells:
-    """Return the same with a frame of unknown cells about it, so that those at the border are solved for, too."""
+    """Return the cells padded by one unknown cell, so that those at the border are solved for as well."""
 
     def framed(image: AnyArray) -> AnyArray:
         return np.pad(image, [(0, 0)] * (image.ndim - 2) + [(1, 1)] * 2, mode="edge")
@@ -160,7 +160,7 @@ def _framed(cells: Cells) -> Cells:
 
 
 def left_cells(cells: Cells, firm: BoolArray, section: MembraneSection) -> BoolArray:
-    """Return the cells that the membrane has left, in groups of cells with a small gap that are firm contact in part.
+    """Return the cells that the membrane has left, in groups with a small gap that contain firm contact.
 
     Parameters
     ----------
@@ -174,7 +174,7 @@ def left_cells(cells: Cells, firm: BoolArray, section: MembraneSection) -> BoolA
         return np.zeros_like(firm[1:-1, 1:-1])
     balance = _Balance(cells, inside, firm, groups)
     biases = _biases_of_groups(balance, int(groups.max()) + 1, section.bias_m)
-    # cells beside a group, which are held at what is measured, have its bias
+    # cells next to a group, which are fixed at the measured gap, have its bias
     groups = cv2.dilate(groups.astype(np.float32), np.ones((3, 3), np.uint8)).astype(np.int32)
     told = ~np.isnan(biases)
     gap = balance.gaps(np.where(told, biases, np.float32(0))[groups])
@@ -183,10 +183,10 @@ def left_cells(cells: Cells, firm: BoolArray, section: MembraneSection) -> BoolA
 
 
 def _inside(cells: Cells, firm: BoolArray, gap_m: float) -> tuple[BoolArray, Int32Array]:
-    """Return the cells whose gap is solved for, and the number of each one's group, 0 for none."""
+    """Return the cells whose gap is solved for, and the number of each cell's group; 0 for none."""
     import cv2
 
-    inside = cells.known & (cells.smooth_m < np.float32(_FARTHEST * gap_m))
+    inside = cells.known & (cells.smooth_m < np.float32(_MAX_GAP_RATIO * gap_m))
     rim = cv2.erode(cells.known.view(np.uint8), np.ones((3, 3), np.uint8)) == 0
     inside &= ~(rim & (cells.smooth_m > np.float32(gap_m)))
     count, groups = cv2.connectedComponents(inside.view(np.uint8))
@@ -215,7 +215,7 @@ class _Balance:
         self.measured_along_ray_m = measured * self.along_ray
 
     def gaps(self, bias_m: Float32Array | np.float32, start: Float32Array | None = None) -> Float32Array:
-        """Return the gap of all cells with a bias, one or one for each cell; where it is not solved for, the mean."""
+        """Return the gap of all cells for one bias or one per cell; the mean gap where it is not solved for."""
         cells, shift = self._cells, bias_m * self._cells.facing
         loads = self._links[4] * (self._measured_m - shift.reshape(-1)[self.places]) - self._load
         gaps = np.maximum(cells.smooth_m - shift, np.float32(0))
@@ -225,13 +225,13 @@ class _Balance:
         return gaps
 
 
-def _biases_of_groups(balance: _Balance, count: int, most_m: float) -> Float32Array:
-    """Return the bias of each group with which its gaps come nearest to what is measured; nan where none is told.
+def _biases_of_groups(balance: _Balance, count: int, max_bias_m: float) -> Float32Array:
+    """Return the bias of each group with the smallest misfit to the measured gaps; nan if there is none.
 
-    From the largest bias down, until the misfit of every group grows or it touches nowhere any more.
+    Tries biases from the largest down, until the misfit of every group grows or no group touches.
     """
-    most_m = min(most_m, _LARGEST_BIAS_M)
-    tried = np.linspace(most_m, -most_m, 2 * math.ceil(most_m / _BIAS_STEP_M) + 1).astype(np.float32)
+    max_bias_m = min(max_bias_m, _MAX_BIAS_M)
+    tried = np.linspace(max_bias_m, -max_bias_m, 2 * math.ceil(max_bias_m / _BIAS_STEP_M) + 1).astype(np.float32)
     misfits = np.full((len(tried), count), np.inf)
     gap = None
     for i, bias_m in enumerate(tried):
@@ -241,14 +241,14 @@ def _biases_of_groups(balance: _Balance, count: int, most_m: float) -> Float32Ar
             gap.reshape(-1)[balance.places], balance.along_ray, balance.measured_along_ray_m - bias_m, balance.weight,
             balance.groups, balance.firm, misfit, touching,
         )  # fmt: skip
-        misfits[i] = np.where(touching >= _FEWEST_TOUCHING, misfit, np.inf)
+        misfits[i] = np.where(touching >= _MIN_TOUCHING, misfit, np.inf)
         if i > 0 and (np.isinf(misfits[i]) | (misfits[i] > misfits[i - 1])).all():
             break
     return lowest(tried, misfits)
 
 
 def lowest(tried: Float32Array, misfits: Float64Array) -> Float32Array:
-    """Return where each column is lowest, by the parabola through its least value and the two beside it.
+    """Return the minimum of each column, by a parabola through its smallest value and the two neighbours.
 
     Parameters
     ----------
@@ -259,24 +259,24 @@ def lowest(tried: Float32Array, misfits: Float64Array) -> Float32Array:
     Returns
     -------
     float32, shape (M,)
-        nan where no value is finite.
+        nan if no value is finite.
     """
     best = misfits.argmin(axis=0)
     columns = np.arange(misfits.shape[1])
     found = np.where(np.isfinite(misfits[best, columns]), tried[best], np.float32(np.nan))
     if len(tried) < 3:
         return found
-    middle = np.clip(best, 1, len(tried) - 2)
-    before, here, after = (misfits[middle + step, columns] for step in (-1, 0, 1))
+    centre = np.clip(best, 1, len(tried) - 2)
+    before, here, after = (misfits[centre + step, columns] for step in (-1, 0, 1))
     with np.errstate(invalid="ignore", divide="ignore"):
         bend = before - 2 * here + after
         shift = (before - after) / (2 * bend) * (tried[1] - tried[0])
-    told = (best == middle) & np.isfinite(shift) & (bend > 0)
+    told = (best == centre) & np.isfinite(shift) & (bend > 0)
     return np.where(told, found + shift.astype(np.float32), found)
 
 
 def _halved(image: BoolArray) -> BoolArray:
-    """Return which cells of two by two pixels are set in at least half."""
+    """Return which grid cells of two by two pixels have at least two pixels set."""
     height, width = (side // 2 * 2 for side in image.shape)
     pixels = image[:height, :width].view(np.uint8)
     count = pixels[::2, ::2] + pixels[::2, 1::2] + pixels[1::2, ::2] + pixels[1::2, 1::2]
@@ -284,6 +284,6 @@ def _halved(image: BoolArray) -> BoolArray:
 
 
 def _doubled(cells: BoolArray, shape: tuple[int, ...]) -> BoolArray:
-    """Return an image of pixels from one of cells; a last odd row or column is that before it."""
+    """Return an image of pixels from one of grid cells; a last odd row or column repeats the one before."""
     image = np.pad(cells, ((0, shape[0] % 2), (0, shape[1] % 2)), mode="edge")
     return image.repeat(2, axis=0).repeat(2, axis=1)[: shape[0], : shape[1]]
