@@ -52,7 +52,7 @@ _ENDS: Final = {".ply": rb"^end_header\s*?\n", ".pcd": rb"^DATA ascii\s*?\n"}
 
 
 def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud:
-    """Return a patch's points with what is known of each.
+    """Return a patch's points with their colours and attributes.
 
     Parameters
     ----------
@@ -142,7 +142,7 @@ def _format(path: Path, error: type[Exception]) -> tuple[Callable[[Path, Columns
 
 
 def _columns(path: Path, cloud: PointCloud) -> Columns:
-    """Lay a cloud out column by column, checked."""
+    """Return the columns of a cloud, checked."""
     columns: Columns = dict(zip(_XYZ, np.asarray(cloud.points, np.float32).T, strict=True))
     if cloud.colors is not None:
         columns |= zip(_RGB, np.asarray(cloud.colors, np.uint8).T, strict=True)
@@ -159,7 +159,7 @@ def _columns(path: Path, cloud: PointCloud) -> Columns:
 
 
 def _records(path: Path, columns: Columns) -> npt.NDArray[np.void]:
-    """Interleave the columns, one packed little-endian record a point."""
+    """Return one packed little-endian record for each point."""
     for name, values in columns.items():
         if values.dtype.newbyteorder("<") not in _PLY_NAMES:
             raise ExportError(
@@ -240,7 +240,7 @@ def _read_pcd(path: Path) -> Columns:
 
 
 def _pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[str]]:
-    """Return the words of each line of a PCD header by the line's first one.
+    """Return the words of each line of a PCD header, by the line's first word.
 
     Raises
     ------
@@ -254,7 +254,7 @@ def _pcd_header(lines: Sequence[str], needed: Sequence[str]) -> dict[str, list[s
 
 
 def _whole_number(words: Sequence[str], what: str) -> int:
-    """Return the number that the first word of a header is.
+    """Return the first word of a header as a whole number.
 
     Raises
     ------

@@ -40,29 +40,29 @@ from ..sources.mcap.messages import (
 )
 from .bag import Bag, Buffer, Message
 
-#: Frames wait in no more memory than this: about two seconds of a full rig.
+#: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20
 
-#: How much a power failure may cost; a killed process costs at most the frames that wait.
+#: Time between two writes to the disk, which a power failure may lose; a killed process loses the queue only.
 _SYNC_EVERY_S = 2.0
 
 
 @dataclass(frozen=True)
 class RecordingStatus:
-    """How a recording is doing.
+    """State of a recording.
 
     Attributes
     ----------
     frames : int
         Frames in the file.
     dropped : int
-        Frames that found no room in the queue or came after an error.
+        Frames that found the queue full or came after an error.
     bytes : int
         Size of the file.
     seconds : float
         Length of the recording, as a player shows it.
     error : str
-        A sentence for the person; empty while all is well.
+        A sentence for the user; empty where there is no problem.
     """
 
     path: Path
@@ -76,9 +76,9 @@ class RecordingStatus:
 class SessionWriter:
     """Writes frames to a ROS 2 bag in MCAP, as `tactune.core.sources.mcap.messages` describes it.
 
-    A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, given to
-    the operating system whole, so a killed process loses the frames that were still waiting and
-    nothing else. Where the disk refuses, the file is finished with the frames that it has.
+    A thread serialises, compresses and writes; `put` only queues. One frame is one chunk, written at
+    once, so a killed process loses the frames in the queue only. Where the disk is full, the file keeps the frames that
+    it has.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ class SessionWriter:
     untouched : SensorFrame, optional
         A frame of the untouched membrane, kept in the file.
     queue_bytes : int
-        How much memory the frames that wait may take; one frame may always wait.
+        Memory limit of the queue, bytes; one frame is always accepted.
 
     Raises
     ------
@@ -154,7 +154,7 @@ class SessionWriter:
         return True
 
     def status(self) -> RecordingStatus:
-        """Return how far the recording is, at any time."""
+        """Return the state of the recording."""
         with self._changed:
             return RecordingStatus(
                 path=self._bag.path,
@@ -166,7 +166,7 @@ class SessionWriter:
             )
 
     def close(self) -> RecordingStatus:
-        """Write the frames that wait, finish the file and return how it ended; twice is harmless.
+        """Write the queued frames, finish the file and return its state; twice is harmless.
 
         A file without any frame is removed, and the status says so.
         """
@@ -193,7 +193,7 @@ class SessionWriter:
         return topics
 
     def _check(self, frame: SensorFrame) -> int:
-        """Refuse a frame that could not be written, and return its size in bytes."""
+        """Check that a frame can be written, and return its size in bytes."""
         if not (math.isfinite(frame.proximity_time_s) and math.isfinite(frame.tactile_time_s)):
             raise FrameError(f"frame {frame.sequence}: its time stamps are not finite; it cannot be recorded")
         size = 0
@@ -207,7 +207,7 @@ class SessionWriter:
 
     def _run(self) -> None:
         self._attempt(self._write_frames)
-        with self._changed:  # after an error, what waits is never written
+        with self._changed:  # after an error the queue is not written
             self._dropped += self._accepted - self._frames
             self._queue.clear()
             self._changed.notify_all()
@@ -216,7 +216,7 @@ class SessionWriter:
             self._fail(f"no frame arrived for {self._bag.path}, so there is no file; check the source")
 
     def _attempt(self, step: Callable[[], None]) -> None:
-        """Do a step and keep what goes wrong for `status`: a thread has nobody to raise to."""
+        """Do a step and keep its error for `status`: nobody can catch an exception of this thread."""
         try:
             step()
         except TactuneError as error:
@@ -225,7 +225,7 @@ class SessionWriter:
             self._fail(f"cannot continue writing {self._bag.path} ({type(error).__name__}: {error})")
 
     def _fail(self, reason: str) -> None:
-        """Keep the first thing that went wrong."""
+        """Keep the first error."""
         with self._changed:
             self._error = self._error or reason
             self._changed.notify_all()

@@ -1,4 +1,4 @@
-"""Where frames come from: the simulator, folders of images, RealSense bags."""
+"""Sources of frames: simulator, folders, recordings, live cameras, and those of other packages."""
 
 from .base import FrameSource, Health, SeekableSource
 

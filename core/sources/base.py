@@ -1,4 +1,4 @@
-"""The one interface through which frames reach the pipeline, whatever they come from."""
+"""The interface of every source of frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ..model.frames import Rig, SensorFrame
 if TYPE_CHECKING:
     from ..preset import Preset
 
-#: Told the share of a long task that is done, 0 to 1, and what is being done.
+#: Called with the fraction done of a long task, 0 to 1, and the current step.
 Progress = Callable[[float, str], None]
 
 
@@ -23,7 +23,7 @@ CameraRole = Literal["proximity", "tactile"]
 
 @dataclass(frozen=True)
 class CameraHealth:
-    """How one camera of a live source is doing; ``message`` is a sentence for the person."""
+    """State of one camera of a live source; ``message`` is a sentence for the user."""
 
     role: CameraRole
     state: Literal["streaming", "stalled", "missing"]
@@ -34,20 +34,20 @@ class CameraHealth:
 
 @dataclass(frozen=True)
 class Health:
-    """How a source is doing, in words that can be shown as they are.
+    """State of a source; messages can be shown unchanged.
 
     Attributes
     ----------
     message : str
-        Empty while all is well.
+        Empty where there is no problem.
     dropped : int
-        Frames lost before they got here.
+        Frames lost before they were read.
     stale : bool
-        The last frame is old: what it shows is no longer what the cameras see.
+        The last frame is old and does not show what the cameras see now.
     cameras : tuple of CameraHealth
         One for each camera of a live source, empty for recordings.
     unmatched : int
-        Images for which the other camera had no partner in time.
+        Images without an image of the other camera at the same time.
     """
 
     ok: bool = True
@@ -87,7 +87,7 @@ class FrameSource(ABC):
     a recording: the caller decides how fast to play. Sources are context managers.
     """
 
-    #: How the source was asked for, such as ``"sim:cup"`` or ``"folder:/data/scene"``.
+    #: Name by which the source was opened, such as ``"sim:cup"`` or ``"folder:/data/scene"``.
     name: str
 
     @property
@@ -121,7 +121,7 @@ class FrameSource(ABC):
         """
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until `next_frame` will not block, and return whether it will not.
+        """Wait until `next_frame` will not block; return whether that is so.
 
         A recording is always ready; a live source waits for a frame, at most ``timeout_s``. Callers
         that have other things to do ask this before `next_frame`.
@@ -143,7 +143,7 @@ class FrameSource(ABC):
         raise SourceError(f"{self.name}: there is no {camera} camera with an option {name!r}")
 
     def seek(self, index: int) -> None:
-        """Make frame ``index`` (from 0) the next one; clamps nothing.
+        """Make frame ``index`` (from 0) the next one.
 
         Raises
         ------
@@ -167,7 +167,7 @@ class FrameSource(ABC):
         return None
 
     def health(self) -> Health:
-        """Report how the source is doing."""
+        """Return the state of the source."""
         return Health()
 
     def close(self) -> None:
