@@ -23,36 +23,36 @@ from .pipeline import ContactPipeline
 
 Progress = Callable[[float, str], None]
 
-#: What a person is told while they wait.
+#: The message while kernels are compiled.
 COMPILING: Final = "Compiling the pipeline for this computer; this happens once"
 
 _WIDTH, _HEIGHT = 96, 64
 
 
 def is_compiled() -> bool:
-    """Tell, without compiling anything, whether the largest kernels lie ready on the disk."""
+    """Return whether the largest kernels are compiled and cached on disk; compiles nothing."""
     largest = kernels.find_candidates, search_rows, search_points, color_lookup, find_differences, settle
     return all(map(is_kept, largest))
 
 
 def warm_up_if_needed(progress: Progress) -> None:
-    """Compile what the first frame would otherwise wait for; do nothing where that has been done."""
+    """Compile the kernels that the first frame would wait for, unless they are compiled."""
     if not is_compiled():
         warm_up(progress)
 
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
-    """Run everything that is compiled once, on a frame made up for that.
+    """Run every kernel once, on an artificial frame.
 
     Parameters
     ----------
     progress : callable
-        Told the share done, 0 to 1, and what is being done.
+        Called with the share done, 0 to 1, and a description of the work.
 
     Returns
     -------
     Compiled
-        How many kernels were compiled, how many came from the disk and where they are kept.
+        How many kernels were compiled, how many were loaded from disk, and where they are cached.
     """
     progress(0.05, COMPILING)
     rig, frame = _rig(), _frame()
@@ -105,7 +105,7 @@ def _frame() -> SensorFrame:
 
 
 def _bulging_frame() -> SensorFrame:
-    """Return a frame of a bulging membrane that is a little flattened where an object touches its middle."""
+    """Return a frame of a bulging membrane that is a little flattened where an object touches its centre."""
     v, u = np.mgrid[:_HEIGHT, :_WIDTH] - np.array([_HEIGHT, _WIDTH])[:, None, None] / 2
     square = np.maximum(u * u + v * v, 400.0)
     membrane = 3000 - square / 16

@@ -8,7 +8,7 @@ from enum import IntEnum
 class Provenance(IntEnum):
     """The verdict on one proximity pixel, in the order in which the tests are made.
 
-    RIM and NOT_PRESSED, of the membrane test only, stand at the end, so that the others keep their numbers.
+    RIM and NOT_PRESSED, used by the membrane test only, come last so that the numbers of the others stay the same.
     """
 
     NO_PROXIMITY_DEPTH = 0
@@ -45,5 +45,5 @@ _EXPLANATIONS = {
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
     Provenance.RIM: "Dropped: near the object, but the membrane is leaving it here; contact ends further in.",
-    Provenance.NOT_PRESSED: "Dropped: near the object, but the membrane bulges as it does where nothing touches it.",
+    Provenance.NOT_PRESSED: "Dropped: near the object, but the membrane is as curved as where nothing touches it.",
 }

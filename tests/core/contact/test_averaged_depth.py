@@ -26,9 +26,9 @@ def frames_of(make_frame, rig, count: int, noise_m: float = 0.0008, share_missin
 
 def test_the_mean_is_that_of_the_frames(make_frame, rig):
     frames = frames_of(make_frame, rig, 8, share_missing=0.0)
-    steady = AveragedDepth(rig, 10)
+    average = AveragedDepth(rig, 10)
     for frame in frames:
-        shown = steady.add(frame)
+        shown = average.add(frame)
     for name in ("proximity_depth", "tactile_depth"):
         mean = np.mean([getattr(frame, name).astype(float) for frame in frames], axis=0)
         assert np.abs(getattr(shown, name) - mean).max() <= 0.51
@@ -38,10 +38,10 @@ def test_the_mean_is_that_of_the_frames(make_frame, rig):
 def test_no_more_than_so_many_frames_weigh(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
     later = replace(still, tactile_depth=still.tactile_depth + np.uint16(3))  # 0.3 mm, below what counts as movement
-    steady = AveragedDepth(rig, 4)
+    average = AveragedDepth(rig, 4)
     for _ in range(50):
-        steady.add(still)
-    shown = [int(np.median(steady.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
+        average.add(still)
+    shown = [int(np.median(average.add(later).tactile_depth - still.tactile_depth.astype(int))) for _ in range(20)]
     assert shown[0] == 1
     assert shown[-1] == 3
 
@@ -49,9 +49,9 @@ def test_no_more_than_so_many_frames_weigh(make_frame, rig):
 def test_noise_fades_and_holes_are_filled(make_frame, rig):
     clean = make_frame(rig, 0, 0.0, 0.0).tactile_depth.astype(float)
     frames = frames_of(make_frame, rig, 10)
-    steady = AveragedDepth(rig, 10)
+    average = AveragedDepth(rig, 10)
     for frame in frames:
-        shown = steady.add(frame)
+        shown = average.add(frame)
     seen = (frames[-1].tactile_depth > 0) & (frames[-1].tactile_depth < 65535)
     before, after = (np.std((image - clean)[seen]) for image in (frames[-1].tactile_depth, shown.tactile_depth))
     assert after < 0.45 * before
@@ -60,27 +60,27 @@ def test_noise_fades_and_holes_are_filled(make_frame, rig):
 
 def test_where_the_membrane_moves_both_cameras_begin_anew(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = AveragedDepth(rig, 10)
+    average = AveragedDepth(rig, 10)
     for _ in range(5):
-        steady.add(still)
+        average.add(still)
     pressed = still.tactile_depth.copy()
     pressed[32:96, 32:96] -= np.uint16(12)  # 1.2 mm, in four squares
     nearer = still.proximity_depth - np.uint16(1)  # 0.25 mm, which alone would be averaged
     moved = replace(still, tactile_depth=pressed, proximity_depth=nearer)
-    shown = steady.add(moved)
+    shown = average.add(moved)
     np.testing.assert_array_equal(shown.tactile_depth, pressed)
     np.testing.assert_array_equal(shown.proximity_depth, nearer)
 
 
 def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = AveragedDepth(rig, 10)
+    average = AveragedDepth(rig, 10)
     for _ in range(5):
-        steady.add(replace(still, tactile_depth=still.tactile_depth + np.uint16(2)))
+        average.add(replace(still, tactile_depth=still.tactile_depth + np.uint16(2)))
     behind = still.proximity_depth.copy()
     behind[:32, :32] += np.uint16(8)  # 2 mm
     behind[70, 70] += np.uint16(100)  # one pixel
-    shown = steady.add(replace(still, proximity_depth=behind))
+    shown = average.add(replace(still, proximity_depth=behind))
     np.testing.assert_array_equal(shown.proximity_depth, behind)
     assert (shown.tactile_depth > still.tactile_depth).mean() > 0.99
 
@@ -88,19 +88,19 @@ def test_what_moves_behind_a_membrane_at_rest_begins_anew_by_itself(make_frame, 
 def test_a_pixel_that_is_lost_for_as_long_as_it_was_seen_has_no_depth(make_frame, rig):
     still = make_frame(rig, 0, 0.0, 0.0)
     blind = replace(still, tactile_depth=np.full_like(still.tactile_depth, 65535))
-    steady = AveragedDepth(rig, 3)
-    steady.add(still)
-    steady.add(still)
-    assert (steady.add(blind).tactile_depth > 0).all()
-    assert (steady.add(blind).tactile_depth == 0).all()
+    average = AveragedDepth(rig, 3)
+    average.add(still)
+    average.add(still)
+    assert (average.add(blind).tactile_depth > 0).all()
+    assert (average.add(blind).tactile_depth == 0).all()
 
 
 def test_the_pipeline_averages_only_where_asked_and_each_frame_once(make_frame, rig):
     frames = frames_of(make_frame, rig, 6)
     alone = ContactPipeline(AVERAGED.with_value("membrane.frames", 1), rig)
-    averaging, steady = ContactPipeline(AVERAGED, rig), AveragedDepth(rig, 10)
+    averaging, average = ContactPipeline(AVERAGED, rig), AveragedDepth(rig, 10)
     for frame in frames:
-        shown = steady.add(frame)
+        shown = average.add(frame)
         for _ in range(3):
             patch = averaging.process(frame)
         single = alone.process(frame)
@@ -169,11 +169,11 @@ def test_another_number_of_frames_keeps_what_is_remembered(make_frame, rig):
 def test_squares_cut_off_by_the_border_are_judged_too(make_rig, make_frame, width, height):
     rig = make_rig(width=width, height=height)
     still = make_frame(rig, 0, 0.0, 0.0)
-    steady = AveragedDepth(rig, 10)
-    steady.add(still)
+    average = AveragedDepth(rig, 10)
+    average.add(still)
     moved = still.tactile_depth.copy()
     moved[-8:, -8:] += np.uint16(30)  # 3 mm
-    shown = steady.add(replace(still, tactile_depth=moved))
+    shown = average.add(replace(still, tactile_depth=moved))
     np.testing.assert_array_equal(shown.tactile_depth, moved)
 
 
@@ -181,12 +181,12 @@ def test_what_moves_slowly_together_stays_together(make_frame, rig):
     """The difference of both depths tells contact, so one may not lag behind the other."""
     still = make_frame(rig, 0, 0.0, 0.0)
     nearer = replace(still, proximity_depth=(still.proximity_depth * 0.93).astype(np.uint16))
-    steady = AveragedDepth(rig, 15)
+    average = AveragedDepth(rig, 15)
     cameras = ("proximity_depth", rig.proximity.depth_unit_m), ("tactile_depth", rig.tactile.depth_unit_m)
     for step in range(60):
         way_m = 0.00005 * step
         moved = {name: np.rint(getattr(nearer, name) + way_m / unit_m).astype(np.uint16) for name, unit_m in cameras}
-        shown = steady.add(replace(still, **moved))
+        shown = average.add(replace(still, **moved))
         lags_m = [np.median(moved[name].astype(float) - getattr(shown, name)) * unit_m for name, unit_m in cameras]
         assert abs(lags_m[0] - lags_m[1]) < 0.0003
 
