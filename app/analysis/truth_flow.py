@@ -25,7 +25,7 @@ from .truth_work import (
     ScanContact,
     Scorer,
     Scores,
-    laid_on,
+    centered_on,
     loading,
     pivot_of,
     refining,
@@ -57,7 +57,7 @@ class TruthFlow(QObject):
         `scores`, or the reason why there are none, has changed.
     refinedChanged()
         `refinement` has changed.
-    said(key: str, severity: Severity, sentence: str)
+    message(key: str, severity: Severity, sentence: str)
         A message about one subject; an empty sentence removes the last one.
     loadProgress(share: float, words: str), refineProgress(share: float, words: str)
         A share of 1 or more, or below 0, means that it has ended.
@@ -67,7 +67,7 @@ class TruthFlow(QObject):
     patchChanged = pyqtSignal()
     scoresChanged = pyqtSignal()
     refinedChanged = pyqtSignal()
-    said = pyqtSignal(str, object, str)
+    message = pyqtSignal(str, object, str)
     loadProgress = pyqtSignal(float, str)
     refineProgress = pyqtSignal(float, str)
 
@@ -97,18 +97,18 @@ class TruthFlow(QObject):
 
     def _connect(self) -> None:
         self.session.changed.connect(self._state_changed)
-        self.session.refused.connect(lambda sentence: self.said.emit("pose", Severity.WARNING, sentence))
-        self.keeper.failed.connect(lambda sentence: self.said.emit("keeping", Severity.WARNING, sentence))
+        self.session.refused.connect(lambda sentence: self.message.emit("pose", Severity.WARNING, sentence))
+        self.keeper.failed.connect(lambda sentence: self.message.emit("keeping", Severity.WARNING, sentence))
         self._loading.progress.connect(self.loadProgress)
         self._loading.done.connect(self._scan_read)
         self._loading.failed.connect(self._scan_failed)
         self._finding.done.connect(self._contact_found)
-        self._finding.failed.connect(lambda sentence: self.said.emit("paint", Severity.ERROR, sentence))
+        self._finding.failed.connect(lambda sentence: self.message.emit("paint", Severity.ERROR, sentence))
         self._refining.progress.connect(self.refineProgress)
         self._refining.done.connect(self._refined)
         self._refining.failed.connect(self._refining_failed)
         self._scoring.done.connect(self._scored)
-        self._scoring.failed.connect(lambda sentence: self.said.emit("scores", Severity.WARNING, sentence))
+        self._scoring.failed.connect(lambda sentence: self.message.emit("scores", Severity.WARNING, sentence))
 
     @property
     def state(self) -> TruthState:
@@ -134,7 +134,7 @@ class TruthFlow(QObject):
 
     def open_scan(self, path: Path, unit: str) -> None:
         """Read a scan whose numbers are in a unit of `UNITS_M`; the current scan stays until that has succeeded."""
-        self.said.emit("scan", Severity.ERROR, "")
+        self.message.emit("scan", Severity.ERROR, "")
         self.loadProgress.emit(0.0, f"Reading {path.name}")
         self._loading.start(loading(path, UNITS_M[unit]))
 
@@ -147,21 +147,21 @@ class TruthFlow(QObject):
         self.loaded, self.contact = loaded, None
         self._wanted_paint = None
         self._forget_refinement()
-        kept_at = self.keeper.turn_to(loaded.key)
+        kept_at = self.keeper.switch_to(loaded.key)
         self.loadProgress.emit(1.0, "")
         taken_up = f"Your work on this scan of {kept_at:%d %B %Y, %H:%M} was restored." if kept_at else ""
-        self.said.emit("kept", Severity.INFO, taken_up)
+        self.message.emit("kept", Severity.INFO, taken_up)
         self.scanChanged.emit()
 
     def _scan_failed(self, sentence: str) -> None:
         self.loadProgress.emit(1.0, "")
-        self.said.emit("scan", Severity.ERROR, sentence)
+        self.message.emit("scan", Severity.ERROR, sentence)
 
     def _contact_found(self, contact: ScanContact) -> None:
         if contact.loaded is not self.loaded:
             return
         self.contact = contact
-        self.said.emit("paint", Severity.ERROR, "")
+        self.message.emit("paint", Severity.ERROR, "")
         self.scanChanged.emit()
         self._score_timer.start()
 
@@ -207,13 +207,13 @@ class TruthFlow(QObject):
         pose = self.state.pose
         return [] if pose is None else [1e3 * float(apart) for apart in pair_errors_m(pose, *self.state.matched)]
 
-    def lay_on(self) -> None:
+    def center_on_patch(self) -> None:
         """Move the scan's contact onto the patch without rotation, as a start for manual alignment."""
         patch = self.patch
         if self.contact is None or patch is None or not len(self.contact.points) or not len(patch.points):
-            self.said.emit("pose", Severity.WARNING, "The scan cannot be aligned: scan and patch need contact.")
+            self.message.emit("pose", Severity.WARNING, "The scan cannot be aligned: scan and patch need contact.")
             return
-        self.session.set_pose(laid_on(self.contact, patch.points), "hand", "Move the scan onto the patch", patch)
+        self.session.set_pose(centered_on(self.contact, patch.points), "hand", "Move the scan onto the patch", patch)
 
     def pivot(self) -> Float64Array | None:
         """Return the centre of rotation in the proximity frame; None without a pose."""
@@ -228,7 +228,7 @@ class TruthFlow(QObject):
         state, contact = self.state, self.contact
         if state.pose is None or contact is None or self.patch is None or self.busy_refining:
             return
-        self.said.emit("refine", Severity.WARNING, "")
+        self.message.emit("refine", Severity.WARNING, "")
         self.refineProgress.emit(0.0, "Refining")
         self._refined_on = self.patch
         self._refining.start(refining(contact, self.patch.points, state.pose, reach_m))
@@ -240,7 +240,7 @@ class TruthFlow(QObject):
     def _refined(self, refinement: Refinement) -> None:
         self.refineProgress.emit(1.0, "")
         if refinement.start != self.state.pose:
-            self.said.emit("refine", Severity.INFO, "The scan was moved, so its refinement was discarded.")
+            self.message.emit("refine", Severity.INFO, "The scan was moved, so its refinement was discarded.")
             return
         self.session.set_pose(refinement.found.T_proximity_scan, "ICP", "Refine by ICP", self._refined_on)
         self.refinement = refinement
@@ -248,7 +248,7 @@ class TruthFlow(QObject):
 
     def _refining_failed(self, sentence: str) -> None:
         self.refineProgress.emit(1.0, "")
-        self.said.emit("refine", Severity.WARNING, sentence and f"{sentence[0].upper()}{sentence[1:]}.")
+        self.message.emit("refine", Severity.WARNING, sentence and f"{sentence[0].upper()}{sentence[1:]}.")
 
     def _forget_refinement(self) -> None:
         if self.refinement is not None:
@@ -264,10 +264,10 @@ class TruthFlow(QObject):
         try:
             save_transform(path, self.state.pose)
         except TactuneError as error:
-            self.said.emit("file", Severity.ERROR, str(error))
+            self.message.emit("file", Severity.ERROR, str(error))
             return
         self._filed = path, self.state.pose
-        self.said.emit("file", Severity.INFO, f"The transform was written to {path}.")
+        self.message.emit("file", Severity.INFO, f"The transform was written to {path}.")
         self.scoresChanged.emit()
 
     def load_transform(self, path: Path) -> None:
@@ -275,9 +275,9 @@ class TruthFlow(QObject):
         try:
             pose = load_transform(path)
         except TactuneError as error:
-            self.said.emit("file", Severity.ERROR, str(error))
+            self.message.emit("file", Severity.ERROR, str(error))
             return
-        self.said.emit("file", Severity.ERROR, "")
+        self.message.emit("file", Severity.ERROR, "")
         self.session.set_pose(pose, "file", f"Load {path.name}", self.patch)
 
     def command(self) -> str:
@@ -319,7 +319,7 @@ class TruthFlow(QObject):
         self._scoring.start(self._scorer.scoring(contact, patch.points, patch.area_mm2, pose))
 
     def _scored(self, scores: Scores) -> None:
-        self.said.emit("scores", Severity.WARNING, "")
+        self.message.emit("scores", Severity.WARNING, "")
         self.scores = scores if scores.pose == self.state.pose else None
         self.scoresChanged.emit()
 

@@ -243,7 +243,7 @@ class AlignPanel(CollapsibleSection):
     selectionChanged(number: int)
         Index of the selected pair, -1 for none.
     removeRequested(number: int), clearRequested()
-    layRequested()
+    centerRequested()
     poseEdited(pose: float64 (4, 4), gesture: int)
     refineRequested(reach_m: float), cancelRequested()
     """
@@ -251,7 +251,7 @@ class AlignPanel(CollapsibleSection):
     selectionChanged = pyqtSignal(int)
     removeRequested = pyqtSignal(int)
     clearRequested = pyqtSignal()
-    layRequested = pyqtSignal()
+    centerRequested = pyqtSignal()
     poseEdited = pyqtSignal(object, int)
     refineRequested = pyqtSignal(float)
     cancelRequested = pyqtSignal()
@@ -263,7 +263,7 @@ class AlignPanel(CollapsibleSection):
         self.table = QTableWidget(0, 2)
         self.remove = QPushButton("&Delete pair")
         self.clear = QPushButton("Delete all")
-        self.lay = QPushButton("&Move onto patch")
+        self.center = QPushButton("&Move onto patch")
         self.places = [NumberEntry(_place_spec(axis)) for axis in _AXES]
         self.turns = [NumberEntry(_turn_spec(name, axis)) for name, axis in zip(_TURNS, _AXES, strict=True)]
         self.reach = NumberEntry(_REACH)
@@ -297,7 +297,7 @@ class AlignPanel(CollapsibleSection):
     def _lay_out(self) -> None:
         self.remove.setToolTip("Delete the selected pair (Del) and fit the rest again")
         self.clear.setToolTip("Delete all pairs; the scan is not moved")
-        self.lay.setToolTip("Move the centre of the scan's contact to the patch's, as a start without pairs")
+        self.center.setToolTip("Move the centre of the scan's contact to the patch's, as a start without pairs")
         self.refine.setToolTip("Refine the pose by iterative closest points (ICP), starting from the current pose")
         self.cancel.setToolTip("Cancel the refinement; the scan is not moved")
         self.outcome.setWordWrap(True)
@@ -305,7 +305,7 @@ class AlignPanel(CollapsibleSection):
         for entry in (*self.places, *self.turns):
             entry.setMinimumWidth(entry.minimumSizeHint().width())
         buttons = QHBoxLayout()
-        for button in (self.remove, self.clear, self.lay):
+        for button in (self.remove, self.clear, self.center):
             button.setAutoDefault(False)
             buttons.addWidget(button)
         numbers = QGridLayout()
@@ -345,7 +345,7 @@ class AlignPanel(CollapsibleSection):
         delete.setContext(Qt.ShortcutContext.WidgetShortcut)
         delete.activated.connect(self.remove.click)
         self.clear.clicked.connect(self.clearRequested)
-        self.lay.clicked.connect(self.layRequested)
+        self.center.clicked.connect(self.centerRequested)
         self.refine.clicked.connect(lambda: self.refineRequested.emit(float(self.reach.value())))
         self.cancel.clicked.connect(self.cancelRequested)
         for entry in (*self.places, *self.turns):

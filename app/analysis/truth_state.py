@@ -256,7 +256,7 @@ class TruthKeeper(KeptState[TruthState]):
         """Return the session's state."""
         return self._session.state
 
-    def turn_to(self, key: str) -> datetime | None:
+    def switch_to(self, key: str) -> datetime | None:
         """Save the current scan's work and restore another's. Return when that was saved, or None if there is none."""
         self.flush()
         if self._key:

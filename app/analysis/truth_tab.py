@@ -180,7 +180,7 @@ class TruthTab(AnalysisTab):
         flow.patchChanged.connect(self._show_patch)
         flow.scoresChanged.connect(self._show_scores)
         flow.refinedChanged.connect(lambda: self.align.show_refinement(flow.refinement))
-        flow.said.connect(self.messages.state)
+        flow.message.connect(self.messages.state)
         flow.loadProgress.connect(self._show_load_progress)
         flow.refineProgress.connect(self._show_refine_progress)
         self.open_button.clicked.connect(self._ask_scan)
@@ -205,7 +205,7 @@ class TruthTab(AnalysisTab):
         align.selectionChanged.connect(self.views.set_selected)
         align.removeRequested.connect(session.remove)
         align.clearRequested.connect(session.remove_all)
-        align.layRequested.connect(flow.lay_on)
+        align.centerRequested.connect(flow.center_on_patch)
         align.poseEdited.connect(
             lambda pose, gesture: session.set_pose(pose, "hand", "Type the scan's path", flow.patch, gesture)
         )

@@ -169,7 +169,7 @@ class Scorer:
         return self._known[2]
 
 
-def laid_on(contact: ScanContact, patch: Float32Array) -> Float64Array:
+def centered_on(contact: ScanContact, patch: Float32Array) -> Float64Array:
     """Return a start pose that moves the centre of the scan's contact to the patch's centre: float64 (4, 4)."""
     pose = np.eye(4)
     pose[:3, 3] = patch.mean(axis=0, dtype=np.float64) - contact.points.mean(axis=0, dtype=np.float64)

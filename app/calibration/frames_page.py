@@ -145,7 +145,7 @@ class FramesPage(QWidget):
         self.play.clicked.connect(self._play_or_hold)
         self.seek.sliderMoved.connect(feed.seek)
         self.seek.actionTriggered.connect(lambda _: feed.seek(self.seek.sliderPosition()))
-        self.average.valueChanged.connect(lambda count: session.look(average=count))
+        self.average.valueChanged.connect(lambda count: session.set_display(average=count))
         self.take.clicked.connect(self.start)
         self.cancel.clicked.connect(collector.cancel)
         collector.progress.connect(self._show_progress)
@@ -268,7 +268,7 @@ class FramesPage(QWidget):
 
     def _chosen(self, item: QListWidgetItem | None, _: QListWidgetItem | None = None) -> None:
         if item is not None:
-            self._session.look(snapshot=item.data(Qt.ItemDataRole.UserRole))
+            self._session.set_display(snapshot=item.data(Qt.ItemDataRole.UserRole))
 
     def _remove(self) -> None:
         item = self.list.currentItem()

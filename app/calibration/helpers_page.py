@@ -299,8 +299,8 @@ class HelpersPage(QWidget):
     def _connect(self) -> None:
         session = self._session
         self.helpers.idClicked.connect(lambda _: self._helper_chosen())
-        self.snapshot.activated.connect(lambda _: session.look(snapshot=self.snapshot.currentData()))
-        self.search.clicked.connect(self.look)
+        self.snapshot.activated.connect(lambda _: session.set_display(snapshot=self.snapshot.currentData()))
+        self.search.clicked.connect(self.find_points)
         self.cancel.clicked.connect(self._job.cancel)
         self.accept.clicked.connect(self.accept_proposals)
         self.refuse.clicked.connect(lambda: self._take(Proposals((), "Refused; no pairs were added.")))
@@ -317,7 +317,7 @@ class HelpersPage(QWidget):
 
     # Actions
 
-    def look(self) -> None:
+    def find_points(self) -> None:
         """Search for points, on another thread."""
         state, rig, options = self._session.state, self._session.rig, self.options()
         chosen = state.snapshots if self.everywhere.isChecked() else tuple(filter(None, [state.snapshot]))

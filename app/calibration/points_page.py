@@ -131,11 +131,11 @@ class PointsPage(QWidget):
         self.table.enabledToggled.connect(lambda key, enabled: session.enable([key], enabled))
         self.table.selectionEdited.connect(self._row_selected)
         self.table.deleteRequested.connect(self._delete)
-        self.snapshot.activated.connect(lambda _: session.look(snapshot=self.snapshot.currentData()))
-        self.left_image.activated.connect(lambda _: session.look(proximity_image=self.left_image.currentData()))
-        self.right_image.activated.connect(lambda _: session.look(tactile_image=self.right_image.currentData()))
-        self.stretch.clicked.connect(lambda on: session.look(stretch=on))
-        self.snap.clicked.connect(lambda on: session.look(snap=on))
+        self.snapshot.activated.connect(lambda _: session.set_display(snapshot=self.snapshot.currentData()))
+        self.left_image.activated.connect(lambda _: session.set_display(proximity_image=self.left_image.currentData()))
+        self.right_image.activated.connect(lambda _: session.set_display(tactile_image=self.right_image.currentData()))
+        self.stretch.clicked.connect(lambda on: session.set_display(stretch=on))
+        self.snap.clicked.connect(lambda on: session.set_display(snap=on))
         self.link.toggled.connect(view.set_linked)
         self.loupe.toggled.connect(view.set_loupe_wanted)
         self.arrows.currentTextChanged.connect(self._show_arrows)
@@ -323,7 +323,7 @@ class PointsPage(QWidget):
         if not same_pixels(pair, image, self._session.rig):
             image = pair.proximity_image
         snapshot = pair.snapshot if state.snapshot_of(pair) is not None else state.choices.snapshot
-        self._session.look(snapshot=snapshot, proximity_image=image)
+        self._session.set_display(snapshot=snapshot, proximity_image=image)
         for side in SIDES:
             place = pair.place(side)
             if place is not None:

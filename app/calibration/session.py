@@ -183,7 +183,7 @@ class Session(History[SessionState]):
         """Change choices, as one step."""
         self.edit("Change a choice", self._state.with_choices(**values))
 
-    def look(self, **values: Any) -> None:
+    def set_display(self, **values: Any) -> None:
         """Change what is displayed, without an undo step."""
         after = self._state.with_choices(**values)
         if after != self._state:

@@ -48,7 +48,7 @@ class SkewTab(QWidget):
         self._info: SourceInfo | None = None
         self._gathering = False
         self._samples: list[Sample] = []
-        self._heard, self._heard_s = 0, 0.0
+        self._counted, self._last_frame_s = 0, 0.0
         self.skew: Skew | None = None
         self._job = Job(self)
         self._timer = QTimer(self)
@@ -99,8 +99,8 @@ class SkewTab(QWidget):
             return
         self._info = self._result.source
         samples: list[Sample] = []
-        self._samples, self._heard = samples, 0
-        self._heard_s = time.monotonic()
+        self._samples, self._counted = samples, 0
+        self._last_frame_s = time.monotonic()
         self._forget()
         self._show_busy(True)
         # also frames that the window drops
@@ -137,11 +137,11 @@ class SkewTab(QWidget):
     def _look(self) -> None:
         """Check the progress."""
         now = time.monotonic()
-        if len(self._samples) > self._heard:
-            self._heard, self._heard_s = len(self._samples), now
+        if len(self._samples) > self._counted:
+            self._counted, self._last_frame_s = len(self._samples), now
         share = min(watched_s(self._samples) / self.seconds.value(), 1.0)
-        self._show_progress(_GATHERING_SHARE * share, f"Press in and pull out now: {self._heard} frames")
-        if now - self._heard_s > PATIENCE_S:
+        self._show_progress(_GATHERING_SHARE * share, f"Press in and pull out now: {self._counted} frames")
+        if now - self._last_frame_s > PATIENCE_S:
             self._give_up(_NO_MORE_FRAMES)
         elif share == 1.0:
             self._measure()

@@ -120,15 +120,15 @@ class Capture(QObject):
         """Continue after a pause."""
         self._feed.play()
 
-    def make_do(self) -> None:
+    def use_taken(self) -> None:
         """Take no more frames and average those that arrived."""
         if self._wanted:
             self._queue.put(None)
-            self._take_no_more()
+            self._stop_taking()
 
     def cancel(self) -> None:
         """Cancel; the preset stays as it is."""
-        self._stand_as_before()
+        self._restore_playback()
         self._job.cancel()
 
     def close(self) -> None:
@@ -144,7 +144,7 @@ class Capture(QObject):
         self._wanted -= 1
         self.taken += 1
         if not self._wanted:
-            self._take_no_more()
+            self._stop_taking()
         elif self._paused:
             self.pausedChanged.emit(True)
 
@@ -162,7 +162,7 @@ class Capture(QObject):
         stopped = self._played and not playback.running
         nothing_came = halted and playback.seekable and self.taken == self._taken_before
         if nothing_came or (stopped and playback.at_end and not playback.loop):
-            self.make_do()
+            self.use_taken()
         self._set_paused(stopped and self._wanted > 0)
 
     def _set_paused(self, paused: bool) -> None:
@@ -170,11 +170,11 @@ class Capture(QObject):
             self._paused = paused
             self.pausedChanged.emit(paused)
 
-    def _take_no_more(self) -> None:
-        self._stand_as_before()
+    def _stop_taking(self) -> None:
+        self._restore_playback()
         self.averaging.emit()
 
-    def _stand_as_before(self) -> None:
+    def _restore_playback(self) -> None:
         self._wanted = 0
         self._set_paused(False)
         if self._return_to is not None:
@@ -202,11 +202,11 @@ class Capture(QObject):
         return Captured(averaged, self._store.keep(averaged.frame, averaged.frames), asked)
 
     def _done(self, captured: Captured) -> None:
-        self._stand_as_before()
+        self._restore_playback()
         self.captured.emit(captured)
 
     def _failed(self, sentence: str) -> None:
-        self._stand_as_before()
+        self._restore_playback()
         self.failed.emit(sentence)
 
 

@@ -105,7 +105,7 @@ class CaptureWindow(QDialog):
         )
         self.take.setDefault(True)
         self.go_on = push_button("&Go on", "Continue playback and take the missing frames")
-        self.make_do = push_button("Use &these", "Average only the frames taken so far")
+        self.use_taken = push_button("Use &these", "Average only the frames taken so far")
         self.cancel = push_button("Cance&l", "Cancel capturing (Esc); the preset's untouched frame is unchanged")
         self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
         self.undo.setShortcut("Ctrl+Z")
@@ -125,7 +125,7 @@ class CaptureWindow(QDialog):
         for widget in (caption, self.frames, self.take):
             taking.addWidget(widget)
         taking.addWidget(self.progress, 1)
-        for widget in (self.go_on, self.make_do):
+        for widget in (self.go_on, self.use_taken):
             taking.addWidget(widget)
         taking.addWidget(self.cancel)
         taking.addStretch(0)
@@ -151,7 +151,7 @@ class CaptureWindow(QDialog):
         self._document.fileChanged.connect(self._show_state)
         self.take.clicked.connect(self._start)
         self.go_on.clicked.connect(self.capture.go_on)
-        self.make_do.clicked.connect(self.capture.make_do)
+        self.use_taken.clicked.connect(self.capture.use_taken)
         self.cancel.clicked.connect(self.capture.cancel)
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.save.clicked.connect(self.saveRequested)
@@ -210,7 +210,7 @@ class CaptureWindow(QDialog):
 
     def _show_paused(self, paused: bool) -> None:
         self.go_on.setVisible(paused)
-        self.make_do.setVisible(paused)
+        self.use_taken.setVisible(paused)
         if paused:
             taken = self.capture.taken
             self.sentence.setText(

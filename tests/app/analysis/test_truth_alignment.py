@@ -109,7 +109,7 @@ def test_a_change_is_drawn_once_and_the_scan_placed_once(qtbot, ready, window, m
 
 
 def test_handles_keys_and_numbers_move_the_scan_and_are_undone(ready):
-    QTest.mouseClick(ready.align.lay, LEFT)
+    QTest.mouseClick(ready.align.center, LEFT)
     laid = pose_of(ready)
     np.testing.assert_allclose(ready.flow.pivot(), ready.flow.patch.points.mean(axis=0), atol=1e-6)
     view = ready.views.patch
@@ -222,7 +222,7 @@ def test_a_transform_is_saved_and_loaded_again(qtbot, ready, tmp_path):
     qtbot.waitUntil((tmp_path / "plate.json").exists)
     assert set(json.loads((tmp_path / "plate.json").read_text())) == {"T_proximity_scan"}
     assert str(tmp_path / "plate.json") in ready.result.command.text()
-    QTest.mouseClick(ready.align.lay, LEFT)
+    QTest.mouseClick(ready.align.center, LEFT)
     assert (pose_of(ready) != pose).any()
     QTest.mouseClick(ready.result.load, LEFT)
     type_path(qtbot, tmp_path / "plate.json")

@@ -39,7 +39,7 @@ class Kept:
         self.keeper = TruthKeeper(self.session, folder)
         self.sentences: list[str] = []
         self.keeper.failed.connect(self.sentences.append)
-        self.kept_at = self.keeper.turn_to(key)
+        self.kept_at = self.keeper.switch_to(key)
 
     def close(self) -> None:
         self.keeper.close()
@@ -63,9 +63,9 @@ def test_everything_comes_back_with_its_patch(qapp, tmp_path):
 def test_turning_between_scans_keeps_each_ones_work(qapp, tmp_path):
     kept = Kept(tmp_path)
     kept.session.edit("All", state())
-    assert kept.keeper.turn_to("abc1") is None
+    assert kept.keeper.switch_to("abc1") is None
     kept.session.edit("Paint", replace(TruthState(), paint=PaintSettings(largest=5)))
-    assert kept.keeper.turn_to("abc0") is not None
+    assert kept.keeper.switch_to("abc0") is not None
     assert kept.session.state == state()
     kept.close()
     assert Kept(tmp_path, "abc1").session.state.paint.largest == 5
@@ -94,7 +94,7 @@ def test_what_is_damaged_is_set_aside_and_told(qapp, tmp_path):
     keeper = TruthKeeper(session, tmp_path)
     said: list[str] = []
     keeper.failed.connect(said.append)
-    assert keeper.turn_to("abc0") is None
+    assert keeper.switch_to("abc0") is None
     assert "set aside" in said[0]
     assert (tmp_path / "scan-abc0.damaged").exists()
     session.edit("All", state())

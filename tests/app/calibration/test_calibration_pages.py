@@ -179,10 +179,10 @@ def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, fram
 def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
     wizard = open_wizard()
     wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
-    wizard.session.look(proximity_image="depth")
+    wizard.session.set_display(proximity_image="depth")
     wizard.session.click("proximity", 100.0, 100.0)
     wizard.session.click("tactile", 80.0, 100.0)
-    wizard.session.look(proximity_image="color")
+    wizard.session.set_display(proximity_image="color")
     assert wizard.session.state.pairs[0].proximity_image == "depth"
     assert not wizard.points.view.images["proximity"].layer.marks
     assert len(wizard.points.view.images["tactile"].layer.marks) == 1

@@ -193,10 +193,10 @@ def test_what_came_before_a_pause_can_be_used(qtbot, window, gated):
     opened = pause_capturing(qtbot, window, gated)
     taken = opened.capture.taken
     assert taken < 6
-    QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
+    QTest.mouseClick(opened.use_taken, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: not opened.capture.busy)
     assert window.document.preset.untouched.frames == taken
-    assert not opened.make_do.isVisible()
+    assert not opened.use_taken.isVisible()
 
 
 def test_capturing_can_be_cancelled_in_a_pause(qtbot, window, gated):
@@ -228,8 +228,8 @@ def test_once_no_more_frames_are_taken_the_membrane_may_be_touched(qtbot, window
 
     monkeypatch.setattr("tactune.app.rig.untouched_capture.average_untouched", slow)
     opened = pause_capturing(qtbot, window, gated)
-    QTest.mouseClick(opened.make_do, Qt.MouseButton.LeftButton)
-    assert "may be touched again" in opened.sentence.text() and not opened.make_do.isVisible()
+    QTest.mouseClick(opened.use_taken, Qt.MouseButton.LeftButton)
+    assert "may be touched again" in opened.sentence.text() and not opened.use_taken.isVisible()
     qtbot.waitUntil(lambda: opened.progress.text() == "Averaging")
     go_on.set()
     qtbot.waitUntil(lambda: not opened.capture.busy)
@@ -303,7 +303,7 @@ def test_without_a_source_the_window_says_so(qtbot, make_window):
     assert any("open a source first" in sentence for sentence in window.messages.sentences())
 
 
-@pytest.mark.parametrize("part", ["frames", "take", "go_on", "make_do", "cancel", "undo", "save", "leave"])
+@pytest.mark.parametrize("part", ["frames", "take", "go_on", "use_taken", "cancel", "undo", "save", "leave"])
 def test_every_control_says_what_it_does(qtbot, window, part):
     assert len(getattr(open_capture(qtbot, window), part).toolTip()) > 20
 
