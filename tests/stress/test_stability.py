@@ -20,6 +20,7 @@ from tactune.core.contact.kernels import chain as kernels
 from tactune.core.contact.pipeline import ContactPipeline
 
 
+@pytest.mark.long
 def test_no_verdict_differs_beyond_the_stated_bound() -> None:
     report = check_stability(120)
     assert report.frames == 120
@@ -47,6 +48,7 @@ def test_a_wrong_pipeline_is_found_out() -> None:
     assert (ulps_to_thresholds(preset, rig, frame)[where] > BOUND_ULPS).any()
 
 
+@pytest.mark.long
 def test_remembering_changes_nothing() -> None:
     assert check_long_run(400, seed=3).different == 0
 
