@@ -112,7 +112,7 @@ def test_a_clock_that_jumps_is_told_and_made_up_for(session, role, jump_s):
 def test_an_image_of_another_size_is_left_out_and_told(session):
     session.order(Command("size", "tactile", 3))
     health = session.until(lambda health: "320 x 240" in health.message)
-    assert "instead of 640 x 480; it was left out" in health.message
+    assert "instead of 640 x 480; it was ignored" in health.message
     assert_right_pairs(session)
     assert session.until(lambda health: health.unmatched >= 3).unmatched == 3
 
