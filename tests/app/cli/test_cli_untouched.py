@@ -109,7 +109,7 @@ def test_a_membrane_that_differs_in_one_place_from_the_present_untouched_frame_i
         cv2.imwrite(str(image), depth)
     finished = tactune("preset", "capture-untouched", "--source", recording, "--preset", captured)
     assert finished.status == 0
-    assert "over 3 mm from where the preset's present untouched frame has it" in finished.err
+    assert "more than 3 mm away from the preset's current untouched frame" in finished.err
 
 
 def test_run_takes_the_presets_own_untouched_frame(tactune: Tactune, recording: Path, mine: Path) -> None:

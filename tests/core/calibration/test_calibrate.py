@@ -189,11 +189,11 @@ def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig):
 def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig):
     preset = calibrate(clicked(rig), rig).apply_to(Preset())
     pipeline = ContactPipeline(preset, rig)
-    model = pipeline._finder.alignment
+    model = pipeline._alignment
     pipeline.update(preset.with_value("alignment.calibration", None))
-    assert pipeline._finder.alignment is model
+    assert pipeline._alignment is model
     pipeline.update(preset.with_value("alignment.depth_scale", 1.01))
-    assert pipeline._finder.alignment is not model
+    assert pipeline._alignment is not model
 
 
 @pytest.mark.parametrize(

@@ -190,7 +190,7 @@ def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scan
 @pytest.mark.parametrize(
     "more, words",
     [
-        ((), ("where", "--transform", "--pairs", "Analysis > Ground truth")),
+        ((), ("is not given", "--transform", "--pairs", "Analysis > Ground truth")),
         (("--transform", "{pose}", "--pairs", "{pose}"), ("both",)),
         (("--transform", "{scan}"), ("holds no pose",)),
         (("--transform", "{pose}", "--paint", "hue=20:30"), ("hue 20:30", "--paint")),
@@ -200,7 +200,7 @@ def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scan
         (("--transform", "{pose}", "--frames", "5:2"), ("'5:2'", "0:9")),
         (("--transform", "{pose}", "--frame", "4000"), ("no frame 4000",)),
         (("--transform", "{pose}", "--frames", "0:4000"), ("no frame 4000",)),
-        (("--transform", "{pose}", "--untouched", "sim"), ("leave --untouched out",)),
+        (("--transform", "{pose}", "--untouched", "sim"), ("remove --untouched",)),
         (("--transform", "{pose}", "--unit", "mm"), ("set the unit",)),
         (("--transform", "{away}"), ("behind the proximity camera",)),
     ],
