@@ -1,15 +1,16 @@
-"""Opening, saving, dropping, exporting, closing and coming back after a crash, by real mouse and key events."""
+"""Files in the window: presets, recordings, their presets, unsaved changes and exports."""
 
 from __future__ import annotations
 
 import csv
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog
+from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from hands import (
     CONTROL,
@@ -22,8 +23,15 @@ from hands import (
     tolerance_slider,
     type_path,
 )
+from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
+from tactune.app.window.files import recording_filters, recording_scheme
+from tactune.app.worker.results import SourceInfo
+from tactune.core.bench.scenes import synthetic_scene
+from tactune.core.errors import PresetError
 from tactune.core.preset.file import save_preset
+from tactune.core.recording import SessionWriter
+from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.message_bar import Message
 from tiny_sensor import TinySource, at_rest, tiny_rig
@@ -223,3 +231,130 @@ def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):
     assert load_preset(tmp_path / "mine.json").rig == tiny_rig()
     qtbot.waitUntil(lambda: shows_preset_of_document(window))
     assert window.result.warnings == ()
+
+
+@pytest.fixture
+def session(tmp_path):
+    path = tmp_path / "session.mcap"
+    with TinySource(length=5) as source:
+        writer = SessionWriter(path, source.rig)
+        for frame in source:
+            writer.put(frame, wait=True)
+        writer.close()
+    return path
+
+
+def shows(window, name):
+    return window.result is not None and window.result.source.name == name
+
+
+def test_a_session_that_is_dropped_plays_seeks_steps_and_loops(make_window, qtbot, session):
+    window = make_window()
+    drop(window, session)
+    qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
+    assert window.result.source.length == 5
+    shown = set()
+    window.context.frameShown.connect(lambda: shown.add(window.result.frame.sequence))
+    qtbot.waitUntil(lambda: shown == {0, 1, 2, 3, 4})
+    QTest.keyClick(window, Qt.Key.Key_Space)
+    qtbot.waitUntil(lambda: not window.transport.state.playing)
+    window.worker.seek(2)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 2)
+    QTest.keyClick(window, Qt.Key.Key_Period)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 3)
+
+
+def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
+    window = make_window()
+    QTest.keyClick(window, Qt.Key.Key_R, CONTROL)
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
+    dialog = QApplication.activeModalWidget()
+    assert "*.mcap" in dialog.nameFilters()[0]
+    entry = dialog.findChild(QLineEdit)
+    entry.setText(str(session))
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
+
+
+@pytest.mark.parametrize(
+    ("name", "scheme"),
+    [("a.mcap", "mcap"), ("A.MCAP", "mcap"), ("a.bag", "bag"), ("a.db3", "bag"), ("a.json", ""), ("mcap", "")],
+)
+def test_files_are_known_by_their_ending(tmp_path, name, scheme):
+    assert recording_scheme(tmp_path / name) == scheme
+
+
+def test_the_dialog_offers_every_kind_of_file():
+    assert all(ending in recording_filters()[0] for ending in ("*.mcap", "*.bag", "*.db3"))
+
+
+def test_two_bags_are_opened_together(make_window, tmp_path):
+    window = make_window()
+    names = []
+    window.context.sourceRequested.connect(names.append)
+    drop(window, tmp_path / "b.bag", tmp_path / "a.bag")
+    assert names == [f"bag:{tmp_path / 'a.bag'},{tmp_path / 'b.bag'}"]
+
+
+@pytest.mark.parametrize(
+    ("names", "words"),
+    [
+        (("a.bag", "b.bag", "c.bag"), "one recording at a time, or the two"),
+        (("a.mcap", "b.mcap"), "one recording at a time"),
+        (("a.mcap", "b.bag"), "a.mcap, b.bag are recordings of different kinds"),
+        (("a.txt",), "a.txt is neither a preset"),
+    ],
+)
+def test_what_cannot_be_opened_together_is_said(make_window, tmp_path, names, words):
+    window = make_window()
+    drop(window, *(tmp_path / name for name in names))
+    assert any(words in sentence for sentence in window.messages.sentences())
+
+
+def record(path: Path, preset: bool = True) -> Path:
+    scene = synthetic_scene(400, 64, 48)
+    own = scene.preset.with_values({"name": "press seven", "tolerance.t": 0.021})
+    writer = SessionWriter(path, scene.rig, preset=own if preset else None)
+    assert writer.put(scene.frame, wait=True)
+    writer.close()
+    return path
+
+
+def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
+    path = record(tmp_path / "session.mcap")
+    for name in (str(path), f"mcap:{path}", f"live:mcap:{path}"):
+        chosen = load_preset(default_preset(name))
+        assert (chosen.name, chosen.tolerance.t) == ("press seven", 0.021)
+    assert default_preset(str(record(tmp_path / "bare.mcap", preset=False))) == "default"
+    with pytest.raises(PresetError, match="recorded without"):
+        load_preset(tmp_path / "bare.mcap")
+
+
+def test_run_uses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactune.app.cli import main as cli
+
+    path = record(tmp_path / "session.mcap")
+    monkeypatch.setattr("sys.argv", ["tactune", "run", "--source", str(path), "--truth"])
+    assert cli.main() == 0
+    assert "press seven" in capsys.readouterr().out
+
+
+def test_the_window_offers_it(tmp_path: Path, window, qtbot) -> None:  # type: ignore[no-untyped-def]
+    with McapSource(record(tmp_path / "session.mcap")) as source:
+        info = SourceInfo.of(source)
+    assert info.preset is not None
+    before = window.document.preset
+    window.file_flows.offer_preset(info.preset)
+    (button,) = [b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset"]
+    button.click()
+    assert window.document.preset == info.preset != before
+    window.file_flows.offer_preset(info.preset)
+    assert not [
+        b for b in window.messages.findChildren(_button()) if b.text() == "Use recorded preset" and b.isVisible()
+    ]
+
+
+def _button():  # type: ignore[no-untyped-def]
+    from PyQt6.QtWidgets import QAbstractButton
+
+    return QAbstractButton

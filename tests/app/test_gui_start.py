@@ -1,4 +1,4 @@
-"""``tactune gui``: what it starts with, and the screenshot."""
+"""Starting the window: presets, screenshots, signals, and the message about compiling."""
 
 from __future__ import annotations
 
@@ -9,9 +9,13 @@ import sys
 
 import pytest
 from PyQt6.QtGui import QImage
+from typer.testing import CliRunner
 
 from tactune.app.cli.common import default_preset
+from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui, start_with
+from tactune.app.worker.reading import OpeningCancelledError, SourceRequest, open_requested
+from tactune.core.contact import warmup
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
@@ -94,3 +98,27 @@ def test_a_signal_ends_the_window_once_and_keeps_unsaved_work(recording, tmp_pat
     assert "Traceback" not in done.stderr
     (kept,) = (tmp_path / "XDG_DATA_HOME").rglob("unsaved-*.json")
     assert '"t": 0.07' in kept.read_text()
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_opening_in_the_window_tells_of_compiling(monkeypatch, compiled):
+    monkeypatch.setattr(warmup, "is_compiled", lambda: compiled)
+    told = []
+    source = open_requested(SourceRequest("it", lambda progress: "source"), lambda: True, lambda *it: told.append(it))
+    assert source == "source"
+    assert (warmup.COMPILING in [text for _, text in told]) is not compiled
+
+
+def test_compiling_can_be_cancelled(monkeypatch):
+    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
+    with pytest.raises(OpeningCancelledError):
+        open_requested(SourceRequest("it", lambda progress: "source"), lambda: False, lambda share, text: None)
+
+
+@pytest.mark.parametrize("compiled", [False, True])
+def test_running_without_a_window_tells_of_compiling(monkeypatch, compiled):
+    monkeypatch.setattr(warmup, "is_compiled", lambda: compiled)
+    done = CliRunner().invoke(commands, ["run", "--source", "sim:cup", "--frames", "1", "--json"])
+    assert done.exit_code == 0, done.stderr
+    assert (warmup.COMPILING in done.stderr) is not compiled
+    assert warmup.COMPILING not in done.stdout

@@ -62,9 +62,9 @@ def type_path(qtbot, path):
     QTest.keyClick(entry, Qt.Key.Key_Return)
 
 
-def drop(window, path):
+def drop(window, *paths):
     data = QMimeData()
-    data.setUrls([QUrl.fromLocalFile(str(path))])
+    data.setUrls([QUrl.fromLocalFile(str(path)) for path in paths])
     place, action, none = QPointF(200, 200), Qt.DropAction.CopyAction, Qt.KeyboardModifier.NoModifier
     enter = QDragEnterEvent(place.toPoint(), action, data, LEFT, none)
     QApplication.sendEvent(window, enter)
