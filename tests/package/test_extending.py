@@ -22,6 +22,7 @@ from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
+from tactune.core.methods.registry import make_method, method_kinds, method_names
 from tactune.core.model import plugins
 from tactune.core.model.rig_file import save_rig
 from tactune.core.preset import CameraSection, CamerasSection, Preset
@@ -123,6 +124,16 @@ def test_the_cameras_are_listed_and_recorded(acme: Path, tmp_path: Path) -> None
     assert done.returncode == 0, done.stderr
     with open_source(str(tmp_path / "three")) as recording:
         assert (recording.length, recording.rig.proximity.model, recording.rig.tactile.model) == (3, "A2", "A1")
+
+
+def test_the_method_needs_no_untouched_frame(found: None) -> None:
+    source = TinySource(length=1)
+    frame = source.next_frame()
+    assert frame is not None
+    assert "nearest" in method_names()
+    assert not method_kinds()["nearest"].needs_untouched
+    patch = make_method("nearest", Preset(), source.rig, None).find(frame)
+    assert len(patch.points) == np.count_nonzero(patch.mask) > 0
 
 
 def test_an_acme_camera_stands_beside_a_realsense_one(found: None) -> None:
