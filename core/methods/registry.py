@@ -67,6 +67,10 @@ def check_known(names: Sequence[str], known: Sequence[str]) -> None:
             for problem in method_problems():
                 if f"entry point {name!r}" in problem:
                     raise PluginError(problem)
+            if not plugin_names(GROUP):
+                raise TactuneError(
+                    "Tactune is installed without its entry points; install it again: make setup, or pip install -e ."
+                )
             raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 
 
