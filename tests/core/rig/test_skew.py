@@ -91,7 +91,9 @@ def shift(frames, first, seconds, delay_s):
     return samples
 
 
-@pytest.mark.parametrize("scene", ["cube", "cup", "octopus"])
+@pytest.mark.parametrize(
+    "scene", ["cube", pytest.param("cup", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)]
+)
 def test_the_simulator_pressed_over_and_over_gives_its_delay(scene):
     source = open_source(f"sim:{scene}?seed=1")
     frames = [source.read(index) for index in range(source.length)]
