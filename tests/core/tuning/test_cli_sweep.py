@@ -107,7 +107,7 @@ def test_seeds_are_for_simulated_sources(sweep, recording):
 def test_frames_that_a_source_does_not_have_are_said(sweep, recording):
     done = sweep("-s", recording, "--frames", "1:99", "-p", "default")
     assert done.status == 0
-    assert f"{recording} ends after 3 frames, so of --frames 1:99 only 2 are taken" in done.err
+    assert f"{recording} ends after 3 frames, so of --frames 1:99 only 2 are used" in done.err
 
 
 def test_frames_that_are_few_or_far_apart_to_average_are_said(sweep, recording):
@@ -195,9 +195,9 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "REC", "--file", "missing.json"), "cannot read missing.json"),
         (("-s", "REC", "--file", "/dev/zero"), "no ordinary file"),
         (("-s", "REC", "--best", "sweep.runs.jsonl"), "name two files"),
-        (("-s", "REC", "--best", "/tmp"), "which is no file"),
+        (("-s", "REC", "--best", "/tmp"), "which is not a file"),
         (("-s", "REC", "--scheduler", "nonsense"), "is no scheduler's address"),
-        (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "leave it out beside --scheduler"),
+        (("-s", "REC", "--scheduler", "tcp://127.0.0.1:1", "--jobs", "2"), "remove it or --scheduler"),
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_said_before_anything_runs(sweep, recording, tmp_path, words, expected):
@@ -221,8 +221,8 @@ def test_a_table_that_no_sweep_has_written_is_left_alone(sweep, recording, tmp_p
 def test_the_best_preset_replaces_only_what_a_sweep_has_written(sweep, recording, tmp_path):
     mine = tmp_path / "mine.json"
     mine.write_text(preset_json(load_preset("default")))
-    assert "no sweep has written it" in sweep("-s", recording, "--best", mine).sentence
-    assert "begins with" in sweep("-s", recording, "-p", mine, "--best", mine).sentence
+    assert "was not written by a sweep" in sweep("-s", recording, "--best", mine).sentence
+    assert "starts from" in sweep("-s", recording, "-p", mine, "--best", mine).sentence
     assert mine.read_text() == preset_json(load_preset(mine))
     for _ in range(2):
         assert sweep("-s", recording, "-p", mine, "--best", "best.json").status == 0
