@@ -168,7 +168,7 @@ def test_a_watcher_that_fails_is_told_and_neither_reading_nor_recording_ends(rec
     for index in range(3):
         recorder.put(frame(index))
     assert seen == [0, 1]
-    assert told == ["Frame 2 could not be watched (RuntimeError: broken)."]
+    assert told == ["Frame 2 could not be used (RuntimeError: broken)."]
     assert [sequence for sequence, _ in made[0].frames] == [0, 1, 2]
 
 
