@@ -32,10 +32,10 @@ from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
 from ...core.scan.paint import PaintSettings
 from ...widgets.basics.controls import AccentButton, CollapsibleSection
+from ...widgets.basics.fields import FieldSpec, field_spec
+from ...widgets.basics.gestures import new_gesture
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
 from ...widgets.parameters.band_slider import RangeEditor, groove_colors
-from ...widgets.parameters.fields import FieldSpec, field_spec
-from ...widgets.parameters.gestures import new_gesture
 from ...widgets.parameters.number_slider import NumberEntry
 from ...widgets.parameters.parameter_row import MessageLabel, ParameterRow
 from .truth_state import PickedPair

@@ -9,8 +9,8 @@ from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QToolButton, QVBoxLayout, QWidget
 
 from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.point_table import PointTable
-from ...widgets.parameters.gestures import GestureClock
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture

@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
 from ...widgets.basics.controls import CollapsibleSection
-from ...widgets.parameters.fields import FieldSpec, field_spec
+from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.parameters.parameter_row import ParameterRow
 
 DELAY_PATH = "cameras.tactile_delay_s"

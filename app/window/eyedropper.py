@@ -8,10 +8,10 @@ import numpy as np
 from PyQt6.QtCore import QObject
 
 from ...core.model.clouds import valid_depth
+from ...widgets.basics.gestures import new_gesture
 from ...widgets.basics.message_bar import Severity
 from ...widgets.images.eyedropper import EyedropperError, HsvRanges, Mode, pick
 from ...widgets.images.image_strip import ImageStrip
-from ...widgets.parameters.gestures import new_gesture
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
 from ..worker.rendering import aligned_color

@@ -10,7 +10,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 
 from tactune.core.preset import Preset
-from tactune.widgets.parameters.fields import FieldSpec, format_number, section_fields
+from tactune.widgets.basics.fields import FieldSpec, format_number, section_fields
 from tactune.widgets.parameters.number_slider import NumberEntry, NumberSlider, Scale, parse_number
 
 LEFT = Qt.MouseButton.LeftButton

@@ -14,8 +14,8 @@ from PyQt6.QtGui import QColor, QFont, QKeyEvent, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import palette_theme
+from ..basics.gestures import GestureClock
 from ..images.marks import COLORS, MarkKind
-from ..parameters.gestures import GestureClock
 from .cloud_scene import AXIS_COLORS
 from .cloud_view import BackendChoice, CloudView
 from .pose_handles import Handle, PoseHandles, moving, turning

@@ -8,7 +8,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
-from ..parameters.fields import format_number
+from ..basics.fields import format_number
 from .image_pane import ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip

@@ -13,8 +13,8 @@ from PyQt6.QtCore import QObject, QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransform
 from PyQt6.QtWidgets import QWidget
 
+from ..basics.gestures import GestureClock
 from ..basics.theme import ACCENT
-from ..parameters.gestures import GestureClock
 from .image_pane import ImagePane, Rectangle
 
 #: Distance in screen pixels within which the mouse grabs a mark.

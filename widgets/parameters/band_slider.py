@@ -20,8 +20,8 @@ from PyQt6.QtGui import (
 )
 from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QLabel, QSizePolicy, QWidget
 
-from .fields import FieldSpec
-from .gestures import GestureClock
+from ..basics.fields import FieldSpec
+from ..basics.gestures import GestureClock
 from .number_slider import NumberEntry, Scale
 
 Span = tuple[int, int]

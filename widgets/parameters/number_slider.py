@@ -10,8 +10,8 @@ from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import QFocusEvent, QKeyEvent, QKeySequence, QMouseEvent, QValidator, QWheelEvent
 from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QLineEdit, QSlider, QStyle, QStyleOptionSlider, QWidget
 
-from .fields import FieldSpec, format_number
-from .gestures import GestureClock
+from ..basics.fields import FieldSpec, format_number
+from ..basics.gestures import GestureClock
 
 
 @dataclass(frozen=True)

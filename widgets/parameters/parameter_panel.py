@@ -25,10 +25,10 @@ from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ...core.preset.alignment import CalibrationRecord
 from ..basics.controls import CollapsibleSection
+from ..basics.fields import FieldSpec, field_spec, section_fields
+from ..basics.gestures import new_gesture
 from ..plots.histogram import DifferenceHistogram
 from .band_slider import RangeEditor, groove_colors
-from .fields import FieldSpec, field_spec, section_fields
-from .gestures import new_gesture
 from .parameter_row import ParameterRow
 
 #: The sections of the panel, top to bottom: part of the preset, title.

@@ -8,10 +8,10 @@ from PyQt6.QtCore import QEvent, QObject, Qt, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QColor, QFontDatabase, QPalette, QWheelEvent
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButton, QWidget
 
+from ..basics.fields import FieldSpec, format_number
+from ..basics.gestures import new_gesture
 from ..basics.theme import theme_colors
 from .band_slider import RangeEditor, RectangleEditor
-from .fields import FieldSpec, format_number
-from .gestures import new_gesture
 from .number_slider import NumberSlider
 
 

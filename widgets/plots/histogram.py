@@ -12,9 +12,9 @@ from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
 from ...core.model.arrays import AnyArray, Float64Array
+from ..basics.fields import format_number
+from ..basics.gestures import GestureClock
 from ..basics.theme import theme_colors
-from ..parameters.fields import format_number
-from ..parameters.gestures import GestureClock
 
 _SMALLEST_T = 0.001
 _LARGEST_T = 1.0
