@@ -36,7 +36,7 @@ print(json.dumps(wrong))
 _THREADS = "import json, numba; n = numba.get_num_threads(); print(json.dumps([n, numba.threading_layer()]))"
 _MEMORY = """
 import sys
-from tactune.core.sources.process.protocol import create_memory, reserve_memory
+from tactune.core.sources.capture.protocol import create_memory, reserve_memory
 reserve_memory(create_memory(), int(sys.argv[1]))
 """
 

@@ -30,7 +30,7 @@ from ...core.model.files import atomic_path
 from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
 from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
-from ...core.rig.judgement import Reading, Verdict, judge_bias, judge_camera
+from ...core.rig.quality_verdict import Reading, Verdict, judge_bias, judge_camera
 from ...widgets.basics.controls import push_button
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.theme import ACCENT, theme_colors

@@ -31,7 +31,7 @@ def open_in_process(
         ``rest`` is not two serial numbers, or the cameras cannot be opened.
     """
     from ...preset import CamerasSection
-    from ..process import ProcessSource
+    from ..capture import ProcessSource
     from .source import open_cameras
 
     chosen = cameras or CamerasSection()

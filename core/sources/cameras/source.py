@@ -15,8 +15,8 @@ from ...preset import CamerasSection
 from ..base import CameraOption, CameraRole, FrameSource, Health, Progress
 from .assembler import Assembler
 from .camera import CameraDriver, Image
+from .camera_thread import CameraThread
 from .drivers import camera_drivers, choose, connected_devices
-from .feed import CameraFeed
 
 _ANY_CAMERAS: Final = CamerasSection()
 #: A driver call that takes longer than this counts as hung.
@@ -68,7 +68,7 @@ class CameraSource(FrameSource):
     ) -> None:
         serials = (cameras.proximity.serial, cameras.tactile.serial)
         self.name = f"{scheme}:{','.join(serials)}" if all(serials) else f"{scheme}:"
-        self._feeds: dict[CameraRole, CameraFeed] = {}
+        self._feeds: dict[CameraRole, CameraThread] = {}
         self._sequence = 0
         tell = progress or (lambda share, words: None)
         tell(0.0, "looking for cameras")
@@ -80,7 +80,7 @@ class CameraSource(FrameSource):
             for share, (role, info) in zip((0.2, 0.6), chosen.items(), strict=True):
                 tell(share, f"opening the {info.title}")
                 driver = next(driver for driver, known in connected if known is info)
-                self._feeds[role] = CameraFeed(role, driver, info, getattr(cameras, role).options, self)
+                self._feeds[role] = CameraThread(role, driver, info, getattr(cameras, role).options, self)
             self._check_rates()
         except SourceError as error:
             self._close_feeds()

@@ -21,7 +21,7 @@ from tactune.core.rig.depth_quality import (
     tactile_region,
     temporal_noise,
 )
-from tactune.core.rig.judgement import Verdict, judge_bias, judge_camera
+from tactune.core.rig.quality_verdict import Verdict, judge_bias, judge_camera
 
 REGION = (40, 30, 80, 60)
 WINDOW = np.s_[30:90, 40:120]

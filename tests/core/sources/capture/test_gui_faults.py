@@ -23,7 +23,7 @@ from tactune.app.worker.recorder import RecordingEnd
 from tactune.app.worker.results import SourceState
 from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, Progress
-from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source
 from tactune.widgets.basics.message_bar import Message
 

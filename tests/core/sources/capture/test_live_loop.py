@@ -9,8 +9,8 @@ import pytest
 
 from capture_sources import Recorded, Troubled, make_frame, make_rig
 from tactune.core.errors import SourceError
-from tactune.core.sources.process import live
-from tactune.core.sources.process.live import LiveLoop
+from tactune.core.sources.capture import live
+from tactune.core.sources.capture.live import LiveLoop
 from tactune.core.sources.registry import open_source
 
 RIG = make_rig()

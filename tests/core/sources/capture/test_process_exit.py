@@ -20,7 +20,7 @@ sys.path.append({str(Path(capture_sources.__file__).parent)!r})
 from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled
-from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.capture import ProcessSource
 source = ProcessSource(partial(open_troubled, Path("/nonexistent")))
 source.next_frame()
 print(source.capture_pid, flush=True)
@@ -66,7 +66,7 @@ def test_the_process_ends_with_a_parent_that_is_killed(
     parent.send_signal(sent)
     _, words = parent.communicate(timeout=300)
     until(lambda: not alive(pid))
-    assert "process/child.py" not in words  # no traceback of the capture process
+    assert "capture/child.py" not in words  # no traceback of the capture process
 
 
 @pytest.mark.parametrize(
@@ -119,7 +119,7 @@ def test_no_source_is_opened_twice_without_a_main_guard_or_a_file() -> None:
 def test_the_process_loads_neither_a_window_nor_kernels_nor_a_driver() -> None:
     program = """
 import sys
-import tactune.core.sources.process.child
+import tactune.core.sources.capture.child
 print(sorted({name.partition(".")[0] for name in sys.modules}
     & {"PyQt6", "pyqtgraph", "cv2", "numba", "scipy", "pyrealsense2", "rosbags", "open3d"}))
 """

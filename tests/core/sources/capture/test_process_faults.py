@@ -21,9 +21,9 @@ from patience import load_factor
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
-from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.protocol import FrameReady, Heartbeat, Opened
-from tactune.core.sources.process.supervisor import Patience
+from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.protocol import FrameReady, Heartbeat, Opened
+from tactune.core.sources.capture.supervisor import Patience
 
 #: All that a troubled source sends.
 MADE = [make_frame(make_rig(), number) for number in range(50)]
@@ -197,9 +197,9 @@ from functools import partial
 from pathlib import Path
 from capture_sources import open_troubled
 from tactune.core.sources.base import Health
-from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.protocol import FrameReady, Heartbeat, Opened
-from tactune.core.sources.process.supervisor import Patience
+from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.protocol import FrameReady, Heartbeat, Opened
+from tactune.core.sources.capture.supervisor import Patience
 with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
     source.next_frame()
     pid = source.capture_pid

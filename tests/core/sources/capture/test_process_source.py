@@ -25,8 +25,8 @@ from capture_sources import (
 )
 from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
-from tactune.core.sources.process import ProcessSource
-from tactune.core.sources.process.protocol import (
+from tactune.core.sources.capture import ProcessSource
+from tactune.core.sources.capture.protocol import (
     FrameReady,
     Ring,
     arrays_of,

@@ -20,7 +20,7 @@ from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.recording.writer import SessionWriter
 from tactune.core.sources.base import Health
-from tactune.core.sources.process import ProcessSource
+from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source
 
 #: Longest recovery on an idle machine, tries of it, and when waiting gives up, in seconds.

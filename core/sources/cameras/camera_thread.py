@@ -33,7 +33,7 @@ class Sink(Protocol):
         """Note that the next image comes from a camera that was opened again."""
 
 
-class CameraFeed:
+class CameraThread:
     """One camera of the rig on a thread of its own.
 
     Parameters

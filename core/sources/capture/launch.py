@@ -24,7 +24,7 @@ from .protocol import Ring, Start, create_memory
 
 _PROGRAM: Final = (
     "import json, sys; sys.path[:] = json.loads(sys.argv[3]); "
-    "from tactune.core.sources.process.child import main; main(int(sys.argv[1]), int(sys.argv[2]))"
+    "from tactune.core.sources.capture.child import main; main(int(sys.argv[1]), int(sys.argv[2]))"
 )
 #: Time to close the source, then time to end after SIGTERM, seconds; then the process is killed.
 _CLOSING_S: Final = 1.5
