@@ -1,1 +1,1 @@
-"""The ways to find a contact patch that fusion is compared with, behind one interface."""
+"""The methods that find a contact patch, behind one interface: fusion and the methods it is compared with."""

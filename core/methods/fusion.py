@@ -36,7 +36,7 @@ class Fusion(ContactMethod):
         self.remembers = self._pipeline.preset.averaged_frames
 
     def update(self, preset: Preset) -> None:
-        """Use another preset; what does not depend on the changed fields is kept.
+        """Use another preset; results that do not depend on the changed fields stay cached.
 
         Raises
         ------
@@ -76,7 +76,7 @@ def _kind_of(variant: FusionVariant) -> MethodKind:
 
 
 def _with_fields(section: Any, name: str, fields: Mapping[str, Any]) -> Any:
-    """Return a section of a preset with those of the fields that belong to it."""
+    """Return a section of a preset with the fields that belong to it changed."""
     start = f"{name}."
     own = {path.removeprefix(start): value for path, value in fields.items() if path.startswith(start)}
     return section.model_copy(update=own)

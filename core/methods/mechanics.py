@@ -1,4 +1,4 @@
-"""Contact from the mechanics of the membrane: where something must press for it to look as it does."""
+"""Contact from the mechanics of the membrane: the contact pressure that explains its measured shape."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from .mechanics_problem import MembraneProblem, MembraneSolver, Solution, build_
 from .membrane_view import MembraneView
 from .method import ContactMethod, MethodKind, MethodPatch, failed
 
-#: Share of the nodes that must be seen.
+#: Minimum share of the nodes with a measured depth.
 _SEEN_SHARE = 0.6
 
 
 class MembraneMechanics(ContactMethod):
-    """Nodes of an elastic, pressurised membrane on which something presses.
+    """Finds the nodes of an elastic, pressurised membrane that carry contact pressure.
 
     Parameters
     ----------
     preset : Preset
-        Gives the pose that takes tactile points to the proximity frame.
+        Gives the pose that transforms tactile points to the proximity frame.
     rig : Rig
     untouched : SensorFrame
-        The untouched membrane: the shape from which it deforms.
+        The untouched membrane, from which displacements are measured.
     nodes : int
-        About how many nodes the mesh has; the paper's has 440.
+        Approximate number of mesh nodes; the paper's mesh has 440.
     threshold : float
-        Contact is where the contact pressure exceeds this share of the air's present gauge pressure,
-        which is what a flat object carries.
+        A node is in contact if its contact pressure exceeds this share of the air's present gauge pressure. A flat
+        object carries the whole gauge pressure.
     gauge_pressure_pa : float
-        Of the untouched membrane over the atmosphere's.
+        Gauge pressure of the untouched membrane, Pa.
     housing_m3 : float
-        Volume of the air beneath the plane of the rim.
+        Volume of air below the plane of the rim.
     crop_px : int
-        Width of the membrane's rim, in tactile pixels, that is left out. Without it the outline of what
-        the untouched frame shows is where the membrane is clamped; else the outline follows the measurement.
+        Width of the excluded rim of the membrane, tactile pixels. With 0, the membrane is clamped at the outline of
+        the untouched frame; otherwise the outline follows the measurement.
     regularisation : float
-        How much a contact pressure costs against misfit, see `MembraneProblem`.
+        Weight of the contact pressure relative to the misfit, see `MembraneProblem`.
 
     Raises
     ------
     TactuneError
-        A parameter out of its range, or an untouched frame that shows no inflated membrane.
+        A parameter is out of its range, or the untouched frame shows no inflated membrane.
 
     References
     ----------
@@ -109,7 +109,7 @@ class MembraneMechanics(ContactMethod):
         return np.asarray((self._sampler.sample(counts) - self._untouched) * self._factor * self._way_per_depth)
 
     def solve(self, way_m: Float64Array) -> Solution:
-        """Return the balance of the membrane that fits these ways best."""
+        """Return the equilibrium that fits these displacements best."""
         return self._solver.solve(self.problem.program(way_m))
 
     def pressure_image(self, solution: Solution) -> Float32Array:
@@ -126,7 +126,7 @@ class MembraneMechanics(ContactMethod):
 def _check(
     nodes: int, threshold: float, gauge_pressure_pa: float, housing_m3: float, crop_px: int, regularisation: float
 ) -> None:
-    """Raise where a parameter is out of its range."""
+    """Raise if a parameter is out of its range."""
     for name, value, fits, needs in (
         ("nodes", nodes, 50 <= nodes <= 20_000, "from 50 to 20000"),
         ("threshold", threshold, 0 < threshold < np.inf, "above 0"),

@@ -16,9 +16,9 @@ from ..model.clouds import valid_depth
 from ..model.intrinsics import Intrinsics
 
 _MIN_NODES = 20
-#: Depth that differs so much from its surroundings' mean is a false match, metres.
+#: A depth that differs by more than this from the mean of its surroundings is a false match, metres.
 _FALSE_MATCH_M = 0.015
-#: Nicks in the region's outline up to this width are closed.
+#: Notches in the region's outline up to this width are closed.
 _NICK_PX = 15
 
 
@@ -61,7 +61,7 @@ class MembraneMesh:
 
 
 class DepthSampler:
-    """Reads the depth round given pixels as the mean of the pixels in a square, false matches left out.
+    """Averages the depth in squares around given pixels, without false matches.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ class DepthSampler:
     width_px : int
         Side of the square, odd.
     spread_counts : float
-        Pixels that differ so much from the mean of a square thrice as wide are false matches.
+        A pixel is a false match if it differs by more than this from the mean of a square three times as wide.
     """
 
     def __init__(self, pixels: Float64Array, width_px: int, spread_counts: float) -> None:
@@ -78,7 +78,7 @@ class DepthSampler:
         self._width_px, self._spread_counts = width_px, spread_counts
 
     def sample(self, counts: Uint16Array) -> Float64Array:
-        """Return the mean counts at each pixel, shape (N,); nan where under half of the square has depth."""
+        """Return the mean counts at each pixel, shape (N,); nan if less than half of the square has depth."""
         depth, valid = counts.astype(np.float32), valid_depth(counts)
         near = _box_mean(depth, valid, 3 * self._width_px, 0.0)
         with np.errstate(invalid="ignore"):
@@ -104,9 +104,9 @@ def build_mesh(
     factor_m, offset_m : float
         Metres are ``counts * factor_m + offset_m``.
     nodes : int
-        About how many.
+        Approximate number of nodes.
     crop_px : int
-        Width of the rim that is left out.
+        Width of the excluded rim.
 
     Raises
     ------
@@ -120,7 +120,7 @@ def build_mesh(
         if np.count_nonzero(region) < _MIN_NODES:
             raise TactuneError(
                 f"the untouched frame shows the membrane in {np.count_nonzero(whole)} tactile pixels, too small "
-                f"for a mesh with a rim of {crop_px} pixels left out; take a new untouched frame or leave out less"
+                f"for a mesh without a rim of {crop_px} pixels; take a new untouched frame or reduce the rim"
             )
         outline, inner = _place_nodes(region, spacing)
         found = len(outline) + len(inner)
@@ -148,12 +148,12 @@ def build_mesh(
 
 
 def make_sampler(pixels: Float64Array, spacing_px: float, factor_m: float) -> DepthSampler:
-    """Return what reads the depth at nodes: squares of half their spacing."""
+    """Return the depth reader for the nodes, with squares of half the node spacing."""
     return DepthSampler(pixels, 2 * max(1, round(spacing_px / 4)) + 1, _FALSE_MATCH_M / factor_m)
 
 
 def interpolation(mesh: MembraneMesh) -> tuple[IndexArray, IndexArray, Float32Array]:
-    """Return how node values are interpolated to pixels.
+    """Return the pixels, nodes and weights that interpolate node values to pixels.
 
     Returns
     -------
@@ -162,7 +162,7 @@ def interpolation(mesh: MembraneMesh) -> tuple[IndexArray, IndexArray, Float32Ar
     nodes : int, shape (M, 3)
         The corners of the triangle that each lies in.
     weights : float32, shape (M, 3)
-        Their shares, which sum to 1.
+        Barycentric weights, which sum to 1.
     """
     owner = np.full(mesh.region.shape, -1, np.int32)
     corners = np.rint(mesh.pixels[mesh.triangles] * 16).astype(np.int32)
@@ -247,7 +247,7 @@ def _box_mean(depth: Float32Array, valid: BoolArray, width_px: int, least: float
 
 ATMOSPHERE_PA = 101_325.0
 _MM = 1e-3
-#: Nodes seen under a smaller cosine tell nothing of their displacement.
+#: Nodes with a smaller cosine between ray and normal are not used, because their displacement is uncertain.
 _EDGE_ON = 0.3
 _LARGEST_RADIUS_M = 10.0
 
@@ -267,7 +267,7 @@ class QuadraticProgram:
     A : sparse, shape (m, n)
         One row for each node off the rim, and the gas law.
     positive : slice
-        Where the contact pressures stand in x.
+        Elements of x that are contact pressures.
     """
 
     P: sparse.csc_matrix
@@ -290,8 +290,7 @@ class MembraneProblem:
     regularisation : float
         r: what a contact pressure of p0 costs, in squared millimetres of misfit at one node.
     fixed_rim : bool
-        Whether the rim stays where it is; it else follows the measurement, as is right where the outer
-        rim was cropped.
+        Whether the rim is clamped. Otherwise it follows the measurement, which is right for a cropped rim.
 
     Raises
     ------
@@ -320,7 +319,7 @@ class MembraneProblem:
         self.positive = slice(moved + 1, moved + 1 + pressed)
 
     def _constraints(self, stiffness: sparse.csr_matrix) -> sparse.csc_matrix:
-        """Return the balance of each inner node over the mean area, and the gas law."""
+        """Return the equilibrium equation of each inner node, divided by the mean area, and the gas law."""
         areas, mean = self.areas_m2, self.areas_m2[self.inner].mean()
         tension_mm = self.radius_m / 2 * _MM
         share = areas[self.inner] / mean
@@ -340,8 +339,7 @@ class MembraneProblem:
         Parameters
         ----------
         way_m : float64, shape (N,)
-            How much farther along its ray each node is seen than in the untouched frame, metres; nan where
-            it is not seen.
+            Displacement of each node along its ray since the untouched frame, metres; nan if it is not seen.
         """
         cosine, way_mm = self.mesh.facing[self.moving], way_m[self.moving] / _MM
         seen = np.isfinite(way_mm) & (cosine > _EDGE_ON)
@@ -368,7 +366,7 @@ class MembraneProblem:
         return 1.0 + float(x[self.positive.start - 1])
 
     def displacement_m(self, x: Float64Array) -> Float64Array:
-        """Return how far every node has moved along its outward normal, metres, shape (N,)."""
+        """Return the displacement of each node along its outward normal, metres, shape (N,)."""
         displacement = np.zeros(len(self.inner))
         displacement[self.moving] = x[: self.positive.start - 1] * _MM
         return displacement
@@ -423,9 +421,9 @@ def curvature_radius(mesh: MembraneMesh, stiffness: sparse.csr_matrix, areas: Fl
 
 def enclosed_volume(mesh: MembraneMesh) -> float:
     """Return the volume between the mesh and the plane through its rim, m^3."""
-    middle = mesh.positions[mesh.rim].mean(axis=0)
-    normal = np.linalg.svd(mesh.positions[mesh.rim] - middle)[2][2]
-    a, b, c = np.moveaxis(mesh.positions[mesh.triangles] - middle, 1, 0)
+    centroid = mesh.positions[mesh.rim].mean(axis=0)
+    normal = np.linalg.svd(mesh.positions[mesh.rim] - centroid)[2][2]
+    a, b, c = np.moveaxis(mesh.positions[mesh.triangles] - centroid, 1, 0)
     heights = (a + b + c) @ normal / 3
     return abs(float(np.sum(heights * (np.cross(b - a, c - a) @ normal)) / 2))
 
@@ -442,7 +440,7 @@ _MAX_STEPS = 60
 
 @dataclass(frozen=True, eq=False)
 class Solution:
-    """Where the solver arrived.
+    """The result of the solver.
 
     Attributes
     ----------
@@ -453,7 +451,7 @@ class Solution:
         Multipliers of ``x[positive] >= 0``, none negative.
     steps : int
     failure : str
-        Why this is no solution, as a sentence; empty where it is one.
+        Why the solver failed, as a sentence; empty if it did not.
     """
 
     x: Float64Array
@@ -464,7 +462,7 @@ class Solution:
 
 
 class MembraneSolver:
-    """Solves programs that differ in P and q alone: the pattern is ordered and analysed once."""
+    """Solves programs that differ in P and q only; the sparsity pattern is ordered and analysed once."""
 
     def __init__(self, first: QuadraticProgram) -> None:
         self._solver = piqp.SparseSolver()
@@ -477,7 +475,7 @@ class MembraneSolver:
         self._solver.setup(first.P, first.q, first.A, np.zeros(first.A.shape[0]), x_l=lower)
 
     def solve(self, program: QuadraticProgram) -> Solution:
-        """Return the minimum, or where the solver gave up."""
+        """Return the minimum, or the last iterate if the solver failed."""
         self._solver.update(P=program.P, c=program.q)
         status = self._solver.solve()
         result = self._solver.result

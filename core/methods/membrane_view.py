@@ -1,4 +1,4 @@
-"""The membrane as the proximity camera would see it, from the tactile camera's depth image."""
+"""The membrane's depth in proximity pixels, from the tactile camera's depth image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ..preset import AlignmentSection
 
 _STEPS = 12
 _SETTLED_M = 2e-4
-#: Noise makes the steps go back and forth between neighbouring pixels by less than this.
+#: Limit of the last step, metres. Noise makes steps below it alternate between neighbouring pixels.
 _WAVERING_M = 1e-3
 #: Where searches start, as quantiles of the measured depths: a ray that misses the membrane at the
 #: one may meet it at the next.
@@ -20,7 +20,7 @@ _STARTS = (0.5, 0.01, 0.99)
 
 
 class MembraneView:
-    """Looks tactile measurements up at proximity pixels through the membrane's own depth.
+    """Maps tactile measurements to proximity pixels by the membrane's own depth.
 
     For each proximity ray the point is sought whose expected tactile depth is the measured one,
     ``z <- z + (measured - expected)``, which converges where the membrane's slope along the tactile
@@ -70,7 +70,7 @@ class MembraneView:
         return z.reshape(self._rig.proximity.intrinsics.shape)
 
     def pick(self, mask: BoolArray, tactile_depth: Uint16Array) -> BoolArray:
-        """Return a tactile mask (Ht, Wt) as proximity pixels (H, W) see it through the membrane's depth."""
+        """Return a tactile mask (Ht, Wt) mapped to proximity pixels (H, W) by the membrane's depth."""
         z = self.depth_m(tactile_depth).reshape(-1)
         picked = np.zeros(z.shape, bool)
         known = np.flatnonzero(np.isfinite(z))
@@ -87,7 +87,7 @@ class MembraneView:
         return np.asarray(points @ self._T_p_t[:3, :3].T + self._T_p_t[:3, 3], np.float32)
 
     def _search(self, tactile_depth: Uint16Array, which: IndexArray, start_m: float) -> Float64Array:
-        """Return the depth at which some rays meet the membrane, nan where the search does not settle."""
+        """Return the depth at which rays meet the membrane; nan if the search does not converge."""
         found = np.full(len(which), np.nan)
         open_, z = np.arange(len(which)), np.full(len(which), start_m)
         for step in range(_STEPS):
@@ -105,7 +105,7 @@ class MembraneView:
         return found
 
     def _pixels(self, z: Float64Array, which: IndexArray) -> tuple[IndexArray, IndexArray, BoolArray]:
-        """Return row, column and whether the tactile camera sees the points at depth z on some rays."""
+        """Return row, column and visibility in the tactile image of the points at depth z on some rays."""
         camera = self._rig.tactile.intrinsics
         seen = self._directions[which] * z[:, None] + self._origin
         with np.errstate(all="ignore"):

@@ -1,4 +1,4 @@
-"""Contact from the proximity camera alone: what has come nearer than the untouched membrane was."""
+"""Contact from the proximity camera alone: points nearer than the untouched membrane."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ class ProximityOnly(ContactMethod):
     Parameters
     ----------
     preset : Preset
-        Gives the alignment that takes the untouched frame to proximity pixels.
+        Gives the alignment that maps the untouched frame to proximity pixels.
     rig : Rig
     untouched : SensorFrame
         The untouched membrane.
     margin_m : float
-        How much nearer a point must be, so that the noise of the untouched frame's rim is no contact.
+        Minimum distance of a contact point in front of the untouched membrane, metres. It excludes noise at the rim.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""Contact from the tactile camera alone: where the membrane has been pushed in the most."""
+"""Contact from the tactile camera alone: the most deformed part of the membrane."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ class TactileOnly(ContactMethod):
     Parameters
     ----------
     preset : Preset
-        Gives the pose that takes tactile points to the proximity frame.
+        Gives the pose that transforms tactile points to the proximity frame.
     rig : Rig
     untouched : SensorFrame
         The untouched membrane.
     share : float
         With ``rule="share"``: the share of the deformed points that is contact, the most deformed
-        first; the paper takes 0.6.
+        first; the paper uses 0.6.
     threshold_m : float
         With ``rule="threshold"``: the deformation above which a point is contact.
     noise_m : float
@@ -36,7 +36,7 @@ class TactileOnly(ContactMethod):
     Raises
     ------
     TactuneError
-        A share outside 0 to 1 or a negative length.
+        The share is outside 0 to 1, or a length is negative.
 
     References
     ----------

@@ -1,1 +1,1 @@
-"""Runs with many presets over many recordings and scenes, and which of them was best."""
+"""Parameter sweeps: run many presets on many recordings and scenes, and rank them."""

@@ -1,4 +1,4 @@
-"""Which parameters of a sweep were best, and what each of them does."""
+"""Ranks the settings of a sweep and measures the effect of each parameter."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ OBJECTIVES: Final = {
     "area": ("area_mm2", True),
     "stability": ("stability", True),
 }
-#: Those that need no truth.
+#: Objectives that need no ground truth.
 WITHOUT_TRUTH: Final = ("ms", "area", "stability")
 
-#: In the notes of every preset that a sweep has written.
+#: Marker in the notes of each preset that a sweep has written.
 FOUND_BY: Final = "found by tactune sweep"
 
-#: Groups that the values of a parameter are put into where there are more.
+#: A parameter with more values than this is shown in this number of groups.
 _MAX_GROUPS: Final = 8
 _GROUPS: Final = 5
 
 
 @dataclass(frozen=True)
 class Score:
-    """How a setting did over all sources and seeds.
+    """Score of a setting over all sources and seeds.
 
     Attributes
     ----------
     value : float
-        Mean of the objective over sources, of means over seeds; nan where no run has one.
+        Objective: mean over seeds, then over sources; nan if no run has a value.
     ms : float
-        Mean milliseconds of a frame.
+        Mean computation time per frame, ms.
     bad : int
-        Runs that failed and frames that were missed; settings with fewer are better, whatever the objective.
+        Number of failed runs plus missed frames. A setting with fewer ranks higher, before the objective is compared.
     runs : int
     """
 
@@ -61,7 +61,7 @@ class Score:
 
 @dataclass(frozen=True)
 class Effect:
-    """Mean objective over all runs in which a parameter has some value, or one of a group."""
+    """Mean objective over all runs in which a parameter has one value, or a value of one group."""
 
     path: str
     label: str
@@ -71,7 +71,7 @@ class Effect:
 
 @dataclass(frozen=True)
 class Edge:
-    """A parameter whose best value is the smallest or largest that was tried."""
+    """A parameter whose best value is the smallest or largest value of the sweep."""
 
     path: str
     value: float
@@ -79,31 +79,31 @@ class Edge:
 
     @property
     def sentence(self) -> str:
-        """That in words, with what to do."""
+        """The finding as a sentence, with a remedy."""
         end, more = ("largest", "larger") if self.largest else ("smallest", "smaller")
         return f"the best {self.path}, {self.value:g}, is the {end} tried; try {more} ones, too"
 
 
 def choose_objective(asked: str | None, plan: Plan) -> str:
-    """Return the objective that is asked for, or else the RMSE with truth and stability without.
+    """Return the chosen objective. Default: the RMSE if all sources have truth, else stability.
 
     Raises
     ------
     SweepError
-        There is no such objective, or it needs truth and a source has none.
+        The objective is unknown, or it needs truth and a source has none.
     """
     if asked is None:
         return "rmse_mm" if plan.has_truth else "stability"
     if asked not in OBJECTIVES:
-        raise SweepError(f"there is no objective {asked!r}; choose of {', '.join(OBJECTIVES)}")
+        raise SweepError(f"there is no objective {asked!r}; choose one of {', '.join(OBJECTIVES)}")
     blind = next((clip.source for clip in plan.clips if not clip.has_truth), None)
     if blind is not None and asked not in WITHOUT_TRUTH:
-        raise SweepError(f"{blind} knows no truth, so {asked} cannot be told; choose {', '.join(WITHOUT_TRUTH)}")
+        raise SweepError(f"{blind} has no ground truth, so {asked} is undefined; choose {', '.join(WITHOUT_TRUTH)}")
     return asked
 
 
 def rank(plan: Plan, rows: Iterable[Row], objective: str) -> list[Score]:
-    """Return the settings, the best first: nothing failed or missed, then the objective, then the time."""
+    """Return the settings sorted from best to worst: by failures and misses, then by objective, then by time."""
     column, larger = OBJECTIVES[objective]
     by_setting: dict[str, list[Row]] = {}
     for row in rows:
@@ -115,7 +115,7 @@ def rank(plan: Plan, rows: Iterable[Row], objective: str) -> list[Score]:
             bad = sum(row["missed"] + bool(row["failure"]) for row in found)
             value = _over_sources(found, column)
             if objective in WITHOUT_TRUTH and not any(row["points"] for row in found):
-                value = math.nan  # finding nothing is fast and stable, but useless
+                value = math.nan  # a setting that finds nothing is fast and stable, but useless
             scores.append(Score(setting, value, _over_sources(found, "ms"), bad, len(found)))
 
     def order(score: Score) -> tuple[bool, int, float, float]:
@@ -128,7 +128,7 @@ def rank(plan: Plan, rows: Iterable[Row], objective: str) -> list[Score]:
 
 
 def effects(plan: Plan, scores: Sequence[Score]) -> list[Effect]:
-    """Return the mean objective for each value of each parameter, or for groups where there are many values."""
+    """Return the mean objective for each value of each parameter, or for groups if there are many values."""
     known = [score for score in scores if not math.isnan(score.value) and not score.bad]
     found = []
     names = [*plan.paths, *["method"] * (len({setting.method for setting in plan.settings}) > 1)]
@@ -140,9 +140,9 @@ def effects(plan: Plan, scores: Sequence[Score]) -> list[Effect]:
 
 
 def edges(plan: Plan, scores: Sequence[Score]) -> list[Edge]:
-    """Return the numbers of the best setting that are the smallest or largest tried, so that better may lie beyond.
+    """Return the numeric parameters whose best value is the smallest or largest value of the sweep.
 
-    A parameter that made no difference, or that its field does not let go farther, is left out.
+    Parameters without effect are omitted, and so are those whose value is already at the field's own limit.
     """
     if not scores or math.isnan(scores[0].value):
         return []
@@ -164,7 +164,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _matters(scores: Sequence[Score], path: str) -> bool:
-    """Tell whether settings that differ from the best in one parameter only are any worse; True if there are none."""
+    """Return whether settings that differ from the best only in this parameter are worse; True if there are none."""
     best = scores[0]
 
     def others(setting: Setting) -> tuple[str, dict[str, Any]]:
@@ -175,7 +175,7 @@ def _matters(scores: Sequence[Score], path: str) -> bool:
 
 
 def _goes_beyond(base: Preset, path: str, best: float, span: float) -> bool:
-    """Tell whether a field allows a little more than the best value, in the direction of ``span``."""
+    """Return whether the field allows a value slightly beyond the best one, in the direction of ``span``."""
     try:
         base.with_value(path, best + (span / 100 if isinstance(best, float) else 1 if span > 0 else -1))
     except PresetError:
@@ -184,12 +184,12 @@ def _goes_beyond(base: Preset, path: str, best: float, span: float) -> bool:
 
 
 def check_presentable(plan: Plan) -> None:
-    """Refuse methods that no preset can name.
+    """Raise if a method cannot be stored in a preset.
 
     Raises
     ------
     SweepError
-        Names the method.
+        The message names the method.
     """
     for setting in plan.settings:
         if setting.method != FUSION and method_kind(setting.method).fields is None:
@@ -197,12 +197,12 @@ def check_presentable(plan: Plan) -> None:
 
 
 def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
-    """Return a preset with the best parameters; name and notes say how it came about.
+    """Return a preset with the best parameters; its name and notes describe the sweep.
 
     Raises
     ------
     SweepError
-        No run told anything, so nothing is best.
+        No run gave a value of the objective.
     """
     if math.isnan(best.value):
         raise SweepError(f"no run gave {objective}, so no parameters are best; see the failures in the table")
@@ -222,7 +222,7 @@ def best_preset(plan: Plan, best: Score, objective: str) -> Preset:
 
 
 def _rounded(value: float) -> float:
-    """Make values equal that differ by rounding only; then the cheaper is better."""
+    """Round a value, so that settings that differ by rounding error only are ranked by time."""
     return float(f"{value:.9g}")
 
 
@@ -233,7 +233,7 @@ def _identity(method: str, parameters: dict[str, Any]) -> str:
 
 
 def _over_sources(rows: Sequence[Row], column: str) -> float:
-    """Return the mean over sources of the means over seeds."""
+    """Return the mean over seeds, then over sources."""
     by_source: dict[str, list[float]] = {}
     for row in rows:
         if row[column] is not None:

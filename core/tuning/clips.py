@@ -1,4 +1,4 @@
-"""What a sweep runs over: some frames of one source, with what identifies them."""
+"""Clips: ranges of frames of a source, with a hash of their content."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class FrameRange:
     step: int = 1
 
     def indices(self, length: int) -> range:
-        """Return which frames of a source that are."""
+        """Return the indices of these frames in a source."""
         return range(self.first, length if self.last is None else min(self.last, length), self.step)
 
     def __str__(self) -> str:
@@ -49,18 +49,18 @@ class Clip:
     Attributes
     ----------
     source : str
-        As a person wrote it.
+        As the user wrote it.
     name : str
-        As every process can open it: with the seed, and with absolute paths.
+        Name that every process can open: with the seed and absolute paths.
     seed : int
     frames : range
         Indices.
     identity : str
         Hash of the rig and of the frames' images and truth.
     untouched : str
-        Hash of the untouched membrane; empty where no method asks for it.
+        Hash of the untouched frame; empty if no method needs it.
     has_truth : bool
-        Whether at least one frame knows its truth.
+        Whether at least one frame has ground truth.
     """
 
     source: str
@@ -78,7 +78,7 @@ def parse_frames(text: str) -> FrameRange:
     Raises
     ------
     SweepError
-        It is none of them, or holds no frame.
+        The text has another form, or the range is empty.
     """
     found = _FRAMES.fullmatch(text)
     if found is None:
@@ -92,12 +92,12 @@ def parse_frames(text: str) -> FrameRange:
 
 
 def seeded(source: str, seeds: int) -> list[tuple[str, int]]:
-    """Return the names of a source with each seed; sources other than the simulator know one only.
+    """Return one name of the source for each seed; sources other than the simulator have one name only.
 
     Raises
     ------
     SweepError
-        The source names a seed of its own beside several seeds, or is live.
+        The source is live, or its name contains a seed although several seeds are requested.
     """
     scheme = source.partition(":")[0]
     if scheme in ("live", "realsense"):
@@ -122,12 +122,12 @@ def inspect_clips(
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
 ) -> list[Clip]:
-    """Open every source once and find out what identifies its frames.
+    """Open each source once and return its clips, with the hash of their frames.
 
     Raises
     ------
     TactuneError
-        A source cannot be read, is live, has no such frames, or does not fit the preset.
+        A source cannot be read, is live, lacks the requested frames, or does not fit the preset.
     """
     clips: list[Clip] = []
     for source in dict.fromkeys(sources):
@@ -150,7 +150,7 @@ def inspect_clips(
 
 
 def frames_identity(rig: Rig) -> hashlib.blake2b:
-    """Begin a hash over frames of a rig, which `add_frame` goes on with."""
+    """Return a hash that contains the rig; `add_frame` adds frames to it."""
     return hashlib.blake2b(rig.model_dump_json().encode(), digest_size=16)
 
 
@@ -167,7 +167,7 @@ def add_frame(digest: hashlib.blake2b, frame: SensorFrame) -> None:
 
 
 def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
-    """Return what identifies the frames, whether one of them knows its truth, and which they are."""
+    """Return the hash of the frames, whether one of them has ground truth, and their indices."""
     if opened.length is None:
         raise SweepError(f"{source} has no end; record it first with tactune record")
     chosen = frames.indices(opened.length)
@@ -194,7 +194,7 @@ def _untouched_identity(opened: FrameSource, untouched: SensorFrame | None) -> s
 
 
 def _absolute(source: str) -> str:
-    """Return a source's name with absolute paths, since workers may run in another folder."""
+    """Return a source's name with absolute paths, because workers may run in another folder."""
     scheme, colon, rest = source.partition(":")
     if not colon or scheme not in ("folder", "bag", "mcap"):
         scheme, rest = "", source

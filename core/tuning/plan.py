@@ -1,4 +1,4 @@
-"""A sweep before it runs: which presets, over which frames, in which order and pieces."""
+"""The plan of a sweep: settings, clips, the order of the runs, and their batches."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ FUSION: Final = "fusion"
 
 _ALL_FRAMES: Final = FrameRange()
 
-#: Frames that one piece of work processes at most, over all of its runs: some ten seconds.
+#: Upper limit of the frames of a batch, summed over its runs; about ten seconds of work.
 _FRAMES_A_BATCH: Final = 500
-#: Runs of it at most: those of methods hold about 5 MB each, all at once.
+#: Upper limit of the runs of a batch. All of them are in memory at once; a run of a method needs about 5 MB.
 _RUNS_A_BATCH: Final = 50
-#: Pieces that each worker gets at least, so that all are busy to the end.
+#: Minimum number of batches per worker, so that no worker is idle towards the end.
 _BATCHES_A_WORKER: Final = 4
 
-#: In which step of its contact test a field is first used; fields of late steps vary fastest.
+#: Index of the step of the contact test in which each field is first used. Fields of late steps vary fastest.
 STAGE_OF: Final = {
     path: number
     for test in CONTACT_TESTS.values()
@@ -56,7 +56,7 @@ STAGE_OF: Final = {
 
 @dataclass(frozen=True)
 class Request:
-    """What a sweep is asked to do; the argument of `make_plan`.
+    """The request for a sweep, from which `make_plan` makes the plan.
 
     Attributes
     ----------
@@ -66,12 +66,12 @@ class Request:
         ``fusion`` or names of `baselines.registry.method_names`.
     frames : FrameRange
     seeds : int
-        Choices of noise for each simulated source.
+        Number of noise seeds for each simulated source.
     sample : int or None
-        Draw this number of combinations instead of all.
+        Number of combinations to draw; None runs all of them.
     sample_seed : int
     untouched : SensorFrame or None
-        The preset's own untouched membrane, for methods that compare with one; without it the sources'.
+        The preset's own untouched frame, for methods that need one. None: each source's own is used.
     """
 
     axes: tuple[Axis, ...]
@@ -86,14 +86,14 @@ class Request:
 
 @dataclass(frozen=True)
 class Setting:
-    """One choice of method and parameters.
+    """One method with one combination of parameters.
 
     Attributes
     ----------
     values : dict
         Path and plain value of each swept field.
     parameters : dict
-        Path and plain value of every field that results depend on, as the method has it.
+        Path and plain value of every field that affects results, including the fields that the method sets.
     """
 
     method: str
@@ -103,7 +103,7 @@ class Setting:
 
 @dataclass(frozen=True)
 class Run:
-    """One setting on one clip; the key stands for all that its result depends on."""
+    """One setting on one clip; the key is a hash of everything that affects the result."""
 
     key: str
     setting: Setting
@@ -112,7 +112,7 @@ class Run:
 
 @dataclass(frozen=True)
 class Batch:
-    """Runs over one clip that a worker does together."""
+    """Runs over one clip that a worker processes together."""
 
     base: Preset
     clip: Clip
@@ -122,13 +122,13 @@ class Batch:
 
     @property
     def name(self) -> str:
-        """Stands for the runs in it."""
+        """Hash of the keys of its runs."""
         return hashlib.sha256("".join(key for key, _, _ in self.runs).encode()).hexdigest()[:24]
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Everything that a sweep will run.
+    """All settings and clips of a sweep.
 
     Attributes
     ----------
@@ -140,7 +140,7 @@ class Plan:
     code : str
         Version of the program's code.
     untouched : SensorFrame or None
-        As in `Request`, where a method asks for it.
+        As in `Request`; None if no method needs it.
     """
 
     base: Preset
@@ -152,16 +152,16 @@ class Plan:
 
     @cached_property
     def runs(self) -> tuple[Run, ...]:
-        """All runs: clip by clip, with the parameters of late stages varying fastest."""
+        """All runs, clip by clip; parameters of late steps vary fastest."""
         return tuple(Run(self._key(setting, clip), setting, clip) for clip in self.clips for setting in self.settings)
 
     @property
     def has_truth(self) -> bool:
-        """Whether every source knows its truth."""
+        """Whether every source has ground truth."""
         return all(clip.has_truth for clip in self.clips)
 
     def batches(self, done: Callable[[str], bool], workers: int) -> Iterator[Batch]:
-        """Split the runs that are not done into batches, each over one clip."""
+        """Split the unfinished runs into batches, each over one clip."""
         for number, clip in enumerate(self.clips):
             of_take = self.runs[number * len(self.settings) : (number + 1) * len(self.settings)]
             waiting = [run for run in of_take if not done(run.key)]
@@ -189,17 +189,17 @@ def make_plan(
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
 ) -> Plan:
-    """Check everything that is asked for, and list the runs; nothing is computed yet but hashes.
+    """Check a request and return the plan. Sources are opened and hashed; no run is started.
 
     Parameters
     ----------
     base : Preset
-        Gives the parameters that are not swept.
+        Preset for the parameters that are not swept.
     request : Request
     opener : callable
         Opens sources.
     progress : callable
-        Told the name of each source that is read.
+        Called with the name of each source when it is read.
 
     Raises
     ------
@@ -230,7 +230,7 @@ def make_plan(
 
 
 def short_clips(plan: Plan, frames: FrameRange) -> list[str]:
-    """Say of each source that has fewer frames than were asked for which ones are taken."""
+    """Return a sentence for each source with fewer frames than requested."""
     if frames.last is None:
         return []
     return list(dict.fromkeys(
@@ -241,7 +241,7 @@ def short_clips(plan: Plan, frames: FrameRange) -> list[str]:
 
 
 def little_averaged(plan: Plan) -> list[str]:
-    """Say of each source whose depth is averaged over fewer frames than asked for, or over frames far apart."""
+    """Return a sentence for each source with too few frames for the temporal average, or with skipped frames."""
     field, most = "", 1
     for setting in plan.settings:
         test = CONTACT_TESTS[setting.parameters["contact_test"]]
@@ -283,7 +283,7 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
     numbers = {axis.path: axis.values for axis in axes if isinstance(axis, Choice)}
 
     def order(setting: Setting) -> list[Any]:
-        """Early stages first; within a field as it was listed."""
+        """Sort by the fields of early steps first; values of a field keep their listed order."""
         ranks = sorted(setting.values, key=lambda path: (STAGE_OF.get(path, 0), path))
         return [setting.method, *(
             numbers[path].index(setting.values[path]) if path in numbers else setting.values[path] for path in ranks
@@ -295,5 +295,9 @@ def _settings(base: Preset, axes: Sequence[Axis], request: Request) -> list[Sett
 
 def _check_size(count: int, request: Request) -> None:
     if count > MAX_RUNS:
-        remedy = "sample fewer" if request.sample is not None else "take some of them with --sample N, or fewer values"
-        raise SweepError(f"these are {count} runs, and at most {MAX_RUNS} make sense; {remedy}")
+        remedy = (
+            "use a smaller --sample"
+            if request.sample is not None
+            else "draw some of them with --sample N, or give fewer values"
+        )
+        raise SweepError(f"the sweep has {count} runs, but the limit is {MAX_RUNS}; {remedy}")

@@ -1,4 +1,4 @@
-"""What one run of a sweep measured, and how a frame is judged."""
+"""The result of one run of a sweep, and the measures of a frame."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ..model.frames import Rig, SensorFrame
 
 @dataclass(frozen=True)
 class Result:
-    """What a run measured: means over its frames; None where no frame tells.
+    """The result of a run: means over its frames; None if no frame has a value.
 
     Attributes
     ----------
@@ -32,17 +32,17 @@ class Result:
     iou, precision, recall : float or None
         In proximity pixels, over frames with truth.
     area_error_mm2 : float or None
-        Mean size of the difference to the true area, over frames with truth.
+        Mean absolute difference to the true area, over frames with truth.
     area_mm2, points : float or None
         Of the patch.
     stability : float or None
-        Mean IoU of the masks of frames that follow each other; None where no frame has a patch.
+        Mean IoU of the masks of consecutive frames; None if no frame has a patch.
     frames, missed : int
-        Frames judged, and those in which something touches and nothing was found.
+        Number of processed frames, and of frames with true contact in which no contact was found.
     ms : float or None
         Median computation time of a frame on one thread.
     failure : str
-        Why the method could not be built or gave up on a frame; empty where it did not.
+        Why the method could not be built or failed on a frame; empty if it did not.
     """
 
     key: str
@@ -60,17 +60,17 @@ class Result:
     failure: str = ""
 
 
-#: The numbers of a result.
+#: Numeric fields of a result.
 MEASURES = tuple(item.name for item in fields(Result) if item.name not in ("key", "failure"))
 
 
 def result_from_json(found: Any) -> Result:
-    """Return the result that a JSON object tells.
+    """Return the result from a JSON object.
 
     Raises
     ------
     ValueError
-        The object is no result: a field is missing, unknown or of another type.
+        The object is not a result: a field is missing, unknown or has the wrong type.
     """
     kinds = {item.name: item.type for item in fields(Result)}
     if not isinstance(found, dict) or found.keys() != kinds.keys():
@@ -83,7 +83,7 @@ def result_from_json(found: Any) -> Result:
 
 
 class JudgedFrame:
-    """A frame, and what can be said of a patch in it; what the truth gives is computed once for all runs."""
+    """Measures patches against the truth of one frame; values that depend on the truth alone are computed once."""
 
     def __init__(self, frame: SensorFrame, rig: Rig) -> None:
         self.frame = frame
@@ -91,7 +91,7 @@ class JudgedFrame:
         self._last: tuple[MethodPatch, dict[str, float]] | None = None
 
     def judge(self, patch: MethodPatch) -> dict[str, float]:
-        """Return the numbers of a patch that a frame alone tells; nan where there is none."""
+        """Return the measures of a patch in this frame; nan where one is undefined."""
         if self._last is not None and _same(self._last[0], patch):
             return self._last[1]
         numbers = {"points": float(len(patch.points)), "area_mm2": method_area_mm2(patch, self._rig)}
@@ -122,7 +122,7 @@ class JudgedFrame:
         return 1e6 * float(pixel_areas_m2(self._truth[:, 2], self._rig.proximity.intrinsics).sum())
 
     def _rmse_mm(self, patch: MethodPatch) -> float:
-        """As `evaluation.metrics.symmetric_rmse_m`, with the truth's tree kept."""
+        """Return the same as `evaluation.metrics.symmetric_rmse_m`; the k-d tree of the truth is reused."""
         if len(patch.points) == 0 or self._tree.n == 0:
             return math.nan
         points = patch.points.astype(np.float64)
@@ -132,7 +132,7 @@ class JudgedFrame:
 
 @dataclass
 class Tally:
-    """Collects what the frames of one run tell."""
+    """Collects the measures of all frames of one run."""
 
     key: str
     _numbers: dict[str, list[float]] = field(default_factory=dict)
@@ -143,7 +143,7 @@ class Tally:
     _overlaps: list[float] = field(default_factory=list)
 
     def add(self, frame: JudgedFrame, patch: MethodPatch, ms: float) -> None:
-        """Take in the patch of the next frame."""
+        """Add the patch of the next frame."""
         self._frames += 1
         self._ms.append(ms)
         if patch.failure:
@@ -156,11 +156,11 @@ class Tally:
         self._mask = patch.mask
 
     def fail(self, reason: str) -> None:
-        """Note why there is no patch; the first reason is kept."""
+        """Record why there is no patch; the first reason is kept."""
         self._failure = self._failure or reason
 
     def result(self) -> Result:
-        """Return what all frames say together."""
+        """Return the result over all frames."""
         means = {name: _mean(numbers) for name, numbers in self._numbers.items() if name != "missed"}
         found_something = any(self._numbers.get("points", ()))
         return Result(

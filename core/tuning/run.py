@@ -1,7 +1,7 @@
-"""The work of a sweep's worker: a batch of runs over one clip.
+"""Processes a batch of runs over one clip, on a worker of a sweep.
 
-Frames come in the outer loop and runs in the inner one, so a frame is read once for all runs, and what
-two runs that follow each other have in common is not computed again. A worker keeps its last source open.
+The outer loop is over frames, the inner loop over runs. Each frame is therefore read once for all runs, and
+consecutive runs share the results of their common steps. A worker keeps its last source open.
 """
 
 from __future__ import annotations
@@ -32,21 +32,21 @@ from .plan import FUSION, Batch
 from .results import JudgedFrame, Result, Tally
 from .values import SweepError
 
-#: Finds the patch of a frame, and says how many milliseconds that took.
+#: Returns the patch of a frame and the computation time in ms.
 Find = Callable[[SensorFrame], tuple[MethodPatch, float]]
 
 _kept: Final = threading.local()
 
 
 def run_batch(batch: Batch) -> list[Result]:
-    """Do all runs of a batch, on one thread.
+    """Process all runs of a batch on one thread and return their results.
 
-    A run that cannot be done with its parameters gives a result with the reason in it.
+    A run that fails because of its parameters gives a result with the reason in ``failure``.
 
     Raises
     ------
     TactuneError
-        This process runs other code than the sweep was planned with, or reads other frames.
+        This process runs another version of the code than the plan, or its recording has other frames.
     """
     if code_version() != batch.code:
         raise SweepError(
@@ -68,13 +68,13 @@ class _OpenClip:
 
     @staticmethod
     def of(clip: Clip) -> _OpenClip:
-        """Return the calling thread's open clip, another one where need be."""
+        """Return the calling thread's open clip; open this clip if another one is open."""
         before: _OpenClip | None = getattr(_kept, "clip", None)
         if before is not None and before.clip == clip:
             return before
         if before is None:
-            warm_up()  # so that no run's time is that of loading code
-        fresh = _OpenClip(clip)  # before the old one is closed: they may share a solved scene
+            warm_up()  # so that no measured time includes loading code
+        fresh = _OpenClip(clip)  # opened before the old one is closed, because both may share a solved scene
         _kept.clip = fresh
         if before is not None:
             before.source.close()
@@ -116,13 +116,13 @@ class _OpenClip:
     def _make_find(
         self, tally: Tally, shared: _SharedPipeline, method: str, batch: Batch, values: dict[str, Any]
     ) -> Find | None:
-        """Return how a run finds patches; None, and the tally knows why, where it cannot."""
+        """Return the function that finds patches for a run; None on failure, which is recorded in the tally."""
         with _failures_of(tally):
             preset = batch.base.with_values(values)
             if method != FUSION:
                 return _find_by(make_method(method, preset, self.source.rig, self._untouched_for(method, batch)))
             if preset.averaged_frames > 1:
-                return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it remembers frames: not to be shared
+                return _find_by(Fusion(preset, self.source.rig, FUSION, {}))  # it keeps frames, so it is not shared
             return lambda frame: shared.find(preset, frame)
         return None
 
@@ -142,26 +142,26 @@ def _find_by(method: ContactMethod) -> Find:
 
 
 class _SharedPipeline:
-    """One pipeline for all runs of a batch; a stage that nothing has changed is not computed again."""
+    """One pipeline for all runs of a batch; unchanged stages are not computed again."""
 
     def __init__(self, base: Preset, source: FrameSource) -> None:
         self._pipeline = ContactPipeline(base, source.rig)
         self._stage_ms: dict[str, float] = {}
 
     def find(self, preset: Preset, frame: SensorFrame) -> tuple[MethodPatch, float]:
-        """Return the patch, and the milliseconds that it takes where nothing is remembered."""
+        """Return the patch and its computation time without caching, ms."""
         self._pipeline.update(preset)
         patch = self._pipeline.process(frame)
         before, self._stage_ms, fresh = self._stage_ms, {}, False
         for stage, ms in patch.stage_ms.items():
-            fresh = fresh or ms > 0  # stages before the first that ran were taken from memory
+            fresh = fresh or ms > 0  # stages before the first one that ran were cached
             self._stage_ms[stage] = ms if fresh else before.get(stage, 0.0)
         return MethodPatch(patch.points, lambda: patch.mask), sum(self._stage_ms.values())
 
 
 @contextmanager
 def _failures_of(tally: Tally) -> Iterator[None]:
-    """Turn what goes wrong in a run into its failure; what a machine lacks is no run's fault."""
+    """Record an error of a run as its failure. Errors of the machine, such as lack of memory, are raised."""
     try:
         yield
     except TactuneError as error:
@@ -172,7 +172,7 @@ def _failures_of(tally: Tally) -> Iterator[None]:
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """Let the kernels that the calling thread starts use no other thread, and OpenCV's none while a batch runs."""
+    """Run the calling thread's kernels and OpenCV on one thread while a batch is processed."""
     before = get_threads()
     set_threads(1)
     _single_opencv.enter()
@@ -184,7 +184,7 @@ def _one_thread() -> Iterator[None]:
 
 
 class _SingleOpenCV:
-    """OpenCV's number of threads is the process's: the first batch sets it to 1, the last one restores it."""
+    """OpenCV has one thread count per process: the first batch sets it to 1, the last batch restores it."""
 
     def __init__(self) -> None:
         self._lock, self._inside, self._before = threading.Lock(), 0, 1

@@ -1,4 +1,4 @@
-"""A sweep that runs: the journal that keeps finished runs, the loop over all runs, and the table of the results."""
+"""Runs a sweep: the journal of finished runs, the loop over all runs, and the table of results."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _HEADER: Final = b'{"journal":"tactune.sweep","version":1}\n'
 
 
 class Journal:
-    """The finished runs of a sweep; a context manager that no second process can enter.
+    """Journal of the finished runs of a sweep; a context manager that locks the file against other processes.
 
-    A run is safe on the disk when `add` returns. A line that a crash cut off is dropped.
+    When `add` returns, the run is on the disk. A line that was cut off by a crash is ignored.
 
     Parameters
     ----------
     path : Path
-        Made where it is missing.
+        Created if it does not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -45,7 +45,7 @@ class Journal:
         Raises
         ------
         SweepError
-            Another process has it open, or it is no journal.
+            Another process has it open, or it is not a journal.
         ExportError
             It cannot be written.
         """
@@ -66,7 +66,7 @@ class Journal:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(OSError):  # what `add` could not write it has told
+        with suppress(OSError):  # `add` has already raised the write error
             self._file.close()
 
     def __contains__(self, key: str) -> bool:
@@ -76,12 +76,12 @@ class Journal:
         return self._results[key]
 
     def add(self, results: Iterable[Result]) -> None:
-        """Keep results; one whose run is there already is left out.
+        """Add results; results of runs that are already in the journal are ignored.
 
         Raises
         ------
         ExportError
-            The disk is full or refuses.
+            The disk is full, or the file cannot be written.
         """
         fresh: dict[str, Result] = {}
         for result in results:
@@ -95,7 +95,7 @@ class Journal:
         self._results |= fresh
 
     def read(self) -> None:
-        """Read the file again, such as after an interrupted `add`.
+        """Read the file again, for example after an interrupted `add`.
 
         Raises
         ------
@@ -107,14 +107,14 @@ class Journal:
         if not data:
             self._write(_HEADER)
         elif not data.startswith(_HEADER):
-            raise SweepError(f"{self.path} is there already and keeps no sweep; choose another --out")
+            raise SweepError(f"{self.path} exists and is not a sweep journal; choose another --out")
         whole = data[: data.rfind(b"\n") + 1]
         if len(whole) < len(data):
             self._file.truncate(len(whole))
         for line in whole.splitlines()[1:]:
             try:
                 result = result_from_json(json.loads(line))
-            except ValueError:  # a damaged line: its run is done again
+            except ValueError:  # a damaged line: its run is repeated
                 continue
             self._results[result.key] = result
 
@@ -128,7 +128,7 @@ class Journal:
 
 
 def _lock(file: IO[bytes], path: Path) -> None:
-    """Lock a file until it is closed, also by a crash."""
+    """Lock a file until it is closed; a crash releases the lock."""
     try:
         if sys.platform == "win32":
             import msvcrt
@@ -144,29 +144,29 @@ def _lock(file: IO[bytes], path: Path) -> None:
         ) from error
 
 
-#: Does batches in whatever order and place, and yields the results of each once it is done.
+#: Runs batches in any order, and yields the results of each batch when it is done.
 Engine = Callable[[Iterable[Batch]], Iterator[list[Result]]]
 
 
 def measure_sweep(plan: Plan, journal: Journal, engine: Engine, workers: int) -> Iterator[int]:
-    """Do the runs that the journal does not hold, and yield how many are done, first those found there.
+    """Process the runs that are missing in the journal, and yield the number of finished runs, earlier ones included.
 
-    To cancel, close the iterator or let an error through: every run that was counted is kept.
+    To cancel, close the iterator or raise an error. Every counted run is in the journal.
 
     Parameters
     ----------
     plan : Plan
     journal : Journal
-        Open; each run is kept in it at once.
+        Open journal; each run is stored in it at once.
     engine : callable
         Such as `local.run_locally` with a number of processes, or `cluster.Cluster.run`.
     workers : int
-        How many batches the engine does at once.
+        Number of batches that the engine processes at once.
 
     Raises
     ------
     TactuneError
-        The engine cannot go on, or a run cannot be kept.
+        The engine fails, or a run cannot be stored.
     """
     done = sum(run.key in journal for run in plan.runs)
     yield done
@@ -182,14 +182,14 @@ def measure_sweep(plan: Plan, journal: Journal, engine: Engine, workers: int) ->
             close()
 
 
-#: Under this key a file says of which sweep it is.
+#: Metadata key of the sweep's identity.
 _METADATA: Final = b"tactune.sweep"
 
 Row = dict[str, Any]
 
 
 def sweep_rows(plan: Plan, journal: Journal) -> list[Row]:
-    """Return a row for each finished run of a plan: what was run, all parameters, what was measured."""
+    """Return a row for each finished run of a plan: method, clip, all parameters and all measures."""
     rows = []
     for run in plan.runs:
         if run.key in journal:
@@ -214,14 +214,14 @@ def sweep_rows(plan: Plan, journal: Journal) -> list[Row]:
 
 
 def check_table(path: Path, journal: Path) -> None:
-    """Refuse at once what cannot be written at the end.
+    """Raise before the sweep if its table could not be written at the end.
 
     Raises
     ------
     MissingExtraError
         pyarrow is not installed.
     ExportError
-        A file is there that no sweep has written, or the name has another suffix.
+        The name has another suffix, or the existing file was not written by a sweep.
     """
     _pyarrow()
     if path.suffix != ".parquet":
@@ -231,12 +231,12 @@ def check_table(path: Path, journal: Path) -> None:
 
 
 def check_replaced(path: Path, plan: Plan) -> None:
-    """Refuse a plan whose table would lose runs that the table there has.
+    """Raise if the existing table has runs that are not in the plan, because they would be lost.
 
     Raises
     ------
     ExportError
-        The file has such runs, or is no table of a sweep.
+        The table has such runs, or the file is not a table of a sweep.
     """
     if not path.exists():
         return
@@ -254,9 +254,9 @@ def check_replaced(path: Path, plan: Plan) -> None:
 
 
 def write_table(path: Path, plan: Plan, rows: list[Row]) -> None:
-    """Write the rows as Parquet; the file appears whole or not at all.
+    """Write the rows as Parquet, atomically.
 
-    The preset that gave the parameters that were not swept stands in the file's metadata.
+    The file's metadata contains the preset with the parameters that were not swept.
 
     Raises
     ------
@@ -273,7 +273,7 @@ def write_table(path: Path, plan: Plan, rows: list[Row]) -> None:
 
 
 def _column(pyarrow: ModuleType, name: str, values: list[Any]) -> Any:
-    """Return a column; values of several shapes, such as a pose or none, as JSON texts."""
+    """Return a column; values of mixed types, such as a pose or None, are stored as JSON text."""
     if any(isinstance(value, dict) or (isinstance(value, list) and value and isinstance(value[0], list))
            for value in values):  # fmt: skip
         return pyarrow.array([None if value is None else json.dumps(value) for value in values], pyarrow.string())

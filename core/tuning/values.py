@@ -1,4 +1,4 @@
-"""The values that a sweep gives to a preset's fields: lists, ranges, grids, samples, and the sweep file."""
+"""Values of the swept fields: lists, ranges, grids, samples, and the sweep file."""
 
 from __future__ import annotations
 
@@ -20,22 +20,22 @@ from ..model.files import refuse_devices
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths, set_path
 
-#: Fields that say who, when and where, and change no result.
+#: Fields with metadata, which do not affect results.
 _ABOUT: Final = ("name", "notes", "created", "modified", "rig", "alignment.calibration")
-#: Fields that change results but are no parameters.
+#: Fields that affect results but cannot be swept.
 _FIXED: Final = ("untouched",)
 
-#: Which contact test uses a section.
+#: The contact test that uses each section.
 _TEST_OF: Final = {section: test.name for test in CONTACT_TESTS.values() for section in test.section_names}
 
-#: More runs than this are a mistake, or a case for a sample.
+#: Upper limit of the runs of a sweep; larger grids must be sampled.
 MAX_RUNS: Final = 100_000
 
 _RANGE: Final = re.compile(r"([^:]+):([^:]+?)(?::([0-9]*)(log)?)?")
 
 
 class SweepError(TactuneError):
-    """A sweep that cannot be planned, run or kept."""
+    """A sweep cannot be planned, run or stored."""
 
 
 @dataclass(frozen=True)
@@ -48,7 +48,7 @@ class Choice:
 
 @dataclass(frozen=True)
 class Span:
-    """Values from a range; ``count`` is None where only a sample is taken from it."""
+    """Values from a range; ``count`` is None if the range can only be sampled."""
 
     path: str
     low: float
@@ -61,12 +61,12 @@ Axis = Choice | Span
 
 
 def result_paths() -> list[str]:
-    """Return the preset's fields that results depend on."""
+    """Return the paths of the preset fields that affect results."""
     return [path for path in preset_paths() if path not in _ABOUT and not path.startswith("cameras.")]
 
 
 def parse_axis(text: str) -> Axis:
-    """Read ``FIELD=VALUES`` as the command line has it, such as ``tolerance.t=0.005:0.03:6log``.
+    """Return the axis of a ``FIELD=VALUES`` text such as ``tolerance.t=0.005:0.03:6log``.
 
     Raises
     ------
@@ -80,12 +80,12 @@ def parse_axis(text: str) -> Axis:
 
 
 def make_axis(path: str, given: Any) -> Axis:
-    """Return the axis that a text such as ``"10,20,30"`` or ``"0.005:0.03:6log"``, or a list of values, means.
+    """Return the axis of a list of values, or of a text such as ``"10,20,30"`` or ``"0.005:0.03:6log"``.
 
     Raises
     ------
     SweepError
-        There is no value, or the range is empty, upside down, or has an absurd number of steps.
+        There is no value, or the range is empty, reversed, or has too few or too many steps.
     """
     if not isinstance(given, str):
         values = tuple(given) if isinstance(given, list | tuple) else (given,)
@@ -97,35 +97,34 @@ def make_axis(path: str, given: Any) -> Axis:
 
 
 def checked_axis(axis: Axis, base: Preset) -> Axis:
-    """Check an axis against the preset's schema and return it with values as the preset holds them.
+    """Check an axis against the preset's schema and return it with values in the preset's types.
 
     Raises
     ------
     TactuneError
-        No such field, one that is no parameter, a value that it does not allow, or a field of a section that
-        is turned off.
+        The field does not exist or cannot be swept, a value is not allowed, or the field's section is turned off.
     """
-    set_path(base.model_dump(mode="python"), axis.path, None)  # refuses what is no field, and suggests the nearest
+    set_path(base.model_dump(mode="python"), axis.path, None)  # raises for an unknown field, suggests the nearest
     if axis.path in _FIXED or axis.path not in result_paths():
-        raise SweepError(f"{axis.path} is no parameter that a result depends on; sweep another field")
+        raise SweepError(f"{axis.path} cannot be swept; sweep a parameter that affects results")
     if isinstance(axis, Choice):
         values = [plain_value(base.with_value(axis.path, value), axis.path) for value in axis.values]
         return Choice(axis.path, tuple(_unique(values)))
     whole = isinstance(base.value(axis.path), int) and not isinstance(base.value(axis.path), bool)
     if not (whole or isinstance(base.value(axis.path), float)):
-        raise SweepError(f"{axis.path} is no number and so has no range; list its values with commas")
+        raise SweepError(f"{axis.path} is not a number, so it has no range; list its values with commas")
     for end in (axis.low, axis.high):
         base.with_value(axis.path, _fitting(end, whole))
     return axis
 
 
 def check_switched_on(axes: Sequence[Axis], base: Preset) -> None:
-    """Refuse fields of a section that stays turned off, since they would change nothing.
+    """Raise if a field belongs to a section that stays turned off, because it would have no effect.
 
     Raises
     ------
     SweepError
-        Names the field and the switch.
+        The message names the field and the switch.
     """
     swept = {axis.path for axis in axes}
     for path in swept:
@@ -133,17 +132,17 @@ def check_switched_on(axes: Sequence[Axis], base: Preset) -> None:
         switch = f"{section}.enabled"
         if field == "enabled" or switch not in preset_paths() or switch in swept or base.value(switch):
             continue
-        if path != "outliers.min_cluster_area_mm2":  # the clusters' own switch is the area
+        if path != "outliers.min_cluster_area_mm2":  # clusters are turned off by an area of 0
             raise SweepError(f"{path} changes nothing while {switch} is false; add --set {switch}=true")
 
 
 def check_contact_test(axes: Sequence[Axis], base: Preset) -> None:
-    """Refuse fields of a contact test that no run uses.
+    """Raise if a field belongs to a contact test that no run uses.
 
     Raises
     ------
     SweepError
-        Names the field and the test.
+        The message names the field and the test.
     """
     chosen = next((axis.values for axis in axes if isinstance(axis, Choice) and axis.path == "contact_test"), ())
     tests = chosen or (base.contact_test,)
@@ -156,12 +155,12 @@ def check_contact_test(axes: Sequence[Axis], base: Preset) -> None:
 
 
 def check_free(axes: Sequence[Axis], methods: Sequence[str]) -> None:
-    """Refuse fields that a method sets itself, whatever a preset says.
+    """Raise if a method sets one of the fields itself and ignores the preset's value.
 
     Raises
     ------
     SweepError
-        Names the field and the method.
+        The message names the field and the method.
     """
     for axis in axes:
         for method in methods:
@@ -169,17 +168,17 @@ def check_free(axes: Sequence[Axis], methods: Sequence[str]) -> None:
             if axis.path in own:
                 raise SweepError(
                     f"{method} always has {axis.path} {own[axis.path]}, so other values would change nothing; "
-                    f"use --method fusion, which takes what is set, or leave --set {axis.path} out"
+                    f"use --method fusion, or remove --set {axis.path}"
                 )
 
 
 def grid_size(axes: Sequence[Axis]) -> int:
-    """Return how many combinations a grid has.
+    """Return the number of combinations of a grid.
 
     Raises
     ------
     SweepError
-        A range says no number of steps.
+        A range has no number of steps.
     """
     for axis in axes:
         if isinstance(axis, Span) and axis.count is None:
@@ -198,7 +197,7 @@ def grid(axes: Sequence[Axis], base: Preset) -> Iterator[dict[str, Any]]:
 
 
 def sample(axes: Sequence[Axis], base: Preset, count: int, seed: int) -> Iterator[dict[str, Any]]:
-    """Yield ``count`` combinations that cover every axis evenly: a Latin hypercube."""
+    """Yield ``count`` combinations from a Latin hypercube, which covers every axis evenly."""
     from scipy.stats import qmc
 
     if not axes:
@@ -208,7 +207,7 @@ def sample(axes: Sequence[Axis], base: Preset, count: int, seed: int) -> Iterato
 
 
 def plain_value(preset: Preset, path: str) -> Any:
-    """Return a field as JSON has it."""
+    """Return the value of a field as plain JSON data."""
     value = preset.value(path)
     return json.loads(json.dumps(value.model_dump(mode="json") if hasattr(value, "model_dump") else value))
 
@@ -235,7 +234,7 @@ def _steps(axis: Span, base: Preset) -> list[Any]:
 
 
 def _at(axis: Axis, share: float, base: Preset) -> Any:
-    """Return the value at a share, 0 to 1, of an axis."""
+    """Return the value at a fraction, 0 to 1, of an axis."""
     if isinstance(axis, Choice):
         return axis.values[min(int(share * len(axis.values)), len(axis.values) - 1)]
     ratio, width = axis.high / axis.low if axis.log else 1.0, axis.high - axis.low
@@ -255,7 +254,7 @@ def _some(path: str, values: tuple[Any, ...]) -> tuple[Any, ...]:
 
 
 def _parted(text: str) -> list[str]:
-    """Part at commas that stand in no bracket."""
+    """Split at commas outside brackets."""
     parts, depth, start = [], 0, 0
     for at, letter in enumerate(text):
         depth += (letter in "[{") - (letter in "]}")
@@ -266,7 +265,7 @@ def _parted(text: str) -> list[str]:
 
 
 def _value(text: str) -> Any:
-    """Return a JSON value, or else the bare word."""
+    """Return the JSON value of a text; the text itself if it is not valid JSON."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError):
@@ -278,15 +277,15 @@ def _unique(values: Sequence[Any]) -> list[Any]:
 
 
 class SweepFile(BaseModel):
-    """What may stand in a sweep file; what is left out is as without the option.
+    """The fields of a sweep file; a missing field has the default of the option of the same name.
 
     Attributes
     ----------
     preset : str or None
-        A file, from the sweep file's own folder, or a shipped name.
+        A file, relative to the folder of the sweep file, or the name of a shipped preset.
     source, method : list of str
     set : dict
-        Field and its values: a list, or a text such as ``"0.005:0.03:6log"``.
+        Field path to values: a list, or a text such as ``"0.005:0.03:6log"``.
     frames : str or int or None
     """
 
@@ -309,7 +308,7 @@ def load_sweep_file(path: Path) -> SweepFile:
     Raises
     ------
     SweepError
-        It cannot be read, is no JSON object, or has a field that is unknown or of the wrong kind.
+        The file cannot be read, is not a JSON object, or has a field that is unknown or of the wrong type.
     """
     refuse_devices(path, SweepError)
     try:

@@ -1,4 +1,4 @@
-"""Where batches of a sweep run: processes on this computer through joblib, or a Dask cluster."""
+"""Engines that run the batches of a sweep: local processes by joblib, or a Dask cluster."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from .results import Result
 from .run import run_batch
 from .values import SweepError
 
-#: Seconds between a worker's looks at its parent.
+#: Interval at which a worker checks that its parent is alive, seconds.
 _WATCH_S: Final = 0.5
 
 
 def run_locally(batches: Iterable[Batch], jobs: int) -> Iterator[list[Result]]:
-    """Yield the results of each batch as it is done, in any order.
+    """Run batches in local processes; yield the results of each batch when it is done, in any order.
 
-    To cancel, close the iterator: processes that are at work are ended.
+    To cancel, close the iterator; the processes are then ended.
 
     Parameters
     ----------
     batches : iterable of Batch
-        Taken as they are needed.
+        Consumed as workers become free.
     jobs : int
-        Processes, each with one thread; 1 works in this one.
+        Number of processes, each with one thread; 1 uses the calling process.
 
     Raises
     ------
@@ -84,7 +84,7 @@ def check_joblib() -> ModuleType:
 
 
 def _begin_worker(parent: int) -> None:
-    """Leave Ctrl-C, which a terminal sends to all processes, to the parent, and end when that has ended."""
+    """Ignore Ctrl+C, which a terminal sends to all processes, and end this process when its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
     def watch() -> None:
@@ -92,17 +92,17 @@ def _begin_worker(parent: int) -> None:
             time.sleep(_WATCH_S)
         os._exit(1)
 
-    if sys.platform != "win32":  # there a parent keeps its number when it has ended
+    if sys.platform != "win32":  # on Windows the parent's process number stays the same after it has ended
         threading.Thread(target=watch, daemon=True).start()
 
 
-#: Seconds to wait for the scheduler, and between looks at the workers while nothing comes.
+#: Longest wait for the scheduler, and interval of checks on the workers while no result arrives, seconds.
 _CONNECT_S: Final = 10.0
 _LOOK_S: Final = 2.0
 
 _ADDRESS: Final = re.compile(r"([a-z]+://)?[^/\s]+:[0-9]{1,5}")
 
-#: Batches that wait on the cluster for each of its threads, so that none is idle.
+#: Batches queued on the cluster per thread, so that no thread is idle.
 _AHEAD: Final = 2
 
 
@@ -119,19 +119,19 @@ class Cluster:
 
     @property
     def threads(self) -> int:
-        """How many batches the workers can do at once."""
+        """Number of batches that the workers can process at once."""
         return sum(worker["nthreads"] for worker in self._client.scheduler_info(n_workers=-1)["workers"].values())
 
     def run(self, batches: Iterable[Batch], waiting: Callable[[], None] = lambda: None) -> Iterator[list[Result]]:
-        """Yield the results of each batch as it is done, in any order and each once.
+        """Run batches on the cluster; yield the results of each batch once, in any order.
 
-        A batch whose worker died is repeated on another one. To cancel, close the iterator.
+        If a worker dies, its batch is repeated on another worker. To cancel, close the iterator.
 
         Parameters
         ----------
         batches : iterable of Batch
         waiting : callable
-            Told from time to time while there is no worker.
+            Called repeatedly while there is no worker.
 
         Raises
         ------
@@ -204,7 +204,7 @@ def connect(address: str) -> Iterator[Cluster]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Keep what the client logs of lost connections off the terminal; what matters is raised."""
+    """Suppress the client's log messages about lost connections; failures are raised as errors."""
     loggers = [logging.getLogger(name) for name in ("distributed", "distributed.client")]
     levels = [logger.level for logger in loggers]
     for logger in loggers:
@@ -217,7 +217,7 @@ def _quiet() -> Iterator[None]:
 
 
 def _result_of(future: Any) -> list[Result]:
-    """Return what a batch gave, or say why it gave nothing."""
+    """Return the results of a batch; raise an error with the cause if it failed."""
     if future.status == "finished":
         results: list[Result] = future.result()
         return results

@@ -95,7 +95,7 @@ def test_without_truth_the_steadiest_is_best_and_no_error_can_be_asked_for(sweep
     blind = make_recording(with_truth=False)
     document = json.loads(sweep("-s", blind, *SETS, "--json").out)
     assert document["objective"] == "stability"
-    assert "knows no truth" in sweep("-s", blind, *SETS, "--objective", "rmse_mm", "-o", "b.parquet").sentence
+    assert "has no ground truth" in sweep("-s", blind, *SETS, "--objective", "rmse_mm", "-o", "b.parquet").sentence
 
 
 def test_seeds_are_for_simulated_sources(sweep, recording):
@@ -172,7 +172,7 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "REC", "--set", "tolerance.q=1"), "did you mean tolerance.t"),
         (("-s", "REC", "--set", "tolerance.t=3"), "allowed: 0 to 1"),
         (("-s", "REC", "--set", "tolerance.t=0:1:1000", "--set", "outliers.k=1:1000:1000"), "--sample N"),
-        (("-s", "REC", "--set", "tolerance.t=0:1", "--sample", "1000000"), "sample fewer"),
+        (("-s", "REC", "--set", "tolerance.t=0:1", "--sample", "1000000"), "smaller --sample"),
         (("-s", "REC", "--sample", "5"), "nothing to sample"),
         (("-s", "REC", "--set", "tolerance.t=0.1", "--set", "tolerance.t=0.2"), "given twice"),
         (("-s", "REC", "--objective", "beauty"), "there is no objective 'beauty'"),
@@ -184,7 +184,7 @@ def test_failed_runs_are_rows_with_a_reason(sweep, recording, tmp_path):
         (("-s", "REC", "--method", "fusion-rigid", "--set", "contact_test=membrane"), "contact_test tolerance"),
         (
             ("-s", "REC", "--method", "fusion-homography", "--set", "alignment.model=rigid,homography"),
-            "leave --set alignment.model out",
+            "remove --set alignment.model",
         ),
         (("-s", "REC", "--method", "mechanics", "--best", "b.json"), "no preset can name the method mechanics"),
         (("-s", "REC", "--frames", "9:"), "has 3 frames"),

@@ -70,7 +70,7 @@ def test_the_objective_must_be_one_that_can_be_told():
     assert choose_objective(None, blind) == "stability"
     assert choose_objective("ms", blind) == "ms"
     assert choose_objective(None, plan_of(setting(1))) == "rmse_mm"
-    with pytest.raises(TactuneError, match="one knows no truth, so iou cannot be told; choose ms, area, stability"):
+    with pytest.raises(TactuneError, match="one has no ground truth, so iou is undefined; choose ms, area, stability"):
         choose_objective("iou", blind)
 
 

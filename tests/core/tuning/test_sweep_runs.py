@@ -203,7 +203,7 @@ def test_a_journal_is_for_one_sweep_at_a_time_and_for_nothing_else(tmp_path):
     with Journal(tmp_path / "j"), pytest.raises(TactuneError, match="another sweep"), Journal(tmp_path / "j"):
         pass
     (tmp_path / "notes").write_text("mine\n")
-    with pytest.raises(TactuneError, match="keeps no sweep"), Journal(tmp_path / "notes"):
+    with pytest.raises(TactuneError, match="is not a sweep journal"), Journal(tmp_path / "notes"):
         pass
     assert (tmp_path / "notes").read_text() == "mine\n"
 

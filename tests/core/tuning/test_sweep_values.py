@@ -65,11 +65,11 @@ def test_texts_become_the_values_that_a_preset_holds(text, expected):
         ("tolerance.t=0.1:0.2:999999999999999999999", "2 to"),
         ("outliers.k=1.5", "outliers.k is 1.5"),
         ("outliers.k=0:10:3", "outliers.k is 0"),
-        ("contact_test=1:2:3", "no number"),
-        ("name=a,b", "no parameter"),
-        ("alignment.calibration=null", "no parameter"),
-        ("cameras.tactile_delay_s=0.1", "no parameter"),
-        ("untouched=null", "no parameter"),
+        ("contact_test=1:2:3", "not a number"),
+        ("name=a,b", "cannot be swept"),
+        ("alignment.calibration=null", "cannot be swept"),
+        ("cameras.tactile_delay_s=0.1", "cannot be swept"),
+        ("untouched=null", "cannot be swept"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_sentence(text, words):
