@@ -17,7 +17,6 @@ from .compare_table import CompareTable, comparison_csv
 from .comparer import CompareThread, Comparison, Task
 from .measuring_tab import MeasuringTab
 from .method_looks import TRUTH
-from .tab import TabKind
 
 _CHOSEN = "compare/methods"
 _AT_FIRST = ("fusion-rigid", "fusion-membrane", "proximity-only", "tactile-only", "mechanics")
@@ -41,8 +40,8 @@ class CompareTab(MeasuringTab):
         self.comparison: Comparison | None = None
         self._setting_up = ""
         methods = method_names()
-        for number, problem in enumerate(method_problems()):
-            context.messages.show_message(f"method {number}", Severity.WARNING, f"A method is missing: {problem}.")
+        for name, problem in method_problems().items():
+            context.messages.show_message(f"method {name}", Severity.WARNING, f"A method is missing: {problem}.")
         remembered = self._settings.text(_CHOSEN, ",".join(_AT_FIRST)).split(",")
         self.grid = TileGrid(context.cloud_backend)
         self.table = CompareTable(methods, remembered)
@@ -219,11 +218,3 @@ class CompareTab(MeasuringTab):
         if comparison is not None:
             what = f"Frame {comparison.task.result.frame_number} was"
             self._write(self.sheet.grab().toImage(), comparison_csv(comparison), path, what)
-
-
-TAB = TabKind(
-    title="&Compare methods",
-    tip="Run several contact methods side by side on the current frame",
-    shortcut="F7",
-    make=CompareTab,
-)

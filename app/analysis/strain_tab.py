@@ -28,7 +28,6 @@ from ..worker.results import Result, SourceInfo
 from .measuring_tab import MeasuringTab
 from .strain_views import StrainCurve, StrainMap, StrainNumbers
 from .strain_work import MapOf, StrainTask, StrainView, examine
-from .tab import TabKind
 
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MAX_AVERAGED = 30
@@ -293,11 +292,3 @@ class StrainTab(MeasuringTab):
         if not self.untouched.searching:
             self.progress.hide()
             self._measure()
-
-
-TAB = TabKind(
-    title="Membrane &strain",
-    tip="Membrane strain from a printed dot grid, on the current frame",
-    shortcut="Ctrl+T",
-    make=StrainTab,
-)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pkgutil import resolve_name
 from typing import Final
 
 from PyQt6.QtWidgets import QWidget
@@ -45,3 +46,33 @@ class TabKind:
     tip: str
     make: Callable[[Context], AnalysisTab]
     shortcut: str = ""
+
+
+def _later(path: str) -> Callable[[Context], AnalysisTab]:
+    """Return a `TabKind.make` that imports the tab's class when it is called: the main window starts without it."""
+
+    def make(context: Context) -> AnalysisTab:
+        tab: AnalysisTab = resolve_name(f"{__package__}.{path}")(context)
+        return tab
+
+    return make
+
+
+COMPARE: Final = TabKind(
+    title="&Compare methods",
+    tip="Run several contact methods side by side on the current frame",
+    shortcut="F7",
+    make=_later("compare_tab:CompareTab"),
+)
+TRUTH: Final = TabKind(
+    title="&Ground truth from a scan",
+    tip="Contact from a painted scan, aligned with the patch",
+    shortcut="F8",
+    make=_later("truth_tab:TruthTab"),
+)
+STRAIN: Final = TabKind(
+    title="Membrane &strain",
+    tip="Membrane strain from a printed dot grid, on the current frame",
+    shortcut="Ctrl+T",
+    make=_later("strain_tab:StrainTab"),
+)

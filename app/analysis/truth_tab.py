@@ -33,7 +33,7 @@ from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
 from ..worker.results import Result
-from .tab import AnalysisTab, TabKind
+from .tab import AnalysisTab
 from .truth_flow import TruthFlow, next_step
 from .truth_panels import AlignPanel, PaintPanel, ResultPanel
 from .truth_state import TruthState
@@ -385,11 +385,3 @@ def _note(flow: TruthFlow) -> str:
 
 def _is_scan(path: Path) -> bool:
     return path.suffix.lower() in SUFFIXES
-
-
-TAB = TabKind(
-    title="&Ground truth from a scan",
-    tip="Contact from a painted scan, aligned with the patch",
-    shortcut="F8",
-    make=TruthTab,
-)

@@ -43,9 +43,9 @@ class AnalysisLauncher(QObject):
         self.window: AnalysisWindow | None = None
         plugins = load_plugins(TABS, TabKind)
         self._kinds = dict(sorted(plugins.found.items(), key=lambda item: item[1].title.replace("&", "")))
-        for number, problem in enumerate(plugins.problems):
+        for name, problem in plugins.problems.items():
             sentence = f"An analysis tab is missing: {problem}."
-            context.messages.show_message(f"tab {number}", Severity.WARNING, sentence)
+            context.messages.show_message(f"tab {name}", Severity.WARNING, sentence)
         self.actions = {name: self._action(name, kind) for name, kind in self._kinds.items()}
         context.frameShown.connect(self._frame_shown)
 

@@ -40,7 +40,8 @@ _Force = Annotated[bool, typer.Option("--force", help="Replace a file that is al
 def record(
     *,
     source: Annotated[
-        str, typer.Option("--source", "-s", metavar="SOURCE", help="realsense:, live:SOURCE, or any recording.")
+        str,
+        typer.Option("--source", "-s", metavar="SOURCE", help="cameras:, live:SOURCE, or any recording."),
     ],
     out: Annotated[Path, typer.Option("--out", "-o", metavar="FILE.mcap", help="The new recording.")],
     preset: _Preset = None,

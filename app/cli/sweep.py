@@ -151,9 +151,7 @@ def sweep(
     scores = rank(plan, rows, chosen)
     found, at_edge = effects(plan, scores), edges(plan, scores)
     if as_json:
-        typer.echo(
-            json.dumps(_outcome_as_json(plan, scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False)
-        )
+        typer.echo(json.dumps(_outcome_as_json(scores, found, at_edge, chosen, rows, out), indent=2, allow_nan=False))
     else:
         _print_outcome(plan, scores, found, at_edge, chosen)
     typer.echo(f"wrote {out}: {counted(len(rows), 'run')}", err=True)
@@ -332,7 +330,6 @@ def _print_outcome(
 
 
 def _outcome_as_json(
-    plan: Plan,
     scores: Sequence[Score],
     effects: Iterable[Effect],
     edges: Iterable[Edge],

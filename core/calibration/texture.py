@@ -82,10 +82,10 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike |
             )
     stated = rig.T_proximity_tactile if pose is None else pose
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
-    start = _pose_of(stated) if stated is not None else _fit(_described(views, rig), rig).pose
+    start = _pose_of(stated) if stated is not None else _fit(_described(views), rig).pose
     found = _guided(views, rig, start)
     if len(found.points.tactile) < _MIN_PAIRS and stated is not None:
-        start = _fit(_described(views, rig), rig).pose
+        start = _fit(_described(views), rig).pose
         found = _guided(views, rig, start)
     for _ in range(_ROUNDS - 1):
         found = _guided(views, rig, _fit(found, rig).pose)
@@ -207,7 +207,7 @@ def _color_pixels(places: Float64Array, rig: Rig, pose: Pose) -> Float64Array:
     return color_lens(rig).project(points @ T_color_depth[:3, :3].T + T_color_depth[:3, 3])
 
 
-def _described(views: list[_View], rig: Rig) -> _Found:
+def _described(views: list[_View]) -> _Found:
     """Match SIFT descriptors with the ratio test and the mutual nearest neighbour."""
     sift = cv2.SIFT.create(nfeatures=2000)
     parts = []

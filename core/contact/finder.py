@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
@@ -22,6 +22,8 @@ from .kernels.threads import by_rows
 from .masking import color_lookup_of
 from .outliers.statistical import NeighbourMemory
 
+#: Below this number of image tiles, other threads are not worth waking.
+MAX_TILES_ALONE: Final = 300
 _NO_LIMITS = np.empty(0, np.int64)
 _NEVER_RUN = object()
 
@@ -144,10 +146,6 @@ class ContactFinder(ABC):
     @abstractmethod
     def find(self, frame: SensorFrame, preset: Preset, due: Steps) -> Found:
         """Return the contact in a frame; run only the steps that are due."""
-
-    def aligned(self, frame: SensorFrame) -> AlignedDepth:
-        """Return both sides of the tolerance test."""
-        return self.alignment.align(frame.proximity_depth, frame.tactile_depth, self.test.region)
 
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
         """Return the colour mask of a frame."""

@@ -145,6 +145,8 @@ class ContactPipeline:
             make = resolve_name(self._preset.test.implementation)
             self._finder = make(self._preset, self.rig, self._alignment, self._workspace)
             self._finder_key = key
+            for name in self._preset.test.step_names:  # the finder that was replaced kept their results
+                self._memory.done.pop(name, None)
         return self._finder
 
     def _average_over(self, frames: int) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -12,15 +12,12 @@ from ..model.patch import NO_CANDIDATES, Candidates, Found
 from ..model.provenance import Provenance
 from ..preset import OutlierSection, Preset
 from .alignment import AlignmentModel
-from .finder import ContactFinder, Steps, Workspace, depth_images
+from .finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
 from .kernels import chain as kernels
 from .kernels.compiling import kernel
 from .kernels.threads import by_rows
 from .outliers.clusters import in_large_cluster
 from .outliers.statistical import statistical_inliers
-
-#: Below this number of image tiles, other threads are not worth waking.
-_MAX_TILES_ALONE: Final = 300
 
 
 class ToleranceFinder(ContactFinder):
@@ -58,7 +55,7 @@ class ToleranceFinder(ContactFinder):
         def find_rows(first: int, last: int) -> None:
             counts[first * width] = kernels.find_candidates(images, self.test, color, tiles, first, last, out)
 
-        if possible <= _MAX_TILES_ALONE:
+        if possible <= MAX_TILES_ALONE:
             find_rows(0, height)
         else:
             by_rows(find_rows, height)

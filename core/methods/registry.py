@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from ..errors import PluginError, TactuneError
 from ..model.frames import Rig, SensorFrame
-from ..model.plugins import Plugins, load_plugins, plugin_names
+from ..model.plugins import NOT_INSTALLED, Plugins, load_plugins, plugin_names
 from ..preset import Preset
 from .fusion import fusion_kinds
 from .method import ContactMethod, MethodKind
@@ -31,7 +31,7 @@ def method_kinds() -> dict[str, MethodKind]:
     return _methods(plugin_names(GROUP)).found
 
 
-def method_problems() -> tuple[str, ...]:
+def method_problems() -> dict[str, str]:
     """Return one sentence for each method of another package that cannot be loaded."""
     return _methods(plugin_names(GROUP)).problems
 
@@ -64,13 +64,10 @@ def check_known(names: Sequence[str], known: Sequence[str]) -> None:
     """
     for name in names:
         if name not in known:
-            for problem in method_problems():
-                if f"entry point {name!r}" in problem:
-                    raise PluginError(problem)
+            if name in method_problems():
+                raise PluginError(method_problems()[name])
             if not plugin_names(GROUP):
-                raise TactuneError(
-                    "Tactune is installed without its entry points; install it again: make setup, or pip install -e ."
-                )
+                raise TactuneError(NOT_INSTALLED)
             raise TactuneError(f"there is no method {name!r}; known are {', '.join(known)}")
 
 

@@ -20,6 +20,9 @@ from ..errors import PluginError
 
 T = TypeVar("T")
 
+#: Where not even the built-in entry points are found.
+NOT_INSTALLED = "Tactune is installed without its entry points; install it again: make setup, or pip install -e ."
+
 
 @dataclass(frozen=True)
 class Plugins(Generic[T]):
@@ -29,12 +32,12 @@ class Plugins(Generic[T]):
     ----------
     found : dict of str to object
         The loaded objects by entry-point name.
-    problems : tuple of str
-        One sentence for each entry point that cannot be loaded.
+    problems : dict of str to str
+        One sentence for each entry point that cannot be loaded, by its name.
     """
 
     found: dict[str, T]
-    problems: tuple[str, ...]
+    problems: dict[str, str]
 
 
 def plugin_names(group: str) -> tuple[str, ...]:
@@ -80,13 +83,13 @@ def load_plugin_class(group: str, name: str, kind: type[T]) -> type[T]:
 def load_plugins(group: str, kind: type[T]) -> Plugins[T]:
     """Import every entry point of a group; those that cannot be loaded become `Plugins.problems`."""
     found: dict[str, T] = {}
-    problems: list[str] = []
+    problems: dict[str, str] = {}
     for name in plugin_names(group):
         try:
             found[name] = load_plugin(group, name, kind)
         except PluginError as error:
-            problems.append(str(error))
-    return Plugins(found, tuple(problems))
+            problems[name] = str(error)
+    return Plugins(found, problems)
 
 
 def _load(group: str, name: str) -> object:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ..errors import PluginError, SourceError
 from ..model.files import user_path
-from ..model.plugins import load_plugin, plugin_names
+from ..model.plugins import NOT_INSTALLED, load_plugin, plugin_names
 from .base import FrameSource, Progress
 
 if TYPE_CHECKING:
@@ -139,9 +139,7 @@ def _guess(name: str) -> tuple[SourceKind, str]:
     """Return the kind of a name without a scheme, and what to open."""
     kinds, problems = _all_kinds()
     if not kinds:
-        raise SourceError(
-            "Tactune is installed without its entry points; install it again: make setup, or pip install -e ."
-        )
+        raise SourceError(NOT_INSTALLED)
     for kind in kinds:
         if name and (rest := kind.claim(name)) is not None:
             return kind, rest

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Any, Final
 
 from ..evaluation.table_cell import code_version
-from ..methods.registry import check_known, fields_of, method_names, needs_untouched
+from ..methods.registry import check_known, fields_of, method_kind, method_names, needs_untouched
 from ..model.frames import SensorFrame
 from ..preset import CONTACT_TESTS, Preset
 from ..preset.preset import preset_paths
@@ -63,7 +63,7 @@ class Request:
     axes : tuple of Axis
     sources : tuple of str
     methods : tuple of str
-        ``fusion`` or names of `baselines.registry.method_names`.
+        ``fusion`` or names of `tactune.core.methods.registry.method_names`.
     frames : FrameRange
     seeds : int
         Number of noise seeds for each simulated source.
@@ -245,7 +245,8 @@ def little_averaged(plan: Plan) -> list[str]:
     field, most = "", 1
     for setting in plan.settings:
         test = CONTACT_TESTS[setting.parameters["contact_test"]]
-        if test.frames_field and not needs_untouched(setting.method):
+        is_fusion = setting.method == FUSION or method_kind(setting.method).fields is not None
+        if test.frames_field and is_fusion:
             field, most = max(
                 (field, most), (test.frames_field, setting.parameters[test.frames_field]), key=lambda pair: pair[1]
             )

@@ -40,7 +40,7 @@ def tabs(monkeypatch) -> None:
         "compare": TabKind("&Compare", "Compares", NotingTab, "F7"),
         "clash": TabKind("&Xclash", "Wants a key that is taken", broken_tab, "F7"),
     }
-    plugins = Plugins(kinds, ("the entry point 'worn' of the package worn cannot be loaded",))
+    plugins = Plugins(kinds, {"worn": "the entry point 'worn' of the package worn cannot be loaded"})
     monkeypatch.setattr(analysis_window, "load_plugins", lambda group, kind: plugins)
 
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Final
-
 import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
@@ -12,7 +10,7 @@ from ...model.patch import NO_CANDIDATES, Candidates, Found
 from ...model.provenance import Provenance
 from ...preset import MembraneSection, Preset
 from ..alignment import AlignmentModel
-from ..finder import ContactFinder, Steps, Workspace, depth_images
+from ..finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
 from ..kernels import membrane as kernels
 from ..kernels.chain import TILE_ROWS
 from ..kernels.simd import LANES
@@ -31,9 +29,6 @@ from .gaps import (
     within_edge,
 )
 from .press import Pressed, pressed_contact
-
-#: Below this number of image tiles, other threads are not worth waking.
-_MAX_TILES_ALONE: Final = 300
 
 
 class MembraneFinder(ContactFinder):
@@ -87,9 +82,7 @@ class MembraneFinder(ContactFinder):
         if possible == 0:
             return None
         (top, bottom), (left, right) = self._rectangle(tiles)
-        difference, state = self._look(
-            frame, tiles, (left, top, right, bottom), in_parallel=possible > _MAX_TILES_ALONE
-        )
+        difference, state = self._look(frame, tiles, (left, top, right, bottom), in_parallel=possible > MAX_TILES_ALONE)
         everywhere = Differences(
             (slice(top, bottom), slice(left, right)),
             difference,

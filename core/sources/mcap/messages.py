@@ -50,6 +50,7 @@ from ...model.intrinsics import Intrinsics
 METADATA_NAME: Final = "tactune"
 RIG_NAME: Final = "rig.json"
 PRESET_NAME: Final = "preset.json"
+#: The untouched frame. The name is part of the format: recordings made before the present word have it too.
 UNTOUCHED_NAME: Final = "reference.npz"
 
 #: Version of the recording format. It grows when an older reader cannot read a newer recording.

@@ -98,7 +98,7 @@ def test_a_recording_needs_an_untouched_frame_and_takes_one(make_recording, monk
     ("words", "said"),
     [
         (["--method", "magic"], "no method 'magic'; known are fusion, fusion-rigid"),
-        (["--method", "fusion", "--untouched", "sim"], "leave --untouched out"),
+        (["--method", "fusion", "--untouched", "sim"], "remove --untouched"),
         (["--method", "mechanics", "--untouched", "nowhere"], "nowhere"),
     ],
 )

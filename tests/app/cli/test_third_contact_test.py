@@ -32,6 +32,19 @@ print([table.item(row, 0).text() for row in range(table.rowCount())])
 print(method_rgb("fusion-toy", "dark"), method_tip("fusion-toy"))
 """
 
+#: A paused frame while the person tries one test after another.
+SWITCHED = """
+import sys
+from tactune.core import ContactPipeline, Preset, open_source
+source = open_source(sys.argv[1])
+frame = source.next_frame()
+pipeline = ContactPipeline(Preset(), source.rig)
+for test in ("tolerance", "toy", "membrane", "toy", "tolerance", "membrane"):
+    pipeline.update(Preset(contact_test=test))
+    fresh = ContactPipeline(Preset(contact_test=test), source.rig).process(frame)
+    print((pipeline.process(frame).points == fresh.points).all())
+"""
+
 
 @pytest.fixture
 def program(tmp_path: Path) -> Path:
@@ -100,3 +113,7 @@ def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording:
     assert shown[1] == "0.005"
     assert "'fusion-toy'" in shown[2]
     assert shown[3] == "(9, 9, 9) A toy."
+
+
+def test_each_contact_test_gives_its_own_patch_of_a_frame_that_stands(program: Path, recording: Path) -> None:
+    assert python(program, "-c", SWITCHED, str(recording)).splitlines() == ["True"] * 6

@@ -148,7 +148,7 @@ def test_pairs_that_agree_on_two_alignments_are_refused(rig):
 
 
 def test_a_depth_scale_without_proximity_depths_is_warned_about(rig):
-    assert "cannot tell the depth scale" in calibrate(clicked(rig), rig, depth_scale=True).warnings[0]
+    assert "do not determine the depth scale" in calibrate(clicked(rig), rig, depth_scale=True).warnings[0]
 
 
 def test_a_fit_that_no_preset_allows_is_refused(rig):

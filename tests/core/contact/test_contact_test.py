@@ -220,7 +220,7 @@ def test_differences_are_those_of_whole_images(
          "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5)}
     )  # fmt: skip
     finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
-    aligned = finder.aligned(frame)
+    aligned = finder.alignment.align(frame.proximity_depth, frame.tactile_depth, finder.test.region)
     difference = aligned.expected_m - aligned.measured_m
     depth = frame.proximity_depth * np.float32(rig.proximity.depth_unit_m)
     usable = (
