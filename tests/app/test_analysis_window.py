@@ -119,7 +119,7 @@ def test_the_menu_lists_every_tab_with_its_tip_and_free_shortcut(window):
 
 
 def test_a_tab_that_cannot_be_loaded_is_one_sentence(window):
-    assert window.messages.message("tab 0").sentence == (
+    assert window.messages.message("tab worn").sentence == (
         "An analysis tab is missing: the entry point 'worn' of the package worn cannot be loaded."
     )
 
