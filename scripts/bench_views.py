@@ -1,7 +1,7 @@
 """Print how long the three cloud views take to repaint, for each back end.
 
 Usage: ``python scripts/bench_views.py [--frames N] [--width W] [--height H]``. A display is needed for
-OpenGL (``xvfb-run -a`` will do); with ``QT_QPA_PLATFORM=offscreen`` only the software painter is measured.
+OpenGL (``xvfb-run -a`` is enough); with ``QT_QPA_PLATFORM=offscreen`` only the software painter is measured.
 Every repaint gets a new depth image, new colours and a new camera, so nothing comes from a cache.
 """
 
@@ -33,7 +33,7 @@ POSE = np.eye(4)
 
 
 def frames(count: int) -> list[list[DepthCloud]]:
-    """Make the three clouds of some frames of a noisy bowl, with all 307,200 points."""
+    """Return the three clouds for each frame of a noisy bowl, with all 307,200 points."""
     rng = np.random.default_rng(0)
     bowl = 0.314 - 0.2 * (RAYS**2).sum(axis=2)
     made = []
@@ -64,7 +64,7 @@ def canvas_of(view: CloudView) -> QWidget:
 
 
 def wait_for_graphics(canvas: QWidget) -> None:
-    """Wait until OpenGL has really drawn."""
+    """Wait until OpenGL has finished drawing."""
     if isinstance(canvas, QOpenGLWidget):
         canvas.makeCurrent()
         context = canvas.context()

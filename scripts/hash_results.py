@@ -1,8 +1,8 @@
-"""Print a hash of every result that a change of structure must leave as it is, bit for bit.
+"""Print a hash of every result that a refactoring must not change, bit for bit.
 
-Both contact tests on simulated presses, on still scenes, on a recording and, where it is there, on the real pair:
-points, provenance and the figures of ``tactune run --json``. Times are left out. Compare the output of two versions
-with ``diff``; equal lines are equal bits.
+Results of both contact tests on simulated presses, on still scenes, on a recording and, if available, on the real pair:
+points, provenance and the numbers of ``tactune run --json``. Times are excluded. Compare the output of two versions
+with ``diff``; equal lines mean equal bits.
 
     .venv/bin/python scripts/hash_results.py > before.txt
 """
@@ -24,10 +24,10 @@ import numpy as np
 from tactune.core import ContactPipeline, Preset, SensorFrame, load_preset, open_source
 
 OBJECTS = ("cube", "cup", "octopus")
-#: Frames of a press that are hashed: approach, touch, deep, release.
+#: Hashed frames of a press: approach, touch, deep, release.
 PRESS_FRAMES = (0, 20, 35, 50, 65, 80)
 DATA = Path(os.environ.get("TACTUNE_TEST_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
-#: How the real pair's bias between its cameras is corrected, metres.
+#: Correction of the bias between the cameras of the real pair, metres.
 REAL_OFFSET_M = 0.0169
 
 
@@ -49,7 +49,7 @@ def digest(*parts: Any) -> str:
 
 
 def chosen_frames(source: str, wanted: tuple[int, ...]) -> Iterator[SensorFrame]:
-    """Yield some of a source's frames by their places."""
+    """Yield the frames of a source with these indices."""
     with open_source(source) as opened:
         for place, frame in enumerate(opened):
             if place in wanted:
@@ -59,7 +59,7 @@ def chosen_frames(source: str, wanted: tuple[int, ...]) -> Iterator[SensorFrame]
 
 
 def print_patches(title: str, source: str, preset: Preset, wanted: tuple[int, ...]) -> None:
-    """Print a line a frame: points, provenance, area and relative difference of both contact tests."""
+    """Print one line per frame: points, provenance, area and relative difference of both contact tests."""
     with open_source(source) as opened:
         rig = opened.rig
     tests: list[tuple[str, dict[str, Any]]] = [("tolerance", {"contact_test": "tolerance"})]
@@ -75,7 +75,7 @@ def print_patches(title: str, source: str, preset: Preset, wanted: tuple[int, ..
 
 
 def print_run(title: str, source: str, options: list[str]) -> None:
-    """Print the hash of what ``tactune run --json`` says, without its times."""
+    """Print the hash of the output of ``tactune run --json``, without times."""
     command = [str(Path(sys.executable).parent / "tactune"), "run", "--source", source, "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     lines = [json.loads(line) for line in done.stdout.splitlines()]

@@ -1,4 +1,4 @@
-"""Fails if modules of the three packages import one another in a circle, TYPE_CHECKING imports included."""
+"""Fail if there are import cycles in the three packages; TYPE_CHECKING imports count."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import grimp
 
 
 def cycles(*packages: str) -> list[str]:
-    """Return each circle of imports as one line, ``a -> b -> a``."""
+    """Return each import cycle as one line, ``a -> b -> a``."""
     graph = grimp.build_graph(*packages)
     found: dict[frozenset[str], str] = {}
     for importer in sorted(graph.modules):

@@ -1,9 +1,9 @@
-"""Measure the calibration against what is possible, and print the numbers.
+"""Compare the calibration with theoretical bounds and with other implementations, and print the numbers.
 
     .venv/bin/python scripts/measure_calibration.py [homography] [coverage] [wrong] [boards] [bound] [stress]
                                                        [texture] [patch]
 
-Without a name: all of them. Everything is seeded.
+Default: all of them. All random numbers are seeded.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def measure_homography():
 
 
 def coverage_homography(trials, count=12):
-    """Share of trials whose true error lies within the reported 95 % bound: over the image, and place by place."""
+    """Share of trials whose true error lies within the reported 95 % bound: over the image, and per position."""
     places = image_grid()[::7]
     H = HOMOGRAPHIES["mild"]
     whole, local = [], []
@@ -110,7 +110,7 @@ def coverage_rigid(trials, count=12):
 
 
 def within_bound(fit, places, true):
-    """Return whether the true error lies within its bound over the places, and at which share of them."""
+    """Return whether the true error lies within its bound over all positions, and at which share of the positions."""
     derivative = fit.sensitivity(places)
     error = np.hypot(*(fit.predict(places) - true).T)
     return (
@@ -127,14 +127,14 @@ def measure_coverage():
 
 
 def report_shares(shares):
-    """Put both shares in words."""
+    """Return both shares as text."""
     return (
         f"{100 * shares[0]:.1f} % of 1,000 trials within it over the membrane, {100 * shares[1]:.1f} % place by place"
     )
 
 
 def measure_wrong():
-    """Wrong pairs: left out, refused or silently used (a pair more than 8 px off)."""
+    """Wrong pairs: rejected as outliers, fit refused, or silently used (a pair more than 8 px off)."""
     rig, H = simulator_rig(), HOMOGRAPHIES["mild"]
     for share in (0.3, 0.6, 1.0):
         for count in (8, 12, 20, 40):
@@ -292,7 +292,7 @@ def measure_texture():
 
 
 def true_errors(pairs, rig):
-    """Return how far pairs clicked in colour lie from where the true pose puts them, pixels."""
+    """Return the distance of pairs clicked in colour from their projection by the true pose, pixels."""
     from simulated_clicks import project_points
     from tactune.core.calibration.calibrate import rigid_points
     from tactune.core.calibration.rigid import ray_seen
@@ -306,7 +306,7 @@ def true_errors(pairs, rig):
 def measure_patch():
     """Contact patch with the rigid alignment at its supported t against the homography at t = 0.03.
 
-    Still presses of medium depth, and deep ones at both sides of the middle, which count half each.
+    Still presses: medium depth with weight 2, and deep ones to the left and right with weight 1 each.
     """
     from tactune.core.calibration import calibrate
     from tactune.core.contact.pipeline import ContactPipeline

@@ -1,7 +1,7 @@
 """Measure the real window on a source: frames shown, heartbeat of the GUI thread, time per stage.
 
-With ``--compare N``, measure instead what an open Compare tab costs the window. Both states alternate N times, so that
-other load on the machine affects both. Run it alone on the machine::
+With ``--compare N``, measure instead how much an open Compare tab slows the window down. Both states alternate N times,
+so that other load affects both equally. Run it on an idle machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium'

@@ -1,10 +1,10 @@
-r"""Measure the membrane mechanics: time and accuracy on the simulator, and the solvers it could use.
+r"""Measure the membrane mechanics: time and accuracy on the simulator, and alternative solvers.
 
     .venv/bin/python scripts/measure_mechanics.py [time] [solvers]
 
-Without a name: time. The paper (Yin et al.) gives 0.3 s a frame for a mesh of about 440 nodes. Times are
-medians over the frames of one press, one thread; processor time is what a busy machine leaves alone.
-The solvers that Tactune does not use are compared where they are installed, such as by
+Default: time. The paper (Yin et al.) reports 0.3 s per frame for a mesh of about 440 nodes. Times are
+medians over the frames of one press, on one thread; processor time does not depend on the machine's load.
+Solvers that Tactune does not use are compared if they are installed, for example by
 
     .venv/bin/uv pip install --target build/solvers osqp clarabel proxsuite
     PYTHONPATH=build/solvers:build/solvers/cmeel.prefix/lib/python3.11/site-packages \
@@ -29,7 +29,7 @@ from tactune.core.preset import Preset
 from tactune.core.sources.simulator.source import SimulatorSource
 
 NODES = (440, 1000, 2000)
-#: The frames of a press: the first, untouched one is the untouched frame.
+#: Frames of a press; the first one is the untouched frame.
 PRESSED = range(6, 42, 2)
 PAPER_MS = 300.0
 
@@ -57,7 +57,7 @@ def measure_time():
 
 
 def measure_solvers():
-    """Median time, steps and worst optimality residual of each solver, warm-started where it can be."""
+    """Median time, steps and worst optimality residual of each solver, warm-started if possible."""
     source = SimulatorSource(scene="cup")
     for nodes in NODES[:2]:
         method = MembraneMechanics(Preset(), source.rig, source.read(0), nodes=nodes)
@@ -96,7 +96,7 @@ class PIQP:
 
 
 class OSQP:
-    """Factorised once, and again where the set of nodes seen changes; warm-started, polished."""
+    """Factorised once, and again when the set of visible nodes changes; warm-started, polished."""
 
     def __init__(self, first):
         import osqp
@@ -149,7 +149,7 @@ class Clarabel:
 
 
 class ProxQP:
-    """Warm-started from the frame before."""
+    """Warm-started from the previous frame."""
 
     def __init__(self, first):
         from proxsuite import proxqp

@@ -1,12 +1,12 @@
-"""Measure every method on the simulator's cells, and what each part of fusion-membrane buys.
+"""Measure every method on simulated table cells, and the contribution of each part of fusion-membrane.
 
     .venv/bin/python scripts/measure_methods.py [table] [ablation] [turned] [heldout] [hover] [--seeds=0,1,2]
 
-Without a name: table and ablation. Settings were chosen on cube, cup, octopus, knobs and star with the seeds 0 to 4,
-those of the balance on ``turned`` shapes, too; ``heldout`` takes the shapes mug and hand, and the other scenes with
-seeds from 100 on. Each number is the mean over the seeds of one frame each: average symmetric RMSE in millimetres,
-IoU; times are medians of runs in turns. Every method but the two ``simulator`` ones gets the preset ``default``
-(t = 0.03) with the simulator's mask; these get the preset made for the simulator (t = 0.008). The straight method is
+Default: table and ablation. Parameters were chosen on cube, cup, octopus, knobs and star with seeds 0 to 4; those of
+the equilibrium step also on the ``turned`` shapes. ``heldout`` uses the shapes mug and hand, and the other scenes with
+seeds from 100. Each number is the mean over the seeds, one frame per seed: average symmetric RMSE in millimetres, and
+IoU. Times are medians of alternating runs. The two ``simulator`` methods use the preset made for the simulator
+(t = 0.008); all others use the preset ``default`` (t = 0.03) with the simulator's mask. The straight method is
 fusion-homography.
 """
 
@@ -41,10 +41,10 @@ TURNED_PRESSES = tuple((name, press) for press in ("low", "medium") for name in 
 HELD_OUT_SEEDS = (100, 101, 102)
 OURS, AVERAGED = "fusion-membrane", "fusion-averaged"
 MEMBRANE = {"contact_test": "membrane", "alignment.model": "rigid"}
-#: How often each method's time is taken on each cell.
+#: Number of time measurements per method and table cell.
 ROUNDS = 9
 
-#: What is changed in the preset to leave out one part of the membrane test, or to replace it.
+#: Preset fields that turn off or replace one part of the membrane test.
 PARTS: dict[str, dict[str, float | bool]] = {
     "all parts": {},
     "15 frames averaged": {"membrane.frames": 15},
@@ -86,12 +86,12 @@ def source(cell: Cell, seed: int) -> SimulatorSource:
 
 @cache
 def untouched() -> SensorFrame:
-    """Return the untouched frame of the methods that need one."""
+    """Return the untouched frame for methods that need one."""
     return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0)).read(0)
 
 
 def measure(builds: dict[str, Build], cell: Cell, seeds: Sequence[int]) -> dict[str, Result]:
-    """Run methods on one frame of each seed, without the truth, and compare; times are taken in turns."""
+    """Run methods on one frame of each seed and score them; the methods' times are measured in turns."""
     rig = source(cell, seeds[0]).rig
     methods = {label: build(rig, untouched()) for label, build in builds.items()}
     rmse: dict[str, list[float]] = {label: [] for label in builds}
@@ -114,12 +114,12 @@ def measure(builds: dict[str, Build], cell: Cell, seeds: Sequence[int]) -> dict[
 
 
 def frame_of(cell: Cell, seed: int) -> SensorFrame:
-    """Return the frame of a seed that is measured."""
+    """Return the measured frame of a seed."""
     return source(cell, seed).read(15 + 7 * (seed % 3))
 
 
 def _run(method: ContactMethod, frame: SensorFrame) -> MethodPatch:
-    """Find the patch of a frame as if it were new."""
+    """Find the patch of a frame without cached results."""
     return method.find(replace(frame, truth=None))
 
 
@@ -152,7 +152,7 @@ def show(builds: dict[str, Build], cells: Sequence[Cell], seeds: Sequence[int]) 
 
 
 def methods() -> dict[str, Build]:
-    """Return every method with the straight preset, and fusion with the simulator's too."""
+    """Return every method with the straight preset, and fusion also with the simulator's preset."""
     builds: dict[str, Build] = {
         name: (lambda rig, untouched, name=name: make_method(name, STRAIGHT, rig, untouched)) for name in method_names()
     }
@@ -162,7 +162,7 @@ def methods() -> dict[str, Build]:
 
 
 def parts() -> dict[str, Build]:
-    """Return fusion-membrane with one part after another left out."""
+    """Return variants of fusion-membrane, each without one part."""
     return {
         label: (lambda rig, untouched, values=values: Fusion(STRAIGHT.with_values(values), rig, OURS, MEMBRANE))
         for label, values in PARTS.items()
@@ -170,8 +170,8 @@ def parts() -> dict[str, Build]:
 
 
 def hover() -> None:
-    """Print how many false points objects beside the membrane give."""
-    print("\nFalse points of fusion-membrane, the most of 3 frames, with the object so far away")
+    """Print the number of false points for hovering objects."""
+    print("\nFalse points of fusion-membrane (maximum of 3 frames) by distance to the object")
     for shape in ("cube", "cup", "octopus"):
         found = []
         for gap_mm in (1.0, 2.0, 3.0, 4.0, 5.0, 10.0):
@@ -183,7 +183,7 @@ def hover() -> None:
 
 
 def main(arguments: Sequence[str]) -> None:
-    """Print what the arguments name."""
+    """Run the measurements that the arguments name."""
     if "-h" in arguments or "--help" in arguments:
         print(__doc__)
         return

@@ -1,7 +1,7 @@
 """Record a minute of the simulator, play it back, compare every bit, and print the cost.
 
-Frames are handed over at 30 Hz at most, as a live rig does, so that the writing thread's CPU time is
-what a recording adds to a running application.
+Frames are passed on at 30 Hz at most, like those of a live rig. The CPU time of the writing thread is
+therefore the cost of a recording in a running application.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ def fingerprint(frame: SensorFrame, pipeline: ContactPipeline) -> bytes:
 def main() -> int:
     """Measure; return 1 if a frame is missing or a bit differs."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--frames", type=int, default=1800, help="number of frames; 1800 are a minute")
+    parser.add_argument("--frames", type=int, default=1800, help="number of frames; 1800 frames last one minute")
     parser.add_argument("--scene", default="sim:cup", help="such as sim:cube")
     parser.add_argument(
         "--folder", type=Path, help="folder of the temporary recording; default: the system temporary folder"

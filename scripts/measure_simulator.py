@@ -2,10 +2,10 @@
 
     .venv/bin/python scripts/measure_simulator.py [--noise 1] [--seed 0] [--scenes] [--mesh]
 
-Prints the worst share of pixels in the patch over all frames without touch, then the means of IoU,
+Prints the largest share of pixels in the patch over all frames without contact, then the means of IoU,
 precision, recall and symmetric RMSE in bands of press depth, and the pipeline's median time. With
 ``--scenes`` instead: strain, force and scores of every scene with a still press. With ``--mesh``: how much the
-patch's area changes when the membrane's cells are halved, which takes minutes.
+patch's area changes with mesh cells of half the length; this takes minutes.
 """
 
 from __future__ import annotations
@@ -82,7 +82,7 @@ def measure_scenes(seed: int, noise: float) -> None:
 
 
 def measure_mesh() -> None:
-    """Print the area of the true patch of the still presses, and with the membrane's cells half as long."""
+    """Print the area of the true patch of the still presses, also with mesh cells of half the length."""
     for scene in OBJECTS:
         for press in PRESSES:
             variant = Variant(press=press)

@@ -33,9 +33,9 @@ camera sees both dots whole. all: the solver's, hidden dots included. off: dots 
 
 
 def main() -> int:
-    """Print a line a scene and seed, and the verdict."""
+    """Print one line per scene and seed, and the verdict."""
     parser = argparse.ArgumentParser(description="Compare measured strain with the solver's.")
-    parser.add_argument("--seeds", default="0,1,2,3,4", help="of the cameras' noise, with commas")
+    parser.add_argument("--seeds", default="0,1,2,3,4", help="seeds of the cameras' noise, separated by commas")
     parser.add_argument("--frames", type=int, default=30, help="frames at rest that are averaged")
     parser.add_argument("scene", nargs="*", default=[], help="'cup high right', ...; all by default")
     words = parser.parse_args()
@@ -59,7 +59,7 @@ def main() -> int:
 
 
 def _compare(name: str, seed: int, frames: int) -> list[tuple[float, float, str]]:
-    """Print the line of a scene; return how far measured is off, points, the solver's percent, and the direction."""
+    """Print the line of a scene; return the error in percentage points, the solver's percent, and the direction."""
     with open_source(f"{_SCENES[name]}&seed={seed}") as source:
         frame, _ = average_still(list(islice(source, frames)), source.rig)
         measured = measure_strain(frame, source.rig)

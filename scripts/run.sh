@@ -1,5 +1,5 @@
 #!/bin/sh
-# Starts the application on a source with a preset; without a display does the same job headless, into a folder.
+# Starts the window on a source with a preset. Without a display, the same work runs headless and writes to a folder.
 set -eu
 source=$1 preset=$2 out=$3
 tactune=.venv/bin/tactune

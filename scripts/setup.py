@@ -1,7 +1,7 @@
-"""Make everything that Tactune needs to run from a clone: system libraries, .venv, the locked packages.
+"""Set up a clone of Tactune: system libraries, .venv and the locked packages.
 
-Runs on the standard library alone, before anything is installed. A second run finds its own stamp and
-returns at once, without the network.
+Only the standard library is used, because nothing is installed yet. A second run finds the stamp of the first
+one and returns at once, without the network.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ TYPED_FOLDERS = ("core", "widgets", "app", "presets")
 
 
 class SetupError(Exception):
-    """One sentence on what stopped the set-up and what to do."""
+    """The set-up failed; the message is one sentence with cause and remedy."""
 
 
 def main() -> int:
@@ -41,7 +41,7 @@ def main() -> int:
 
 
 def set_up() -> None:
-    """Do what is not done yet."""
+    """Carry out the steps that are not done yet."""
     link_for_type_checkers()
     packages_stamp, project_stamp = Stamp("packages", LOCK), Stamp("project", ROOT / "pyproject.toml")
     missing = missing_system_packages()
@@ -52,7 +52,7 @@ def set_up() -> None:
     if packages_stamp.holds() and project_stamp.holds():
         return
     if not packages_stamp.holds():
-        make_venv(anew=packages_stamp.is_from_elsewhere())
+        make_venv(recreate=packages_stamp.is_from_another_folder())
         install_packages()
         packages_stamp.set()
     editable = ["--quiet", "--no-deps", "--no-build-isolation", "--editable", str(ROOT)]
@@ -61,27 +61,27 @@ def set_up() -> None:
 
 
 class Stamp:
-    """Remembers in the virtual environment what it was made from."""
+    """A file in the virtual environment that records from which source file it was made."""
 
     def __init__(self, name: str, source: Path) -> None:
         self._path = VENV / f"tactune-{name}.stamp"
         self._text = f"{ROOT} {hashlib.sha256(source.read_bytes()).hexdigest()}\n"
 
     def holds(self) -> bool:
-        """Whether the environment is there and was made here from the present file."""
+        """Return whether the environment exists and was made in this folder from the present file."""
         return VENV_PYTHON.exists() and self._path.exists() and self._path.read_text() == self._text
 
-    def is_from_elsewhere(self) -> bool:
-        """Whether the environment was made in another folder: its commands then point there."""
+    def is_from_another_folder(self) -> bool:
+        """Return whether the environment was made in another folder; its scripts then contain that folder's path."""
         return self._path.exists() and not self._path.read_text().startswith(f"{ROOT} ")
 
     def set(self) -> None:
-        """Note that the environment was made from the present file."""
+        """Record that the environment was made from the present file."""
         self._path.write_text(self._text)
 
 
 def succeeds(*command: str | Path, silent: bool = False, env: dict[str, str] | None = None) -> bool:
-    """Run a command and tell whether it exits with 0; of a silent one, not even errors are shown."""
+    """Run a command and return whether it exits with 0; ``silent`` hides its errors, too."""
     errors = subprocess.DEVNULL if silent else None
     return subprocess.run(command, check=False, env=env, stdout=subprocess.DEVNULL, stderr=errors).returncode == 0
 
@@ -102,7 +102,7 @@ def link_for_type_checkers() -> None:
 
 
 def missing_system_packages() -> list[tuple[str, ...]]:
-    """Return, for each system library or command that is missing, the names of packages that have it."""
+    """Return the possible package names of each missing system library or command."""
     ldconfig = shutil.which("ldconfig", path=f"{os.environ.get('PATH', '')}:/sbin:/usr/sbin")
     known = output_of(ldconfig, "-p") if ldconfig else ""
     libraries = {line.split()[0] for line in known.splitlines() if line.startswith("\t")}
@@ -117,26 +117,27 @@ def missing_system_packages() -> list[tuple[str, ...]]:
 
 
 def install_system_packages(missing: list[tuple[str, ...]]) -> None:
-    """Install with apt where there is one; otherwise say what is missing and go on."""
+    """Install packages with apt; without apt, print what is missing and continue."""
     if not shutil.which("apt-get"):
         print(
-            f"This is no Debian or Ubuntu; install what these are called here: {' '.join(map(known_to_apt, missing))}"
+            f"apt-get is missing; install what corresponds to these Debian packages: "
+            f"{' '.join(map(known_to_apt, missing))}"
         )
         return
     prefix = [] if os.geteuid() == 0 else sudo()
     if prefix is None:
-        print(f"System packages are missing and neither root nor sudo is at hand: {install_hint(missing)}")
+        print(f"System packages are missing, and neither root nor sudo is available: {install_hint(missing)}")
         return
     print("Installing system packages (once) ...", flush=True)
     apt_get = [*prefix, "env", "DEBIAN_FRONTEND=noninteractive", "apt-get", "-qq", "-o", "Dpkg::Use-Pty=0"]
     succeeds(*apt_get, "update")
     names = [known_to_apt(alternatives) for alternatives in missing]
     if not succeeds(*apt_get, "install", "--yes", "--no-install-recommends", *names):
-        print(f"apt-get failed (its message is above); going on without: {install_hint(missing)}", file=sys.stderr)
+        print(f"apt-get failed (its message is above); continuing without: {install_hint(missing)}", file=sys.stderr)
 
 
 def sudo() -> list[str] | None:
-    """Return the words to put before a command that needs root, or None if there is no way."""
+    """Return the prefix of a command that needs root; None if sudo is missing."""
     if not shutil.which("sudo"):
         return None
     return ["sudo"] if sys.stdin.isatty() else ["sudo", "--non-interactive"]
@@ -155,9 +156,9 @@ def install_hint(missing: list[tuple[str, ...]]) -> str:
     return "sudo apt-get install " + " ".join(map(known_to_apt, missing))
 
 
-def make_venv(anew: bool) -> None:
-    """Make .venv, unless a working one is there and need not be made anew."""
-    if not anew and VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
+def make_venv(recreate: bool) -> None:
+    """Make .venv. A working one is kept unless ``recreate`` is set."""
+    if not recreate and VENV_PYTHON.exists() and succeeds(VENV_PYTHON, "-c", ""):
         return
     print(f"Making .venv with Python {platform.python_version()} ...", flush=True)
     # Debian's python3.11 comes without ensurepip; its own pip can then install into the environment from outside.
@@ -168,7 +169,7 @@ def make_venv(anew: bool) -> None:
 
 
 def install_packages() -> None:
-    """Install the locked packages, or the ranges of pyproject.toml where the lock does not apply."""
+    """Install the locked packages; the version ranges of pyproject.toml if the lock does not apply."""
     found = output_of(VENV_PYTHON, "-c", "import sys; print(*sys.version_info[:2])")
     python = tuple(int(part) for part in found.split())
     if python == LOCKED_PYTHON and (platform.system(), platform.machine()) == LOCKED_MACHINE:
@@ -185,7 +186,7 @@ def install_packages() -> None:
 
 
 def pip(*arguments: str, what: str) -> None:
-    """Run pip for .venv, its own or else the one of the Python that made it."""
+    """Run pip for .venv: its own pip, or else that of the Python that runs this script."""
     own = succeeds(VENV_PYTHON, "-m", "pip", "--version", silent=True)
     words = [str(VENV_PYTHON), "-m", "pip"] if own else [sys.executable, "-m", "pip", "--python", str(VENV_PYTHON)]
     quiet = [] if sys.stdout.isatty() else ["--quiet"]

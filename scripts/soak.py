@@ -1,15 +1,15 @@
-"""Run the window on a live source for long, recording all the while, and see that nothing grows or is left behind.
+"""Soak test: run the window on a live source for a long time while it records, and check for leaks.
 
-The source is captured in a process of its own; a new recording begins every few seconds, the finished one is opened,
-its frames are counted, and it is deleted. Memory is taken between two recordings, while the view is frozen: how much
-the window has in use, and what is resident of both processes. What is resident of the window also holds what the
-allocator keeps for the most frames that ever waited to be written, which grows with what else the machine does: it is
-judged in runs of 10 minutes and more only.
+A separate process captures the source. Every few seconds a new recording begins; the finished recording is opened, its
+frames are counted, and it is deleted. Between two recordings the view is frozen and memory is measured: the memory in
+use by the window, and the resident memory of both processes. The allocator keeps memory for the longest queue of frames
+so far, which depends on the machine's load. The window's resident memory is therefore checked only in runs of at least
+10 minutes.
 
-A leak goes on rising, warming up ends: a straight line through the memory without its first third (5 minutes at most)
-must rise by less than 1 MB per minute, less three standard errors. Where that is not so at the planned end, or the
-line might rise by 3 MB per minute, the run goes on for as long again, twice at most. At exit no thread, process, file
-descriptor or shared-memory segment may be left. For example::
+A leak grows throughout the run, warm-up does not. A straight line is fitted to the memory; the first third of the run
+(at most 5 minutes) is excluded. The slope minus three standard errors must be below 1 MB per minute. If it is not at
+the planned end, or if the slope plus three standard errors reaches 3 MB per minute, the run is extended by its planned
+duration, at most twice. At exit, no thread, process, file descriptor or shared-memory segment may remain. Example::
 
     QT_QPA_PLATFORM=offscreen python scripts/soak.py --minutes 30
 """
@@ -41,11 +41,11 @@ from tactune.core.errors import TactuneError
 from tactune.core.sources.registry import open_source
 
 LIMIT_MB_PER_MIN = 1.0
-#: A line that might rise by this is not known well enough to end the run.
+#: The run is extended if the slope plus three standard errors reaches this value.
 DOUBT_MB_PER_MIN = 3.0
 EXTENSIONS = 2
 RESIDENT_FROM_S = 600.0
-#: Between two recordings memory is looked at so often and so many times; the least counts.
+#: Between two recordings, memory is measured LOOKS times, every LOOK_MS milliseconds. The minimum is used.
 LOOK_MS = 20
 LOOKS = 30
 HEARTBEAT_MS = 10
@@ -55,7 +55,7 @@ WARM_UP_FRAMES = 30
 
 @dataclass(frozen=True)
 class Memory:
-    """Megabytes at one time."""
+    """Memory at one moment, MB."""
 
     minute: float
     in_use: float
@@ -65,25 +65,25 @@ class Memory:
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line through megabytes over minutes."""
+    """Slope of memory over time and its standard error, MB per minute."""
 
     rise: float
     error: float
 
     @property
     def rises(self) -> bool:
-        """Whether it surely rises too much."""
+        """Whether the slope exceeds the limit by more than three standard errors."""
         return self.rise - 3 * self.error >= LIMIT_MB_PER_MIN
 
     @property
     def unsure(self) -> bool:
-        """Whether a longer run must tell."""
+        """Whether the run must be extended."""
         return self.rises or not self.rise + 3 * self.error < DOUBT_MB_PER_MIN
 
 
 @dataclass
 class Tally:
-    """What a run has measured."""
+    """The measurements of a run."""
 
     memory: list[Memory] = field(default_factory=list)
     seconds: float = 0.0
@@ -97,7 +97,7 @@ class Tally:
 
 
 class Soak(QObject):
-    """Drives one window: opens the source, records, samples, closes."""
+    """Drives one window: records, measures memory, closes."""
 
     def __init__(self, window: MainWindow, folder: Path, seconds: float, cycle_s: float) -> None:
         super().__init__(window)
@@ -127,7 +127,7 @@ class Soak(QObject):
         return timer
 
     def _start(self) -> None:
-        """Begin once frames flow: before the first ones kernels are compiled, which takes long."""
+        """Begin after the warm-up frames, because compiling kernels delays the first frame."""
         result = self._window.result
         if result is None or result.processed < WARM_UP_FRAMES:
             return
@@ -143,16 +143,16 @@ class Soak(QObject):
         QTimer.singleShot(int(1000 * self._cycle_s), self._window.worker.stop_recording)
 
     def _recorded(self, end: RecordingEnd) -> None:
-        """Check the recording, sum the cycle up and begin to look at memory."""
+        """Check the recording, update the tally and start to measure memory."""
         status, tally = end.status, self.tally
         tally.recordings += 1
         tally.frames += status.frames
         tally.dropped += status.dropped
         if end.reason or status.error:
             self._fail(end.reason or status.error)
-        if status.frames:  # of none no file is kept
+        if status.frames:  # an empty recording leaves no file
             self._check(status.path, status.frames)
-        # Frames under way differ from moment to moment, and so does garbage: memory is to be without either.
+        # Queued frames and uncollected garbage vary, so both are excluded from the measurement.
         self._window.worker.set_frozen(True)
         gc.collect()
         self._beat_s = time.monotonic()
@@ -160,7 +160,7 @@ class Soak(QObject):
         self._look_again.start()
 
     def _look(self) -> None:
-        """Look at memory, and after the last time go on or end."""
+        """Measure memory; after the last measurement, continue or end the run."""
         self._looks.append(memory((time.monotonic() - self._began_s) / 60, self._children))
         if len(self._looks) < LOOKS:
             return
@@ -174,7 +174,7 @@ class Soak(QObject):
             self._end()
 
     def _goes_on(self) -> bool:
-        """Whether the planned time is not over yet, or was too short to tell how memory rises."""
+        """Return whether the run continues; extend it if it is over and the slope is uncertain."""
         if self.tally.seconds >= self._seconds * (1 + self._extensions) and self._extensions < EXTENSIONS:
             self._extensions += any(line.unsure for line in lines(self.tally).values())
         return self.tally.seconds < self._seconds * (1 + self._extensions)
@@ -195,7 +195,7 @@ class Soak(QObject):
         path.unlink(missing_ok=True)
 
     def _hear(self, state: SourceState) -> None:
-        """Remember what the source says of itself; nothing, while all is well."""
+        """Count the health messages of the source; a healthy source has none."""
         if self._children and state.health.message:
             self.tally.told[state.health.message] += 1
 
@@ -217,25 +217,25 @@ class Soak(QObject):
 
 
 def children() -> set[int]:
-    """Return the numbers of all processes that this one has started."""
+    """Return the process numbers of all children of this process."""
     tasks = Path("/proc/self/task").iterdir()
     return {int(number) for task in tasks for number in (task / "children").read_text().split()}
 
 
 class AllocatorState(ctypes.Structure):
-    """What mallinfo2(3) of glibc 2.33 and newer returns; only what lies free is of interest."""
+    """The result of mallinfo2(3), glibc 2.33 or newer; only the free memory is used."""
 
     _fields_ = (("before", ctypes.c_size_t * 8), ("free", ctypes.c_size_t), ("after", ctypes.c_size_t))
 
 
 LIBC = ctypes.CDLL(None)
-MALLINFO = getattr(LIBC, "mallinfo2", None)  # older libraries have none: then all that is resident counts as in use
+MALLINFO = getattr(LIBC, "mallinfo2", None)  # older libraries lack it: all resident memory then counts as in use
 if MALLINFO is not None:
     MALLINFO.restype = AllocatorState
 
 
 def memory(minute: float, captures: set[int]) -> Memory:
-    """Return what this process and those that capture take now."""
+    """Return the present memory of this process and of the capture processes."""
     resident = resident_mb(os.getpid())
     in_use = resident - (MALLINFO().free / 1e6 if MALLINFO is not None else 0.0)
     return Memory(minute, in_use, resident, sum(map(resident_mb, captures)))
@@ -251,12 +251,12 @@ def resident_mb(pid: int) -> float:
 
 
 def least(looks: list[Memory]) -> Memory:
-    """Return the least of everything."""
+    """Return the minimum of each value."""
     return Memory(*np.min([astuple(look) for look in looks], axis=0))
 
 
 def lines(tally: Tally) -> dict[str, Line]:
-    """Fit lines through the memory that is judged, by what it is."""
+    """Return the fitted line of each memory value that is checked."""
     table = np.array([astuple(sample) for sample in tally.memory]).reshape(-1, 4)
     minutes = table[:, 0]
     warm = minutes >= min(5.0, tally.seconds / 60 / 3)
@@ -267,7 +267,7 @@ def lines(tally: Tally) -> dict[str, Line]:
 
 
 def straight_line(minutes: np.ndarray, megabytes: np.ndarray) -> Line:
-    """Fit a straight line; of few points it is not known at all."""
+    """Fit a straight line; with fewer than four points its error is infinite."""
     if len(minutes) < 4:
         return Line(0.0, float("inf"))
     (rise, _), covariance = np.polyfit(minutes, megabytes, 1, cov=True)
@@ -275,7 +275,7 @@ def straight_line(minutes: np.ndarray, megabytes: np.ndarray) -> Line:
 
 
 def open_things() -> dict[str, Counter[str]]:
-    """List what must not be left behind: threads, processes, descriptors, segments."""
+    """Count the resources that must be released: threads, processes, descriptors, shared-memory segments."""
     return {
         "Python threads": Counter(thread.name for thread in threading.enumerate() if not is_foreign(thread)),
         "all threads": Counter("thread" for _ in Path("/proc/self/task").iterdir()),
@@ -286,20 +286,20 @@ def open_things() -> dict[str, Counter[str]]:
 
 
 def is_foreign(thread: threading.Thread) -> bool:
-    """Whether Python has only met this thread; Qt made it."""
+    """Return whether the thread was not started by Python, but for example by Qt."""
     return thread.name.startswith("Dummy-")
 
 
 def target(entry: Path) -> str:
-    """Return what a descriptor is open on, without its number."""
+    """Return the target of a file descriptor, with all digits replaced."""
     try:
         return re.sub(r"\d+", "N", str(entry.readlink()))
-    except OSError:  # the one with which the folder is being read
+    except OSError:  # the descriptor with which this folder is read
         return ""
 
 
 def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
-    """Wait a little for what is about to end, and list what there is then."""
+    """Wait until the new resources are released, at most `SETTLING_S`; return what is open then."""
     deadline_s = time.monotonic() + SETTLING_S
     while True:
         gc.collect()
@@ -310,7 +310,7 @@ def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
 
 
 def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
-    """Open a window, soak it, close it and let everything end."""
+    """Open a window, run it, close it, and return its measurements."""
     preset, _ = start_with("simulator", source)
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-soak-") as name:
@@ -330,7 +330,7 @@ def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
 
 
 def judge(tally: Tally, before: dict[str, Counter[str]]) -> list[str]:
-    """Print what was measured and return what is wrong, in sentences."""
+    """Print the measurements and return the problems as sentences."""
     wrong = list(tally.problems)
     if not tally.frames:
         wrong.append("nothing was recorded")
@@ -357,7 +357,7 @@ def judge(tally: Tally, before: dict[str, Counter[str]]) -> list[str]:
 
 
 def main() -> int:
-    """Soak and judge; the exit status is 1 where something is wrong."""
+    """Run the test; the exit status is 1 if there is a problem."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", default="live:sim")
     parser.add_argument("--minutes", type=float, default=30.0)
@@ -365,7 +365,7 @@ def main() -> int:
     options = parser.parse_args()
     seconds = 60 * options.minutes
     cycle_s = min(options.recording_seconds, seconds / 20)
-    # What is loaded once and kept (compiled kernels, thread pools, fonts) is no leak: a first window loads it.
+    # A first window loads what is kept for the whole process (compiled kernels, thread pools, fonts).
     warm_up = run_window(options.source, 8.0, 4.0)
     if not warm_up.frames:
         print("\n".join(warm_up.problems), file=sys.stderr)

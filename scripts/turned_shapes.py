@@ -1,6 +1,6 @@
-"""More presses to develop on: the simulator's shapes turned other ways, which makes edges, corners and backs touch.
+"""More scenes for development: rotated shapes, so that edges, corners and backs touch the membrane.
 
-Import it before anything that names the simulator's scenes. A turned shape has the presses low and medium.
+Import this module before any module that uses the simulator's scenes. Rotated shapes have the presses low and medium.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Bringing tactile measurements to proximity pixels, by one of two models.
+"""Alignment models: they map tactile measurements to proximity pixels.
 
-The homography is the paper's: both images are laid over each other by one plane's homography.
+The homography is the paper's model: it aligns both images by the homography of one plane.
 The rigid model projects each proximity point into the tactile image and compares the depth expected
 there with the depth measured there, which is exact wherever the membrane touches.
 """
@@ -26,7 +26,7 @@ from .kernels.threads import by_rows
 
 @dataclass(frozen=True, eq=False)
 class AlignmentModel:
-    """Either model, as the kernels take it.
+    """An alignment model, with its tables for the kernels.
 
     Attributes
     ----------
@@ -76,7 +76,7 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     Raises
     ------
     RigMismatchError
-        The preset leaves the pose to the rig and the rig has none.
+        Neither the preset nor the rig has a pose.
     """
     (height, width), (tactile_height, tactile_width) = rig.proximity.intrinsics.shape, rig.tactile.intrinsics.shape
     rigid = section.model == "rigid"

@@ -1,4 +1,4 @@
-"""What the implementations of the contact tests share: cached steps, per-pixel tests and buffers."""
+"""Base of the implementations of contact tests: cached steps, per-pixel tests and buffers."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ class CandidateBuffers:
 
 
 class Workspace:
-    """What outlives a change of the preset: the rig, buffers, and what the outlier removal remembers."""
+    """State that is kept when the preset changes: the rig, buffers, and the cache of the outlier removal."""
 
     def __init__(self, rig: Rig) -> None:
         self.rig = rig
@@ -125,7 +125,7 @@ class ContactFinder(ABC):
     Attributes
     ----------
     test : kernels.PixelTest
-        The test of single pixels, as the kernels take it.
+        The test of single pixels, for the kernels.
     """
 
     def __init__(self, preset: Preset, rig: Rig, alignment: AlignmentModel, workspace: Workspace | None = None) -> None:
@@ -163,7 +163,7 @@ class ContactFinder(ABC):
 
 
 def depth_images(frame: SensorFrame) -> kernels.DepthImages:
-    """Return the depth images of a frame as the kernels take them."""
+    """Return the depth images of a frame, flat, for the kernels."""
     return kernels.DepthImages(flat(frame.proximity_depth), flat(frame.tactile_depth))
 
 

@@ -1,4 +1,4 @@
-"""Images as the kernels take them: flat, and long enough for a whole vector."""
+"""Flat images for the kernels, padded to at least one whole vector."""
 
 from __future__ import annotations
 
@@ -25,5 +25,5 @@ def planes_of(table: Float32Array) -> Float32Array:
 
 @lru_cache(maxsize=8)
 def ray_planes(intrinsics: Intrinsics) -> Float32Array:
-    """Return `ray_table` as the kernels take it: all x / z, then all y / z, flat."""
+    """Return `ray_table` for the kernels: all x / z, then all y / z, flat."""
     return planes_of(ray_table(intrinsics))

@@ -132,8 +132,8 @@ def build_mesh(
     kept, rim = np.isfinite(depth), np.arange(len(pixels)) < len(outline)
     if np.count_nonzero(kept & ~rim) < _MIN_NODES:
         raise TactuneError(
-            f"the untouched frame has depth at {np.count_nonzero(kept & ~rim)} nodes in the membrane's outline only, "
-            f"but the mechanics needs {_MIN_NODES}; take a new untouched frame or ask for more nodes"
+            f"only {np.count_nonzero(kept & ~rim)} nodes within the membrane's outline have depth in the untouched "
+            f"frame, but the mechanics needs {_MIN_NODES}; take a new untouched frame or ask for more nodes"
         )
     pixels, depth, rim = pixels[kept], depth[kept], rim[kept]
     positions = np.concatenate([camera.normalise(pixels), np.ones((len(pixels), 1))], axis=1) * depth[:, None]

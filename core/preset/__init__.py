@@ -1,4 +1,4 @@
-"""Presets: everything a person calibrates and tunes, as strict, frozen sections, and their files."""
+"""Presets: all calibrated and tuned values as strict, frozen sections, and their files."""
 
 from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
 from .contact_test import ContactTest

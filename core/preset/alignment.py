@@ -1,4 +1,4 @@
-"""The part of a preset that brings tactile measurements to proximity pixels."""
+"""The preset's alignment section: the model that maps tactile measurements to proximity pixels."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic import BaseModel, ConfigDict, Field, field_validator
 from ..model.frames import Matrix4, rigid_transform
 from .sections import Section, described
 
-#: A homography means the same at any scale; its largest number lies between this and its inverse.
+#: A homography has no scale. Its largest element must lie between the inverse of this and this.
 _LARGEST: Final = 1e150
 
 Row3 = tuple[float, float, float]
@@ -62,7 +62,7 @@ class ModelSummary(_Record):
 
 
 class CalibrationRecord(_Record):
-    """A calibration: when, of which cameras, from which clicks, how good."""
+    """A calibration: its date, cameras, clicks and quality."""
 
     date: datetime
     model: Literal["homography", "rigid"]
@@ -75,7 +75,7 @@ class CalibrationRecord(_Record):
 
 
 class RigidAlignment(Section):
-    """The tactile camera's pose in the proximity depth frame; null takes the rig's own pose."""
+    """The tactile camera's pose in the proximity depth frame; null means the rig's own pose."""
 
     T_proximity_tactile: Annotated[
         Matrix4 | None,
@@ -94,7 +94,7 @@ class RigidAlignment(Section):
 
 
 class HomographyAlignment(Section):
-    """A plane homography; null takes the one that the rig's pose induces on a frontal plane."""
+    """A plane homography; null means the one that the rig's pose induces on a frontal plane."""
 
     H_p_t: Annotated[
         Matrix3 | None,
@@ -172,5 +172,5 @@ class AlignmentSection(Section):
 
     @property
     def geometry(self) -> tuple[str, RigidAlignment, HomographyAlignment, float, float]:
-        """What the pipeline computes with: all but the record of how it came about."""
+        """The fields that affect results: all but the calibration record."""
         return self.model, self.rigid, self.homography, self.depth_scale, self.depth_offset_m

@@ -1,4 +1,4 @@
-"""Checks of a preset: what it is probably not meant for, and whether it belongs to a rig."""
+"""Checks of a preset: unusual combinations of fields, and whether it fits a rig."""
 
 from __future__ import annotations
 
@@ -28,13 +28,12 @@ def homography_notes(preset: Preset) -> list[str]:
 
 
 def check_rig(preset: Preset, rig: Rig) -> list[str]:
-    """Return sentences on what differs between the preset's rig and the one at hand, and what does not go together.
+    """Return sentences on differences between the preset's rig and the present rig, and on their consequences.
 
     Raises
     ------
     RigMismatchError
-        The image sizes differ, so that the preset cannot mean the same pixels, or the region of
-        interest lies outside the image.
+        The image sizes differ, or the region of interest lies outside the image.
     """
     warnings = []
     if preset.rig is not None:

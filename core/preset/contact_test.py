@@ -1,4 +1,4 @@
-"""What a contact test is: all that presets, panel, sweeps, messages and Compare need to know of it.
+"""The description of a contact test for presets, the panel, sweeps, messages and the Compare tab.
 
 To add a test, write one file like `tolerance` with a subclass of `ContactTest`, and add one line to `_TESTS` in
 `preset`. Preset files, their schema, the panel, sweeps, Compare and all messages read the object.

@@ -104,8 +104,7 @@ def save_preset(preset: Preset, path: Path | str) -> None:
     Raises
     ------
     ExportError
-        The file cannot be written, or holds a preset of a newer schema version; whatever was there
-        before is still there.
+        The file cannot be written, or holds a preset of a newer schema version; whatever was there before is unchanged.
     """
     path = Path(path)
     _keep_older_version(path)

@@ -1,4 +1,4 @@
-"""The preset: everything a person calibrates and tunes, as one strict, frozen model."""
+"""The preset: all calibrated and tuned values, as one strict, frozen model."""
 
 from __future__ import annotations
 
@@ -81,7 +81,7 @@ else:
 
 
 class Preset(_WithTests):
-    """All that a person calibrates and tunes, plus the rig that it was made for.
+    """All calibrated and tuned values, and the rig that they were made for.
 
     ``rig`` is None for a preset that serves any rig. Each contact test in `CONTACT_TESTS` adds its sections.
     `tactune.core.sources.presets` loads presets, `tactune.core.preset.file` saves them.
@@ -111,7 +111,7 @@ class Preset(_WithTests):
 
     @property
     def averaged_frames(self) -> int:
-        """Over how many frames depth is averaged at most; with 1 no result depends on earlier frames."""
+        """Maximum number of averaged frames; with 1, no result depends on earlier frames."""
         return int(self.value(self.test.frames_field)) if self.test.frames_field else 1
 
     def with_value(self, path: str, value: Any) -> Preset:

@@ -54,7 +54,7 @@ class _Stamp:
 
 
 class FolderSource(SeekableSource):
-    """A recording in a folder, as this module describes it.
+    """A recording in a folder; the module's docstring describes the format.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ class FolderSource(SeekableSource):
         return _read_frame(self._folders[index], self._stamps[index], self._rig)
 
     def _refuse_same_sequence(self) -> None:
-        """Refuse equal sequence numbers: files of results are named by them."""
+        """Raise if two frames have the same sequence number, because result files are named by it."""
         seen: dict[int, Path] = {}
         for folder, stamp in zip(self._folders, self._stamps, strict=True):
             first = seen.setdefault(stamp.sequence, folder)
@@ -354,7 +354,7 @@ def _write_truth(folder: Path, truth: GroundTruth, unit_m: float) -> None:
     _write_image(folder / "truth_depth.png", counts)
     if not np.array_equal(_metres(counts, unit_m), truth.depth_m, equal_nan=True):
         array = io.BytesIO()
-        np.save(array, truth.depth_m)  # np.save to a full disk does not say so
+        np.save(array, truth.depth_m)  # np.save does not report a full disk
         _write_file(folder / "truth_depth.npy", array.getvalue())
 
 

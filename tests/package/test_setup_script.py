@@ -141,6 +141,6 @@ def test_an_environment_that_was_moved_is_noticed(
     lock = tmp_path / "lock"
     lock.write_text("one")
     setup_script.Stamp("packages", lock).set()
-    assert not setup_script.Stamp("packages", lock).is_from_elsewhere()
+    assert not setup_script.Stamp("packages", lock).is_from_another_folder()
     monkeypatch.setattr(setup_script, "ROOT", tmp_path / "moved")
-    assert setup_script.Stamp("packages", lock).is_from_elsewhere()
+    assert setup_script.Stamp("packages", lock).is_from_another_folder()

@@ -53,7 +53,7 @@ _NO_COUNT, _ALL_COUNTS = np.uint16(0), np.uint16(65535)
 _PIXEL_SLACK = np.float32(0.05)
 _SLACK = np.float32(1e-5)
 #: A tile with points nearer to the plane of the tactile camera is never ruled out, metres.
-_LEAST_Z = np.float32(1e-6)
+_MIN_Z = np.float32(1e-6)
 _FARTHEST_PIXEL = np.float32(1e6)
 _corners, _lowest, _highest = int_scratch(4 * LANES), float_scratch(LANES), float_scratch(LANES)
 _NOTHING, _ONE = np.int32(0), np.int32(1)
@@ -351,7 +351,7 @@ def _mark_tiles(images: Any, alignment: Any, tables: Any, limits: Any, margin: A
             left, right = lesser(left, far_left), greater(right, far_right)
             top, bottom = lesser(top, far_top), greater(bottom, far_bottom)
             expected_low, expected_high = lesser(z_low, far_low), greater(z_high, far_high)
-            too_near = has_depth & (expected_low < floats(_LEAST_Z))
+            too_near = has_depth & (expected_low < floats(_MIN_Z))
         else:
             left, right = load(tables, start), load(tables, plane + start)
             top, bottom = load(tables, 2 * plane + start), load(tables, 3 * plane + start)

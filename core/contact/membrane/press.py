@@ -41,7 +41,7 @@ _EDGE: Final = 3
 
 @dataclass(frozen=True, eq=False)
 class Pressed:
-    """Contact where the membrane is pressed, and the free membrane's curvature.
+    """Pressed contact, and the free membrane's curvature.
 
     Attributes
     ----------

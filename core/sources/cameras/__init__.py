@@ -1,4 +1,4 @@
-"""Live cameras of any maker, captured in a process of their own.
+"""Live cameras of any maker, captured in a separate process.
 
 `camera` is the interface that a maker's driver implements; `feed` runs one camera on a thread, `assembler` places the
 images of both on one clock and pairs them, `source` makes frames of the pairs.

@@ -1,6 +1,6 @@
-"""What a maker's cameras have to offer: a `CameraDriver` that lists and opens, and a `Camera` for each role.
+"""The interface of camera drivers: a `CameraDriver` lists and opens devices, a `Camera` delivers images.
 
-Threads, pairing, time stamps, reopening and everything a person is told are the same for all makers: see
+Threads, pairing, time stamps, reopening and all messages are shared by all makers: see
 `feed`, `assembler` and `source`. A package adds a driver by an entry point in the group ``tactune.cameras``
 that names a subclass of `CameraDriver`; ``docs/extending.md`` has an example.
 """
@@ -63,7 +63,7 @@ class Calibration:
     color : Intrinsics or None
         Lens of the colour image; None where the camera has no colour.
     T_color_depth : 4 x 4
-        Takes points in the depth frame to the colour frame, metres.
+        Transforms points from the depth frame to the colour frame, metres.
     """
 
     depth: DepthCamera
@@ -123,15 +123,15 @@ class DeviceInfo:
     serial : str
         Unique among all connected devices.
     role : {"proximity", "tactile"} or None
-        The role that it gets where the preset names no serial number; None: only by its serial number.
+        Default role if the preset names no serial number. None: used only if its serial number is named.
     is_second_choice : bool
-        Gets its role only where no other device wants it.
+        Gets its default role only if no other device has this default role.
     usb : str
         USB version of the connection, such as ``"3.2"``; empty where unknown.
     modes : tuple of StreamMode
-        What it can stream, sorted.
+        Available modes, sorted.
     problem : str
-        Why it cannot be used as it is; empty where it can.
+        Why it cannot be used; empty if it can.
     """
 
     model: str
@@ -172,7 +172,7 @@ class Camera(ABC):
 
     @property
     def defaults(self) -> Mapping[str, float]:
-        """Options that are set where the preset does not name them."""
+        """Options that are set unless the preset names them."""
         return {}
 
     def start(self) -> None:

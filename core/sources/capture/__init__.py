@@ -1,4 +1,4 @@
-"""Capture in a process of its own: a driver that hangs or crashes takes nothing else down."""
+"""Capture in a separate process, so that a driver that hangs or crashes does not stop the program."""
 
 from .source import ProcessSource
 

@@ -1,4 +1,4 @@
-"""The capture process: opens the source, hands its frames over, gives signs of life."""
+"""The capture process: opens the source, sends its frames and heartbeats to the parent."""
 
 from __future__ import annotations
 
@@ -44,12 +44,12 @@ _GRACE_S: Final = 2.0
 _ALARM_S: Final = 60
 #: Unfit frames in a row after which the source is opened again.
 _MAX_UNFIT: Final = 30
-#: Seconds that a left-out frame stays in the health message.
+#: Time that a skipped frame stays in the health message, seconds.
 _TOLD_S: Final = 5.0
 
 
 class _StoppedError(TactuneError):
-    """Ends the opening of a source that is no longer wanted."""
+    """Raised to cancel the opening of a source that is no longer needed."""
 
 
 def main(control: int, memory: int) -> None:
@@ -122,7 +122,7 @@ class _Capture:
             if not source.wait(_ROUND_S):
                 continue
             frame = source.next_frame()
-            self._round_s = time.monotonic()  # the rest is not waiting for the source
+            self._round_s = time.monotonic()  # the steps below do not wait for the source
             if frame is None:
                 self._send(Ended())
                 return
@@ -134,7 +134,7 @@ class _Capture:
                 self._leave_out(error, lossless)
 
     def _answer(self, source: FrameSource) -> None:
-        """Carry out the calls that have arrived; only this thread uses the source."""
+        """Execute the calls that have arrived; only this thread uses the source."""
         while True:
             try:
                 call = self._calls.get_nowait()
@@ -171,7 +171,7 @@ class _Capture:
         self._send(FrameReady(slot, places, int(frame.sequence), *stamps, self._dropped))
 
     def _leave_out(self, error: FrameError, lossless: bool) -> None:
-        """Leave out a frame that does not fit the rig and report it; raise if too many in a row do not fit."""
+        """Skip a frame that does not fit the rig and report it; raise after too many of them in a row."""
         self._unfit += 1
         self._unfit_in_a_row += 1
         self._unfit_message = f"A frame was ignored: {error}."
@@ -186,17 +186,17 @@ class _Capture:
     # The other thread
 
     def _converse(self) -> None:
-        """Take messages and give signs of life until the parent has gone; then end the process."""
+        """Receive messages and send heartbeats until the parent has gone; then end the process."""
         with suppress(EOFError, OSError):
             due_s = time.monotonic()
             while os.getppid() == self._parent:
-                # Rearmed in every round: it goes off only if this thread cannot run any more.
+                # Restarted in every round: the alarm fires only if this thread cannot run any more.
                 signal.alarm(_ALARM_S)
                 if self._connection.poll(max(0.0, due_s - time.monotonic())):
                     self._obey(self._connection.recv())
                 late_s = time.monotonic() - due_s
                 if late_s >= 0:
-                    if late_s > HEARTBEAT_S:  # the machine was busy: this time is not the source's
+                    if late_s > HEARTBEAT_S:  # the machine was busy, so this time is not counted for the source
                         self._round_s += late_s
                     due_s = time.monotonic() + HEARTBEAT_S
                     self._beat()
@@ -205,7 +205,7 @@ class _Capture:
         os._exit(0)
 
     def _beat(self) -> None:
-        """Send a sign of life, unless something else is being sent or the parent does not read."""
+        """Send a heartbeat, unless something else is being sent or the parent does not read."""
         if not self._sending.acquire(blocking=False):
             return
         try:

@@ -57,7 +57,7 @@ class CaptureProcess:
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,  # what a driver prints must not mix with a command's output
                 pass_fds=(theirs.fileno(), self._memory),
-                process_group=0,  # Ctrl+C is for the parent, which then closes its source
+                process_group=0,  # only the parent handles Ctrl+C; it then closes its source
             )
         except OSError as error:
             ours.close()

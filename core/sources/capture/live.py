@@ -21,8 +21,8 @@ class LiveLoop(FrameSource):
     """A recording without a length: each frame comes when it is due.
 
     The n-th frame is due n periods after the first, by the clock, so nothing drifts. A frame that
-    cannot be read in time is left out and counted as dropped, as a camera would. Times go on rising
-    when the recording starts over.
+    cannot be read in time is skipped and counted as dropped, as with a camera. Time stamps keep
+    increasing when the recording starts over.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""How the two processes talk: messages as pickles over a socket pair, images in shared memory.
+"""The protocol of the two processes: pickled messages over a socket pair, images in shared memory.
 
 The memory is cut into slots; each slot holds the images of one frame. It has no name: it is an anonymous or unlinked
-file whose descriptor the capture process inherits, so it vanishes with the last of the two processes. Messages tell
-who may touch a slot: it is announced when it is written and given back when it is copied, so nobody reads one that is
-half written.
+file whose descriptor the capture process inherits, so the system frees it when both processes have ended. Messages
+pass the ownership of a slot: the capture process announces it after writing, and the parent returns it after copying.
+No slot is therefore read while it is being written.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from ..base import FrameSource, Health, Progress
 #: Opens a source in the capture process; a function of a module, or `functools.partial` of one.
 Opener = Callable[[Progress], FrameSource]
 
-#: Slots for the frames that wait, one that is being written and one that is being copied.
+#: Number of slots: the queued frames, one that is being written and one that is being copied.
 SLOTS = 8
 
-#: Time between two signs of life of the capture process, seconds.
+#: Interval of the capture process's heartbeats, seconds.
 HEARTBEAT_S = 0.2
 _ALIGNMENT: Final = 64
 
@@ -69,7 +69,7 @@ class Opening:
 
 @dataclass(frozen=True)
 class Opened:
-    """From the capture process: the source is open and the memory has its size."""
+    """From the capture process: the source is open and the shared memory is allocated."""
 
     name: str
     rig: Rig
@@ -184,7 +184,7 @@ def create_memory() -> int:
 
 
 def reserve_memory(descriptor: int, size: int) -> None:
-    """Give the file its size, so that a lack of memory is an error here and not a crash later.
+    """Allocate the file's memory, so that a lack of memory is an error here and not a crash later.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Any source, opened in a process of its own."""
+"""A source that is opened in a separate process."""
 
 from __future__ import annotations
 
@@ -11,37 +11,36 @@ from .supervisor import Supervisor
 
 
 class ProcessSource(FrameSource):
-    """A live source in a process of its own.
+    """A live source in a separate process.
 
     Frames come through shared memory, copied once. A capture process that dies, hangs or fails is
-    started again; meanwhile `health` says what happened and that the last frame is stale, and
-    `wait` tells that nothing is there. Sequence numbers and times go on rising. Frames that nobody
-    fetched in time are dropped, the oldest first, and counted in `health`. All methods may be called
-    from any thread.
+    restarted. Meanwhile `health` states the cause and marks the last frame as stale, and `wait` returns
+    False. Sequence numbers and times keep increasing. Frames that are not fetched in time are dropped,
+    the oldest first, and counted in `health`. All methods may be called from any thread.
 
     Parameters
     ----------
     opener : callable
-        Opens the source in the capture process, given a progress callable. It travels as a pickle:
-        a function of a module (not of the main script or a notebook), or `functools.partial` of one.
+        Opens the source in the capture process; its argument is a progress callable. It is pickled, so it
+        must be a function of a module (not of the main script or a notebook), or `functools.partial` of one.
     progress : callable, optional
-        Told the share done, 0 to 1, and what is being done; called in this thread. An exception
-        that it raises leaves the opening.
+        Called in this thread with the fraction done, 0 to 1, and the current step. If it raises an
+        exception, opening is cancelled.
     lossless : bool
-        True: no frame is dropped, the capture process waits for the caller instead; and where it
-        fails, `next_frame` raises rather than going on with frames missing.
+        If True, no frame is dropped: the capture process waits for the caller, and after a failure
+        `next_frame` raises an error instead of continuing with missing frames.
 
     Raises
     ------
     TactuneError
-        The source cannot be opened; the same class and sentence as without the process.
+        The source cannot be opened; class and message are the same as without the process.
     SourceError
         The opener cannot be sent to another process, or the process ends or hangs while opening.
     """
 
     def __init__(self, opener: Opener, progress: Progress | None = None, *, lossless: bool = False) -> None:
         self._supervisor = Supervisor(Start(opener, lossless))
-        # Also at exit, and where a source is forgotten.
+        # Also called at exit, and when an unclosed source is garbage collected.
         self._close = weakref.finalize(self, self._supervisor.stop)
         try:
             opened = self._supervisor.wait_until_open(progress)
@@ -83,7 +82,7 @@ class ProcessSource(FrameSource):
         return self._supervisor.wait(timeout_s)
 
     def health(self) -> Health:
-        """Report how the source is doing, and what has happened to its process."""
+        """Return the health of the source and of its process."""
         return self._supervisor.health()
 
     def options(self) -> tuple[CameraOption, ...]:

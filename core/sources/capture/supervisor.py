@@ -1,4 +1,4 @@
-"""Supervises the capture process: takes its frames, notices when it dies or hangs, restarts it."""
+"""Supervises the capture process: receives its frames, detects when it dies or hangs, restarts it."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ from .protocol import (
     frame_of,
 )
 
-#: Frames kept for a late caller of a live source; then the oldest is dropped.
+#: Longest queue of frames of a live source; then the oldest frame is dropped.
 _MAX_WAITING: Final = SLOTS - 2
 #: Seconds that a notice stays in the health message.
 _NOTICE_S: Final = 10.0
 _CALL_S: Final = 3.0
 #: Longest wait for a message of the process, seconds.
 _POLL_S: Final = 0.1
-#: Seconds without a sign of life after which the process counts as hung: while it opens the source, when a driver may
-#: hold the interpreter; while a camera is stalled or missing; otherwise.
+#: Seconds without a heartbeat after which the process counts as hung: while it opens the source, because a driver may
+#: hold the interpreter lock; while a camera is stalled or missing; otherwise.
 _SILENT_OPENING_S: Final = 20.0
 _SILENT_TROUBLE_S: Final = 5.0
 _SILENT_S: Final = 1.0
@@ -51,7 +51,7 @@ _BUSY_S: Final = 1.5
 _LATE_S: Final = 0.25
 #: Pauses before the first, second and further restarts, seconds.
 _PAUSES_S: Final = (0.0, 0.2, 0.5, 1.0, 2.0)
-#: Message of each camera meanwhile.
+#: Message of each camera during a restart.
 _RESTARTING: Final = "The capture process is being restarted."
 #: A process that has captured this long has recovered, seconds.
 _RECOVERED_S: Final = 5.0
@@ -128,7 +128,7 @@ class Supervisor:
         return frame_of(ready, arrays)
 
     def health(self) -> Health:
-        """Return the source's health and what has happened to the process."""
+        """Return the health of the source and of its process."""
         with self._changed:
             if self._error is not None:
                 return self._record.health(str(self._error), stale=True)
@@ -150,7 +150,7 @@ class Supervisor:
         try:
             if process is None:
                 raise SourceError(f"{self._name}: the capture process is not running at present; try again")
-            with suppress(OSError):  # it has just gone, and so does not answer
+            with suppress(OSError):  # it has just ended, so it does not answer
                 process.send(Call(number, method, arguments))
             with self._changed:
                 self._changed.wait_for(lambda: self._replies[number] is not None or self._finished, _CALL_S)
@@ -196,7 +196,7 @@ class Supervisor:
             self._keep_capturing()
         except TactuneError as error:
             self._fail(error)
-        except Exception as error:  # a caller that waits for a frame must get it
+        except Exception as error:  # a caller that waits for a frame must get this error
             self._fail(SourceError(f"{self._name}: capturing failed ({type(error).__name__}: {error})"))
         finally:
             with self._changed:
@@ -207,7 +207,7 @@ class Supervisor:
 
     def _fail(self, error: TactuneError) -> None:
         with self._changed:
-            self._error = error.with_traceback(None)  # which would keep the shared memory
+            self._error = error.with_traceback(None)  # otherwise the traceback would keep the shared memory
             self._changed.notify_all()
 
     def _keep_capturing(self) -> None:
@@ -223,7 +223,7 @@ class Supervisor:
             self._stop.wait(pauses.next_s(time.monotonic() - began_s))
 
     def _take_down(self, problem: Failure | str) -> None:
-        """Report the problem; raise it before the first frame, and where no frame may be missing."""
+        """Report the problem; raise it before the first frame, or if the source is lossless."""
         first = self._opened is None
         if first or self._start.lossless:
             if isinstance(problem, Failure):
@@ -254,7 +254,7 @@ class Supervisor:
         return failure or hanging or ending_in_words(status)
 
     def _serve(self, process: CaptureProcess) -> tuple[str, Failure | None]:
-        """Take messages until there are no more; return why the process hangs, or its failure."""
+        """Process messages until the process ends or hangs; return the cause."""
         patience = Patience()
         ring: Ring | None = None
         while not self._stop.is_set():
@@ -289,7 +289,7 @@ class Supervisor:
         if before is not None:
             _check_same_rig(before.name, before.rig, opened.rig)
             for (camera, name), value in options.items():
-                with suppress(OSError):  # it has gone again, which `_serve` notices
+                with suppress(OSError):  # it has ended again, which `_serve` detects
                     process.send(Call(next(self._numbers), "set_option", (camera, name, value)))
             with self._changed:
                 self._notice = self._notice.replace("is being restarted.", "has been restarted.")
@@ -301,7 +301,7 @@ class Supervisor:
             self._changed.notify_all()
 
     def _take(self, process: CaptureProcess, ring: Ring, ready: FrameReady) -> None:
-        """Queue a frame; where too many wait, drop the oldest."""
+        """Queue a frame; drop the oldest one if the queue is full."""
         oldest = None
         with self._changed:
             self._record.heard(ready)
@@ -330,15 +330,15 @@ class Supervisor:
             self._changed.notify_all()
 
     def _give_back(self, process: CaptureProcess, slot: int) -> None:
-        with suppress(OSError):  # the process has gone, and its slots with it
+        with suppress(OSError):  # the process has ended, and its slots no longer exist
             process.send(GiveBack(slot))
 
 
 class Patience:
     """Decides when a process hangs.
 
-    Silence is counted in waits without a message, not by the clock: when this process was stopped itself, the
-    other's signs of life have queued up. Waits that took far too long are not counted: both processes were slow.
+    Silence is counted in waits without a message, not by the clock: while this process itself was stopped, the
+    heartbeats of the other one were queued. Waits that lasted far too long are not counted: the machine was busy.
     """
 
     def __init__(self) -> None:
@@ -363,7 +363,7 @@ class Patience:
                 self._silent_limit_s = _SILENT_S if well else _SILENT_TROUBLE_S
 
     def silent(self, waited_s: float) -> None:
-        """Note a wait of `_POLL_S` without a message, and how long it really took."""
+        """Count a wait of `_POLL_S` without a message; the argument is its real duration."""
         if waited_s < _LATE_S:
             self._silent += 1
 
@@ -394,7 +394,7 @@ class Pauses:
 
 @dataclass
 class Numbering:
-    """Keeps sequence numbers and times rising over a restart."""
+    """Keeps sequence numbers and times increasing across restarts."""
 
     _sequence_shift: int = 0
     _time_shift_s: float = 0.0
@@ -432,7 +432,7 @@ class Numbering:
 
 @dataclass
 class HealthRecord:
-    """The source's health over several processes."""
+    """The source's health across restarts."""
 
     _now: Health = field(default_factory=Health)
     _lost: int = 0
