@@ -22,7 +22,7 @@ from .kernels.threads import by_rows
 from .masking import color_lookup_of
 from .outliers.statistical import NeighbourMemory
 
-#: Below this number of image tiles, other threads are not worth waking.
+#: Below this number of image tiles, one thread is faster than several.
 MAX_TILES_ALONE: Final = 300
 _NO_LIMITS = np.empty(0, np.int64)
 _NEVER_RUN = object()
