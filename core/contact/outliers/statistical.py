@@ -2,7 +2,7 @@
 
 Neighbours in space are neighbours in the image. The mean distances are computed in float32 from the image grid
 (`row_search`, then `point_search`), with a known error bound. Only if a point lies so close to the threshold that
-rounding could decide, which is rare, a k-d tree computes all of them exactly.
+rounding could decide are they computed in float64. Only if that is uncertain, too, a k-d tree computes them exactly.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ from .row_search import search_rows
 #: Bound of the relative error of a float32 mean: distances differ by at most 3 units in the last place from the exact
 #: ones (differences exact to half a unit, squares and sums, root).
 UNCERTAINTY = 4 * 2.0**-24
+#: The same for means of float64 distances; covers the order of Open3D's sums, too.
+PRECISE_UNCERTAINTY = 1e-9
 #: Means below this may come from squares that float32 cannot represent, metres.
 _MIN_MEAN_M = 1e-12
 
@@ -109,6 +111,9 @@ def statistical_inliers(
             if memory is not None:
                 memory.remember(points, k, means)
         inliers = surely_below_threshold(means, ratio, UNCERTAINTY)
+        if inliers is None:
+            means = precise_means(points, pixels, intrinsics, k)
+            inliers = surely_below_threshold(means, ratio, PRECISE_UNCERTAINTY)
         if inliers is not None:
             return inliers
     return below_threshold(exact_means(points, k), ratio)
@@ -167,6 +172,25 @@ def near_means(
     return means
 
 
+def precise_means(points: Float32Array, pixels: IndexArray, intrinsics: Intrinsics, k: int) -> Float64Array:
+    """Return the means of `near_means` with a relative error of at most `PRECISE_UNCERTAINTY`."""
+    means = np.full(len(points), np.nan)
+    grid = _grids.borrow(intrinsics)
+    try:
+        if grid.lay(points, pixels):
+            in_parallel(
+                lambda part: search_rows(_runs_of(grid, part), grid.planes, k, True, means),
+                -(-len(grid.runs) // _RUNS),
+            )
+    finally:
+        grid.clear(pixels)
+        _grids.give_back(intrinsics, grid)
+    left = np.flatnonzero(np.isnan(means))
+    if len(left):
+        means[left] = exact_means(points, k, left)
+    return means
+
+
 def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Float64Array) -> None:
     """Write the mean distance of the points numbered in ``left`` to their k nearest, comparing with every point."""
     planes = (scratch(name, len(points) + LANES, np.float32) for name in ("xs", "ys", "zs"))
@@ -184,13 +208,16 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
         in_parallel(lambda part: compare(slice(part * _COMPARED, (part + 1) * _COMPARED)), parts)
 
 
+def _runs_of(grid: Grid, part: int) -> Any:
+    return grid.runs[part * _RUNS : (part + 1) * _RUNS]
+
+
 def _search_part(grid: Grid, cloud: Cloud, k: int, radius: int, means: Float64Array, part: int) -> None:
     """Search the points of some runs together, then one by one those that are left open."""
-    end = (part + 1) * _RUNS
-    runs = grid.runs[part * _RUNS : end]
+    runs, end = _runs_of(grid, part), (part + 1) * _RUNS
     first = runs[0, NUMBER]
     last = grid.runs[end, NUMBER] if end < len(grid.runs) else len(cloud.points)
-    search_rows(runs, grid.planes, k, means)
+    search_rows(runs, grid.planes, k, False, means)
     search_points(cloud, first, last, grid.planes, k, radius, means)
 
 

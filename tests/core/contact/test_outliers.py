@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from tactune.core.contact.kernels.threads import get_threads, set_threads
 from tactune.core.contact.outliers import statistical
 from tactune.core.contact.outliers.clusters import in_large_cluster
-from tactune.core.contact.outliers.statistical import exact_means, near_means, statistical_inliers
+from tactune.core.contact.outliers.statistical import exact_means, near_means, precise_means, statistical_inliers
 from tactune.core.model.clouds import deproject
 from tactune.core.model.frames import DepthCamera
 from tactune.core.model.intrinsics import Intrinsics
@@ -75,9 +75,10 @@ def test_near_means_are_as_near_as_they_say(seed, k, share, noise):
     k = min(k, len(points))
     exact = exact_means(points, k)
     assert np.abs(near_means(points, pixels, lens, k) / exact - 1).max() <= statistical.UNCERTAINTY
+    assert np.abs(precise_means(points, pixels, lens, k) / exact - 1).max() <= statistical.PRECISE_UNCERTAINTY / 100
 
 
-def test_a_point_too_near_to_the_threshold_is_decided_by_exact_means(monkeypatch):
+def test_a_point_too_near_to_the_threshold_is_decided_in_float64_and_then_exactly(monkeypatch):
     points, pixels, lens = scene(5, 80, 60, 0.9, 0.001)
     wanted = open3d_inliers(points, 20, 2.0)
     exact = exact_means(points, 20)
@@ -91,11 +92,18 @@ def test_a_point_too_near_to_the_threshold_is_decided_by_exact_means(monkeypatch
         return exact_means(points, k, chosen)
 
     monkeypatch.setattr(statistical, "exact_means", counted_exact)
+    monkeypatch.setattr(statistical, "precise_means", lambda *a: calls.append("precise") or precise_means(*a))
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
     assert calls == []
     monkeypatch.setattr(statistical, "UNCERTAINTY", nearest)
     assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
-    assert calls == ["exact for all"]
+    assert calls[0] == "precise"
+    assert "exact for all" not in calls
+    calls.clear()
+    monkeypatch.setattr(statistical, "PRECISE_UNCERTAINTY", nearest)
+    assert np.array_equal(statistical_inliers(points, pixels, lens, 20, 2.0), wanted)
+    assert calls[0] == "precise"
+    assert calls.count("exact for all") == 1
 
 
 def test_equal_distances_everywhere_have_no_inliers():
