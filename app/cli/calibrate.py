@@ -47,7 +47,7 @@ def calibrate(
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
     ] = None,
 ) -> None:
-    """Fit the alignment to clicked points and say how good it is."""
+    """Fit the alignment to clicked points and report its quality."""
     from ...core.calibration import calibrate as fit
     from ...core.calibration import read_points
     from ...core.preset import Preset

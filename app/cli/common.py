@@ -31,11 +31,11 @@ if TYPE_CHECKING:
     from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
-#: The source where none is given.
+#: The default source.
 SOURCE = "sim"
 #: The method that is the preset's own pipeline, with its contact test and alignment.
 FUSION: Final = "fusion"
-#: How often a command that waits for a live source looks for Ctrl+C, in seconds.
+#: Interval at which a command that waits for a live source checks for Ctrl+C, seconds.
 WAIT_S = 0.2
 
 SourceOption = Annotated[
@@ -69,9 +69,9 @@ AveragedFrames = Annotated[
 
 
 def default_preset(source: str) -> str:
-    """Return the preset for a source where none is given, as `load_preset` takes it.
+    """Return the default preset of a source, as an argument for `load_preset`.
 
-    A recording's own where it holds one, ``simulator`` for the simulator (played live or not), else ``default``.
+    It is the recording's own preset if there is one, ``simulator`` for the simulator (live or not), else ``default``.
     """
     plain = source.removeprefix("live:")
     path = user_path(plain.removeprefix("mcap:"))
@@ -125,7 +125,7 @@ class CliProgress:
 
     def __init__(self, quiet: bool = False) -> None:
         self._on_terminal = sys.stderr.isatty()
-        # The bar must leave standard output alone: it may be a pipe or a file with JSON lines.
+        # The bar must not use standard output, which may be a pipe or a file with JSON lines.
         self._bar = Progress(
             TextColumn("{task.description}"),
             BarColumn(),
@@ -209,7 +209,7 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
-    """Add ``section.enabled``, or the contact test, for each section with a value, unless the person set it."""
+    """Add ``section.enabled``, or the contact test, for each section with a value, unless the user set it."""
     from ...core.preset.preset import CONTACT_TESTS, preset_paths
 
     sections = {path.partition(".")[0] for path in values}

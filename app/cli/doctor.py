@@ -60,7 +60,7 @@ def _ask_driver() -> list[dict[str, Any]]:
 
 
 def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
-    """Say what is missing and why."""
+    """Return sentences on missing cameras and their causes."""
     from ...core.sources.realsense.driver import driver_version, no_l515_sentence
     from ..doctor.cameras import usb_cameras
 

@@ -1,4 +1,4 @@
-"""What ``tactune run`` and ``tactune evaluate recording`` do with frames: choose them, run a method, record numbers."""
+"""Frames of ``tactune run`` and ``tactune evaluate recording``: choose them, run a method, record numbers."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def make_step(
     method : str
     preset : Preset
     preset_origin : str
-        As `load_preset` took it.
+        As given to `load_preset`.
     source : FrameSource
     untouched : SensorFrame or None
         From ``--untouched``; None: the preset's own, else the source's.

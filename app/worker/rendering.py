@@ -147,7 +147,7 @@ class Renderer:
     ) -> Rendered:
         """Return the wanted images; without a patch, only those that need none."""
         sample_m = membrane_sample_m(frame, preset, rig)
-        depth_range_m = self._steady_depth_range(rig, sample_m)
+        depth_range_m = self._stable_depth_range(rig, sample_m)
         theme: Theme = "dark" if wanted.dark else "light"
         scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m)
         clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
@@ -175,7 +175,7 @@ class Renderer:
             else "",
         )
 
-    def _steady_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
+    def _stable_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
         """Return a depth range that only widens while the source stays the same."""
         if rig is not self._rig:
             self._rig, self._depth_range_m = rig, None

@@ -154,7 +154,7 @@ class Worker(QThread):
         self._orders.put(lambda: setattr(self._playback, "held", held))
 
     def set_option(self, camera: CameraRole, name: str, value: float, at_close: float | None = None) -> None:
-        """Change a setting of a camera; ``at_close`` as `LiveReader.set_option` takes it."""
+        """Change a setting of a camera; ``at_close`` as for `LiveReader.set_option`."""
         self._orders.put(lambda: self._set_option(camera, name, value, at_close))
 
     def start_recording(self, path: Path) -> None:

@@ -121,10 +121,10 @@ class FrameSource(ABC):
         """
 
     def wait(self, timeout_s: float) -> bool:
-        """Wait until `next_frame` will not block; return whether that is so.
+        """Wait until `next_frame` will not block; return False after the timeout.
 
         A recording is always ready; a live source waits for a frame, at most ``timeout_s``. Callers
-        that have other things to do ask this before `next_frame`.
+        that have other work call this before `next_frame`.
         """
         return True
 
@@ -162,7 +162,7 @@ class FrameSource(ABC):
         Raises
         ------
         PresetError
-            It is none that this version can use.
+            This version cannot use the preset.
         """
         return None
 

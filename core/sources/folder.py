@@ -124,7 +124,7 @@ def export_folder(
     frames : int, optional
         At most this many frames; a live source needs it. None: all up to the end.
     progress : callable, optional
-        Told the share done, 0 to 1, and what is being done.
+        Called with the fraction done, 0 to 1, and the current step.
 
     Returns
     -------

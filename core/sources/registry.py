@@ -25,12 +25,12 @@ GROUP = "tactune.sources"
 
 @dataclass(frozen=True)
 class SourceKind:
-    """One kind of source: how it is named, what a person must choose, and how it is opened.
+    """One kind of source: its names, what the user must choose, and how it is opened.
 
     Attributes
     ----------
     scheme : str
-        What stands before the colon of a name; the entry point has the same name.
+        Text before the colon of a name; the entry point has the same name.
     title : str
         Name in menus and dialogs.
     form : str
@@ -42,14 +42,14 @@ class SourceKind:
         called with the fraction done and the current step, or is None, ``cameras`` is the preset's section
         ``cameras``, or None. Raises `SourceError`. A heavy module is best imported inside.
     needs : {"nothing", "folder", "file"}
-        What a person has to choose to open one.
+        What the user must choose to open a source.
     pattern : str
         File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
         ``"rig.json"``; empty where it opens none.
     examples : tuple of str
-        Names that menus offer.
+        Example names for menus.
     rank : int
-        Place in lists, the lowest first; built-in kinds have less than 100.
+        Position in lists, lower first; built-in kinds have ranks below 100.
     """
 
     scheme: str
@@ -76,7 +76,7 @@ class SourceKind:
 
 
 def source_kinds() -> tuple[SourceKind, ...]:
-    """Return every kind of source that can be opened, the default first; those that cannot be loaded are left out."""
+    """Return every kind of source that can be loaded, the default first."""
     return _all_kinds()[0]
 
 

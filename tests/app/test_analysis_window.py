@@ -1,4 +1,4 @@
-"""The window of the Analysis menu: opened by its actions, fed while it is looked at, closed with the main window."""
+"""The Analysis window: opened by its actions, updated while visible, closed with the main window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The tab Compare: methods side by side on the frame of the main window, in their own thread."""
+"""The Compare tab: methods side by side on the frame of the main window, computed on a separate thread."""
 
 from __future__ import annotations
 
@@ -238,10 +238,10 @@ def test_without_truth_there_is_no_view_of_it_and_no_score(qtbot, window):
 def test_a_damaged_untouched_frame_is_said_and_tried_again(qtbot, window):
     class Damaged(KnowingSource):
         def untouched(self) -> SensorFrame | None:
-            raise SourceError("the untouched frame is damaged; capture it anew")
+            raise SourceError("the untouched frame is damaged; capture it again")
 
     tab = open_on(qtbot, window, Damaged)
-    assert "the untouched frame is damaged; capture it anew" in tab.grid.tiles["tactile-only"].view.message()
+    assert "the untouched frame is damaged; capture it again" in tab.grid.tiles["tactile-only"].view.message()
 
 
 def test_the_untouched_frame_of_the_preset_goes_first(preset, tmp_path):

@@ -109,7 +109,7 @@ def test_a_method_that_averages_counts_each_frame_once(preset, monkeypatch):
             (outcome,) = compare(asked).outcomes
             timed.append(outcome.ms is not None)
     assert added == [1, 2, 3]
-    # neither the first run, which loads code, nor one of which the stages before are remembered
+    # not timed: the first run, which loads code, and runs with cached stages
     assert timed == [False, False, True, False, True, False]
 
 

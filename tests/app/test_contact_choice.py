@@ -1,4 +1,4 @@
-"""The choice of the contact test in the window: by keyboard, undone, and everything beside it follows."""
+"""The choice of the contact test in the window: by keyboard, undo, and the widgets that depend on it."""
 
 from __future__ import annotations
 

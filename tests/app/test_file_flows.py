@@ -1,4 +1,4 @@
-"""Files in the window: presets, recordings, their presets, unsaved changes and exports."""
+"""Files in the window: presets, recordings with presets, unsaved changes and exports."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whole flows of tuning and playing, by real mouse and key events, as a person does them."""
+"""Complete user flows of tuning and playing, by real mouse and key events."""
 
 from __future__ import annotations
 

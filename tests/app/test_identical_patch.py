@@ -1,4 +1,4 @@
-"""One frame and one preset give one patch, bit for bit: in the window, by ``tactune run``, in three lines of Python."""
+"""A frame and a preset give the same bits in the window, in ``tactune run`` and in a Python script."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Choosing and setting cameras: lists, words where there are none, the preset as the one truth."""
+"""Choosing and configuring cameras: lists, messages without cameras, options stored in the preset."""
 
 from __future__ import annotations
 

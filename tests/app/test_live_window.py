@@ -1,4 +1,4 @@
-"""The window with cameras: what is old is marked, what is missing is named, and all goes on by itself."""
+"""The window with live cameras: stale frames are marked, missing cameras are named, and capture resumes by itself."""
 
 from __future__ import annotations
 

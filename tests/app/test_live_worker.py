@@ -1,4 +1,4 @@
-"""The worker with cameras: orders while no frame comes, faults, and nothing that waits in vain."""
+"""The worker with live cameras: orders without frames, faults, and no endless waiting."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The window as a whole: what it shows, remembers and says."""
+"""The main window: its contents, saved state and messages."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ def test_says_which_stage_dropped_everything(window, qtbot, path, value, words):
 
 
 def test_the_window_does_not_look_for_the_reason_itself(window, qtbot, monkeypatch):
-    """It takes longer than finding that nothing touches."""
+    """The worker thread finds the reason, because that takes longer than finding no contact."""
     threads = []
     monkeypatch.setattr(ContactTest, "why_no_contact", lambda *_: threads.append(get_ident()) or "because")
     window.document.edit("tolerance.t", 0.0)

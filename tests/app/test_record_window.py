@@ -1,4 +1,4 @@
-"""Recording in the window, by its key: what is in the file, and what the person is told."""
+"""Recording in the window by its key: the file's contents and the messages."""
 
 from __future__ import annotations
 

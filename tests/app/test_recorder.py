@@ -15,7 +15,7 @@ from tiny_sensor import tiny_frame, tiny_rig
 
 
 class FakeWriter:
-    """A file that takes frames until told otherwise."""
+    """A file that accepts frames until a test stops it."""
 
     def __init__(self, request) -> None:
         self.path = request.path

@@ -1,4 +1,4 @@
-"""The tab Strain: a printed grid that is pressed, measured on a thread of its own, seen by a person."""
+"""The Strain tab: a pressed printed grid, measured on a separate thread."""
 
 from __future__ import annotations
 

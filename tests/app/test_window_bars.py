@@ -1,4 +1,4 @@
-"""Toolbar and status bar: everything can be read at every width of the window."""
+"""Toolbar and status bar are readable at every width of the window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The core stays headless: importing every module of it brings in no window system and no Open3D."""
+"""The core is headless: importing all of its modules imports no window system and no Open3D."""
 
 from __future__ import annotations
 

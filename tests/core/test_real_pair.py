@@ -1,4 +1,4 @@
-"""One real scene, seen by an L515 and a D435: the facts measured on it must stay true."""
+"""One real scene of an L515 and a D435: measured facts must not change."""
 
 from __future__ import annotations
 

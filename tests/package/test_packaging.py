@@ -1,4 +1,4 @@
-"""What pyproject.toml says agrees with the folders and with the lock."""
+"""pyproject.toml agrees with the folders and with the lock file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""scripts/setup.py finds what is missing and installs it, or says how to, on machines unlike this one."""
+"""scripts/setup.py finds and installs missing packages, or names the command, on various systems."""
 
 from __future__ import annotations
 

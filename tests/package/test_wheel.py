@@ -1,9 +1,9 @@
-"""The wheel without extras is enough for a robot: it does the headless job and brings no window system.
+"""The wheel without extras runs headless and installs no window system.
 
 The wheel is built and installed by pip into an empty virtual environment. Its dependencies are not downloaded:
-starting from the wheel's own metadata, without extras, the distributions it needs are looked up among the installed
-ones, and only those are linked into a folder on the empty environment's path. So the test is quick and works
-offline, and whatever the wheel does not ask for (Qt, OpenGL, Open3D) cannot be imported there, by anyone.
+the installed distributions that the wheel's metadata requires, without extras, are linked into a folder on the path of
+the empty environment. The test is therefore quick and works offline, and packages that the wheel does not require (Qt,
+OpenGL, Open3D) cannot be imported.
 """
 
 from __future__ import annotations

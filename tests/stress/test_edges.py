@@ -1,4 +1,4 @@
-"""The edges: every extreme input gives the reference's answer or a clear refusal, never nan or silence."""
+"""Extreme inputs give the reference's result or a clear error, never nan."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_homographies_of_every_condition(exponent: int, mirrored: bool) -> None:
         return
     patch = assert_as_the_reference(Preset().with_values(homography(squeeze)), rig, frame_of(rig, 1200, 3000))
     rows = int(47 * 10.0**-exponent) + 1
-    assert len(patch.points) == 64 * rows, "the tactile image is squeezed into so many rows"
+    assert len(patch.points) == 64 * rows, "the tactile image is scaled to this number of rows"
 
 
 @pytest.mark.parametrize(

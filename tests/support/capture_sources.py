@@ -1,4 +1,4 @@
-"""Sources for the capture process; the process imports this module by its plain name."""
+"""Sources for the capture process, which imports this module by its top-level name."""
 
 from __future__ import annotations
 

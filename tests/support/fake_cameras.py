@@ -1,4 +1,4 @@
-"""Two made-up live cameras with everything that goes wrong with real ones."""
+"""Two fake live cameras with the faults of real ones."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""Damages recordings at random and opens them: anything but frames or one clear sentence ends with an error.
+"""Open randomly damaged recordings; the exit status is an error unless each gives frames or one clear sentence.
 
     fuzz_recordings.py FOLDER SEED COUNT RECORDING...
 
-Memory is limited, so that a huge claim that is believed ends with an error, too.
+Memory is limited, so an allocation of the size that a damaged field states is an error, too.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What a person's hands do to a window: real mouse and key events."""
+"""User input for windows: real mouse and key events."""
 
 from __future__ import annotations
 

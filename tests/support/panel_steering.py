@@ -1,4 +1,4 @@
-"""A parameter panel's edits as they are told, and the mouse and keys that make them."""
+"""Edits of a parameter panel, recorded from its signals, and the mouse and key events that make them."""
 
 from __future__ import annotations
 

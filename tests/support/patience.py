@@ -1,4 +1,4 @@
-"""How much longer things may take on a machine that has other work."""
+"""The factor by which timeouts grow on a busy machine."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
-"""Recordings made and played by librealsense itself, in a process of its own.
+"""Makes and plays recordings with librealsense, in a separate process.
 
-As a script it needs pyrealsense2 (of any version, by way of PYTHONPATH) and numpy:
+As a script it needs numpy and any version of pyrealsense2 on PYTHONPATH:
 
     record_cameras.py record PATH l515|d405 [FRAMES WIDTHxHEIGHT START_S CLOCK COLOR_FORMAT]
     record_cameras.py play PATH OUT.npz

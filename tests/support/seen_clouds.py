@@ -1,4 +1,4 @@
-"""Clouds that are easily told apart in a picture, views that show them, and a hand that steers."""
+"""Clouds that differ clearly in images, views that show them, and simulated user input."""
 
 from __future__ import annotations
 

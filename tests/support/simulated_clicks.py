@@ -1,6 +1,6 @@
-"""Clicks on a membrane of known shape with known noise, and the best that any estimator could do with them.
+"""Clicks on a membrane of known shape with known noise, and the Cramer-Rao bound of the estimate.
 
-The tests and ``scripts/measure_calibration.py`` measure the fits against this.
+The tests and ``scripts/measure_calibration.py`` compare the fits with this bound.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The software cameras of the RealSense tests in a capture process, commanded through a folder."""
+"""The software cameras of the RealSense tests in a capture process, controlled through a folder."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
-"""A pair of librealsense software devices, L515-like and D405-like, that is fed at 30 Hz and misbehaves on command.
+"""Two librealsense software devices, like an L515 and a D405, with images at 30 Hz and faults on command.
 
-`open_software_rig` opens them through the class that opens hardware; it is picklable and this module is
-importable by its plain name, so that a spawned process can do so, too.
+`open_software_rig` opens them through the class that opens hardware. A separate process can call it, because it is
+picklable and this module is importable by its top-level name.
 """
 
 from __future__ import annotations

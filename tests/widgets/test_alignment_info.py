@@ -1,4 +1,4 @@
-"""Below the alignment's model stands what its calibration was worth."""
+"""The quality of the calibration is shown below the alignment model."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Which back end a cloud view takes, and how it goes on when OpenGL is lost."""
+"""Which back end a cloud view uses, and its fallback when OpenGL fails."""
 
 from __future__ import annotations
 

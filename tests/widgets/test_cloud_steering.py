@@ -1,4 +1,4 @@
-"""A cloud view follows mouse and keys and frames what it shows, the same with both back ends."""
+"""A cloud view follows mouse and keys and frames its content, equally with both back ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a cloud view draws and says, the same from both back ends."""
+"""Drawing and messages of a cloud view, equally with both back ends."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Points without an image: where they are drawn, in which colour, and which one a click takes."""
+"""Points without an image: their positions and colours, and the point that a click selects."""
 
 from __future__ import annotations
 

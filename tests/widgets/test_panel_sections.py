@@ -1,4 +1,4 @@
-"""Which sections of the parameter panel are shown, open, grey or folded."""
+"""Which sections of the parameter panel are shown, open, disabled or folded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mark of a picture that is old, on both back ends of the cloud view and on images."""
+"""The badge of a stale image, on both back ends of the cloud view and on images."""
 
 from __future__ import annotations
 

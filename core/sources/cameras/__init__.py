@@ -22,8 +22,8 @@ def open_in_process(
 ) -> FrameSource:
     """Open two cameras by the text after the scheme: ``PROXIMITY,TACTILE``, their serial numbers, or nothing.
 
-    Without serial numbers, the preset's count; without those, the cameras are chosen by their models. ``driver`` is
-    the entry point of the only driver to ask; empty: all.
+    Without serial numbers, those of the preset are used; without these, the cameras are chosen by model. ``driver`` is
+    the entry point of the driver to use; if empty, all drivers are used.
 
     Raises
     ------
@@ -53,7 +53,7 @@ KIND = SourceKind(
     scheme="cameras",
     title="Cameras",
     form="cameras:[PROXIMITY,TACTILE]",
-    description="Two live cameras of any installed driver, of one maker or two; with serial numbers, those.",
+    description="Two live cameras of any installed drivers; serial numbers select the devices.",
     examples=("cameras:",),
     open=open_in_process,
     rank=4,

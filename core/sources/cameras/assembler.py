@@ -111,9 +111,9 @@ class StreamClock:
             self._settling -= 1
             self._shift_s = least_s - self._usual_s
             if not self._settling and abs(self._shift_s) < 0.25 * self._period_s:
-                self._shift_s = 0.0  # it has jumped back to where it was
+                self._shift_s = 0.0  # the clock has jumped back to its former offset
         else:
-            # Falls at once, rises slowly: a period in which every image is late says nothing about the clock.
+            # Falls at once but rises slowly, because a series of late images gives no information on the clock.
             self._usual_s = min(self._delays_s[-1] - self._shift_s, self._usual_s + _RISE_S)
 
 
@@ -191,7 +191,7 @@ class Pairer(Generic[First, Second]):
         return len(stream) > 1 and abs(stream[1].time_s - time_s) < abs(apart_s)
 
     def _may_have_nearer_to_come(self, apart_s: float, now_s: float) -> bool:
-        """Return whether the successor of the earlier image, not here yet, may be nearer to the later image."""
+        """Return whether the next image of the earlier stream, not received yet, may be nearer to the later image."""
         if abs(apart_s) <= 0.25 * self.period_s:
             return False
         earlier, later = (self._first, self._second) if apart_s > 0 else (self._second, self._first)
@@ -209,7 +209,7 @@ class Pairer(Generic[First, Second]):
         self.unmatched += 1
 
 
-#: Longest queue of frames: two seconds, for a reader that is delayed by a busy computer.
+#: Longest queue of frames: two seconds, because a busy computer can delay the reader.
 _MAX_WAITING: Final = 60
 #: How long an image waits for the other camera, which may deliver late.
 _PATIENCE_S: Final = 1.0
@@ -230,7 +230,7 @@ class ImageSet:
 
 @dataclass(frozen=True, eq=False)
 class Pair:
-    """Images of both cameras of one moment, and when each was taken, in seconds on the computer's clock."""
+    """Simultaneous images of both cameras, and their times in seconds on the computer's clock."""
 
     proximity: ImageSet
     tactile: ImageSet
@@ -329,7 +329,7 @@ class Assembler:
         (self._pairs.add_first if role == "proximity" else self._pairs.add_second)(timed)
 
     def _transport_s(self, role: CameraRole) -> float:
-        """Return what makes both cameras comparable: if one has arrival times only, both use arrival times."""
+        """Return the delay to add to a camera's times: with arrival times of one camera, both must be arrival times."""
         if all(self._clocks[each, "depth"].is_shared for each in ("proximity", "tactile")):
             return 0.0
         return self._clocks[role, "depth"].usual_delay_s

@@ -1,4 +1,4 @@
-"""One camera of the rig on its own thread: reads, notices silence and unplugging, and opens it again."""
+"""Reads one camera of the rig on its own thread; detects stalls and unplugging, and reopens the camera."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from .camera import Calibration, Camera, CameraDriver, DeviceInfo, Image, Kind
 
 #: Periods without an image after which a stream counts as stalled.
 SILENT_PERIODS: Final = 10
-#: Seconds from the last image, and then from attempt to attempt, until a silent camera is opened again.
+#: A stalled camera is reopened this long after its last image; also the interval of further attempts, seconds.
 _REVIVE_S: Final = (3.0, 6.0, 12.0, 30.0)
 #: Longest wait for the first image of a camera that was just opened.
 _WARM_UP_S: Final = 3.0
 _POLL_S: Final = 0.5
 _READ_S: Final = 0.05
-#: Seconds that a sentence about an event stays in the health message.
+#: Time that a sentence about an event stays in the health message, seconds.
 _TOLD_S: Final = 5.0
 
 
@@ -43,7 +43,7 @@ class CameraThread:
     info : DeviceInfo
         The device; it is found again by its serial number.
     stored : mapping
-        Options of the preset.
+        Camera options of the preset.
     sink : Sink
         Receives every image, on this camera's thread.
 
@@ -128,7 +128,7 @@ class CameraThread:
             return self._camera.options() if self._camera is not None else ()
 
     def set_option(self, name: str, value: float) -> None:
-        """Change one setting, now and whenever the camera is opened again."""
+        """Change one setting; it is set again whenever the camera is reopened."""
         with self._options_lock:
             if self._camera is None:
                 raise SourceError(f"the {self.info.title} is not connected; plug it in, then change {name}")
@@ -230,7 +230,7 @@ class CameraThread:
             self._revive_at_s = time.monotonic() + _REVIVE_S[min(attempts, len(_REVIVE_S) - 1)]
 
     def _find_again(self) -> None:
-        """Open the camera if it is plugged in, else wait a little; report another camera in its place."""
+        """Open the camera if it is connected, else wait a little; report a different camera in its place."""
         if self.info.serial in self._driver.serials():
             self._reopen()
             return

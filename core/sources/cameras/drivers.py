@@ -19,7 +19,7 @@ def camera_drivers(name: str = "") -> tuple[list[CameraDriver], list[str]]:
     Raises
     ------
     PluginError
-        The one that is named cannot be loaded.
+        The named driver cannot be loaded.
     """
     if name:
         return [_load(name)], []
@@ -55,7 +55,7 @@ def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[Camer
 
 
 def list_devices() -> tuple[list[DeviceInfo], str]:
-    """Return all connected devices, proximity cameras first, and why others may not be listed.
+    """Return all connected devices, proximity cameras first, and a clause on why others may be missing from the list.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def choose(
     source : str
         Name of the source, such as ``"realsense:"``; messages begin with it.
     what : str
-        What to call a camera where none is connected.
+        How messages call a camera if none is connected.
     hint : str
         Why the driver may not list a camera; empty where there is no reason.
 

@@ -39,7 +39,7 @@ class CameraSource(FrameSource):
     Parameters
     ----------
     drivers : sequence of CameraDriver
-        Where to look for the cameras; each camera may come from another driver.
+        Drivers that are searched for the cameras; the two cameras may have different drivers.
     cameras : CamerasSection, optional
         Serial numbers and options of both cameras, and the delay of the tactile one.
     progress : callable, optional
@@ -47,7 +47,7 @@ class CameraSource(FrameSource):
     scheme : str
         How the source was named, for messages.
     problems : sequence of str
-        Sentences about drivers that cannot be used, told where a camera is missing.
+        Sentences about drivers that cannot be used; added to the message if a camera is missing.
 
     Raises
     ------
@@ -148,7 +148,7 @@ class CameraSource(FrameSource):
         return tuple(option for feed in self._feeds.values() for option in feed.options())
 
     def set_option(self, camera: CameraRole, name: str, value: float) -> None:
-        """Change one setting of a camera, now and whenever it is opened again."""
+        """Change one setting of a camera; it is set again whenever the camera is reopened."""
         if camera not in self._feeds:
             raise SourceError(f"{self.name}: there is no {camera} camera")
         self._feeds[camera].set_option(name, value)

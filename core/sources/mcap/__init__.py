@@ -1,4 +1,4 @@
-"""ROS 2 bags in MCAP: Tactune's own recordings, and bags of others with the same topics."""
+"""ROS 2 bags in MCAP: Tactune's own recordings, and bags of other programs with the same topics."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ topic                               type                       contents
 
 Depth is stored in the cameras' raw counts, so playback is bit-identical. ROS reads 16UC1 as
 millimetres: clouds that Foxglove or RViz make of it are too large by a factor of 4 for an L515
-(0.25 mm) and 10 for a D405 (0.1 mm). The units stand in the rig, which is also attached as
-``rig.json``; the topic is there for tools that copy messages and leave attachments out.
+(0.25 mm) and 10 for a D405 (0.1 mm). The rig contains the units. It is also attached as
+``rig.json``; the topic is for tools that copy messages without attachments.
 
 A lens model that ROS does not know (librealsense's inverse and modified Brown-Conrady) is written as
 ``plumb_bob`` with the same coefficients, as the camera maker's own ROS driver does.

@@ -66,7 +66,7 @@ class McapFile:
     ----------
     path : Path
     progress : callable, optional
-        Told the share of the index that is read, 0 to 1, and what is being done.
+        Called with the fraction of the index that is read, 0 to 1, and the current step.
 
     Raises
     ------

@@ -73,7 +73,7 @@ class McapSource(SeekableSource):
     ----------
     path : path of the ``.mcap`` file
     progress : callable, optional
-        Told the share of the file that is indexed, and what is being done.
+        Called with the fraction of the file that is indexed, 0 to 1, and the current step.
 
     Raises
     ------
@@ -115,12 +115,12 @@ class McapSource(SeekableSource):
         return 1.0 / self._gap_s if self._gap_s > 0 else super().frame_rate_hz
 
     def preset(self) -> Preset | None:
-        """Return the preset with which it was recorded, or None where it has none.
+        """Return the preset in the recording, or None if it has none.
 
         Raises
         ------
         PresetError
-            It is none that this version can use.
+            This version cannot use the preset.
         """
         found = self.preset_text()
         return None if found is None else preset_from_text(*found)
@@ -273,7 +273,7 @@ def _log_times(places: Uint64Array) -> Int64Array:
 
 
 def _partners(times_ns: Int64Array, candidates_ns: Int64Array, exact: bool) -> IndexArray:
-    """Return for each frame the index of the message with the same or else the nearest log time; -1: none."""
+    """Return, for each frame, the index of the message with the same or the nearest log time; -1 if there is none."""
     if not len(candidates_ns):
         return np.full(len(times_ns), -1)
     after = np.searchsorted(candidates_ns, times_ns).clip(max=len(candidates_ns) - 1)
@@ -291,7 +291,7 @@ def _text(data: bytes) -> str:
 def _rig_from_lenses(file: McapFile) -> Rig:
     """Return the rig of a bag without one, from camera infos and static transforms; depth is in millimetres.
 
-    A colour camera without a pose is left out: colour then counts as aligned to depth. `SourceError` where a camera
+    A colour camera without a pose is omitted: colour then counts as aligned to depth. `SourceError` where a camera
     info is missing or has an unknown lens model.
     """
     proximity, tactile = (_camera_info(file, topic) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))

@@ -11,7 +11,7 @@ KIND = SourceKind(
     scheme="realsense",
     title="RealSense cameras",
     form="realsense:[PROXIMITY,TACTILE]",
-    description="A live L515 and a D405, captured in a process of their own; with serial numbers, those.",
+    description="A live L515 and a D405, captured in a separate process; serial numbers select the devices.",
     open=partial(open_in_process, driver="realsense"),
     rank=5,
 )

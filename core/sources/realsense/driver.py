@@ -1,4 +1,4 @@
-"""Intel's camera driver pyrealsense2: loading it, why it may fail, and the devices that it lists."""
+"""Intel's camera driver pyrealsense2: loads it, explains failures, and lists devices."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class RealSenseDriver(CameraDriver):
         raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
 
     def hint(self) -> str:
-        """Say why this version of the driver finds no L515."""
+        """Return why this version of the driver finds no L515."""
         return no_l515_sentence(driver_version())
 
     def _query(self) -> list[Any]:
@@ -93,12 +93,12 @@ def driver_version() -> str:
 
 
 def knows_l515(driver: str) -> bool:
-    """Tell whether a driver of this version has support for the L515."""
+    """Return whether a driver of this version supports the L515."""
     return _numbers(driver)[:3] <= _numbers(LAST_WITH_L515)
 
 
 def no_l515_sentence(driver: str) -> str:
-    """Say why a driver of this version finds no L515 and what to install; empty where it would find one."""
+    """Return why a driver of this version finds no L515, and what to install; empty if it supports the L515."""
     if knows_l515(driver):
         return ""
     return (
@@ -121,7 +121,7 @@ def hardware(driver: Any) -> DeviceQuery:
 
 
 def describe(device: Any) -> DeviceInfo:
-    """Return what a device of the driver says of itself."""
+    """Return the information about one of the driver's devices."""
     driver = load_driver()
 
     def told(name: str) -> str:

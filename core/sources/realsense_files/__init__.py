@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 class _BagKind(SourceKind):
     def claim(self, name: str) -> str | None:
-        """Return the name where it is a recording, or two with a comma between them."""
+        """Return the name if it is a recording, or two recordings separated by a comma."""
         return name if len(recording_files(name)) == 2 else super().claim(name)
 
 
@@ -28,7 +28,7 @@ KIND = _BagKind(
     scheme="bag",
     title="RealSense recording",
     form="bag:PATH[,PATH]",
-    description="A RealSense .bag or .db3 of two depth cameras, two files of one each, or one to view only.",
+    description="A RealSense .bag or .db3 of two depth cameras, two files of one camera each, or one to view only.",
     needs="file",
     pattern="*.bag *.db3",
     open=_open,

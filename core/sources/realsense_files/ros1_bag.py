@@ -184,7 +184,7 @@ class Ros1Bag:
                     continue
                 chunk, at = self._chunk_header(at)
             except DamagedFileError:
-                break  # the recorder got no further
+                break  # the recorder was stopped here
             self._chunks.append(chunk)
             number = len(self._chunks) - 1
             for topic, time_ns, offset in _walk(self._chunk(number), names):
@@ -241,7 +241,7 @@ class Ros1Bag:
 
 
 def message_bounds(chunk: bytes, offset: int) -> tuple[int, int]:
-    """Return start and size of the message at ``offset``; a connection record may stand before it."""
+    """Return start and size of the message at ``offset``; a connection record may precede it."""
     while True:
         header, start, size = _record_in(chunk, offset)
         operation = _operation(header)

@@ -234,7 +234,7 @@ def common_times(
 
 
 def period_s(times_s: Float64Array, rate_hz: float) -> float:
-    """Return the usual time between two images, in seconds."""
+    """Return the median time between two images, seconds; with a single image, that of the nominal rate."""
     usual = float(np.median(np.diff(np.sort(times_s)))) if len(times_s) > 1 else 0.0
     return usual or 1.0 / (rate_hz if rate_hz > 0 else 30.0)
 
@@ -294,14 +294,14 @@ def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
 
 
 def _part(progress: Progress | None, number: int, count: int) -> Progress | None:
-    """Return what tells the progress of one of several files as a share of all of them."""
+    """Return a progress function that scales the progress of one of several files to all of them."""
     if progress is None:
         return None
     return lambda share, words: progress((number + share) / count, words)
 
 
 def _open(path: Path, progress: Progress | None) -> Recording:
-    # By what is in it: a .bag that was renamed is still one.
+    # Decided by content, because a .bag may have been renamed.
     with path.open("rb") as file:
         start = file.read(32)
     if not start:
@@ -317,7 +317,7 @@ def _open(path: Path, progress: Progress | None) -> Recording:
 
 
 def _missing(text: str) -> str:
-    """Return the part of a name that is no file."""
+    """Return the part of a name that is not a file."""
     parts = [user_path(part) for part in text.split(",")]
     if len(parts) != 2:
         return str(user_path(text))

@@ -1,4 +1,4 @@
-"""Work on a scan outlives closing and crashing."""
+"""Work on a scan survives closing and crashing."""
 
 from __future__ import annotations
 

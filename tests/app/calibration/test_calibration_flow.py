@@ -1,4 +1,4 @@
-"""A whole calibration by mouse and keys, from the first snapshot to the preset, and headless from there."""
+"""A complete calibration by mouse and keys, from the first snapshot to the preset, and then headless."""
 
 from __future__ import annotations
 

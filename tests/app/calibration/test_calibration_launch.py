@@ -1,4 +1,4 @@
-"""From the main window: the wizard on the present source, and the re-check."""
+"""The calibration wizard and the re-check, opened from the main window."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Each page and window by itself: snapshots, helpers, check, re-check, kept state."""
+"""Single pages and windows of the wizard: snapshots, helpers, check, re-check, saved state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The command as a whole: version, help, the window, and how quickly it starts."""
+"""The command as a whole: version, help, the window, and start-up time."""
 
 from __future__ import annotations
 

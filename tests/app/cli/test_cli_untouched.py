@@ -1,4 +1,4 @@
-"""``tactune preset capture-untouched``, who uses the untouched frame, and ``tactune recheck``."""
+"""``tactune preset capture-untouched``, the users of the untouched frame, and ``tactune recheck``."""
 
 from __future__ import annotations
 

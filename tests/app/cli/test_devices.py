@@ -1,4 +1,4 @@
-"""``tactune devices`` with cameras, without, and with a driver that is missing, hangs or crashes."""
+"""``tactune devices`` with cameras, without cameras, and with a driver that is missing, hangs or crashes."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``tactune doctor``: every check with what it looks at in order, and faked broken in each way it can break."""
+"""``tactune doctor``: each check on a working system and with each simulated fault."""
 
 from __future__ import annotations
 

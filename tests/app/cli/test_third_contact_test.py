@@ -1,4 +1,4 @@
-"""A third contact test needs one file and one line: in a copy of the program, not in the program itself."""
+"""Adding a contact test needs one file and one line; tested in a copy of the program."""
 
 from __future__ import annotations
 

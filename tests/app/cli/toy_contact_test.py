@@ -1,4 +1,4 @@
-"""A toy contact test: both depths differ by less than a fixed length. Its file is all that the product needs."""
+"""A minimal contact test: both depths differ by less than a fixed length. Adding it needs only this file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The untouched frame of the window's preset: saved along, kept through a crash, recorded, taken from recordings."""
+"""The untouched frame of the window's preset: saved, recovered after a crash, recorded, read from recordings."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The window that checks the cameras, from the main window's action to the numbers, on sources that are known."""
+"""The window that checks the cameras, opened from the main window, on sources with known errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What has changed since the untouched frame: pressure, a camera, a touch, or nothing."""
+"""Drift since the untouched frame: pressure, camera pose, contact, or none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Depth averaged over frames while the membrane keeps still."""
+"""The temporal average of depth while the membrane is still."""
 
 from __future__ import annotations
 

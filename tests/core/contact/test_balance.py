@@ -1,4 +1,4 @@
-"""Where contact ends by the membrane's balance: against solutions on paper, another solver, and scenes."""
+"""The edge of contact from the membrane's equilibrium: against analytic solutions, another solver, and scenes."""
 
 from __future__ import annotations
 

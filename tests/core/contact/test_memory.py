@@ -1,4 +1,4 @@
-"""Frame after frame takes no memory but that of the results."""
+"""Processing frames needs no memory beyond that of the results."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the membrane is pressed, told from its curvature."""
+"""Pressed regions of the membrane, detected by their curvature."""
 
 from __future__ import annotations
 
@@ -103,11 +103,11 @@ def test_what_seems_to_be_before_the_membrane_is_no_light_contact(rig):
     assert ContactPipeline(MEMBRANE, rig).process(both).mask[20:-20, 180:300].sum() == 0
 
 
-FIRM, LIGHT, MOST_M = np.s_[2:12, 2:12], np.s_[20:30, 20:30], 0.0014
+FIRM, LIGHT, MAX_DIFFERENCE_M = np.s_[2:12, 2:12], np.s_[20:30, 20:30], 0.0014
 
 
 def groups_of_contact(firm_gap_m=0.0004, light_gap_m=0.0004, light_is_firm=0, firm_is_firm=100) -> tuple:
-    """Two groups of 100 pixels each with one gap, of which so many are firm, and a background as near."""
+    """Return two groups of 100 pixels with one gap each and some firm pixels, and a background with gap 0."""
     contact, firm = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
     gap_m = np.zeros((40, 40), np.float32)
     for place, gap, count in ((FIRM, firm_gap_m, firm_is_firm), (LIGHT, light_gap_m, light_is_firm)):
@@ -121,7 +121,7 @@ def groups_of_contact(firm_gap_m=0.0004, light_gap_m=0.0004, light_is_firm=0, fi
 )
 def test_light_contact_has_no_larger_gap_than_firm_contact_and_none_far_smaller(light_gap_m, kept):
     firm, contact, gap_m = groups_of_contact(light_gap_m=light_gap_m)
-    found = with_light_contact(firm, contact, gap_m, MOST_M)
+    found = with_light_contact(firm, contact, gap_m, MAX_DIFFERENCE_M)
     assert found[LIGHT].all() if kept else not found[LIGHT].any()
     assert found[FIRM].all()
     assert not found[~contact].any()
@@ -130,19 +130,19 @@ def test_light_contact_has_no_larger_gap_than_firm_contact_and_none_far_smaller(
 @pytest.mark.parametrize(("light_is_firm", "kept"), [(20, True), (21, False)])
 def test_a_group_of_which_more_is_firm_is_not_taken_whole(light_is_firm, kept):
     firm, contact, gap_m = groups_of_contact(light_gap_m=0.0, light_is_firm=light_is_firm)
-    assert with_light_contact(firm, contact, gap_m, MOST_M)[LIGHT].sum() == (100 if kept else 21)
+    assert with_light_contact(firm, contact, gap_m, MAX_DIFFERENCE_M)[LIGHT].sum() == (100 if kept else 21)
 
 
 @pytest.mark.parametrize(("firm_is_firm", "kept"), [(100, True), (99, False)])
 def test_little_firm_contact_is_no_measure_of_others(firm_is_firm, kept):
     firm, contact, gap_m = groups_of_contact(firm_is_firm=firm_is_firm)
-    assert with_light_contact(firm, contact, gap_m, MOST_M)[LIGHT].any() == kept
+    assert with_light_contact(firm, contact, gap_m, MAX_DIFFERENCE_M)[LIGHT].any() == kept
 
 
 def test_a_group_is_no_measure_of_itself():
     contact, firm = np.zeros((40, 40), bool), np.zeros((40, 40), bool)
     contact[2:32, 2:32], firm[2:32, 2:7] = True, True
-    found = with_light_contact(firm, contact, np.zeros((40, 40), np.float32), MOST_M)
+    found = with_light_contact(firm, contact, np.zeros((40, 40), np.float32), MAX_DIFFERENCE_M)
     np.testing.assert_array_equal(found, firm)
 
 
@@ -151,7 +151,7 @@ def test_light_groups_are_judged_one_by_one():
     contact[16:34, 16], contact[16, 16:34] = True, True  # an angle around the other group
     gap_m[16:34, 16], gap_m[16, 16:34] = 0.001, 0.001
     contact[36, 20:29], gap_m[36, 20:29] = True, 0.0  # too few pixels
-    found = with_light_contact(firm, contact, gap_m, MOST_M)
+    found = with_light_contact(firm, contact, gap_m, MAX_DIFFERENCE_M)
     assert found[LIGHT].all() and found.sum() == 200
 
 

@@ -1,4 +1,4 @@
-"""Compiling before the first frame: kept on disk, possible without a disk, in threads and in forked children."""
+"""Compilation before the first frame: cached on disk, without a writable disk, in threads and in forked processes."""
 
 from __future__ import annotations
 

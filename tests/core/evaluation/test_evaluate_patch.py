@@ -1,4 +1,4 @@
-"""`tactune evaluate patch`: clouds of files, of this program and of others."""
+"""`tactune evaluate patch`: clouds from files of Tactune and of other programs."""
 
 from __future__ import annotations
 

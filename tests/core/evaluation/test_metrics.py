@@ -1,4 +1,4 @@
-"""Metrics against brute force, Open3D, and what must hold whatever the clouds."""
+"""Metrics against brute force, Open3D, and general properties."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
-"""A circular membrane whose shapes are known in closed form, and what two cameras see of it.
+"""A circular membrane with closed-form shapes, and its images in two cameras.
 
 A flat membrane of radius a under the tension T, clamped at r = a, bulges under a pressure p with small
 slopes by ``w = p (a^2 - r^2) / (4 T)``. A flat plate that presses it down to the height h touches it up to
-a radius c, where it leaves the plate without a kink: with ``T laplace(w) = -p`` outside, ``w'(c) = 0`` and
+a radius c, where the membrane leaves the plate tangentially. With ``T laplace(w) = -p`` outside, ``w'(c) = 0`` and
 ``w(a) = 0``,
 
     w(r) = p / (4 T) (a^2 - r^2 + 2 c^2 ln(r / a)),     h = w(c),
@@ -29,7 +29,7 @@ BACKDROP_M = 0.5
 
 @dataclass(frozen=True)
 class CircularMembrane:
-    """The membrane in front of both cameras, its middle ``aside_m`` to the right of the tactile camera's axis."""
+    """The membrane in front of both cameras, its centre ``aside_m`` to the right of the tactile camera's axis."""
 
     rig: Rig
     radius_m: float = 0.095
@@ -63,7 +63,7 @@ class CircularMembrane:
         return self.pressure(contact_radius_m) * self.shape(r, contact_radius_m)
 
     def depth_m(self, camera: Intrinsics, middle_x_m: float, contact_radius_m: float):
-        """Depth at which each pixel sees the membrane, and how far from its middle, metres; nan outside of it."""
+        """Return depth and distance from the membrane's centre for each pixel, metres; nan outside the membrane."""
         x, y = np.moveaxis(camera.rays().astype(np.float64), 2, 0)
         depth = np.full(camera.shape, self.rim_m)
         for _ in range(50):

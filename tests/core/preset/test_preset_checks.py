@@ -1,4 +1,4 @@
-"""What is said of presets that can be used but are probably not meant."""
+"""Warnings about valid presets that are probably not intended."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Small rigs and frames in which every number is odd, and what makes two frames the same."""
+"""Small rigs and frames with distinctive numbers, and a comparison of frames."""
 
 from __future__ import annotations
 

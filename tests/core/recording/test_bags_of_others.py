@@ -1,4 +1,4 @@
-"""Bags with our topics that other programs wrote: recorded again, rewritten, compressed otherwise, without a rig."""
+"""Bags with Tactune's topics from other programs: re-recorded, rewritten, differently compressed, without a rig."""
 
 from __future__ import annotations
 

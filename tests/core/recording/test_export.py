@@ -1,4 +1,4 @@
-"""Cloud files: every bit comes back, other programs read them, and bad ones are refused in words."""
+"""Cloud files: lossless round trip, readable by other programs, clear errors for bad files."""
 
 from __future__ import annotations
 

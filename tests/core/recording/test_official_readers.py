@@ -1,4 +1,4 @@
-"""A recording as the tools of others see it: the official MCAP reader with its ROS 2 decoder, and rosbags."""
+"""Recordings in other readers: the official MCAP reader with its ROS 2 decoder, and rosbags."""
 
 from __future__ import annotations
 

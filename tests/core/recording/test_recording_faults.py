@@ -1,4 +1,4 @@
-"""Killed writers, full disks, slow disks, cut-off and damaged files: what was written before still plays."""
+"""Killed writers, full or slow disks, truncated and damaged files: the written part stays playable."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is recorded comes back bit for bit: images, times, rig, truth, preset, and the patches made of them."""
+"""A recording is bit-identical: images, times, rig, truth, preset, and the patches computed from them."""
 
 from __future__ import annotations
 

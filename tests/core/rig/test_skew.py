@@ -1,4 +1,4 @@
-"""The delay between both cameras, put in and found again: on a board that moves as told, and on the simulator."""
+"""The delay between both cameras is recovered: on a board with known motion, and on the simulator."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The untouched frame of a preset: captured, kept beside it, found again, and refused in words."""
+"""The untouched frame of a preset: captured, stored beside it, loaded, and refused with a message."""
 
 from __future__ import annotations
 

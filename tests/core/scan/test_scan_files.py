@@ -1,4 +1,4 @@
-"""Scans of files: vertex colours, textures, and files that are no scans."""
+"""Scan files: vertex colours, textures, and invalid files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where a scan stands: from pairs, by ICP, and as a file."""
+"""The pose of a scan: from point pairs, by ICP, and as a file."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the simulator's painted scan to the scores of a recording: the whole path against known truth."""
+"""From the simulator's painted scan to the scores of a recording, against known truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Exports to folders of images: whole or not at all, and never over something else."""
+"""Exports to folders of images are atomic and never overwrite other files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Folders of images that cannot be read are refused in one sentence that names the file and the value."""
+"""Unreadable folders of images are refused with one sentence that names the file and the value."""
 
 from __future__ import annotations
 

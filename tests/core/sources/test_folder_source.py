@@ -1,4 +1,4 @@
-"""Folders of images: what is read, and that an export gives back every bit."""
+"""Folders of images: reading, and a lossless export."""
 
 from __future__ import annotations
 

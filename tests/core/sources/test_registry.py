@@ -1,4 +1,4 @@
-"""Names of sources: what each opens, and one clear sentence for each that opens nothing."""
+"""Names of sources: what each name opens, and one clear sentence for an invalid name."""
 
 from __future__ import annotations
 

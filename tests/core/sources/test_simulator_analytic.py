@@ -1,4 +1,4 @@
-"""The membrane against cases with a known answer."""
+"""The simulated membrane against cases with analytic solutions."""
 
 from __future__ import annotations
 

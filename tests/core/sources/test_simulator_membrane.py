@@ -1,4 +1,4 @@
-"""The membrane's contact problem, checked against statements that do not share its code."""
+"""The membrane's contact problem, checked by independent conditions."""
 
 from __future__ import annotations
 

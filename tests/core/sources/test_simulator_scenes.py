@@ -1,4 +1,4 @@
-"""The simulator's scenes: their names and options, and what is different in each."""
+"""The simulator's scenes: names, options, and their differences."""
 
 from __future__ import annotations
 

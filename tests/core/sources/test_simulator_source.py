@@ -1,4 +1,4 @@
-"""The simulator as a source: geometry, noise, determinism, cache, and what the shipped preset makes of it."""
+"""The simulator as a source: geometry, noise, determinism, cache, and the results of the shipped preset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Centroids of dots on bends: a sheet that folds away before a step of depth, with dots printed on it unrolled."""
+"""Centroids of dots on a curved sheet next to a depth step, against dots printed on the flat sheet."""
 
 from __future__ import annotations
 
@@ -187,7 +187,7 @@ def test_a_shadow_beside_a_step_is_no_dot(along, way, unrefined):
 
 @pytest.fixture(scope="module")
 def one_dot():
-    """Return a dot beside a step: its scene, labels, and the middle as far as known."""
+    """Return a dot beside a step: its scene, labels, and the approximate centre."""
     scene = render([(0.0, 0.0013)])
     u, v = np.rint(scene.shown[0]).astype(int)
     labels = np.zeros(scene.gray.shape, np.int32)

@@ -18,7 +18,7 @@ DOT_M = 0.004
 def lip(angle):
     """Return depth and image of a lip: a half cylinder along u, 10 mm in radius, before a wall, with a dot on it.
 
-    The dot's middle lies at an angle, in degrees, from where the lip is nearest; also its pixel is returned.
+    The dot's centre lies at ``angle`` (degrees) from the nearest line of the lip; its pixel is returned as well.
     """
     v, u = np.mgrid[:128, :160].astype(float)
     x, y = (u - LENS.cx) / LENS.fx, (v - LENS.cy) / LENS.fy

@@ -1,4 +1,4 @@
-"""Parts of the strain measurement: which neighbours are believed, the map's squares, frames that are averaged."""
+"""Parts of the strain measurement: accepted neighbours, squares of the map, averaged frames."""
 
 from __future__ import annotations
 

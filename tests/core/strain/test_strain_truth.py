@@ -1,4 +1,4 @@
-"""The strain that the solver knows: what frames, the table and ``tactune run --truth`` say of it."""
+"""The solver's strain in frames, in the table and in ``tactune run --truth``."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def hooded(membrane, nodes):
 
 
 def test_the_share_of_a_dot_that_is_shown_is_that_of_rays_which_meet_nothing_before_it(flat):
-    """Against random points of the disc, each ray of which is cut with every triangle of the membrane."""
+    """Compare with random points of the disc, whose rays are intersected with every triangle of the membrane."""
     membrane, camera = flat
     nodes = hooded(membrane, membrane.mesh.flat)
     share = dots_shown(membrane, nodes, camera)

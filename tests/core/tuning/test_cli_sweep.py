@@ -1,4 +1,4 @@
-"""``tactune sweep`` from the options to the table, the best preset and the words on the terminal."""
+"""``tactune sweep``: options, table, best preset and terminal output."""
 
 from __future__ import annotations
 

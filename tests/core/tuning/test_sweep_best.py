@@ -1,4 +1,4 @@
-"""Which setting of a sweep is best: means over sources and seeds, failures last, ties to the cheaper."""
+"""Ranking of settings: means over seeds and sources, failures last, ties by time."""
 
 from __future__ import annotations
 

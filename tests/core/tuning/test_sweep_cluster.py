@@ -1,4 +1,4 @@
-"""A sweep on a real Dask cluster on this computer, one of whose workers is killed, and clusters that are none."""
+"""A sweep on a local Dask cluster with a killed worker, and unusable clusters."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A sweep of 200 runs in processes of its own, interrupted and resumed: nothing is lost, nothing is done twice."""
+"""A sweep of 200 runs in separate processes, interrupted and resumed: no run is lost or repeated."""
 
 from __future__ import annotations
 

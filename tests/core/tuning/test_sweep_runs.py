@@ -1,4 +1,4 @@
-"""Plans and runs: what a run measures, what its key stands for, how work is ordered, and what is kept."""
+"""Plans and runs: measures, keys, the order of work, and the journal."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Values of a sweep's parameters: texts, ranges, grids, samples, and what is refused before anything runs."""
+"""Values of a sweep's parameters: texts, ranges, grids, samples, and errors before the first run."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The capture process dies or hangs behind the window: the window stays responsive, says it and goes on."""
+"""The capture process dies or hangs: the window stays responsive, reports it and continues."""
 
 from __future__ import annotations
 

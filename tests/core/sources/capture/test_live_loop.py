@@ -1,4 +1,4 @@
-"""A recording played live: over and over, in time, with stamps that go on rising."""
+"""A recording played live: in a loop, at its frame rate, with increasing time stamps."""
 
 from __future__ import annotations
 

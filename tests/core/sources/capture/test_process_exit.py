@@ -1,4 +1,4 @@
-"""Whatever becomes of the parent, the capture process ends; a library user needs no main guard."""
+"""The capture process ends whenever its parent ends; library users need no main guard."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The capture process dies, hangs, fails or lies: the source says what happened and recovers by itself."""
+"""The capture process dies, hangs, fails or sends invalid data: the source reports it and recovers by itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A source in its own process gives the same frames, errors and answers as in this one."""
+"""A source in a separate process gives the same frames, errors and replies as in this process."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Faults of the cameras and of their process, through the class that opens hardware, while a recording runs."""
+"""Faults of cameras and of the capture process during a recording, through the class that opens the hardware."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ class Session:
         return told_s, self.until(is_well)
 
     def record(self, count: int) -> None:
-        """Record so many more frames."""
+        """Record this number of further frames."""
         wanted = len(self.frames) + count
         deadline_s = time.monotonic() + ALLOWED_S
         while len(self.frames) < wanted:

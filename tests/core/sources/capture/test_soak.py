@@ -1,6 +1,6 @@
-"""The soak of `scripts/soak.py`, for a minute; where a busy machine leaves doubt about memory, for three.
+"""A soak test of one minute with `scripts/soak.py`; up to three minutes if the memory slope is uncertain.
 
-Run it for 30 to see that memory stays flat to 1 MB per minute.
+To check that memory grows by less than 1 MB per minute, run the script for 30 minutes.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Software cameras, as a test commands them."""
+"""Software cameras that tests control."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Session:
         return health
 
     def read(self, count: int) -> list[SensorFrame]:
-        """Read so many more frames."""
+        """Read this number of further frames."""
         wanted = len(self.frames) + count
         deadline_s = time.monotonic() + 300
         while len(self.frames) < wanted:

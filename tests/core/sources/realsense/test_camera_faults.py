@@ -1,4 +1,4 @@
-"""What the live source says and does when a camera misbehaves."""
+"""Messages and behaviour of the live source when a camera fails."""
 
 from __future__ import annotations
 

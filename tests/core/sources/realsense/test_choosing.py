@@ -1,4 +1,4 @@
-"""Which of the connected devices is which camera, and what is said where that is not clear."""
+"""Assignment of devices to roles, and the messages for ambiguous devices."""
 
 from __future__ import annotations
 

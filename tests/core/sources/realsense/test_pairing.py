@@ -1,4 +1,4 @@
-"""Pairing by time and the cameras' clocks, in plain numbers."""
+"""Pairing by time, and the cameras' clocks, on plain numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What librealsense may write into a bag: lenses, colour and depth layouts, units."""
+"""Variants of librealsense's bags: lenses, colour and depth layouts, units."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two recordings of one camera each as one source: names, clocks, pairs, and what is refused."""
+"""Two recordings of one camera each as one source: names, clocks, pairs and errors."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags that lack something or are damaged are refused in one sentence."""
+"""Incomplete or damaged bags are refused with one sentence."""
 
 from __future__ import annotations
 

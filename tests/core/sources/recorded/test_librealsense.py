@@ -1,7 +1,7 @@
-"""Recordings as librealsense's own recorder and player have them, pixel for pixel.
+"""Recordings are read like by librealsense's own player, pixel for pixel.
 
-The driver runs in processes of its own. Besides the one that is installed, TACTUNE_OTHER_DRIVERS may
-name folders with others (``pip install --target FOLDER pyrealsense2==2.59.1.11053``), with colons between.
+The driver runs in separate processes. To test other versions as well, set TACTUNE_OTHER_DRIVERS to their folders,
+separated by colons (``pip install --target FOLDER pyrealsense2==2.59.1.11053``).
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Recordings that were damaged, or made to do harm: one sentence, little memory, little time."""
+"""Damaged and malicious recordings: one sentence, limited memory and time."""
 
 from __future__ import annotations
 
