@@ -235,7 +235,7 @@ def open_with_progress(name: str, cameras: CamerasSection | None = None) -> Iter
 
 
 def number_of_frames(source: FrameSource, asked: int | None) -> int | None:
-    """Return how many frames a command will read; None where that is unknown."""
+    """Return how many frames a command will read; None if that is unknown."""
     known = [count for count in (source.length, asked) if count is not None]
     return min(known, default=None)
 

@@ -15,11 +15,11 @@ from ...core.errors import SourceError
 from ..doctor.checks import Check, State, run_checks
 from .common import CliProgress
 
-#: Exit status of ``devices`` where no camera is connected.
+#: Exit status of ``devices`` if no camera is connected.
 NONE_STATUS = 1
-#: Exit status of ``doctor`` where a check fails.
+#: Exit status of ``doctor`` if a check fails.
 FAILED_STATUS = 1
-#: The driver is asked in a process of its own, since it may hang or crash.
+#: The driver is queried in a separate process, because it may hang or crash.
 _PROGRAM = ("-P", "-m", "tactune.app.cameras.list_devices")
 _PATIENCE_S = 15.0
 _NEEDED = (640, 480, 30)

@@ -30,7 +30,7 @@ class Writer(Protocol):
 
 @dataclass(frozen=True)
 class RecordingRequest:
-    """A file to record, and what stands at its beginning."""
+    """A file to record, and the contents of its header."""
 
     path: Path
     rig: Rig
@@ -183,7 +183,7 @@ class Recorder:
             return
         try:
             watcher.see(frame)
-        except Exception as error:  # the thread that reads must go on
+        except Exception as error:  # the reading thread must continue
             if self._watcher is watcher:
                 self._watcher = None
             watcher.failed(explain(error, f"frame {number} could not be used"))

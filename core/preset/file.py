@@ -30,7 +30,7 @@ def preset_text(path_or_name: Path | str) -> tuple[str, str]:
     Raises
     ------
     PresetError
-        There is no such file, or it is no text file.
+        The file does not exist or is not a text file.
     """
     path = Path(path_or_name)
     if str(path_or_name) in shipped_presets() and not path.is_file():

@@ -49,7 +49,7 @@ else:
 
 
 class _BeforeTests(Section):
-    """The fields that stand before the sections of the contact tests."""
+    """The fields before the sections of the contact tests."""
 
     name: Annotated[str, Field(min_length=1, max_length=120)] = "untitled"
     notes: Annotated[str, Field(max_length=10_000)] = ""
@@ -229,7 +229,7 @@ def _plain(value: Any) -> Any:
 
 
 def _explain(error: Any) -> str:
-    """Turn one pydantic error into words: path, value, what is allowed."""
+    """Return a pydantic error as one sentence: path, value, and allowed values."""
     location: Sequence[str | int] = error["loc"]
     path = (
         "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in location).lstrip(".") or "the preset"

@@ -153,11 +153,11 @@ class FrameSource(ABC):
         raise SourceError(f"{self.name}: a live source cannot seek to frame {index}")
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None where the source has none."""
+        """Return a frame of the untouched membrane, or None if the source has none."""
         return None
 
     def preset(self) -> Preset | None:
-        """Return the preset that a recording holds, or None where it holds none.
+        """Return the preset that a recording holds, or None if it holds none.
 
         Raises
         ------

@@ -100,7 +100,7 @@ class FolderSource(SeekableSource):
                 )
 
     def untouched(self) -> SensorFrame | None:
-        """Return the frame in the subfolder ``untouched``, or None where there is none."""
+        """Return the frame in the subfolder ``untouched``, or None if there is none."""
         folder = self._path / "untouched"
         if not folder.is_dir():
             return None

@@ -45,7 +45,7 @@ class SourceKind:
         What the user must choose to open a source.
     pattern : str
         File names that it opens, such as ``"*.bag *.db3"``, or the file that makes a folder one, such as
-        ``"rig.json"``; empty where it opens none.
+        ``"rig.json"``; empty if it opens none.
     examples : tuple of str
         Example names for menus.
     rank : int

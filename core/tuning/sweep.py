@@ -100,7 +100,7 @@ class Journal:
         Raises
         ------
         SweepError
-            It is no journal.
+            The file is not a journal.
         """
         self._file.seek(0)
         data = self._file.read()

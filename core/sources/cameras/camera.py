@@ -61,7 +61,7 @@ class Calibration:
     depth : DepthCamera
         Lens of the depth image and the length of one count.
     color : Intrinsics or None
-        Lens of the colour image; None where the camera has no colour.
+        Lens of the colour image; None if the camera has no colour.
     T_color_depth : 4 x 4
         Transforms points from the depth frame to the colour frame, metres.
     """
@@ -127,7 +127,7 @@ class DeviceInfo:
     is_second_choice : bool
         Gets its default role only if no other device has this default role.
     usb : str
-        USB version of the connection, such as ``"3.2"``; empty where unknown.
+        USB version of the connection, such as ``"3.2"``; empty if unknown.
     modes : tuple of StreamMode
         Available modes, sorted.
     problem : str
@@ -186,7 +186,7 @@ class Camera(ABC):
 
     @abstractmethod
     def read(self, timeout_s: float) -> Sequence[Image]:
-        """Return the next images, depth and colour in any order; empty where none arrives in time.
+        """Return the next images, depth and colour in any order; empty if none arrives in time.
 
         An exception closes the camera; it is then opened again.
         """
@@ -265,5 +265,5 @@ class CameraDriver(ABC):
         """
 
     def hint(self) -> str:
-        """Return a clause that says why a connected camera may not be listed; empty where there is no reason."""
+        """Return a clause that says why a connected camera may not be listed; empty if there is no reason."""
         return ""

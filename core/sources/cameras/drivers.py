@@ -83,7 +83,7 @@ def choose(
     what : str
         How messages call a camera if none is connected.
     hint : str
-        Why the driver may not list a camera; empty where there is no reason.
+        Why the driver may not list a camera; empty if there is no reason.
 
     Raises
     ------

@@ -101,7 +101,7 @@ class _Capture:
 
     def _progress(self, fraction: float, text: str) -> None:
         if self._stop.is_set():
-            raise _StoppedError("the capture process is no longer wanted")
+            raise _StoppedError("the capture process is no longer needed")
         self._round_s = time.monotonic()
         self._send(Opening(fraction, text))
 

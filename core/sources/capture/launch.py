@@ -106,7 +106,7 @@ class CaptureProcess:
             self._connection.send(message)
 
     def end(self, *, politely: bool) -> int | None:
-        """End the process and release everything; return its exit status, None where it cannot be ended."""
+        """End the process and release everything; return its exit status, None if it cannot be ended."""
         with self._sending:
             self._connection.close()
         try:

@@ -71,7 +71,7 @@ class LiveLoop(FrameSource):
         return due_in_s <= timeout_s
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None where the recording has none."""
+        """Return a frame of the untouched membrane, or None if the recording has none."""
         return self._source.untouched()
 
     def health(self) -> Health:

@@ -63,17 +63,17 @@ class ProcessSource(FrameSource):
 
     @property
     def capture_pid(self) -> int | None:
-        """Number of the capture process, or None while there is none."""
+        """Process number of the capture process; None while it is not running."""
         return self._supervisor.pid
 
     def next_frame(self) -> SensorFrame | None:
-        """Return the next frame, or None at the end; block while there is none, or no process.
+        """Return the next frame, or None at the end; block until there is one.
 
         Raises
         ------
         TactuneError
-            The source cannot go on: the rig is another one after a restart, it is closed or, if
-            lossless, has failed.
+            The source cannot continue: the rig has changed after a restart, the source is closed, or it is lossless
+            and has failed.
         """
         return self._supervisor.next_frame()
 
@@ -109,7 +109,7 @@ class ProcessSource(FrameSource):
         self._supervisor.remember_option(camera, name, value)
 
     def untouched(self) -> SensorFrame | None:
-        """Return a frame of the untouched membrane, or None where the source has none.
+        """Return a frame of the untouched membrane, or None if the source has none.
 
         Raises
         ------

@@ -177,7 +177,7 @@ class Supervisor:
 
     @property
     def pid(self) -> int | None:
-        """Number of the present process, None while there is none."""
+        """Process number of the capture process; None while it is not running."""
         with self._changed:
             return self._process.pid if self._process is not None else None
 
@@ -211,7 +211,7 @@ class Supervisor:
             self._changed.notify_all()
 
     def _keep_capturing(self) -> None:
-        """Run one process after the other until the source ends, is closed or cannot go on."""
+        """Run one capture process after another until the source ends, is closed or cannot continue."""
         pauses = Pauses()
         while not self._stop.is_set():
             self._numbering.restart()
@@ -470,7 +470,7 @@ class HealthRecord:
 
 
 def _check_same_rig(name: str, before: Rig, now: Rig) -> None:
-    """Raise `SourceError` where the rig after a restart is another one than before."""
+    """Raise `SourceError` if the rig after a restart is another one than before."""
     for role, old, new in (
         ("proximity", before.proximity, now.proximity),
         ("tactile", before.tactile, now.tactile),

@@ -256,7 +256,7 @@ class ImageStream:
     lens: bytes | None
 
     def check(self, image: AnyArray, sequence: int) -> None:
-        """Raise `FrameError` where an image has another size or type than the stream."""
+        """Raise `FrameError` if an image has another size or type than the stream."""
         shape = self.shape if self.channels == 1 else (*self.shape, self.channels)
         if image.shape != shape or image.dtype != self.dtype:
             raise FrameError(

@@ -133,7 +133,7 @@ class McapFile:
             return bytes(cursor.bytes_(*cursor.take("<Q")))
 
     def metadata(self, name: str) -> dict[str, str]:
-        """Return a table of texts by its name; empty where there is none."""
+        """Return a table of texts by its name; empty if there is none."""
         return self._metadata.get(name, {})
 
     def close(self) -> None:

@@ -126,12 +126,12 @@ class McapSource(SeekableSource):
         return None if found is None else preset_from_text(*found)
 
     def preset_text(self) -> tuple[str, str] | None:
-        """Return the text of the preset and what messages call it, or None where there is none."""
+        """Return the text of the preset and what messages call it, or None if there is none."""
         data = self._file.attachment(PRESET_NAME)
         return None if data is None else (_text(data), f"{PRESET_NAME} in {self._path}")
 
     def untouched(self) -> SensorFrame | None:
-        """Return the frame of the untouched membrane, or None where there is none."""
+        """Return the frame of the untouched membrane, or None if there is none."""
         data = self._file.attachment(UNTOUCHED_NAME)
         return None if data is None else parse_untouched(data, str(self._path))
 
@@ -217,7 +217,7 @@ class McapSource(SeekableSource):
         return None if contact is None else GroundTruth(contact != 0, self._optional(Topic.TRUTH_DEPTH, index, shape))
 
     def _place(self, topic: Topic, index: int) -> Uint64Array | None:
-        """Return where a frame's message of a topic lies, or None where it has none."""
+        """Return where a frame's message of a topic lies, or None if it has none."""
         partner = self._partners[topic][index]
         return None if partner < 0 else self._places[topic][partner]
 
@@ -291,7 +291,7 @@ def _text(data: bytes) -> str:
 def _rig_from_lenses(file: McapFile) -> Rig:
     """Return the rig of a bag without one, from camera infos and static transforms; depth is in millimetres.
 
-    A colour camera without a pose is omitted: colour then counts as aligned to depth. `SourceError` where a camera
+    A colour camera without a pose is omitted: colour then counts as aligned to depth. `SourceError` if a camera
     info is missing or has an unknown lens model.
     """
     proximity, tactile = (_camera_info(file, topic) for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH))
@@ -335,7 +335,7 @@ def _lens(info: Any, origin: Path) -> Intrinsics:
 
 
 def _pose(file: McapFile, first: str, second: str) -> Matrix4 | None:
-    """Return the transform from the second frame to the first, or None where no message has it."""
+    """Return the transform from the second frame to the first, or None if no message has it."""
     for place in file.places(Topic.STATIC_TRANSFORMS):
         for transform in parse(file.message(place), TRANSFORMS, file.path).transforms:
             frames = transform.header.frame_id, transform.child_frame_id

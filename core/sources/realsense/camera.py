@@ -191,7 +191,7 @@ class RealSenseCamera(Camera):
             minimum=float(extent.min),
             maximum=float(extent.max),
             step=float(extent.step),
-            # The value where a preset names none: presets leave such values out.
+            # The default of options that the preset does not name.
             default=self.defaults.get(name, float(extent.default)),
             value=float(sensor.get_option(option)),
             unit=unit,
@@ -245,7 +245,7 @@ def _is_wanted(profile: Any, kind: str) -> bool:
 
 
 def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibration:
-    """Return the device's lenses, their pose and its depth unit; `SourceError` where these are not possible."""
+    """Return the device's lenses, their pose and its depth unit; `SourceError` if these are not possible."""
     depth, color = streams["depth"], streams["color"]
     unit_m = float(depth.sensor.as_depth_sensor().get_depth_scale()) if depth.sensor.is_depth_sensor() else 0.0
     if not unit_m > 0.0:

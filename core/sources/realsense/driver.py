@@ -85,7 +85,7 @@ def load_driver() -> Any:
 
 
 def driver_version() -> str:
-    """Return the driver's version, such as ``"2.54.2.5684"``, or an empty text where it is not installed."""
+    """Return the driver's version, such as ``"2.54.2.5684"``, or an empty string if it is not installed."""
     try:
         return version("pyrealsense2")
     except PackageNotFoundError:

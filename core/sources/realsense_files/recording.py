@@ -32,13 +32,13 @@ class Stream:
     topic : str
         Prefix of all its topics, such as ``"/device_0/sensor_0/Depth_0"``.
     clock : str
-        Clock of ``stamps_s``, in librealsense's words; empty where unknown.
+        Clock of ``stamps_s``, in librealsense's words; empty if unknown.
     stamps_s : float64, shape (N,)
         The images' own time stamps, seconds.
     recorded_s : float64, shape (N,)
         When each was recorded, seconds on the one clock of the whole recording.
     arrived_s : float64, shape (N,), or None
-        When each reached the computer, seconds of its system time; None where the recording does not say.
+        When each reached the computer, seconds of its system time; None if the recording does not say.
     """
 
     topic: str

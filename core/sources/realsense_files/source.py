@@ -40,7 +40,7 @@ class BagSource(SeekableSource):
     Parameters
     ----------
     name : path of the file, or two paths with a comma between them
-        A path may contain commas: a name that is a file as it stands is that file, else it is split at the first
+        A path may contain commas: if the whole name is a file, that file is opened; else it is split at the first
         comma with a file on either side.
     progress : callable, optional
         Receives the fraction of the images that are indexed, and the current step.
@@ -139,7 +139,7 @@ class BagSource(SeekableSource):
         return camera.recording.color_image(camera.color, int(self._color_index[camera][depth_index]))
 
     def _pair(self, name: str, tactile: Camera) -> None:
-        """Pair the depth images; raise `SourceError` where no pair is found."""
+        """Pair the depth images; raise `SourceError` if no pair is found."""
         first, second = self._proximity, tactile
         times = common_times(
             first.depth, second.depth, same_recording=first.recording is second.recording, same_device=False
@@ -222,7 +222,7 @@ def common_times(
 
     That is the clock of the images' own stamps where both name the same (a camera's own clock counts
     for that camera alone), else when the images were recorded or, across two recordings, when they
-    reached the computer. None where no clock is shared.
+    reached the computer. None if no clock is shared.
     """
     if first.clock == second.clock != "" and (same_device or first.clock != HARDWARE_CLOCK):
         return first.stamps_s, second.stamps_s
@@ -261,7 +261,7 @@ def pairs(first_s: Float64Array, second_s: Float64Array, farthest_s: float) -> t
 
 
 def span_text(times_s: Float64Array) -> str:
-    """Return from when to when some images were taken, in words."""
+    """Return the time range of images as text."""
     return f"{_moment(float(times_s.min()))} to {_moment(float(times_s.max()))}"
 
 
@@ -272,7 +272,7 @@ def _moment(time_s: float) -> str:
 
 
 def open_recordings(text: str, progress: Progress | None) -> list[Recording]:
-    """Open one recording, or two whose paths stand on both sides of a comma.
+    """Open one recording, or two whose paths are separated by a comma.
 
     Raises
     ------
