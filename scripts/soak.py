@@ -116,7 +116,7 @@ class Soak(QObject):
         window.worker.openFailed.connect(lambda name, sentence: self._fail(sentence))
         window.error_hook.raised.connect(self._give_up)
         window.worker.stateChanged.connect(self._hear)
-        window.frameShown.connect(self._start)
+        window.context.frameShown.connect(self._start)
         self._timer(HEARTBEAT_MS, self._beat).start()
 
     def _timer(self, interval_ms: int, slot: object) -> QTimer:
@@ -131,7 +131,7 @@ class Soak(QObject):
         result = self._window.result
         if result is None or result.processed < WARM_UP_FRAMES:
             return
-        self._window.frameShown.disconnect(self._start)
+        self._window.context.frameShown.disconnect(self._start)
         self._children = children()
         self._began_s = self._beat_s = time.monotonic()
         self.tally.processor_s = -time.process_time()
@@ -311,7 +311,7 @@ def settle(before: dict[str, Counter[str]]) -> dict[str, Counter[str]]:
 
 def run_window(source: str, seconds: float, cycle_s: float) -> Tally:
     """Open a window, run it, close it, and return its measurements."""
-    preset, _ = start_with("simulator", source)
+    preset, _ = start_with("simulator")
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-soak-") as name:
         folder = Path(name)
