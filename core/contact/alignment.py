@@ -18,7 +18,6 @@ from ..model.clouds import ray_table
 from ..model.frames import Rig
 from ..model.patch import AlignedDepth
 from ..preset import AlignmentSection
-from .flat import flat, planes_of
 from .kernels import chain as kernels
 from .kernels.lenses import lens_parameters
 from .kernels.threads import by_rows
@@ -43,7 +42,7 @@ class AlignmentModel:
     def align(self, proximity: Uint16Array, tactile: Uint16Array, region: kernels.Region) -> AlignedDepth:
         """Return both depths for every proximity pixel of a region."""
         aligned = AlignedDepth.empty(proximity.shape)
-        images = kernels.DepthImages(flat(proximity), flat(tactile))
+        images = kernels.DepthImages(kernels.flat(proximity), kernels.flat(tactile))
         expected, measured = aligned.expected_m.reshape(-1), aligned.measured_m.reshape(-1)
         by_rows(
             lambda first, last: kernels.align_rows(images, self.tables, region, first, last, expected, measured),
@@ -86,10 +85,10 @@ def make_alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
     if rigid:
         T_t_p = np.linalg.inv(tactile_pose(section, rig))
         translation = np.asarray(T_t_p[:3, 3], np.float64)
-        planes = planes_of(rotated_rays(T_t_p, rig))
+        planes = kernels.planes_of(rotated_rays(T_t_p, rig))
     else:
         shapes = (height, width), (tactile_height, tactile_width)
-        table = flat(homography_table(tactile_homography(section, rig), *shapes))
+        table = kernels.flat(homography_table(tactile_homography(section, rig), *shapes))
     lens, camera = lens_parameters(rig.tactile.intrinsics)
     return AlignmentModel(
         kernels.Alignment(

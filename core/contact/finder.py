@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import time
 from abc import ABC, abstractmethod
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 
-from ..model.arrays import Uint8Array
+from ..model.arrays import Float32Array, Uint8Array
+from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
+from ..model.intrinsics import Intrinsics
 from ..model.patch import NO_CANDIDATES, AlignedDepth, Candidates, Found
 from ..preset import Preset, RangeSection, RegionSection, ToleranceSection
 from .alignment import AlignmentModel
-from .flat import flat, ray_planes
 from .kernels import chain as kernels
 from .kernels.coarse import CoarseTest
 from .kernels.colors import hsv_limits
@@ -136,7 +138,7 @@ class ContactFinder(ABC):
             alignment.tables,
             region_bounds(preset.region, camera.shape),
             depth_limits(preset.range, preset.tolerance),
-            ray_planes(camera),
+            _ray_planes(camera),
         )
         self._rig = rig
         self._workspace = workspace or Workspace(rig)
@@ -149,7 +151,7 @@ class ContactFinder(ABC):
 
     def color_test(self, frame: SensorFrame) -> kernels.ColorTest:
         """Return the colour mask of a frame."""
-        return kernels.ColorTest(self._lookup, flat(frame.proximity_color, 3 * LANES), self._hsv)
+        return kernels.ColorTest(self._lookup, kernels.flat(frame.proximity_color, 3 * LANES), self._hsv)
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range and tolerance; candidates have CONTACT."""
@@ -164,7 +166,7 @@ class ContactFinder(ABC):
 
 def depth_images(frame: SensorFrame) -> kernels.DepthImages:
     """Return the depth images of a frame, flat, for the kernels."""
-    return kernels.DepthImages(flat(frame.proximity_depth), flat(frame.tactile_depth))
+    return kernels.DepthImages(kernels.flat(frame.proximity_depth), kernels.flat(frame.tactile_depth))
 
 
 def region_bounds(section: RegionSection, shape: tuple[int, int]) -> kernels.Region:
@@ -180,3 +182,9 @@ def depth_limits(limits: RangeSection, tolerance: ToleranceSection) -> kernels.D
     """Return the nearest and farthest depth considered (metres), and the tolerance."""
     near, far = limits.limits_m if limits.enabled else (0.0, np.inf)
     return kernels.DepthLimits(np.float32(near), np.float32(far), np.float32(tolerance.t))
+
+
+@lru_cache(maxsize=8)
+def _ray_planes(intrinsics: Intrinsics) -> Float32Array:
+    """Return `ray_table` for the kernels: all x / z, then all y / z, flat."""
+    return kernels.planes_of(ray_table(intrinsics))

@@ -7,8 +7,7 @@ import numpy as np
 from ..model.arrays import BoolArray, Float32Array, IndexArray, Uint8Array
 from ..model.frames import Rig
 from ..preset import MaskSection
-from .flat import flat
-from .kernels.chain import ColorLookup
+from .kernels.chain import ColorLookup, flat
 from .kernels.colors import color_lookup, colors_in_range, hsv_limits
 from .kernels.lenses import lens_parameters
 from .kernels.simd import LANES

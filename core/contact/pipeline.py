@@ -14,7 +14,6 @@ from ..preset.checks import check_rig
 from ..preset.contact_test import AVERAGE
 from .alignment import make_alignment
 from .finder import ContactFinder, Steps, Workspace
-from .flat import flat
 from .kernels import chain as kernels
 from .membrane.average import AveragedDepth
 
@@ -172,7 +171,7 @@ class ContactPipeline:
         )
         for old, new, unit_m in pairs:
             noise = min(int(self._still.noise_m / unit_m), 65535)
-            if kernels.count_changed(flat(old), flat(new), noise) > self._still.share * old.size:
+            if kernels.count_changed(kernels.flat(old), kernels.flat(new), noise) > self._still.share * old.size:
                 return False
         return True
 

@@ -12,7 +12,7 @@ from typing import Any, Final, NamedTuple
 
 import numpy as np
 
-from ...model.arrays import Float32Array, Int32Array, Int64Array, Uint8Array, Uint16Array
+from ...model.arrays import AnyArray, Float32Array, Int32Array, Int64Array, Uint8Array, Uint16Array
 from ...model.provenance import Provenance
 from .colors import lanes_in_range
 from .compiling import inline, kernel
@@ -61,6 +61,17 @@ _OUTSIDE_RANGE = np.int32(Provenance.OUTSIDE_RANGE)
 _NO_TACTILE_DEPTH = np.int32(Provenance.NO_TACTILE_DEPTH)
 _OUTSIDE_TOLERANCE = np.int32(Provenance.OUTSIDE_TOLERANCE)
 _CONTACT = np.int32(Provenance.CONTACT)
+
+
+def flat(image: AnyArray, min_length: int = LANES) -> AnyArray:
+    """Return an image's elements in a row, padded with zeros to at least ``min_length`` elements."""
+    pixels = np.ascontiguousarray(image).reshape(-1)
+    return pixels if len(pixels) >= min_length else np.pad(pixels, (0, min_length - len(pixels)))
+
+
+def planes_of(table: Float32Array) -> Float32Array:
+    """Return a table (H, W, n) as n flat planes, one after another, each padded to a whole vector."""
+    return np.concatenate([flat(np.ascontiguousarray(table[..., i])) for i in range(table.shape[2])])
 
 
 class DepthImages(NamedTuple):
