@@ -289,7 +289,7 @@ class TruthKeeper(KeptState[TruthState]):
         if state.pose is not None:
             save_transform(file.with_suffix(".transform.json"), state.pose)
 
-    def parse(self, content: dict[str, Any]) -> TruthState:
+    def _parse(self, content: dict[str, Any]) -> TruthState:
         """Return the saved state, without its patch if that is missing."""
         check_version(content, _VERSION)
         paint: dict[str, Any] = {
@@ -311,7 +311,7 @@ class TruthKeeper(KeptState[TruthState]):
 
     def _read(self, file: Path) -> tuple[TruthState, datetime] | None:
         self._lost = ""
-        found = self.read(file)
+        found = self.read(file, self._parse)
         if self._lost and found is not None:
             self.failed.emit(f"The patch that this scan was aligned to is gone ({self._lost}); pairs and pose remain.")
         return found

@@ -50,7 +50,7 @@ class Keeper(KeptState[SessionState]):
 
     def restore(self) -> datetime | None:
         """Restore this rig's last session. Return when it was saved, or None if there is none."""
-        found = self.read(self.file)
+        found = self.read(self.file, self._parse)
         if found is None or found[0].empty:
             return None
         state, kept_at = found
@@ -82,7 +82,7 @@ class Keeper(KeptState[SessionState]):
                 self._stored.add(snapshot.digest)
         write_json(file, _content(state))
 
-    def parse(self, content: dict[str, Any]) -> SessionState:
+    def _parse(self, content: dict[str, Any]) -> SessionState:
         """Return the saved state without the snapshots whose images are missing."""
         check_version(content, _VERSION)
         snapshots = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from abc import ABCMeta, abstractmethod
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -22,12 +23,15 @@ T = TypeVar("T")
 DAMAGE = (OSError, ValueError, KeyError, TypeError, TactuneError)
 
 
-class KeptState(QObject, Generic[T]):
+class _AbstractQObject(type(QObject), ABCMeta):  # type: ignore[misc]
+    """Qt's metaclass and that of abstract classes in one, as Python requires."""
+
+
+class KeptState(QObject, Generic[T], metaclass=_AbstractQObject):
     """Keeps a file up to date with a state that changes.
 
     Writing starts ``delay_ms`` after the last change. It happens on a thread of its own and in order, so a slow disk
-    never stalls the window. A subclass says what the state is (`present`), how it is written (`write`) and, if it is
-    read back, how (`parse`).
+    never stalls the window. A subclass says what the state is (`present`) and how it is written (`write`).
 
     Parameters
     ----------
@@ -61,17 +65,13 @@ class KeptState(QObject, Generic[T]):
         self._timer.setInterval(delay_ms)
         self._timer.timeout.connect(self.flush)
 
+    @abstractmethod
     def present(self) -> T:
         """Return the present state, immutable and comparable."""
-        raise NotImplementedError
 
+    @abstractmethod
     def write(self, state: T, file: Path) -> None:
         """Write a state; called on the disk's thread. Raise `OSError` or `TactuneError` where that fails."""
-        raise NotImplementedError
-
-    def parse(self, content: dict[str, Any]) -> T:
-        """Return the state in a JSON file's content. Raise one of `DAMAGE` where there is none."""
-        raise NotImplementedError
 
     def schedule(self, *_: object) -> None:
         """Write soon; connect the signals of changes to it."""
@@ -103,12 +103,15 @@ class KeptState(QObject, Generic[T]):
         self._timer.stop()
         self._disk.shutdown(wait=True)
 
-    def read(self, file: Path) -> tuple[T, datetime] | None:
-        """Return the state that `write_json` saved, and when; None without a file. A damaged file is renamed."""
+    def read(self, file: Path, parse: Callable[[dict[str, Any]], T]) -> tuple[T, datetime] | None:
+        """Return the state that `write_json` saved, and when; None without a file. A damaged file is renamed.
+
+        ``parse`` returns the state in the file's content, or raises one of `DAMAGE`.
+        """
         try:
             content = json.loads(file.read_text(encoding="utf-8"))
             kept_at = datetime.fromisoformat(content["kept"])
-            return self.parse(content), kept_at
+            return parse(content), kept_at
         except (FileNotFoundError, NotADirectoryError):
             return None
         except DAMAGE as error:
