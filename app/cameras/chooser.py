@@ -117,7 +117,7 @@ class CameraSearch(QObject):
         try:
             answer = json.loads(output.strip().splitlines()[-1])
             problem = answer.get("problem", "")
-            hint = str(answer.get("hint", ""))
+            hint = "; ".join(filter(None, [str(answer.get("hint", "")), *answer.get("problems", [])]))
             cameras = [_camera(device) for device in answer.get("devices", [])]
         except (ValueError, IndexError, AttributeError, TypeError):
             self._fail(f"The search for cameras gave no answer: {_DOCTOR}.")

@@ -10,15 +10,19 @@ from ...core.errors import TactuneError
 
 
 def main() -> int:
-    """Write ``{"devices": [...], "hint": sentence}`` or ``{"problem": sentence}`` to standard output.
+    """Write ``{"devices": [...], "hint": clause, "problems": [clause, ...]}`` or ``{"problem": clause}`` to stdout.
 
-    A device has the fields of `DeviceInfo`. The hint says why a driver may not list a camera.
+    The three are those of `list_devices`; a device has the fields of `DeviceInfo`.
     """
     from ...core.sources.cameras.drivers import list_devices
 
     try:
-        devices, hint = list_devices()
-        answer: dict[str, object] = {"devices": [asdict(device) for device in devices], "hint": hint}
+        devices, hint, problems = list_devices()
+        answer: dict[str, object] = {
+            "devices": [asdict(device) for device in devices],
+            "hint": hint,
+            "problems": problems,
+        }
     except TactuneError as error:
         answer = {"problem": str(error)}
     sys.stdout.write(json.dumps(answer) + "\n")

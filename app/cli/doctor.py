@@ -33,8 +33,8 @@ def devices(
 
     Exit status 0 if a camera is connected, 1 if none is, 2 if the camera driver is missing or fails.
     """
-    found = _ask_driver()
-    notes = _notes(found)
+    found, problems = _ask_driver()
+    notes = [*_notes(found), *map(_sentence, problems)]
     if as_json:
         typer.echo(json.dumps({"devices": found, "notes": notes}, indent=2))
     else:
@@ -43,7 +43,8 @@ def devices(
         raise typer.Exit(NONE_STATUS)
 
 
-def _ask_driver() -> list[dict[str, Any]]:
+def _ask_driver() -> tuple[list[dict[str, Any]], list[str]]:
+    """Return the connected cameras, and what is wrong with camera drivers."""
     from ..doctor.checks import run_child
 
     child = run_child([sys.executable, *_PROGRAM], _PATIENCE_S)
@@ -55,8 +56,7 @@ def _ask_driver() -> list[dict[str, Any]]:
             f"the camera driver does not list its cameras ({child.problem or 'no answer'}); unplug the cameras and "
             "plug them in again, or run tactune doctor, which finds other causes"
         )
-    listed: list[dict[str, Any]] = answer["devices"]
-    return listed
+    return answer["devices"], answer.get("problems", [])
 
 
 def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
@@ -76,8 +76,12 @@ def _notes(found: Sequence[dict[str, Any]]) -> list[str]:
         )
     no_l515 = no_l515_sentence(driver_version())
     if no_l515 and not any(device["model"].startswith("L5") for device in found):
-        notes.append(f"{no_l515[0].upper()}{no_l515[1:]}.")
+        notes.append(_sentence(no_l515))
     return notes
+
+
+def _sentence(clause: str) -> str:
+    return f"{clause[0].upper()}{clause[1:]}."
 
 
 def _words(device: dict[str, Any]) -> list[str]:
@@ -86,7 +90,7 @@ def _words(device: dict[str, Any]) -> list[str]:
     firmware = f"firmware {device['firmware']}" if device.get("firmware") else "firmware unknown"
     lines = [f"{device['model']}, serial {device['serial'] or 'unknown'}", f"  {firmware}, {usb}"]
     if device.get("problem"):
-        lines.append(f"  {device['problem'][0].upper()}{device['problem'][1:]}.")
+        lines.append(f"  {_sentence(device['problem'])}")
     modes = sorted({(mode["stream"], mode["width"], mode["height"], mode["rate_hz"]) for mode in device["modes"]})
     for stream, of_stream in groupby(modes, key=lambda mode: mode[0]):
         sizes = [
@@ -133,6 +137,7 @@ def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
         system.check_shared_memory,
         cameras.check_libraries,
         cameras.check_driver,
+        cameras.check_all_drivers,
         cameras.check_udev_rules,
         cameras.check_cameras,
         system.check_qt,

@@ -41,6 +41,12 @@ try:
 except TactuneError as error:
     print(json.dumps({"problem": str(error), "installed": bool(driver_version())}))
 """
+_ALL_DRIVERS = """
+import json
+from tactune.core.sources.cameras.drivers import camera_drivers
+drivers, problems = camera_drivers()
+print(json.dumps({"drivers": [driver.title for driver in drivers], "problems": problems}))
+"""
 
 
 @dataclass(frozen=True)
@@ -82,6 +88,21 @@ def check_driver(run: RunChild = run_child) -> list[Check]:
         sentence = str(answer["no_l515"])
         return [Check(name, State.WARN, found, f"{sentence[0].upper()}{sentence[1:]}.")]
     return [Check(name, State.OK, f"{found}, with support for L515 and D405")]
+
+
+def check_all_drivers(run: RunChild = run_child) -> list[Check]:
+    """Load the camera drivers of all installed packages; a broken one is a line."""
+    name = "Camera packages"
+    child = run(python_child(_ALL_DRIVERS))
+    if child.problem:
+        remedy = "Uninstall the packages with camera drivers one by one to find the one that causes this."
+        return [Check(name, State.FAIL, f"loading the camera drivers: {child.problem}", remedy)]
+    answer = child.answer()
+    lines = []
+    for problem in answer.get("problems", []):
+        words, _, remedy = problem.rpartition("; ")
+        lines.append(Check(name, State.FAIL, words, f"{remedy[:1].upper()}{remedy[1:]}."))
+    return lines or [Check(name, State.OK, ", ".join(answer.get("drivers", [])) or "no driver")]
 
 
 def check_udev_rules(folders: Iterable[str | Path] = RULES_FOLDERS) -> list[Check]:

@@ -73,8 +73,8 @@ def found(acme: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 
 
 @pytest.fixture
-def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """Let this process find a package whose entry points cannot be loaded."""
+def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Let this process find a package whose entry points cannot be loaded; yields its folder."""
     metadata = tmp_path / "rotten-1.0.dist-info"
     metadata.mkdir()
     (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rotten\nVersion: 1.0\n")
@@ -86,7 +86,7 @@ def broken(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     (metadata / "entry_points.txt").write_text(text)
     monkeypatch.syspath_prepend(str(tmp_path))
     plugins.forget()
-    yield
+    yield tmp_path
     monkeypatch.undo()
     plugins.forget()
 
@@ -176,7 +176,7 @@ def test_the_tab_stands_in_the_analysis_menu(found: None, qtbot, tmp_path: Path)
     window.close_without_asking()
 
 
-def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: None) -> None:
+def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: Path) -> None:
     assert [kind.scheme for kind in source_kinds()][:2] == ["sim", "folder"]
     for name in ("gone", "odd"):
         with pytest.raises(
@@ -194,3 +194,16 @@ def test_a_broken_entry_point_is_one_sentence_and_breaks_nothing_else(broken: No
     assert list(tabs.found) == ["compare", "strain", "truth"] and list(tabs.problems) == ["worn"]
     with pytest.raises(SourceError, match=r"no RealSense camera connected.*package rotten"):
         open_source("cameras:1,2").close()
+
+
+def test_devices_and_doctor_name_the_broken_camera_drivers(broken: Path) -> None:
+    listed = tactune(broken, "devices", "--json")
+    told = json.loads(listed.stdout)["notes"] if listed.stdout else [listed.stderr]
+    checked = json.loads(tactune(broken, "doctor", "--json").stdout)["checks"]
+    lines = [check for check in checked if check["name"] == "Camera packages"]
+    assert [line["state"] for line in lines] == ["fail", "fail"]
+    assert {line["remedy"] for line in lines} == {"Update or uninstall the package."}
+    for name in ("lost", "strange"):
+        words = f"he entry point {name!r} (tactune.cameras) of the package rotten"
+        assert any(words in note and BROKEN[name][2] in note for note in told)
+        assert any(words in line["found"] and BROKEN[name][2] in line["found"] for line in lines)

@@ -54,8 +54,17 @@ def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[Camer
     return found, [str(error) for error in failures]
 
 
-def list_devices() -> tuple[list[DeviceInfo], str]:
-    """Return all connected devices, proximity cameras first, and a clause on why others may be missing from the list.
+def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
+    """Return all connected devices, why others may be missing, and what is wrong with drivers.
+
+    Returns
+    -------
+    devices : list of DeviceInfo
+        Proximity cameras first.
+    hint : str
+        What the drivers say about cameras that they cannot find; empty if nothing.
+    problems : list of str
+        One sentence for each driver that cannot be loaded or fails.
 
     Raises
     ------
@@ -63,9 +72,12 @@ def list_devices() -> tuple[list[DeviceInfo], str]:
         No device is found and a driver is missing or fails.
     """
     drivers, problems = camera_drivers()
-    found, failures = connected_devices(drivers)
+    try:
+        found, failures = connected_devices(drivers)
+    except TactuneError as error:
+        raise SourceError("; ".join([str(error), *problems])) from error
     devices = sorted((info for _, info in found), key=lambda info: (info.role != "proximity", info.model, info.serial))
-    return devices, "; ".join(filter(None, [*(driver.hint() for driver in drivers), *failures, *problems]))
+    return devices, "; ".join(filter(None, (driver.hint() for driver in drivers))), [*failures, *problems]
 
 
 def choose(

@@ -131,7 +131,7 @@ def test_the_program_that_is_asked_exists():
 def test_what_the_driver_s_process_writes_is_what_is_put_into_words(tactune, monkeypatch, capsys):
     modes = tuple(StreamMode(**each) for each in L515["modes"])
     connected = [DeviceInfo(**{**L515, "modes": modes}), DeviceInfo("unknown", "", problem="it does not answer")]
-    monkeypatch.setattr(drivers, "list_devices", lambda: (connected, ""))
+    monkeypatch.setattr(drivers, "list_devices", lambda: (connected, "", []))
     assert list_devices.main() == 0
     written = capsys.readouterr().out
     monkeypatch.setattr(doctor, "run_child", lambda command, patience_s: Child(written))

@@ -12,7 +12,7 @@ import pytest
 
 from tactune.app.cli import doctor as cli_doctor
 from tactune.app.doctor import system as doctor_system
-from tactune.app.doctor.cameras import check_cameras, check_driver, check_libraries, check_udev_rules
+from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_driver, check_libraries, check_udev_rules
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
 from tactune.app.doctor.system import (
     check_cache_folder,
@@ -139,6 +139,18 @@ def test_the_driver():
     crash = only(check_driver(lambda _: CRASH))
     assert crash.state is State.FAIL
     assert "crashed (SIGSEGV)" in crash.found
+
+
+def test_the_drivers_of_all_packages():
+    fine = only(check_all_drivers(answering({"drivers": ["RealSense", "Acme"], "problems": []})))
+    assert (fine.state, fine.found) == (State.OK, "RealSense, Acme")
+    problems = ["a is no driver; update it", "b fails; remove it"]
+    lines = check_all_drivers(answering({"drivers": [], "problems": problems}))
+    assert [(line.state, line.found, line.remedy) for line in lines] == [
+        (State.FAIL, "a is no driver", "Update it."),
+        (State.FAIL, "b fails", "Remove it."),
+    ]
+    assert "crashed (SIGSEGV)" in only(check_all_drivers(lambda _: CRASH)).found
 
 
 def test_udev_rules(tmp_path):
