@@ -181,7 +181,7 @@ class _Screenshot(QObject):
     def _take(self) -> None:
         try:
             with atomic_path(self._path) as temporary:
-                if not self._window.grab().save(str(temporary), "PNG"):
+                if not self._window.grab().save(str(temporary)):  # its suffix chooses the format
                     raise ExportError(f"cannot write {self._path}: Qt could not save the picture; choose another place")
         except TactuneError as error:
             self.problem = str(error)

@@ -36,6 +36,9 @@ USAGE_STATUS = 2
 #: Packages of the extra ``gui``.
 GUI_PACKAGES = ("PyQt6", "pyqtgraph")
 
+#: Suffixes of pictures of the window.
+PICTURES = (".png", ".jpg")
+
 commands = typer.Typer(
     help="Tune a soft-membrane tactile sensor with two depth cameras, and run it headless. "
     "Without a command: open the window.",
@@ -106,13 +109,16 @@ def gui(
     source: SourceOption = SOURCE,
     preset: PresetOption = None,
     screenshot: Annotated[
-        Path | None, typer.Option(metavar="FILE", help="Save a picture of the window to a .png file and close it.")
+        Path | None,
+        typer.Option(metavar="FILE", help="Save a picture of the window to a .png or .jpg file and close it."),
     ] = None,
     after: Annotated[int, typer.Option(min=1, metavar="N", help="Frames to show before the picture.")] = 30,
     size: Annotated[str | None, typer.Option(metavar="WxH", help="Size of the window, such as 1280x800.")] = None,
     theme: Annotated[Theme | None, typer.Option(help="Default: the theme used last.")] = None,
 ) -> None:
     """Open the window."""
+    if screenshot is not None and screenshot.suffix.lower() not in PICTURES:
+        raise typer.BadParameter(f"--screenshot is {screenshot}; give a file that ends in {' or '.join(PICTURES)}")
     raise typer.Exit(
         _open_window(source, preset, screenshot, after, size=_parse_size(size), theme=theme and theme.value)
     )

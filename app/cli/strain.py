@@ -16,6 +16,7 @@ from ...core.errors import SourceError
 from .common import (
     CliProgress,
     FrameCount,
+    counted,
     default_preset,
     number_of_frames,
     open_with_progress,
@@ -109,6 +110,8 @@ def strain(
         untouched = kept.frame
         for sentence in kept.warnings:
             warn(sentence)
+        bar.preparing(0.01, f"measuring strain in {counted(total, 'frame') if total else 'every frame'}")
+        bar.frames(0, total)
         for frame in itertools.islice(opened, total):
             untouched = untouched or frame
             latest.append(frame)

@@ -8,7 +8,7 @@ import subprocess
 import sys
 
 import pytest
-from PyQt6.QtGui import QImage
+from PyQt6.QtGui import QImage, QImageReader
 from typer.testing import CliRunner
 
 from tactune.app.cli.common import default_preset
@@ -57,8 +57,8 @@ def test_a_screenshot_is_a_picture_of_the_window(qapp, recording, tmp_path, them
 
 def test_a_single_frame_is_enough_for_a_picture(qapp, tmp_path):
     export_folder(TinySource(length=1), tmp_path / "one")
-    assert run_gui(f"folder:{tmp_path / 'one'}", "default", tmp_path / "window.png", after=30) == 0
-    assert (tmp_path / "window.png").exists()
+    assert run_gui(f"folder:{tmp_path / 'one'}", "default", tmp_path / "window.jpg", after=30) == 0
+    assert QImageReader(str(tmp_path / "window.jpg")).format() == b"jpeg"
 
 
 def test_no_picture_without_a_source(qapp, tmp_path):

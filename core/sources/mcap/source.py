@@ -176,6 +176,10 @@ class McapSource(SeekableSource):
         topics = self._file.topics
         if Topic.PATCH in topics and Topic.PROXIMITY_DEPTH not in topics:
             raise SourceError(f"{self._path} holds contact patches, no images; open it with a viewer of ROS bags")
+        if not self._file.complete and not any(map(len, places.values())):
+            raise SourceError(
+                f"{self._path} holds no frame: it was cut off before its first frame was complete; record it again"
+            )
         for topic in (Topic.PROXIMITY_DEPTH, Topic.TACTILE_DEPTH):
             if not len(places[topic]):
                 known = f"its topics are {', '.join(sorted(topics)[:8])}" if topics else "it has no messages"

@@ -86,6 +86,8 @@ def test_gui_passes_on_what_it_is_told(tactune: Tactune, opened: list[tuple[Any,
         ["--size", "9x9"],
         ["--after", "0"],
         ["--after", "-3"],
+        ["--screenshot", "window.txt"],
+        ["--screenshot", "window"],
     ],
 )
 def test_gui_refuses_what_it_cannot_do(tactune: Tactune, opened: list[tuple[Any, ...]], words: list[str]) -> None:

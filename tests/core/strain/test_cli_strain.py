@@ -41,7 +41,8 @@ def test_frames_at_rest_are_averaged_and_the_solver_stands_beside(tactune):
     status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 3, "--average", 2, "--json")
     assert status == 0
     assert [json.loads(line)["averaged_frames"] for line in out.splitlines()] == [1, 2, 2]
-    status, out, _ = tactune("strain", "--source", SOURCE, "--frames", 1)
+    status, out, err = tactune("strain", "--source", SOURCE, "--frames", 1)
+    assert err == "tactune: measuring strain in 1 frame ...\n"
     head, line = out.splitlines()
     assert "solver: seen (all)" in head
     assert line.endswith(")")
