@@ -9,6 +9,7 @@ from urllib.parse import parse_qsl
 from ...errors import SourceError
 from ..base import FrameSource, Progress
 from ..registry import SourceKind
+from .sensors import DEFAULT_SENSOR, SENSORS
 
 if TYPE_CHECKING:
     from ...preset import CamerasSection
@@ -16,12 +17,12 @@ if TYPE_CHECKING:
 SCENES = ("cube", "cup", "octopus")
 #: Further scenes of the simulator, and the options of all scenes.
 MORE_SCENES = ("two", "knobs", "star", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
-SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "seed", "noise")
+SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "sensor", "seed", "noise")
 _DEFAULT_SCENE = "cup"
 
 
 def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:
-    """Open ``SCENE?seed=N&noise=X``; every part is optional."""
+    """Open ``SCENE?sensor=NAME&seed=N&noise=X``; every part is optional."""
     name = f"sim:{rest}"
     scene, _, query = rest.partition("?")
     scene = scene or _DEFAULT_SCENE
@@ -38,14 +39,19 @@ def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) 
         if [given for given, _ in pairs].count(key) > 1:
             raise SourceError(f"{name}: {key} is given twice; keep one")
     seed, noise = _seed(name, options.pop("seed", "0")), _number(name, "noise", options.pop("noise", "1"))
+    sensor = options.pop("sensor", DEFAULT_SENSOR)
+    if sensor not in SENSORS:
+        raise SourceError(f"{name}: there is no sensor {sensor!r}; known are {', '.join(SENSORS)}")
     from .source import SimulatorSource
 
     if not options:
-        return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress)
+        return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress, sensor=sensor)
     from .scenes import read_options
 
     variant, light = read_options(name, options)
-    return SimulatorSource(scene=scene, seed=seed, noise=noise, progress=progress, variant=variant, light=light)
+    return SimulatorSource(
+        scene=scene, seed=seed, noise=noise, progress=progress, variant=variant, light=light, sensor=sensor
+    )
 
 
 def _seed(name: str, text: str) -> int:
@@ -67,13 +73,13 @@ def _number(name: str, key: str, text: str) -> float:
 KIND = SourceKind(
     scheme="sim",
     title="Simulator",
-    form="sim:SCENE[?press=medium&seed=N&noise=X]",
+    form="sim:SCENE[?press=medium&sensor=NAME&seed=N&noise=X]",
     description=(
         f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}, two; mug and hand, "
         "held out for judging methods. hover (gap=1...20 mm away), stiff (regions 8 times as stiff), wrinkled "
         "(folds of a twist) and slide take object=cup. press=low, medium or high holds a press, high at "
         "side=right or left, press=none shows the untouched membrane; grid=dots prints dots 10 mm apart; "
-        "light=bright or dim; noise=0, 1 or 2."
+        f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor=: {', '.join(SENSORS)}."
     ),
     needs="nothing",
     examples=tuple(f"sim:{scene}" for scene in SCENES),

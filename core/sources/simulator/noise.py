@@ -1,4 +1,4 @@
-"""From clean images to measurements: the errors of real depth cameras.
+"""From clean images to measurements: the errors of depth cameras, as large as a `SensorModel` says.
 
 Random numbers come from banks made once from the seed; where a frame starts to read in them is a
 hash of seed, frame and row. So any frame can be made at any time, always with the same bits, and
@@ -17,28 +17,14 @@ from ...model.arrays import Float32Array, Uint8Array, Uint16Array
 from ...model.frames import Rig
 from .objects import compiled
 from .render import CLEAN_UNIT_M, EDGE_FLAG, REFLECTIVE_FLAG
+from .sensors import DEFAULT_SENSOR, SENSORS, SensorModel
 
-#: Time of flight: axial noise at normal incidence and 0.3 m, and its growth with 1 / cosine, metres.
-_TOF_SIGMA_M: Final = (0.00065, 0.00035)
-#: Time of flight: a constant and a low-frequency bias over the image, and a slow drift, metres.
-_TOF_OFFSET_M: Final = 0.0004
-_TOF_BIAS_M: Final = 0.0006
-_TOF_DRIFT_M: Final = 0.0003
-_DRIFT_PERIOD_FRAMES: Final = 151.0
-#: Share of pixels at a step of depth that mix both sides.
-_FLYING_SHARE: Final = 0.6
-#: Stereo: disparity noise fixed to the scene and changing, and the step of interpolation, pixels.
-_STEREO_FIXED_PX: Final = 0.03
-_STEREO_SIGMA_PX: Final = 0.03
-_SUBPIXEL_STEPS: Final = 32.0
-_STEREO_BASELINE_M: Final = 0.018
-#: Half-width of the matching window in pixels, as the sigma of a Gaussian.
-_WINDOW_SIGMA_PX: Final = 2.4
-#: Share of pixels in holes, of the matcher and of those that report 65535.
-_HOLE_SHARE: Final = 0.006
-_SATURATED_SHARE: Final = 0.001
-#: Noise of the colour cameras, 8-bit levels.
-_COLOUR_SIGMA: Final = 2.2
+#: Where the amplitudes of a `SensorModel` hold, metres.
+_NAMED_AT_M: Final = 0.3
+#: Image width at which the lengths of a `SensorModel` hold, pixels.
+_NAMED_WIDTH_PX: Final = 640
+#: Cosine of incidence below which a time-of-flight camera begins to lose pixels.
+_GRAZING_COSINE: Final = 0.35
 
 _BANK: Final = 1 << 20
 _FIELD: Final = 1024
@@ -62,13 +48,21 @@ def _time_of_flight(
     frame: int,
     level: float,
     unit_m: float,
+    scale: float,
     drift_m: float,
+    flying: float,
+    near: float,
     behind: Uint16Array,
     membrane: Uint16Array,
     cosine: Uint8Array,
     flags: Uint8Array,
     bias_m: Float32Array,
     sigma_m: Float32Array,
+    shared_m: Float32Array,
+    fixed_share: float,
+    moving_share: float,
+    fixed: Float32Array,
+    moving: Float32Array,
     dropout: Float32Array,
     gaussian: Float32Array,
     uniform: Float32Array,
@@ -76,6 +70,8 @@ def _time_of_flight(
 ) -> None:
     height, width = behind.shape
     room = gaussian.size - 2 * width
+    wrap = moving.shape[0] - 1
+    mv, mu = _hash(seed, frame, 6, 0) & wrap, _hash(seed, frame, 6, 1) & wrap
     for v in range(height):
         g = gaussian[_hash(seed, frame, 0, v) % room :]
         r = uniform[_hash(seed, frame, 1, v) % room :]
@@ -85,11 +81,11 @@ def _time_of_flight(
                 out[v, u] = 0
                 continue
             z = count * CLEAN_UNIT_M
-            sigma = sigma_m[cosine[v, u]] * (0.5 + z / 0.6)
+            facing, growth = cosine[v, u], near + (1.0 - near) * z / _NAMED_AT_M
             if level > 0.0 and flags[v, u] & REFLECTIVE_FLAG:
                 z = membrane[v, u] * CLEAN_UNIT_M
-                sigma = sigma_m[255]
-            elif level > 0.0 and flags[v, u] & EDGE_FLAG and r[u] > 1.0 - min(_FLYING_SHARE * level, 1.0):
+                facing, growth = np.uint8(255), 1.0
+            elif level > 0.0 and flags[v, u] & EDGE_FLAG and r[u] > 1.0 - flying:
                 other = z
                 for dv in range(-1, 2):
                     for du in range(-1, 2):
@@ -98,7 +94,10 @@ def _time_of_flight(
                         if beside > 0.0 and abs(beside - z) > abs(other - z):
                             other = beside
                 z += r[u + width] * (other - z)
-            z += level * (bias_m[v, u] + drift_m) + sigma * g[u]
+            shared = fixed_share * fixed[v & wrap, u & wrap]
+            shared += moving_share * moving[(v + mv) & wrap, (u + mu) & wrap]
+            noise = sigma_m[facing] * growth * g[u] + shared_m[facing] * growth * shared
+            z = z * scale + level * (bias_m[v, u] + drift_m) + noise
             out[v, u] = min(max(int(z / unit_m + 0.5), 1), 65534)
 
 
@@ -110,18 +109,25 @@ def _stereo(
     unit_m: float,
     focal_baseline: float,
     clean: Uint16Array,
+    steps: float,
+    white_px: float,
+    fixed_px: float,
+    moving_px: float,
     fixed: Float32Array,
     moving: Float32Array,
     holes: Float32Array,
     hole_from: float,
     saturated_from: float,
+    gaussian: Float32Array,
     out: Uint16Array,
 ) -> None:
     height, width = clean.shape
+    room = gaussian.size - width
     wrap = moving.shape[0] - 1
     mv, mu = _hash(seed, frame, 2, 0) & wrap, _hash(seed, frame, 2, 1) & wrap
     hv, hu = _hash(seed, frame, 3, 0) & wrap, _hash(seed, frame, 3, 1) & wrap
     for v in range(height):
+        g = gaussian[_hash(seed, frame, 7, v) % room :]
         for u in range(width):
             count = clean[v, u]
             out[v, u] = 0
@@ -134,9 +140,11 @@ def _stereo(
                 if u < disparity or hole > hole_from:
                     out[v, u] = 65535 if u >= disparity and hole > saturated_from else 0
                     continue
-                noise = _STEREO_FIXED_PX * fixed[v & wrap, u & wrap]
-                noise += _STEREO_SIGMA_PX * moving[(v + mv) & wrap, (u + mu) & wrap]
-                disparity = int((disparity + level * noise) * _SUBPIXEL_STEPS + 0.5) / _SUBPIXEL_STEPS
+                noise = fixed_px * fixed[v & wrap, u & wrap]
+                noise += moving_px * moving[(v + mv) & wrap, (u + mu) & wrap]
+                disparity += level * (noise + white_px * g[u])
+                if steps > 0.0:
+                    disparity = int(disparity * steps + 0.5) / steps
             out[v, u] = min(int(focal_baseline / (disparity * unit_m) + 0.5), 65534)
 
 
@@ -166,26 +174,38 @@ class NoiseModel:
     seed : int
         From 0; frames of different seeds are independent.
     level : float
-        1: as the data sheets give it. 0: exact to the quantisation. 2: twice the errors.
+        Factor on all errors of the sensor. 0: exact to the quantisation.
+    sensor : SensorModel, optional
+        The errors; `DEFAULT_SENSOR` by default.
     """
 
-    def __init__(self, rig: Rig, seed: int, level: float) -> None:
-        self._rig, self._seed, self._level = rig, seed, level
+    def __init__(self, rig: Rig, seed: int, level: float, sensor: SensorModel | None = None) -> None:
+        sensor = sensor or SENSORS[DEFAULT_SENSOR]
+        level = 0.0 if sensor.exact else level
+        self._rig, self._seed, self._level, self.sensor = rig, seed, level, sensor
         rng = np.random.default_rng([seed, 2])
         self._gaussian = rng.standard_normal(_BANK, dtype=np.float32)
         self._uniform = rng.random(_BANK, dtype=np.float32)
-        self._grain_bank = np.clip(np.round(_COLOUR_SIGMA * level * self._gaussian), -127, 127).astype(np.int8)
-        self._fixed, self._moving = _smooth_field(rng, _WINDOW_SIGMA_PX), _smooth_field(rng, _WINDOW_SIGMA_PX)
-        self._holes = _smooth_field(rng, 2 * _WINDOW_SIGMA_PX)
-        self._bias = _slow_bias(rng, rig.proximity.intrinsics.shape)
+        self._grain_bank = np.clip(np.round(sensor.colour_levels * level * self._gaussian), -127, 127).astype(np.int8)
+        length_px = sensor.stereo_length_px * rig.tactile.intrinsics.width / _NAMED_WIDTH_PX
+        self._fixed, self._moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
+        self._holes = _smooth_field(rng, sensor.stereo_hole_px * rig.tactile.intrinsics.width / _NAMED_WIDTH_PX)
+        self._bias = _bias(rng, sensor, rig.proximity.intrinsics.shape)
         self._phase = rng.uniform(0.0, 2 * np.pi)
+        self._tof_fixed = self._tof_moving = np.zeros((1, 1), dtype=np.float32)
+        if sensor.tof_correlated_m > 0.0:
+            length_px = sensor.tof_correlated_px * rig.proximity.intrinsics.width / _NAMED_WIDTH_PX
+            self._tof_fixed, self._tof_moving = _smooth_field(rng, length_px), _smooth_field(rng, length_px)
         cosine = np.linspace(0.0, 1.0, 256)
         growth = np.minimum(1.0 / np.maximum(cosine, 0.05), 6.0)
-        self._sigma = (level * (_TOF_SIGMA_M[0] + _TOF_SIGMA_M[1] * growth)).astype(np.float32)
-        grazing = np.clip((0.35 - cosine) / 0.35, 0.0, 1.0)
-        self._dropout = (level * (0.0025 + 0.5 * grazing)).astype(np.float32)
-        self._hole_from = float(np.quantile(self._holes, 1 - min(_HOLE_SHARE * level, 0.5)))
-        self._saturated_from = float(np.quantile(self._holes, 1 - min(_SATURATED_SHARE * level, 0.5)))
+        growth = 1.0 - sensor.tof_incidence_share + sensor.tof_incidence_share * growth
+        self._sigma = (level * sensor.tof_white_m * growth).astype(np.float32)
+        self._shared = (level * sensor.tof_correlated_m * growth).astype(np.float32)
+        grazing = np.clip((_GRAZING_COSINE - cosine) / _GRAZING_COSINE, 0.0, 1.0)
+        dropout = sensor.tof_dropout_share + sensor.tof_grazing_dropout_share * grazing
+        self._dropout = (level * dropout).astype(np.float32)
+        self._hole_from = float(np.quantile(self._holes, 1 - min(sensor.stereo_hole_share * level, 0.5)))
+        self._saturated_from = float(np.quantile(self._holes, 1 - min(sensor.stereo_saturated_share * level, 0.5)))
 
     def proximity_depth(
         self,
@@ -197,20 +217,27 @@ class NoiseModel:
     ) -> Uint16Array:
         """Return the time-of-flight measurement behind the membrane in raw counts."""
         out = np.empty_like(behind)
-        drift = _TOF_DRIFT_M * np.sin(2 * np.pi * frame / _DRIFT_PERIOD_FRAMES + self._phase)
+        sensor = self.sensor
+        drift = sensor.tof_drift_m * np.sin(2 * np.pi * frame / sensor.tof_drift_frames + self._phase)
+        scale, flying = 1.0 + self._level * (sensor.tof_scale - 1.0), min(sensor.tof_flying_share * self._level, 1.0)
         _time_of_flight(
-            self._seed, frame, self._level, self._rig.proximity.depth_unit_m, drift, behind, membrane, cosine, flags,
-            self._bias, self._sigma, self._dropout, self._gaussian, self._uniform, out,
+            self._seed, frame, self._level, self._rig.proximity.depth_unit_m, scale, drift, flying,
+            1.0 - sensor.tof_distance_share, behind, membrane, cosine, flags, self._bias, self._sigma, self._shared,
+            *_parts(sensor.tof_correlated_fixed_share), self._tof_fixed, self._tof_moving, self._dropout,
+            self._gaussian, self._uniform, out,
         )  # fmt: skip
         return out
 
     def tactile_depth(self, frame: int, clean: Uint16Array) -> Uint16Array:
         """Return the stereo measurement of the membrane in raw counts; 0 and 65535 where there is no match."""
         out = np.empty_like(clean)
-        tactile = self._rig.tactile
+        tactile, sensor = self._rig.tactile, self.sensor
+        fixed, moving = _parts(sensor.stereo_fixed_share)
         _stereo(
-            self._seed, frame, self._level, tactile.depth_unit_m, tactile.intrinsics.fx * _STEREO_BASELINE_M, clean,
-            self._fixed, self._moving, self._holes, self._hole_from, self._saturated_from, out,
+            self._seed, frame, self._level, tactile.depth_unit_m, tactile.intrinsics.fx * sensor.stereo_baseline_m,
+            clean, sensor.stereo_subpixel_steps, sensor.stereo_white_px, sensor.stereo_correlated_px * fixed,
+            sensor.stereo_correlated_px * moving, self._fixed, self._moving, self._holes, self._hole_from,
+            self._saturated_from, self._gaussian, out,
         )  # fmt: skip
         return out
 
@@ -230,8 +257,21 @@ def _smooth_field(rng: np.random.Generator, sigma_px: float) -> Float32Array:
     return np.ascontiguousarray((field - field.mean()) / field.std(), dtype=np.float32)
 
 
-def _slow_bias(rng: np.random.Generator, shape: tuple[int, int]) -> Float32Array:
-    """A bias that varies over about a quarter of the image."""
+def _parts(fixed_share: float) -> tuple[float, float]:
+    """Return the standard deviations of the fixed and the changing part of noise of variance 1."""
+    return fixed_share**0.5, (1.0 - fixed_share) ** 0.5
+
+
+def _bias(rng: np.random.Generator, sensor: SensorModel, shape: tuple[int, int]) -> Float32Array:
+    """Return offset, slope and a bias that varies over about a quarter of the image."""
+    height, width = shape
     coarse = rng.standard_normal((5, 6)).astype(np.float32)
-    bias = cv2.resize(coarse, shape[::-1], interpolation=cv2.INTER_CUBIC)
-    return np.ascontiguousarray(_TOF_OFFSET_M + _TOF_BIAS_M * bias, dtype=np.float32)
+    bias = sensor.tof_offset_m + sensor.tof_slow_bias_m * cv2.resize(
+        coarse, (width, height), interpolation=cv2.INTER_CUBIC
+    )
+    if sensor.tof_slope_m:
+        v, u = np.mgrid[:height, :width]
+        turn = np.radians(sensor.tof_slope_deg)
+        right, down = (u - (width - 1) / 2) / width, (v - (height - 1) / 2) / width
+        bias = bias + sensor.tof_slope_m * (np.cos(turn) * right + np.sin(turn) * down)
+    return np.ascontiguousarray(bias, dtype=np.float32)

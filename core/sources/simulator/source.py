@@ -1,7 +1,8 @@
 """The simulator as a source of frames, and the cache of solved scenes on disk.
 
-A cache file is a zip of PNG images. Its name contains a hash of everything that the images depend on, the code of this
-folder included. A damaged or unreadable file counts as missing; one that cannot be written is reported.
+A cache file is a zip of PNG images. Its name contains a hash of everything that the images depend on, their code
+included. The errors of the cameras are added later, so their code is not. A damaged or unreadable file counts as
+missing; one that cannot be written is reported.
 """
 
 from __future__ import annotations
@@ -32,6 +33,7 @@ from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
 from .scenes import Light, Scene, Variant, light_table, resolve_scene
+from .sensors import DEFAULT_SENSOR, find_sensor
 
 #: The tactile camera's exposure begins this much after the proximity camera's, seconds.
 _SKEW_S: Final = 0.0021
@@ -42,6 +44,9 @@ _OTHER_SEEDS: Final = 1_000_000
 #: Cached versions of a scene, and size of the whole cache, bytes.
 _VERSIONS: Final = 3
 _ALL_BYTES: Final = 2_000_000_000
+
+#: Files of this folder on which the clean images depend beyond `Scene.key`.
+CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
 
 _NAMES = tuple(field.name for field in fields(CleanState))
 
@@ -61,7 +66,7 @@ class SimulatorSource(SeekableSource):
     """A simulated sensor, pressed by an object as the scene says; usually it approaches, presses, holds and leaves.
 
     The clean images of a scene are computed once (some ten seconds) and cached in the user's cache folder; noise is
-    added frame by frame. A frame depends on scene, seed, noise and its index only.
+    added frame by frame. A frame depends on scene, sensor, seed, noise and its index only.
 
     Parameters
     ----------
@@ -70,7 +75,7 @@ class SimulatorSource(SeekableSource):
     seed : int
         From 0; chooses the noise.
     noise : float
-        1: as in the cameras' data sheets; 0: none; 2: twice as much.
+        Factor on all errors of the sensor, offsets included; 0: none.
     progress : callable, optional
         Told the share done, 0 to 1, and what is being done.
     cells : tuple of int, optional
@@ -79,11 +84,13 @@ class SimulatorSource(SeekableSource):
         Which press, object, gap and print.
     light : {"normal", "bright", "dim"}
         Light on the colour cameras, which shifts the mask's colours.
+    sensor : str
+        One of `sensors.SENSORS`: the errors of both cameras.
 
     Raises
     ------
     SourceError
-        No such scene, or an option that it does not have, or a seed, noise or light that is not allowed.
+        No such scene or sensor, or an option that it does not have, or a seed, noise or light that is not allowed.
     """
 
     def __init__(
@@ -95,32 +102,33 @@ class SimulatorSource(SeekableSource):
         cells: tuple[int, int] | None = None,
         variant: Variant | None = None,
         light: Light = "normal",
+        sensor: str = DEFAULT_SENSOR,
     ) -> None:
         if seed < 0:
             raise SourceError(f"sim: the seed is {seed}; give a whole number from 0")
         if not (math.isfinite(noise) and noise >= 0.0):
-            raise SourceError(f"sim: the noise is {noise}; give a number from 0, where 1 is as in the data sheets")
+            raise SourceError(f"sim: the noise is {noise}; give a number from 0, where 1 is as the sensor says")
         if light not in get_args(Light):
             raise SourceError(f"sim: light is {light!r}; choose normal, bright or dim")
-        variant = variant or Variant()
+        variant, errors = variant or Variant(), find_sensor(sensor)
         self.scene = resolve_scene(scene, variant, cells)
-        super().__init__(_name(scene, seed, noise, variant, light), simulator_rig(), len(self.scene.frames))
+        super().__init__(_name(scene, seed, noise, variant, light, sensor), simulator_rig(), len(self.scene.frames))
         self._message = ""
         self._solved = self._solve(self.scene, progress or (lambda share, words: None))
-        self._noise = NoiseModel(self.rig, seed, noise)
+        self._noise = NoiseModel(self.rig, seed, noise, errors)
         self._light = light_table(light)
-        self._made_of = (scene, seed, noise, cells, variant, light)
+        self._made_of = (scene, seed, noise, cells, variant, light, sensor)
 
     @property
     def held_out(self) -> bool:
-        """Whether the scene is reserved for judging methods, not for developing them."""
-        return self.scene.pressed.held_out
+        """Whether the object or the sensor is reserved for judging methods, not for developing them."""
+        return self.scene.pressed.held_out or self._noise.sensor.held_out
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
-        scene, seed, noise, cells, variant, light = self._made_of
+        scene, seed, noise, cells, variant, light, sensor = self._made_of
         away = Variant(press="none", object=variant.object, grid=variant.grid)
-        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light)
+        return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light, sensor)
 
     def facts(self, index: int) -> PressFacts:
         """Return depth of the press, strain, force and true object pose of a frame."""
@@ -200,7 +208,7 @@ def _title(scene: Scene) -> str:
     return scene.name.rpartition("-")[0].replace("-", " ")
 
 
-def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light) -> str:
+def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, sensor: str) -> str:
     plain = Variant()
     options = [f"press={variant.press}"] * bool(variant.press)
     options += [f"side={variant.side}"] * (variant.side != plain.side)
@@ -208,6 +216,7 @@ def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light) -
     options += [f"gap={variant.gap_mm:g}"] * (variant.gap_mm != plain.gap_mm)
     options += [f"grid={variant.grid}"] * (variant.grid != plain.grid)
     options += [f"light={light}"] * (light != "normal")
+    options += [f"sensor={sensor}"] * (sensor != DEFAULT_SENSOR)
     options += [f"seed={seed}"] * (seed != 0) + [f"noise={noise:g}"] * (noise != 1.0)
     return f"sim:{scene}" + ("?" + "&".join(options) if options else "")
 
@@ -215,8 +224,8 @@ def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light) -
 def cache_file(scene: str, key: str) -> Path:
     """Return the cache file of a scene; ``key`` is text with all its parameters."""
     digest = hashlib.sha256(key.encode())
-    for source in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(source.read_bytes())
+    for name in CLEAN_CODE:
+        digest.update(Path(__file__).with_name(name).read_bytes())
     return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest.hexdigest()[:16]}.zip"
 
 

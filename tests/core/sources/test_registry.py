@@ -19,6 +19,7 @@ from tactune.core.sources import SeekableSource, simulator
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scenes import SCENES
+from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
 CAMERA = DepthCamera(intrinsics=Intrinsics(width=4, height=3, fx=1, fy=1, cx=0, cy=0), depth_unit_m=0.001)
 RIG = Rig(proximity=CAMERA, tactile=CAMERA)
@@ -64,13 +65,14 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         ("sim:cube", {"scene": "cube", "seed": 0, "noise": 1.0}),
         ("sim:octopus?seed=3&noise=0.5", {"scene": "octopus", "seed": 3, "noise": 0.5}),
         ("sim:?noise=0", {"scene": "cup", "seed": 0, "noise": 0.0}),
+        ("sim:cube?sensor=worn", {"scene": "cube", "seed": 0, "noise": 1.0, "sensor": "worn"}),
         ("sim:cup?", {"scene": "cup", "seed": 0, "noise": 1.0}),
     ],
 )
 def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict[str, Any]) -> None:
     progress: Callable[[float, str], None] = lambda *_: None  # noqa: E731
     open_source(name, progress)
-    assert opened == [expected | {"progress": progress}]
+    assert opened == [{"sensor": DEFAULT_SENSOR} | expected | {"progress": progress}]
 
 
 def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:

@@ -1,0 +1,287 @@
+"""The simulator's named sensors: measured amplitude, correlation and other errors are what each model says."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.sources import simulator
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.noise import NoiseModel
+from tactune.core.sources.simulator.render import CLEAN_UNIT_M, EDGE_FLAG
+from tactune.core.sources.simulator.scene import simulator_rig
+from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR, SENSORS, SensorModel, find_sensor
+from tactune.core.sources.simulator.source import CLEAN_CODE, SimulatorSource
+
+RIG = simulator_rig()
+COARSE = (88, 52)
+#: A wall at 0.3 m that faces both cameras.
+WALL = np.full((480, 640), round(0.3 / CLEAN_UNIT_M), dtype=np.uint16)
+#: Counts of sensor datasheet, seed 7, frame 5, before there were other sensors.
+PROXIMITY = [
+    1239,
+    1297,
+    1353,
+    1420,
+    1460,
+    1275,
+    1319,
+    1376,
+    1442,
+    1479,
+    1294,
+    1340,
+    1399,
+    1451,
+    1523,
+    1313,
+    1370,
+    1427,
+    1479,
+    1553,
+    1344,
+    1405,
+    1455,
+    1502,
+    1568,
+]
+TACTILE = [
+    3107,
+    3243,
+    3391,
+    3525,
+    3665,
+    3164,
+    3300,
+    3433,
+    3588,
+    3739,
+    3233,
+    3360,
+    3503,
+    3653,
+    3790,
+    3291,
+    3428,
+    3565,
+    3708,
+    3835,
+    3350,
+    3470,
+    3629,
+    3790,
+    3903,
+]
+FACING, PLAIN = np.full(WALL.shape, 255, dtype=np.uint8), np.zeros(WALL.shape, dtype=np.uint8)
+
+
+def proximity_error(model, frame, wall=WALL, cosine=FACING, flags=PLAIN):
+    """Error in metres without the known bias; NaN where there is no depth."""
+    counts = model.proximity_depth(frame, wall, wall, cosine, flags)
+    error = counts * RIG.proximity.depth_unit_m - wall * CLEAN_UNIT_M
+    return np.where(counts > 0, error, np.nan)
+
+
+def tactile_error(model, frame):
+    """Error in disparity pixels; NaN where there is no match."""
+    counts = model.tactile_depth(frame, WALL)
+    focal_baseline = RIG.tactile.intrinsics.fx * model.sensor.stereo_baseline_m
+    with np.errstate(divide="ignore"):
+        error = focal_baseline / (counts * RIG.tactile.depth_unit_m) - focal_baseline / 0.3
+    return np.where((counts > 0) & (counts < 65535), error, np.nan)
+
+
+def random_part(model, frame):
+    sensor, error = model.sensor, proximity_error(model, frame)
+    drift = sensor.tof_drift_m * np.sin(2 * np.pi * frame / sensor.tof_drift_frames + model._phase)
+    return error - model._bias - drift - (sensor.tof_scale - 1.0) * 0.3
+
+
+def covariance(one, other, lag=0):
+    """Mean product of two images, one shifted by some columns."""
+    return float(np.nanmean(one[:, lag:] * other[:, : other.shape[1] - lag]))
+
+
+def check_noise(errors, white, correlated, length_px, fixed_share, step):
+    """Compare pairs of frames, one pair a seed, with white noise and correlated noise of variance 1."""
+    spread = float(np.mean([covariance(e, e) for pair in errors for e in pair])) ** 0.5
+    assert spread == pytest.approx((white**2 + correlated**2 + step**2 / 12) ** 0.5, rel=0.1, abs=0.5 * step)
+    if correlated == 0.0:
+        return
+    tolerance = 0.12 if length_px < 12 else 0.4
+    for lag in (round(0.5 * length_px) or 1, round(length_px)):
+        expected = correlated**2 * np.exp(-(lag**2) / (4 * length_px**2))
+        found = float(np.mean([covariance(e, e, lag) for pair in errors for e in pair]))
+        assert found == pytest.approx(expected, rel=tolerance)
+    far = float(np.mean([covariance(e, e, round(6 * length_px)) for pair in errors for e in pair]))
+    assert abs(far) < tolerance * correlated**2
+    kept = float(np.mean([covariance(*pair) for pair in errors]))
+    assert kept == pytest.approx(fixed_share * correlated**2, rel=1.5 * tolerance)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_time_of_flight_noise_has_the_amplitude_and_the_length_of_the_model(name):
+    sensor = SENSORS[name]
+    models = [NoiseModel(RIG, seed, 1.0, sensor) for seed in range(4)]
+    errors = [[random_part(model, frame) for frame in (0, 9)] for model in models]
+    check_noise(
+        errors, sensor.tof_white_m, sensor.tof_correlated_m, sensor.tof_correlated_px,
+        sensor.tof_correlated_fixed_share, RIG.proximity.depth_unit_m,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_stereo_noise_has_the_amplitude_and_the_length_of_the_model(name):
+    sensor = SENSORS[name]
+    models = [NoiseModel(RIG, seed, 1.0, sensor) for seed in range(3)]
+    errors = [[tactile_error(model, frame) for frame in (0, 9)] for model in models]
+    step = 1.0 / sensor.stereo_subpixel_steps if sensor.stereo_subpixel_steps else 0.008
+    check_noise(
+        errors, sensor.stereo_white_px, sensor.stereo_correlated_px, sensor.stereo_length_px,
+        sensor.stereo_fixed_share, step,
+    )  # fmt: skip
+    holes = np.mean([np.isnan(error[:, 60:]).mean() for pair in errors for error in pair])
+    assert holes == pytest.approx(sensor.stereo_hole_share, rel=0.35, abs=1e-4)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_systematic_errors_are_as_the_model_says(name):
+    sensor = SENSORS[name]
+    shared = replace(sensor, tof_correlated_m=0.0, tof_slow_bias_m=0.0, tof_drift_m=0.0, stereo_hole_share=0.01)
+    error = proximity_error(NoiseModel(RIG, 0, 1.0, shared), 0)
+    assert np.nanmean(error) == pytest.approx(sensor.tof_offset_m + 0.3 * (sensor.tof_scale - 1.0), abs=2e-5)
+    turn = np.radians(sensor.tof_slope_deg)
+    across = np.nanmean(error[:, 540:]) - np.nanmean(error[:, :100])
+    assert across == pytest.approx(sensor.tof_slope_m * np.cos(turn) * 540 / 640, abs=5e-5)
+    down = np.nanmean(error[380:]) - np.nanmean(error[:100])
+    assert down == pytest.approx(sensor.tof_slope_m * np.sin(turn) * 380 / 640, abs=5e-5)
+    assert np.isnan(error).mean() == pytest.approx(sensor.tof_dropout_share, rel=0.1)
+
+
+def test_noise_grows_with_distance_and_incidence():
+    sensor = replace(SENSORS["clean"], tof_white_m=0.001, tof_correlated_m=0.001)
+    model = NoiseModel(RIG, 0, 1.0, sensor)
+    near = np.nanstd(proximity_error(model, 0))
+    far = np.nanstd(proximity_error(model, 0, wall=2 * WALL))
+    assert far / near == pytest.approx(1.5, rel=0.02)
+    turned = np.nanstd(proximity_error(model, 0, cosine=FACING // 2))
+    assert turned / near == pytest.approx(1.35, rel=0.02)
+
+
+def test_flying_pixels_are_as_frequent_as_the_model_says():
+    wall = WALL.copy()
+    wall[:, 320:] *= 2
+    flags = PLAIN.copy()
+    flags[:, 319:321] = EDGE_FLAG
+    for name in ("half", "datasheet", "worn"):
+        sensor = replace(SENSORS[name], tof_dropout_share=0.0)
+        depth = NoiseModel(RIG, 0, 1.0, sensor).proximity_depth(0, wall, wall, FACING, flags)[:, 319:321] * 0.00025
+        between = (depth > 0.32) & (depth < 0.58)
+        assert between.mean() == pytest.approx(0.87 * sensor.tof_flying_share, abs=0.08)
+
+
+def test_lengths_follow_the_image_width():
+    def half(camera):
+        small = {"width": 320, "height": 240, "fx": 230.0, "fy": 230.0, "cx": 160.0, "cy": 120.0}
+        return camera.model_copy(update={"intrinsics": camera.intrinsics.model_copy(update=small)})
+
+    rig = RIG.model_copy(update={"proximity": half(RIG.proximity), "tactile": half(RIG.tactile)})
+    model = NoiseModel(rig, 0, 1.0, replace(SENSORS["clean"], tof_correlated_m=0.003, tof_correlated_px=8.0))
+    errors = [proximity_error(model, frame, WALL[::2, ::2], FACING[::2, ::2], PLAIN[::2, ::2]) for frame in range(4)]
+    shares = [covariance(error, error, 4) / covariance(error, error) for error in errors]
+    assert np.mean(shares) == pytest.approx(np.exp(-0.25), abs=0.06)
+
+
+@pytest.mark.parametrize("name", SENSORS)
+def test_frames_are_the_same_each_time_and_others_with_another_seed_or_index(name):
+    sensor = SENSORS[name]
+    one, two, other = (NoiseModel(RIG, seed, 1.0, sensor) for seed in (3, 3, 4))
+    frames = [(one, 5), (two, 5), (other, 5), (one, 6)]
+    for measure in (proximity_error, tactile_error):
+        first, again, seed, index = (measure(model, frame) for model, frame in frames)
+        assert np.array_equal(first, again, equal_nan=True)
+        random = name != "clean" and (measure is proximity_error or name != "white")
+        assert np.array_equal(first, seed, equal_nan=True) is not random
+        assert np.array_equal(first, index, equal_nan=True) is not random
+    if sensor.tof_correlated_m and sensor.tof_correlated_px < 12:
+        mine, theirs = random_part(one, 5), random_part(other, 5)
+        assert abs(covariance(mine, theirs)) < 0.15 * covariance(mine, mine)
+
+
+def test_no_noise_is_the_clean_sensor_and_noise_is_a_factor_on_all_errors():
+    clean = NoiseModel(RIG, 0, 1.0, SENSORS["clean"])
+    for sensor in SENSORS.values():
+        none = NoiseModel(RIG, 0, 0.0, sensor)
+        assert np.array_equal(proximity_error(none, 2), proximity_error(clean, 2))
+        assert np.array_equal(tactile_error(none, 2), tactile_error(clean, 2))
+    far = SENSORS["far-offset"]
+    for level in (0.5, 2.0):
+        error = proximity_error(NoiseModel(RIG, 0, level, far), 0)
+        assert np.nanmean(error) == pytest.approx(0.020 * level, abs=2e-4)
+
+
+def test_the_data_sheet_sensor_measures_what_it_always_did():
+    model = NoiseModel(RIG, 7, 1.0, SENSORS["datasheet"])
+    v, u = np.mgrid[:480, :640]
+    behind, cosine = (15000 + 5 * u + 3 * v).astype(np.uint16), (255 - (u + v) // 6).astype(np.uint8)
+    proximity = model.proximity_depth(5, behind, behind, cosine, PLAIN)
+    tactile = model.tactile_depth(5, behind)
+    places = (slice(60, None, 100), slice(70, None, 140))
+    assert np.abs(proximity[places].ravel().astype(int) - PROXIMITY).max() <= 1
+    assert np.abs(tactile[places].ravel().astype(int) - TACTILE).max() <= 1
+
+
+def test_another_frame_takes_milliseconds():
+    model = NoiseModel(RIG, 0, 1.0, SENSORS["worn"])
+    proximity_error(model, 0), tactile_error(model, 0)
+    times = []
+    for frame in range(7):
+        started = time.perf_counter()
+        model.proximity_depth(frame, WALL, WALL, FACING, PLAIN)
+        model.tactile_depth(frame, WALL)
+        times.append(time.perf_counter() - started)
+    assert min(times) < 0.05
+
+
+def test_sensors_are_listed_from_clean_to_worn_and_held_out_ones_say_so():
+    names = list(SENSORS)
+    assert names[0] == "clean" and names[names.index("held-tof") - 1] == "worn"
+    assert [name for name in names if SENSORS[name].held_out] == names[names.index("held-tof") :]
+    assert all(sensor.name == name and sensor.about for name, sensor in SENSORS.items())
+    assert not SENSORS[DEFAULT_SENSOR].held_out
+    assert [name for name in names if SENSORS[name].exact] == ["clean"]
+    assert SensorModel("mine", "").exact
+    for name in names:
+        assert name in simulator.KIND.description
+
+
+def test_unknown_sensors_are_refused():
+    for ask in (lambda: find_sensor("new"), lambda: SimulatorSource("cup", sensor="new")):
+        with pytest.raises(SourceError, match="no sensor 'new'; choose one of clean, white, half, datasheet"):
+            ask()
+    with pytest.raises(SourceError, match=r"sim:cup\?sensor=new: there is no sensor 'new'; known are clean, white"):
+        open_source("sim:cup?sensor=new")
+
+
+def test_a_source_has_its_sensor_in_its_name_and_keeps_it_without_the_object():
+    with SimulatorSource("cube", cells=COARSE, sensor="heavy", seed=3) as source, source.with_object_away() as away:
+        assert source.name == "sim:cube?sensor=heavy&seed=3"
+        assert "sensor=heavy" in away.name
+        assert not source.held_out
+        plain = SimulatorSource("cube", cells=COARSE, seed=3)
+        assert "sensor" not in plain.name
+        assert not np.array_equal(source.read(3).tactile_depth, plain.read(3).tactile_depth)
+        assert np.array_equal(source.read(3).truth.contact, plain.read(3).truth.contact)
+    assert SimulatorSource("cube", cells=COARSE, sensor="held-tof").held_out
+
+
+def test_the_cache_key_covers_every_file_that_clean_images_depend_on():
+    folder = {path.name for path in Path(simulator.__file__).parent.glob("*.py")}
+    later = {"__init__.py", "noise.py", "sensors.py", "scenes.py", "source.py"}  # scenes: all of it is in Scene.key
+    assert set(CLEAN_CODE) | later == folder
+    assert not set(CLEAN_CODE) & later
