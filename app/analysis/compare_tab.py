@@ -188,7 +188,7 @@ class CompareTab(MeasuringTab):
 
     def _show_progress(self, share: float) -> None:
         """Show the progress of preparing the untouched frame."""
-        self.progress.setValue(round(100 * share))
+        self.progress.show_share(share)
         if self.untouched.searching:
             self.progress.show()
             self.give_up.show()

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtGui import QImage
-from PyQt6.QtWidgets import QHBoxLayout, QProgressBar, QPushButton, QSplitter, QVBoxLayout
+from PyQt6.QtWidgets import QHBoxLayout, QPushButton, QSplitter, QVBoxLayout
 
 from ...core.errors import ExportError
 from ...core.model.files import atomic_path
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import FoundUntouched
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, ProgressBar
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
 from ..document.document import Document
@@ -159,9 +159,7 @@ class MeasuringTab(AnalysisTab):
         self._writing = Job(self)
         self.status = ElidedLabel(waiting)
         self.messages = MessageBar()
-        self.progress = QProgressBar()
-        self.progress.setRange(0, 100)
-        self.progress.setFormat("Preparing the untouched frame: %p %")
+        self.progress = ProgressBar("Preparing the untouched frame")
         self.progress.hide()
         self.export = QPushButton("&Export…")
         self.export.setShortcut("Ctrl+E")

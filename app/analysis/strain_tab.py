@@ -285,7 +285,7 @@ class StrainTab(MeasuringTab):
     # Untouched frame
 
     def _show_progress(self, share: float) -> None:
-        self.progress.setValue(round(100 * share))
+        self.progress.show_share(share)
         self.progress.setVisible(self.untouched.searching)
 
     def _untouched_changed(self) -> None:

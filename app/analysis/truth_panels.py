@@ -19,7 +19,6 @@ from PyQt6.QtWidgets import (
     QHeaderView,
     QLabel,
     QLineEdit,
-    QProgressBar,
     QPushButton,
     QTableWidget,
     QTableWidgetItem,
@@ -31,7 +30,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
 from ...core.scan.paint import PaintSettings
-from ...widgets.basics.controls import AccentButton, CollapsibleSection
+from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
@@ -269,7 +268,7 @@ class AlignPanel(CollapsibleSection):
         self.reach = NumberEntry(_REACH)
         self.refine = QPushButton("Re&fine by ICP")
         self.cancel = QPushButton("Cancel")
-        self.progress = QProgressBar()
+        self.progress = ProgressBar()
         self.outcome = QLabel()
         self.refusal = MessageLabel()
         self._set_up_table()
@@ -301,7 +300,6 @@ class AlignPanel(CollapsibleSection):
         self.refine.setToolTip("Refine the pose by iterative closest points (ICP), starting from the current pose")
         self.cancel.setToolTip("Cancel the refinement; the scan is not moved")
         self.outcome.setWordWrap(True)
-        self.progress.setRange(0, 100)
         for entry in (*self.places, *self.turns):
             entry.setMinimumWidth(entry.minimumSizeHint().width())
         buttons = QHBoxLayout()
@@ -404,8 +402,7 @@ class AlignPanel(CollapsibleSection):
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
         self.refine.setEnabled(not busy and self._pose is not None)
-        self.progress.setValue(round(100 * share))
-        self.progress.setFormat(words)
+        self.progress.show_share(share, words)
 
     def show_refinement(self, refinement: Refinement | None) -> None:
         """Show what ICP changed."""

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QMenu,
-    QProgressBar,
     QPushButton,
     QScrollArea,
     QSlider,
@@ -28,7 +27,7 @@ from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import make_verdict
+from ...widgets.basics.controls import ProgressBar, make_verdict
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
@@ -65,8 +64,8 @@ class TruthTab(AnalysisTab):
         self.views = TruthViews(self.flow, context.cloud_backend)
         self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
         self.messages = MessageBar()
-        self.open_button, self.recent, self.unit = QPushButton("&Open scan…"), QToolButton(), QComboBox()
-        self.progress, self.cancel = QProgressBar(), QPushButton("Cancel")
+        self.open_button, self.recent, self.unit = QPushButton("&Open scan…"), QPushButton("Recent"), QComboBox()
+        self.progress, self.cancel = ProgressBar(), QPushButton("Cancel")
         self.guide = QLabel()
         self._framed: object = None
         self._lay_out()
@@ -119,17 +118,14 @@ class TruthTab(AnalysisTab):
         self.open_button.setAutoDefault(False)
         self.cancel.setToolTip("Cancel reading the scan")
         self.cancel.setAutoDefault(False)
-        self.recent.setText("Recent")
         self.recent.setToolTip("Recently opened scans")
-        self.recent.setPopupMode(QToolButton.ToolButtonPopupMode.InstantPopup)
-        self.recent.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.recent.setAutoDefault(False)
         self.recent.setMenu(QMenu(self.recent))
         self.unit.addItems(list(UNITS_M))
         self.unit.setCurrentText(self._settings.text(_UNIT, "m"))
         self.unit.setToolTip("Length unit of the scan's coordinates; an open scan is read again")
         unit = QLabel("&Unit")
         unit.setBuddy(self.unit)
-        self.progress.setRange(0, 100)
         self.progress.setMaximumWidth(320)
         row = QHBoxLayout()
         for widget in (self.open_button, self.recent, unit, self.unit, self.progress, self.cancel):
@@ -358,8 +354,7 @@ class TruthTab(AnalysisTab):
         busy = share < 1
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
-        self.progress.setValue(round(100 * share))
-        self.progress.setFormat(words)
+        self.progress.show_share(share, words)
         self._show_guide()
 
     def _show_refine_progress(self, share: float, words: str) -> None:

@@ -13,9 +13,7 @@ from PyQt6.QtWidgets import (
     QLabel,
     QListWidget,
     QListWidgetItem,
-    QProgressBar,
     QPushButton,
-    QSizePolicy,
     QSlider,
     QSpinBox,
     QVBoxLayout,
@@ -24,6 +22,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
+from ...widgets.basics.controls import ProgressBar
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
@@ -83,8 +82,7 @@ class FramesPage(QWidget):
         self.take.setToolTip("Average the next frames and add them as a snapshot (Ctrl+T)")
         self.take.setShortcut("Ctrl+T")
         self.cancel = QPushButton("Cancel")
-        self.progress = QProgressBar()
-        self.progress.setRange(0, 100)
+        self.progress = ProgressBar()
         self.note = QLabel()
         self.note.setWordWrap(True)
         self.list = QListWidget()
@@ -118,7 +116,6 @@ class FramesPage(QWidget):
         taking.addWidget(self.progress, 1)
         taking.addWidget(self.cancel)
         taking.addStretch(0)
-        self.progress.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.note.setMinimumHeight(2 * self.fontMetrics().height() + 4)
         self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
         left = QVBoxLayout()
@@ -230,8 +227,7 @@ class FramesPage(QWidget):
         return item
 
     def _show_progress(self, share: float, words: str) -> None:
-        self.progress.setValue(round(100 * share))
-        self.progress.setFormat(f"{words} (%p%)")
+        self.progress.show_share(share, words)
         self._show_busy()
 
     def _show_busy(self) -> None:

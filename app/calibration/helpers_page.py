@@ -17,7 +17,6 @@ from PyQt6.QtWidgets import (
     QGroupBox,
     QHBoxLayout,
     QLabel,
-    QProgressBar,
     QRadioButton,
     QSpinBox,
     QSplitter,
@@ -29,7 +28,7 @@ from ...core.calibration.detect import Detection, detect_charuco, detect_chessbo
 from ...core.calibration.texture import match_texture
 from ...core.errors import CalibrationError
 from ...core.model.frames import Rig
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import ProgressBar, push_button
 from ...widgets.basics.point_table import PointRow, PointTable
 from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job, Progress
@@ -262,8 +261,7 @@ class HelpersPage(QWidget):
         self.search = push_button("Find", "Search for points (Ctrl+F)")
         self.search.setShortcut("Ctrl+F")
         self.cancel = push_button("Cancel", "Stop searching")
-        self.progress = QProgressBar()
-        self.progress.setRange(0, 100)
+        self.progress = ProgressBar()
         self.words = QLabel(_INTRO)
         self.words.setWordWrap(True)
         self.words.setAlignment(Qt.AlignmentFlag.AlignTop)
@@ -390,7 +388,7 @@ class HelpersPage(QWidget):
         self.refuse.setEnabled(bool(self._pairs))
 
     def _show_progress(self, share: float, words: str) -> None:
-        self.progress.setValue(round(100 * share))
+        self.progress.show_share(share)
         self.words.setText(f"{words}…")
 
     def _show_busy(self) -> None:

@@ -130,6 +130,7 @@ class CalibrationWizard(QDialog):
         self.save = push_button(
             "Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)"
         )
+        self.save.setEnabled(False)
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
         footer = QHBoxLayout()
         footer.addWidget(self.over)

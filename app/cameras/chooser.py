@@ -24,6 +24,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.preset import CamerasSection
+from ...widgets.basics.controls import dialog_buttons
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
@@ -192,7 +193,7 @@ class CameraChooser(QDialog):
         self.refresh.setToolTip("Search for cameras again (F5)")
         self.refresh.setShortcut("F5")
         self.refresh.setAutoDefault(False)
-        self.buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
+        self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
         self.buttons.addButton(self.refresh, QDialogButtonBox.ButtonRole.ActionRole)
         self._lay_out()
         self.refresh.clicked.connect(self._look)

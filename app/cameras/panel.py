@@ -19,7 +19,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraHealth, CameraOption, CameraRole
-from ...widgets.basics.controls import CollapsibleSection
+from ...widgets.basics.controls import CollapsibleSection, dialog_buttons
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.parameters.parameter_row import ParameterRow
 
@@ -152,7 +152,7 @@ class CameraPanel(QDialog):
         scroll.setWidgetResizable(True)
         scroll.setFrameShape(QFrame.Shape.NoFrame)
         scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
-        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
         buttons.rejected.connect(self.close)
         layout = QVBoxLayout(self)
         layout.addWidget(scroll, 1)

@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QProgressBar, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
 from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, MotionSeries, Sample, Skew, measure_skew
-from ...widgets.basics.controls import keep_place, make_verdict
+from ...widgets.basics.controls import ProgressBar, make_verdict
 from ...widgets.basics.theme import theme_colors
 from ..document.document import Document
 from ..worker.jobs import Job
@@ -57,7 +57,7 @@ class SkewTab(QWidget):
         self.seconds = QDoubleSpinBox()
         self.start = QPushButton("Measure skew")
         self.cancel = QPushButton("Cancel")
-        self.progress = QProgressBar()
+        self.progress = ProgressBar()
         self.sentence = QLabel()
         self.compensate = QPushButton("Compensate")
         self.curve = pg.PlotWidget()
@@ -67,7 +67,7 @@ class SkewTab(QWidget):
         self.cancel.clicked.connect(self.stop)
         self.compensate.clicked.connect(self._compensate)
         self._job.progress.connect(
-            lambda share, words: self._show_progress(_GATHERING_SHARE + (1 - _GATHERING_SHARE) * share, words)
+            lambda share, words: self.progress.show_share(_GATHERING_SHARE + (1 - _GATHERING_SHARE) * share, words)
         )
         self._job.done.connect(self._done)
         self._job.failed.connect(self._fail)
@@ -140,7 +140,7 @@ class SkewTab(QWidget):
         if len(self._samples) > self._counted:
             self._counted, self._last_frame_s = len(self._samples), now
         share = min(watched_s(self._samples) / self.seconds.value(), 1.0)
-        self._show_progress(_GATHERING_SHARE * share, f"Press in and pull out now: {self._counted} frames")
+        self.progress.show_share(_GATHERING_SHARE * share, f"Press in and pull out now: {self._counted} frames")
         if now - self._last_frame_s > PATIENCE_S:
             self._give_up(_NO_MORE_FRAMES)
         elif share == 1.0:
@@ -159,7 +159,9 @@ class SkewTab(QWidget):
         self.start.setShortcut("Ctrl+M")
         self.cancel.setToolTip("Cancel this measurement")
         self.compensate.setToolTip("Save the delay in the preset; Ctrl+Z in the main window undoes it")
-        keep_place(self.progress)
+        policy = self.progress.sizePolicy()
+        policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
+        self.progress.setSizePolicy(policy)
         make_verdict(self.sentence)
         self.sentence.setWordWrap(True)
         self.sentence.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
@@ -262,10 +264,6 @@ class SkewTab(QWidget):
         self.progress.setVisible(busy)
         if self.skew is None:
             self.compensate.hide()
-
-    def _show_progress(self, share: float, words: str) -> None:
-        self.progress.setValue(round(100 * share))
-        self.progress.setFormat(f"{words} – %p %")
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""

@@ -8,11 +8,11 @@ from typing import Final
 
 from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QFont, QKeyEvent
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QProgressBar, QSpinBox, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QSpinBox, QVBoxLayout, QWidget
 
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import ProgressBar, push_button
 from ...widgets.basics.message_bar import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
@@ -94,8 +94,7 @@ class CaptureWindow(QDialog):
             f"Number of frames to average, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
             "the membrane must not move meanwhile"
         )
-        self.progress = QProgressBar()
-        self.progress.setRange(0, 100)
+        self.progress = ProgressBar()
         self.progress.setAccessibleName("Progress of capturing")
         self.sentence = QLabel()
         self.sentence.setWordWrap(True)
@@ -226,8 +225,7 @@ class CaptureWindow(QDialog):
         self.save.setEnabled(self._document.dirty and not self.capture.busy)
 
     def _show_progress(self, share: float, words: str) -> None:
-        self.progress.setValue(round(100 * share))
-        self.progress.setFormat(words or "%p %")
+        self.progress.show_share(share, words)
 
     def _show_frame(self) -> None:
         if self._feed.frame is not None:

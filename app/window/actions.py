@@ -22,6 +22,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.sources.registry import source_kinds
+from ...widgets.basics.controls import dialog_buttons
 from ..worker.playback import SPEEDS
 from .icons import icon
 
@@ -278,7 +279,7 @@ def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
     bar = scroll.verticalScrollBar()
     if bar is not None:  # the table is as wide as its longest row; it scrolls downwards only
         scroll.setMinimumWidth(label.sizeHint().width() + bar.sizeHint().width() + 2 * scroll.frameWidth())
-    buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Close)
+    buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
     buttons.rejected.connect(dialog.close)
     layout = QVBoxLayout(dialog)
     layout.addWidget(scroll)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFont, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QColor, QFont, QIcon, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
+    QDialogButtonBox,
     QFrame,
     QHBoxLayout,
     QLabel,
@@ -29,12 +30,12 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     return button
 
 
-def keep_place(progress: QProgressBar) -> None:
-    """Give a bar the range 0 to 100 and keep its space while it is hidden, so that the layout does not jump."""
-    progress.setRange(0, 100)
-    policy = progress.sizePolicy()
-    policy.setRetainSizeWhenHidden(True)
-    progress.setSizePolicy(policy)
+def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
+    """Return a row of standard buttons without the style's icons: its black cross is unseen in the dark theme."""
+    box = QDialogButtonBox(standard)
+    for button in box.buttons():
+        button.setIcon(QIcon())
+    return box
 
 
 def make_verdict(label: QLabel) -> None:
@@ -43,6 +44,42 @@ def make_verdict(label: QLabel) -> None:
     font.setPointSizeF(1.15 * font.pointSizeF())
     font.setBold(True)
     label.setFont(font)
+
+
+class ProgressBar(QProgressBar):
+    """The share of a job that is done, and the current step in one line: the style would wrap long words and clip them.
+
+    Parameters
+    ----------
+    words : str
+        The step at first; empty shows the share in percent.
+    """
+
+    def __init__(self, words: str = "", parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._words = words
+        self.setRange(0, 100)
+
+    def show_share(self, share: float, words: str | None = None) -> None:
+        """Show a share, 0 to 1, and the step, or keep the words."""
+        if words is not None and words != self._words:
+            self._words = words
+            self.updateGeometry()
+        self.setValue(round(100 * share))
+        self.update()
+
+    def text(self) -> str:
+        """Return the words as they fit into the bar."""
+        words = self._words or f"{self.value()} %"
+        return self.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, self.width() - 8)
+
+    def sizeHint(self) -> QSize:
+        """Room for all words."""
+        return QSize(self.fontMetrics().horizontalAdvance(self._words) + 24, super().sizeHint().height())
+
+    def minimumSizeHint(self) -> QSize:
+        """Words are elided rather than that they widen the window."""
+        return QSize(100, super().minimumSizeHint().height())
 
 
 class AccentButton(QPushButton):

@@ -21,6 +21,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from .controls import dialog_buttons
+
 
 class Dialogs:
     """Opens dialogs over a window; ``native`` uses the operating system's file dialogs."""
@@ -63,7 +65,7 @@ class Dialogs:
         name_entry, notes_entry = QLineEdit(name), QPlainTextEdit(notes)
         name_entry.setMaxLength(120)
         notes_entry.setTabChangesFocus(True)
-        buttons = QDialogButtonBox(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
         buttons.accepted.connect(dialog.accept)
         buttons.rejected.connect(dialog.reject)
         accept = buttons.button(QDialogButtonBox.StandardButton.Ok)
