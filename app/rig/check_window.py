@@ -27,6 +27,7 @@ class CheckWindow(QDialog):
         self.quality = QualityTab(document, dialogs.over(self), folder)
         self.skew = SkewTab(worker, document)
         self.tabs = QTabWidget()
+        self.tabs.setDocumentMode(True)
         for tab, title, tip in (
             (self.quality, "&Quality", "Fill rate, noise, flatness and bias in a region"),
             (self.skew, "&Skew", "The delay between both cameras, from motion"),

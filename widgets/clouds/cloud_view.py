@@ -10,7 +10,6 @@ import numpy as np
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import (
     QColor,
-    QFocusEvent,
     QKeyEvent,
     QMouseEvent,
     QPainter,
@@ -347,16 +346,6 @@ class CloudView(QWidget):
     def _zoom(self, factor: float, at: QPointF) -> None:
         size = self._canvas.width(), self._canvas.height()
         self.set_camera(self.camera().zoomed(factor, (at.x(), at.y()), *size))
-
-    def focusInEvent(self, event: QFocusEvent | None) -> None:
-        """Show the focus ring."""
-        super().focusInEvent(event)
-        self.update()
-
-    def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Hide the focus ring."""
-        super().focusOutEvent(event)
-        self.update()
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
         """Paint the frame around the canvas, as a ring in the accent colour when focused."""

@@ -21,6 +21,10 @@ _SHORTEST_BAR = 24
 _SWATCH = 10
 _GAP = 5
 
+#: Columns and rows that each arrow key moves, and the factor of each zoom key.
+ARROW_KEYS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
+ZOOM_KEYS = {Qt.Key.Key_Plus: 1.25, Qt.Key.Key_Equal: 1.25, Qt.Key.Key_Minus: 0.8}
+
 
 @dataclass(frozen=True)
 class Swatch:

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QFocusEvent, QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
+from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
 from ..basics.fields import format_number
-from .image_pane import ColorBar, ImagePane, Rectangle, Swatch
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip
 
@@ -29,7 +29,6 @@ _EMPTY = {
     "tactile": "No frame yet",
     "difference": "No frame yet",
 }
-_STEPS = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
 
 
 class ImageStrip(QWidget):
@@ -137,30 +136,20 @@ class ImageStrip(QWidget):
         if event is None:
             return
         key = Qt.Key(event.key())
-        if key in _STEPS:
+        if key in ARROW_KEYS:
             length = 10 if event.modifiers() & Qt.KeyboardModifier.ShiftModifier else 1
             start = self._pixel if self._pixel != (-1, -1) else (self._size[0] // 2, self._size[1] // 2)
-            moved = zip(start, _STEPS[key], self._size, strict=True)
+            moved = zip(start, ARROW_KEYS[key], self._size, strict=True)
             u, v = (min(max(at + length * step, 0), extent - 1) for at, step, extent in moved)
             self._point_at(u, v)
         elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._pixel != (-1, -1):
             self.clicked.emit("color", *self._pixel, event.modifiers())
-        elif key in (Qt.Key.Key_Plus, Qt.Key.Key_Equal, Qt.Key.Key_Minus):
-            self._zoom(1.25 if key == Qt.Key.Key_Minus else 0.8)
+        elif key in ZOOM_KEYS:
+            self._zoom(1 / ZOOM_KEYS[key])
         elif key == Qt.Key.Key_0:
             self.reset_view()
         else:
             super().keyPressEvent(event)
-
-    def focusInEvent(self, event: QFocusEvent | None) -> None:
-        """Show the focus frame."""
-        super().focusInEvent(event)
-        self.update()
-
-    def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Hide the focus frame."""
-        super().focusOutEvent(event)
-        self.update()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
         """Paint a frame while the keyboard acts here."""

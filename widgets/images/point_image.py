@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 from PyQt6.QtCore import QEvent, QObject, QPointF, QRectF, QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFocusEvent, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
+from PyQt6.QtGui import QColor, QImage, QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ...core.model.arrays import Uint8Array
 from ..basics.theme import theme_colors
-from .image_pane import ImagePane
+from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane
 from .marks import COLORS, Mark, MarkKind, MarkLayer
 
 #: Edge of the magnified square in screen pixels, and the image pixels that it spans.
@@ -121,10 +121,8 @@ class Loupe(QWidget):
         painter.setClipping(False)
 
 
-_NUDGES = {Qt.Key.Key_Left: (-1, 0), Qt.Key.Key_Right: (1, 0), Qt.Key.Key_Up: (0, -1), Qt.Key.Key_Down: (0, 1)}
 #: Moving less than this, in screen pixels, is still a click.
 _CLICK_SLOP = 3.0
-_ZOOM_STEP = 1.25
 
 
 class PointImage(ImagePane):
@@ -304,9 +302,9 @@ class PointImage(ImagePane):
         if event is None:
             return
         key, modifiers = Qt.Key(event.key()), event.modifiers()
-        if key in _NUDGES:
+        if key in ARROW_KEYS:
             step = 0.1 if modifiers & Qt.KeyboardModifier.ShiftModifier else 1.0
-            du, dv = _NUDGES[key]
+            du, dv = ARROW_KEYS[key]
             self.nudged.emit(step * du, step * dv)
         elif key in {Qt.Key.Key_Delete, Qt.Key.Key_Backspace}:
             self.deleteRequested.emit()
@@ -314,25 +312,13 @@ class PointImage(ImagePane):
             self.acceptRequested.emit()
         elif key == Qt.Key.Key_Escape:
             self.cancelRequested.emit()
-        elif key in {Qt.Key.Key_Plus, Qt.Key.Key_Equal}:
-            self.zoom(_ZOOM_STEP)
-        elif key == Qt.Key.Key_Minus:
-            self.zoom(1 / _ZOOM_STEP)
+        elif key in ZOOM_KEYS:
+            self.zoom(ZOOM_KEYS[key])
         elif key == Qt.Key.Key_0:
             self.show_all()
             self.viewMoved.emit()
         else:
             super().keyPressEvent(event)
-
-    def focusInEvent(self, event: QFocusEvent | None) -> None:
-        """Show the focus."""
-        super().focusInEvent(event)
-        self.update()
-
-    def focusOutEvent(self, event: QFocusEvent | None) -> None:
-        """Show that the focus has gone."""
-        super().focusOutEvent(event)
-        self.update()
 
     def paintEvent(self, event: QPaintEvent | None) -> None:
         """Underline the title while the keyboard acts here."""
