@@ -9,6 +9,7 @@ from urllib.parse import parse_qsl
 from ...errors import SourceError
 from ..base import FrameSource, Progress
 from ..registry import SourceKind
+from .membranes import MEMBRANES
 from .sensors import DEFAULT_SENSOR, SENSORS
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
 SCENES = ("cube", "cup", "octopus")
 #: Further scenes of the simulator, and the options of all scenes.
 MORE_SCENES = ("two", "knobs", "star", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
-SCENE_OPTIONS = ("press", "side", "object", "gap", "grid", "light", "sensor", "seed", "noise")
+SCENE_OPTIONS = ("press", "side", "object", "gap", "membrane", "grid", "light", "sensor", "seed", "noise")
 _DEFAULT_SCENE = "cup"
 
 
@@ -73,12 +74,13 @@ def _number(name: str, key: str, text: str) -> float:
 KIND = SourceKind(
     scheme="sim",
     title="Simulator",
-    form="sim:SCENE[?press=medium&sensor=NAME&seed=N&noise=X]",
+    form="sim:SCENE[?press=medium&membrane=NAME&sensor=NAME&seed=N&noise=X]",
     description=(
         f"A simulated sensor with ground truth, pressed by an object: {', '.join(SCENES)}, two; mug and hand, "
         "held out for judging methods. hover (gap=1...20 mm away), stiff (regions 8 times as stiff), wrinkled "
         "(folds of a twist) and slide take object=cup. press=low, medium or high holds a press, high at "
         "side=right or left, press=none shows the untouched membrane; grid=dots prints dots 10 mm apart; "
+        f"membrane={', '.join(MEMBRANES)}; "
         f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor=: {', '.join(SENSORS)}."
     ),
     needs="nothing",

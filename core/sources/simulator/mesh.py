@@ -43,6 +43,10 @@ class MembraneDesign:
         Height of the folds of a twisted membrane, crest over mean; 0 for a smooth one, see `folds`.
     prestretch : float
         How far the sheet was stretched, in both directions, when it was clamped.
+    stiffness_slope : float
+        Difference of the stiffness between the right and the left edge, as a share of `stiffness_n_m`.
+    centre_stiffness : float
+        Factor on the stiffness in the centre, such as below 1 for rubber that was cast thinner there.
     cells : tuple of int
         Quads along width and height; both even keep the mesh mirror-symmetric.
     """
@@ -56,6 +60,8 @@ class MembraneDesign:
     stiff_regions: bool = False
     fold_m: float = 0.0
     prestretch: float = 1.04
+    stiffness_slope: float = 0.0
+    centre_stiffness: float = 1.0
     cells: tuple[int, int] = (118, 68)
 
 
@@ -113,8 +119,12 @@ def build_mesh(design: MembraneDesign) -> Mesh:
     inverse = np.asarray(np.linalg.inv(edges), dtype=np.float64)
     area = np.asarray(np.linalg.det(edges) / 2, dtype=np.float64)
     stiffness = design.stiffness_n_m * area
+    middle = flat[triangles, :2].mean(axis=1)
+    if design.stiffness_slope or design.centre_stiffness != 1.0:
+        centred = np.exp(-((np.hypot(middle[:, 0], middle[:, 1]) / (design.height_m / 3)) ** 2))
+        stiffness *= 1.0 + design.stiffness_slope * middle[:, 0] / design.width_m
+        stiffness *= 1.0 + (design.centre_stiffness - 1.0) * centred
     if design.stiff_regions:
-        middle = flat[triangles, :2].mean(axis=1)
         for x, y, radius in STIFF_REGIONS:
             stiffness[np.hypot(middle[:, 0] - x, middle[:, 1] - y) < radius] *= STIFF_FACTOR
     return Mesh(flat, triangles, inverse, area, stiffness, folds(flat, design.fold_m) * free, free)

@@ -19,8 +19,10 @@ from .render import CLEAN_UNIT_M, Camera, Surface, flag, gamma_table, node_norma
 from .scenes import Scene
 from .sheet import TEXEL_M, paint_sheet
 
-#: Distance of the inflated, untouched apex from the proximity camera's plane, metres.
+#: Distance of the standard membrane's inflated, untouched apex from the proximity camera's plane, metres.
 APEX_M: Final = 0.314
+#: Distance of the rim, which is the same for all membranes, metres.
+RIM_M: Final = APEX_M - MembraneDesign.apex_m
 #: A mesh with fewer columns tears in deep presses.
 _FEWEST_COLUMNS: Final = 56
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
@@ -65,7 +67,7 @@ def cameras(rig: Rig, design: MembraneDesign) -> tuple[Camera, Camera, Camera]:
     assert rig.proximity_color is not None
     assert rig.T_proximity_tactile is not None
     proximity_membrane = np.eye(4)
-    proximity_membrane[:3, 3] = 0.020, 0.0, APEX_M - design.apex_m
+    proximity_membrane[:3, 3] = 0.020, 0.0, RIM_M
     tactile = np.linalg.inv(np.array(rig.T_proximity_tactile)) @ proximity_membrane
     colour = np.array(rig.proximity_color.T_color_depth) @ proximity_membrane
     return (

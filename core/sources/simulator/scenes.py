@@ -14,6 +14,7 @@ import numpy as np
 
 from ...errors import SourceError
 from ...model.arrays import Uint8Array
+from .membranes import MEMBRANES, STANDARD
 from .mesh import MembraneDesign
 from .objects import OBJECTS, PressedObject
 from .sheet import Print
@@ -82,6 +83,8 @@ class Variant:
         Gap of the object of ``hover``.
     grid : {"droplets", "dots"}
         Print on the membrane.
+    membrane : str
+        One of `membranes.MEMBRANES`.
     """
 
     press: Press = ""
@@ -89,6 +92,7 @@ class Variant:
     object: str = "cup"
     gap_mm: float = 5.0
     grid: Print = "droplets"
+    membrane: str = STANDARD
 
 
 @dataclass(frozen=True)
@@ -109,6 +113,8 @@ class Scene:
         The steps that are drawn.
     frames : tuple of int
         Index into ``drawn`` for each frame.
+    held_out : bool
+        Whether object or membrane is reserved for judging methods, not for developing them.
     """
 
     name: str
@@ -118,6 +124,7 @@ class Scene:
     way: tuple[tuple[float, float, float], ...]
     drawn: tuple[int, ...]
     frames: tuple[int, ...]
+    held_out: bool
 
     @property
     def key(self) -> str:
@@ -141,7 +148,8 @@ def read_options(name: str, options: Mapping[str, str]) -> tuple[Variant, Light]
     grid: Any = options.get("grid", Variant.grid)
     light: Any = options.get("light", "normal")
     side: Any = options.get("side", Variant.side)
-    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid), light
+    membrane = options.get("membrane", STANDARD)
+    return Variant(press, side, options.get("object", Variant.object), gap_mm, grid, membrane), light
 
 
 def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, int] | None = None) -> Scene:
@@ -156,7 +164,9 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     _check(name, variant)
     special = name in SPECIAL_SCENES
     shape = variant.object if special else name
-    design = MembraneDesign(stiff_regions=name == "stiff", fold_m=_FOLD_M if name == "wrinkled" else 0.0)
+    membrane = MEMBRANES[variant.membrane]
+    folds_m = _FOLD_M if name == "wrinkled" else 0.0
+    design = replace(membrane.design, stiff_regions=name == "stiff", fold_m=folds_m)
     press = variant.press or ("medium" if name in ("stiff", "wrinkled") else "")
     if press not in ("", "none") or name == "wrinkled":
         design = replace(design, cells=_FINE_CELLS)
@@ -177,12 +187,14 @@ def resolve_scene(name: str, variant: Variant | None = None, cells: tuple[int, i
     words = [
         name,
         shape if special else "",
+        variant.membrane if variant.membrane != STANDARD else "",
         press,
         variant.side * (press == "high"),
         f"{variant.gap_mm:g}mm" if name == "hover" else "",
     ]
     words += ["dots" if variant.grid == "dots" else "", "{}x{}".format(*design.cells)]
-    return Scene("-".join(word for word in words if word), pressed, design, variant.grid, way, drawn, frames)
+    held_out = pressed.held_out or membrane.held_out
+    return Scene("-".join(word for word in words if word), pressed, design, variant.grid, way, drawn, frames, held_out)
 
 
 def still_press(shape: str, press: Press, side: Side = "right") -> tuple[PressedObject, float]:
@@ -200,6 +212,9 @@ def still_press(shape: str, press: Press, side: Side = "right") -> tuple[Pressed
 def _check(name: str, variant: Variant) -> None:
     if name not in SCENES:
         raise SourceError(f"the simulator has no scene {name!r}; choose one of {', '.join(SCENES)}")
+    if variant.membrane not in MEMBRANES:
+        known = ", ".join(MEMBRANES)
+        raise SourceError(f"sim:{name}: there is no membrane {variant.membrane!r}; choose one of {known}")
     if variant.object not in OBJECTS:
         raise SourceError(f"sim:{name}: there is no object {variant.object!r}; choose one of {', '.join(OBJECTS)}")
     if variant.object != Variant.object and name not in SPECIAL_SCENES:

@@ -43,7 +43,7 @@ _OTHER_SEEDS: Final = 1_000_000
 
 #: Cached versions of a scene, and size of the whole cache, bytes.
 _VERSIONS: Final = 3
-_ALL_BYTES: Final = 2_000_000_000
+_ALL_BYTES: Final = 4_000_000_000
 
 #: Files of this folder on which the clean images depend beyond `Scene.key`.
 CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
@@ -81,7 +81,7 @@ class SimulatorSource(SeekableSource):
     cells : tuple of int, optional
         Resolution of the membrane's mesh along its sides, even numbers; the design's own by default.
     variant : Variant, optional
-        Which press, object, gap and print.
+        Which press, object, gap, print and membrane.
     light : {"normal", "bright", "dim"}
         Light on the colour cameras, which shifts the mask's colours.
     sensor : str
@@ -121,13 +121,13 @@ class SimulatorSource(SeekableSource):
 
     @property
     def held_out(self) -> bool:
-        """Whether the object or the sensor is reserved for judging methods, not for developing them."""
-        return self.scene.pressed.held_out or self._noise.sensor.held_out
+        """Whether the object, the membrane or the sensor is reserved for judging methods, not for developing them."""
+        return self.scene.held_out or self._noise.sensor.held_out
 
     def with_object_away(self, progress: Progress | None = None) -> SimulatorSource:
         """Return the same membrane with the object far away, and with other noise."""
         scene, seed, noise, cells, variant, light, sensor = self._made_of
-        away = Variant(press="none", object=variant.object, grid=variant.grid)
+        away = Variant(press="none", object=variant.object, grid=variant.grid, membrane=variant.membrane)
         return SimulatorSource(scene, seed + _OTHER_SEEDS, noise, progress, cells, away, light, sensor)
 
     def facts(self, index: int) -> PressFacts:
@@ -214,6 +214,7 @@ def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, s
     options += [f"side={variant.side}"] * (variant.side != plain.side)
     options += [f"object={variant.object}"] * (variant.object != plain.object)
     options += [f"gap={variant.gap_mm:g}"] * (variant.gap_mm != plain.gap_mm)
+    options += [f"membrane={variant.membrane}"] * (variant.membrane != plain.membrane)
     options += [f"grid={variant.grid}"] * (variant.grid != plain.grid)
     options += [f"light={light}"] * (light != "normal")
     options += [f"sensor={sensor}"] * (sensor != DEFAULT_SENSOR)

@@ -8,7 +8,9 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.sources.simulator import MORE_SCENES, SCENE_OPTIONS
 from tactune.core.sources.simulator import SCENES as COMMON_SCENES
+from tactune.core.sources.simulator.membranes import MEMBRANES, STANDARD
 from tactune.core.sources.simulator.mesh import STIFF_FACTOR, MembraneDesign, build_mesh
+from tactune.core.sources.simulator.scene import RIM_M
 from tactune.core.sources.simulator.scenes import HELD_OUT, SCENES, Variant, light_table, read_options, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
@@ -21,7 +23,7 @@ def open_coarse(scene, noise=0.0, light="normal", **variant):
 
 def test_the_registry_knows_every_scene():
     assert set(COMMON_SCENES) | set(MORE_SCENES) == set(SCENES)
-    assert set(SCENE_OPTIONS) >= {"press", "side", "object", "gap", "grid", "light"}
+    assert set(SCENE_OPTIONS) >= {"press", "side", "object", "gap", "membrane", "grid", "light"}
     assert HELD_OUT == ("mug", "hand")
 
 
@@ -29,6 +31,7 @@ def test_options_are_read():
     variant, light = read_options("sim:x", {"press": "high", "side": "left", "object": "cube", "gap": "7.5"})
     assert variant == Variant("high", "left", "cube", 7.5) and light == "normal"
     assert read_options("sim:x", {"light": "dim", "grid": "dots"}) == (Variant(grid="dots"), "dim")
+    assert read_options("sim:x", {"membrane": "taut"}) == (Variant(membrane="taut"), "normal")
     with pytest.raises(SourceError, match="gap is 'near'"):
         read_options("sim:hover", {"gap": "near"})
 
@@ -46,6 +49,7 @@ def test_options_are_read():
         ("hover", Variant(gap_mm=float("nan")), "gap is nan"),
         ("cube", Variant(press="low", side="left"), "press=high only"),
         ("cube", Variant(grid="lines"), "grid is 'lines'"),
+        ("cube", Variant(membrane="drum"), "no membrane 'drum'; choose one of standard, soft, taut, tall, uneven"),
     ],
 )
 def test_impossible_scenes_are_refused(scene, variant, words):
@@ -169,3 +173,40 @@ def test_dots_measure_the_strain_that_the_facts_tell():
     sizes = cv2.connectedComponentsWithStats(dark)[2][1:, cv2.CC_STAT_AREA]
     assert ((sizes > 4) & (sizes < 60)).sum() > 400
     assert 0.1 < facts.strain_length < 0.3 and 0.1 < facts.strain_width < 0.35
+
+
+@pytest.mark.parametrize("membrane", MEMBRANES)
+def test_every_membrane_is_solved_and_has_its_rim_at_the_same_place(membrane):
+    design = MEMBRANES[membrane].design
+    with open_coarse("cube", press="none", membrane=membrane) as source:
+        frame, rest = source.read(0), source.facts(0)
+        assert np.nanmax(frame.truth.depth_m) == pytest.approx(RIM_M + design.apex_m, abs=2e-4)
+        assert rest.residual < 1e-3
+        assert source.held_out is MEMBRANES[membrane].held_out
+        assert ("membrane=" in source.name) is (membrane != STANDARD)
+    for shape, press in (("cube", "low"), ("cup", "medium"), ("octopus", "high")):
+        with open_coarse(shape, press=press, membrane=membrane) as source:
+            facts = source.facts(0)
+            assert facts.residual < 1e-3
+            assert facts.force_n > 0.5
+            assert 0.1 < facts.max_strain < 3.0
+            assert facts.gauge_pressure_pa > rest.gauge_pressure_pa
+            assert source.read(0).truth.contact.sum() > 300
+            with source.with_object_away() as away:
+                assert away.scene.design == source.scene.design
+
+
+def test_membranes_differ_in_pressure_and_stretch():
+    facts = {name: open_coarse("cup", press="medium", membrane=name).facts(0) for name in MEMBRANES}
+    assert facts["soft"].gauge_pressure_pa < 0.6 * facts["standard"].gauge_pressure_pa
+    assert facts["taut"].gauge_pressure_pa > 1.4 * facts["standard"].gauge_pressure_pa
+    assert facts["tall"].strain_length > 1.3 * facts["standard"].strain_length
+    mesh = build_mesh(MEMBRANES["uneven"].design)
+    share = mesh.stiffness / (MEMBRANES["uneven"].design.stiffness_n_m * mesh.area)
+    middle = mesh.flat[mesh.triangles].mean(axis=1)
+    edge = np.abs(middle[:, 1]) > 0.095
+    assert share[edge & (middle[:, 0] > 0.17)].mean() == pytest.approx(1.29, abs=0.03)
+    assert share[edge & (middle[:, 0] < -0.17)].mean() == pytest.approx(0.71, abs=0.03)
+    assert share[np.hypot(middle[:, 0], middle[:, 1]) < 0.01].mean() == pytest.approx(0.75, abs=0.02)
+    assert next(iter(MEMBRANES)) == STANDARD
+    assert [name for name in MEMBRANES if MEMBRANES[name].held_out] == ["held-membrane"]
