@@ -12,7 +12,7 @@ import numpy as np
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.scan.paint import PaintSettings, ScanTruth, contact_points, painted_contact, scan_truth, score_against_scan
-from ...core.scan.pose import RefinedPose, refine_pose, transformed
+from ...core.scan.pose import ICP_ROUNDS, RefinedPose, refine_pose, transformed
 from ...core.scan.scan import Scan, load_scan
 from ..worker.jobs import Progress
 
@@ -125,7 +125,7 @@ def touching(loaded: LoadedScan, paint: PaintSettings) -> Callable[[Progress], S
 
 
 def refining(
-    contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float, rounds: int = 300
+    contact: ScanContact, patch: Float32Array, start: Matrix4, reach_m: float
 ) -> Callable[[Progress], Refinement]:
     """Return work that refines a pose by ICP; raises as `refine_pose` does."""
 
@@ -134,10 +134,10 @@ def refining(
 
         def go_on(done: int, rmse_m: float) -> bool:
             before.append(rmse_m)
-            progress(done / rounds, f"Refining: {1e3 * rmse_m:.2f} mm")
+            progress(done / ICP_ROUNDS, f"Refining: {1e3 * rmse_m:.2f} mm")
             return True
 
-        found = refine_pose(contact.points, patch, start, farthest_m=reach_m, most_iterations=rounds, go_on=go_on)
+        found = refine_pose(contact.points, patch, start, farthest_m=reach_m, go_on=go_on)
         return Refinement(start, before[0], found)
 
     return refine

@@ -75,10 +75,9 @@ class Outcome:
         return frozenset(rejected | {key for key, length in lengths.items() if length > limit})
 
 
-def at_least(value: float, unit: str, decimals: int = 2) -> str:
-    """Format an error. A value below the last decimal is written as "below" it, never as zero."""
-    smallest = 10.0**-decimals
-    return f"below {smallest:.{decimals}f} {unit}" if value < smallest else f"{value:.{decimals}f} {unit}"
+def at_least(value: float, unit: str) -> str:
+    """Format an error. A value below 0.01 is written as "below" it, never as zero."""
+    return f"below 0.01 {unit}" if value < 0.01 else f"{value:.2f} {unit}"
 
 
 def table_rows(state: SessionState, outcome: Outcome) -> list[PointRow]:

@@ -45,7 +45,6 @@ def time_in_turns(
     runners: Mapping[str, Callable[[], Any]],
     rounds: int,
     *,
-    seed: int = 0,
     progress: Callable[[float], None] = lambda share: None,
 ) -> dict[str, Timing]:
     """Run all in turns, in a random order each round, so that a disturbance affects all alike.
@@ -65,7 +64,7 @@ def time_in_turns(
         run()
     seconds: dict[str, list[float]] = {name: [] for name in runners}
     order = list(runners)
-    shuffle = random.Random(seed)
+    shuffle = random.Random(0)
     for done in range(rounds):
         shuffle.shuffle(order)
         for name in order:
@@ -115,9 +114,9 @@ def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
     return peak - before
 
 
-def bandwidth_bytes_per_s(size_bytes: int = 256 << 20, threads: int | None = None) -> float:
+def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:
     """Measure memory bandwidth by copying arrays far larger than any cache; counts bytes read plus bytes written."""
-    workers = threads or os.cpu_count() or 1
+    workers = os.cpu_count() or 1
     parts = [np.ones(size_bytes // workers // 8) for _ in range(workers)]
     targets = [np.zeros_like(part) for part in parts]
     best_s = np.inf

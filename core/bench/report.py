@@ -10,7 +10,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-from ..errors import MissingExtraError
+from ..model.figures import pyplot, save_figure
 from ..model.files import atomic_path
 from .gate import Check
 from .measure import Timing
@@ -104,7 +104,7 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
     scenes = list(dict.fromkeys(row.scene for row in usable))
     if not scenes:
         return []
-    plt = _matplotlib()
+    plt = pyplot()
     columns = min(3, len(scenes))
     lines = -(-len(scenes) // columns)
     figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4 * lines + 0.9), squeeze=False)
@@ -126,7 +126,7 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
     }
     figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
     figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
-    return _save(plt, figure, folder, "run-time-against-error")
+    return _save(figure, folder, "run-time-against-error")
 
 
 def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -> list[Path]:
@@ -137,7 +137,7 @@ def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -
     MissingExtraError
         matplotlib is not installed.
     """
-    plt = _matplotlib()
+    plt = pyplot()
     figure, (left, right) = plt.subplots(1, 2, figsize=(11, 4.2))
     for axis, rows, places, label in (
         (left, points, [row.points for row in points], "points in contact"),
@@ -149,25 +149,10 @@ def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -
         axis.grid(True, which="both", alpha=0.3)
         axis.legend(frameon=False)
     figure.tight_layout()
-    return _save(plt, figure, folder, "growth")
+    return _save(figure, folder, "growth")
 
 
-def _save(plt: Any, figure: Any, folder: Path, name: str) -> list[Path]:
-    folder.mkdir(parents=True, exist_ok=True)
+def _save(figure: Any, folder: Path, name: str) -> list[Path]:
     paths = [folder / f"{name}.png", folder / f"{name}.svg"]
-    for path in paths:
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, format=path.suffix[1:], dpi=110)
-    plt.close(figure)
+    save_figure(figure, *paths, dpi=110)
     return paths
-
-
-def _matplotlib() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingExtraError("the figures need matplotlib: install it with pip install 'tactune[bench]'") from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt

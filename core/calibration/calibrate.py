@@ -25,7 +25,7 @@ from .quality import (
     uncertainty_map,
 )
 from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, verdict
-from .rigid import TACTILE_DEPTH_SIGMA_M, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
+from .rigid import RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
 from .robust import FOLDS, LEAVE_ONE_OUT
 
 Model = Literal["auto", "homography", "rigid"]
@@ -44,8 +44,6 @@ def calibrate(
     model: Model = "auto",
     *,
     depth_scale: bool = False,
-    sigma_px: float = CLICK_SIGMA_PX,
-    sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
     membrane: npt.ArrayLike | None = None,
 ) -> CalibrationReport:
     """Fit both models to correspondences and report their quality.
@@ -59,8 +57,6 @@ def calibrate(
         The model to use; the other one is also fitted if possible.
     depth_scale : bool
         Let the rigid fit correct the tactile depth by a scale and an offset.
-    sigma_px, sigma_depth_m : float
-        Stated noise of clicks and of the tactile depth. The observed noise replaces it if there are surplus pairs.
     membrane : array_like, shape (M, 3), optional
         Places (tactile u, v in pixels, depth in metres) over which the alignment is judged. Default: a grid over the
         tactile image at the depths of the points.
@@ -73,9 +69,9 @@ def calibrate(
     pairs = enabled_pairs(correspondences)
     _refuse_repeated(pairs)
     _, tactile, depth = pixel_arrays(pairs)
-    rigid, refused_rigid = _try_rigid(pairs, rig, depth_scale, sigma_px, sigma_depth_m)
+    rigid, refused_rigid = _try_rigid(pairs, rig, depth_scale)
     clicked = depth_pixels(pairs, rig, rigid)
-    homography, refused_homography = _try_homography(tactile, clicked, rigid, depth, sigma_px)
+    homography, refused_homography = _try_homography(tactile, clicked, rigid, depth)
     refused = {"homography": refused_homography, "rigid": refused_rigid}
     _raise_if_missing(model, refused)
 
@@ -139,9 +135,7 @@ def depth_pixels(pairs: Sequence[Correspondence], rig: Rig, rigid: RigidFit | No
     return np.asarray(np.where(in_color[:, None], color_to_depth_pixels(rig, proximity, distance), proximity))
 
 
-def _try_rigid(
-    pairs: list[Correspondence], rig: Rig, depth_scale: bool, sigma_px: float, sigma_depth_m: float
-) -> tuple[RigidFit | None, str]:
+def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_scale: bool) -> tuple[RigidFit | None, str]:
     points = rigid_points(pairs)
     if len(points.tactile) < 4 and len(pairs) >= 4:
         return None, (
@@ -149,33 +143,22 @@ def _try_rigid(
             "click where the tactile camera sees depth"
         )
     try:
-        return (
-            fit_rigid(
-                points,
-                rig,
-                sigma_tactile_px=sigma_px,
-                sigma_proximity_px=sigma_px,
-                sigma_depth_m=sigma_depth_m,
-                depth_scale=depth_scale,
-            ),
-            "",
-        )
+        return fit_rigid(points, rig, depth_scale=depth_scale), ""
     except CalibrationError as error:
         return None, str(error)
 
 
 def _try_homography(
-    tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array, sigma_px: float
+    tactile: Float64Array, proximity: Float64Array, rigid: RigidFit | None, depth: Float64Array
 ) -> tuple[HomographyFit | None, str]:
     """Fit the homography; if the rigid fit has more inliers, fit it to those.
 
     Points off one plane contradict every homography without being wrong; only the rigid model can tell.
     """
-    sigmas = {"sigma_tactile_px": sigma_px, "sigma_proximity_px": sigma_px}
     own: HomographyFit | None = None
     reason = ""
     try:
-        own = fit_homography(tactile, proximity, **sigmas)
+        own = fit_homography(tactile, proximity)
     except CalibrationError as error:
         reason = str(error)
     if rigid is None or rigid.degrees <= 0 or not np.isfinite(depth).all():
@@ -183,7 +166,7 @@ def _try_homography(
     if own is not None and own.used.sum() >= rigid.used.sum():
         return own, reason
     try:
-        return fit_homography(tactile, proximity, **sigmas, use=rigid.used), ""
+        return fit_homography(tactile, proximity, use=rigid.used), ""
     except CalibrationError:
         return own, reason
 

@@ -409,7 +409,6 @@ def fit_rigid(
     sigma_proximity_px: float = CLICK_SIGMA_PX,
     sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
     depth_scale: bool = False,
-    use: npt.ArrayLike | None = None,
 ) -> RigidFit:
     """Fit the tactile camera's pose in the proximity frame; outliers are left out.
 
@@ -423,8 +422,6 @@ def fit_rigid(
         the observed noise if there are surplus pairs.
     depth_scale : bool
         Also fit a scale and an offset of the tactile depth.
-    use : bool, shape (N,), optional
-        Inliers, if already known.
 
     Raises
     ------
@@ -435,7 +432,7 @@ def fit_rigid(
     name = f"rigid alignment{' with depth scale' if depth_scale else ''}"
     check_space(points.places, points.proximity, least, name)
     stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
-    known = None if use is None else np.asarray(use, bool)
+    known: BoolArray | None = None
     for _ in range(_NOISE_ROUNDS if depth_scale else 1):
         problem = RigidProblem(points, rig, observed * stated, depth_scale)
         fit = fit_robustly(problem, known)

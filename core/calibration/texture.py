@@ -55,7 +55,7 @@ class TextureMatches:
     fit: RigidFit
 
 
-def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike | None = None) -> TextureMatches:
+def match_texture(frames: Sequence[SensorFrame], rig: Rig) -> TextureMatches:
     """Propose correspondences from the texture of both colour images, over all frames.
 
     Parameters
@@ -63,8 +63,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike |
     frames : sequence of SensorFrame
         One per inflation level, preferably snapshots.
     rig : Rig
-    pose : array_like, shape (4, 4), optional
-        Initial ``T_proximity_tactile``; default: the rig's, otherwise from descriptors.
+        Its ``T_proximity_tactile`` is the initial pose; without it, descriptors give one.
 
     Raises
     ------
@@ -80,7 +79,7 @@ def match_texture(frames: Sequence[SensorFrame], rig: Rig, pose: npt.ArrayLike |
                 f"frame {frame.sequence} has no tactile colour image, so there is no texture to match; "
                 "detect a target or click the points"
             )
-    stated = rig.T_proximity_tactile if pose is None else pose
+    stated = rig.T_proximity_tactile
     views = [_View(number, frame, rig) for number, frame in enumerate(frames)]
     start = _pose_of(stated) if stated is not None else _fit(_described(views), rig).pose
     found = _guided(views, rig, start)

@@ -13,9 +13,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..errors import ExportError, MissingExtraError, TactuneError
+from ..errors import ExportError, TactuneError
 from ..methods.registry import make_method
 from ..model.arrays import Float32Array
+from ..model.figures import pyplot, save_figure
 from ..model.files import atomic_path
 from ..preset import Preset
 from ..rig.untouched import untouched_frame
@@ -244,7 +245,7 @@ def check_plot(path: Path) -> None:
     """
     if path.suffix.lower() not in _SUFFIXES:
         raise ExportError(f"the figure {path} has the suffix {path.suffix!r}; choose {', '.join(_SUFFIXES)}")
-    _matplotlib()
+    pyplot()
 
 
 def draw_patches(
@@ -266,7 +267,7 @@ def draw_patches(
     check_plot(path)
     columns = [scene for scene in scenes if scene.side != "left" and scene.group != "hover"]
     panels = [_panel(scene, methods, preset, seed, make, open_scene) for scene in columns]
-    plt = _matplotlib()
+    plt = pyplot()
     rows = len(methods) + 1
     figure, axes = plt.subplots(
         rows, len(columns), figsize=(1.75 * len(columns) + 1.6, 1.45 * rows + 0.9), squeeze=False, layout="constrained"
@@ -289,9 +290,7 @@ def draw_patches(
         "the table has means over all seeds, and over both sides of high presses.",
         fontsize=8,
     )
-    with atomic_path(path) as temporary:
-        figure.savefig(temporary, format=path.suffix[1:].lower(), dpi=130, bbox_inches="tight")
-    plt.close(figure)
+    save_figure(figure, path, dpi=130, bbox_inches="tight")
 
 
 def _draw_one(axis: Any, points: Float32Array | str, truth: Float32Array) -> Any:
@@ -342,14 +341,3 @@ def _limits(clouds: Sequence[Float32Array]) -> list[tuple[float, float]]:
     everything = np.concatenate([cloud[:, :2] for cloud in clouds]) * 1e3
     low, high = everything.min(axis=0) - 5.0, everything.max(axis=0) + 5.0
     return list(zip(low.tolist(), high.tolist(), strict=True))
-
-
-def _matplotlib() -> Any:
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[bench]'") from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    return plt

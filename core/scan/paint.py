@@ -204,7 +204,7 @@ class ScanTruth:
     area_mm2: float
 
 
-def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float = SPACING_M) -> ScanTruth:
+def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4) -> ScanTruth:
     """Transform a scan's contact to the proximity frame.
 
     Parameters
@@ -214,15 +214,13 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float =
         As from `painted_contact`.
     pose : 4 x 4
         ``T_proximity_scan``.
-    spacing_m : float
-        Each point represents a square of this side length, metres.
 
     Raises
     ------
     TactuneError
         The pose puts contact behind the camera; also see `contact_points`.
     """
-    found, normals = surface_points(scan, contact, spacing_m)
+    found, normals = surface_points(scan, contact)
     points = transformed(pose, found)
     if len(points) and points[:, 2].min() <= 0:
         raise TactuneError(
@@ -232,7 +230,7 @@ def scan_truth(scan: Scan, contact: BoolArray, pose: Matrix4, spacing_m: float =
     turned = normals @ np.asarray(pose)[:3, :3].T
     # projected area of a surface element with normal n seen along ray p: |n . p| / p_z
     projected = np.abs((turned * points).sum(axis=1)) / points[:, 2]
-    return ScanTruth(points, float(projected.sum()) * 1e6 * spacing_m**2)
+    return ScanTruth(points, float(projected.sum()) * 1e6 * SPACING_M**2)
 
 
 def score_against_scan(patch: npt.ArrayLike, area_mm2: float, truth: ScanTruth) -> dict[str, float]:

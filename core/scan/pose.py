@@ -21,6 +21,8 @@ from ..model.files import atomic_path, user_path
 from ..model.frames import Matrix4, rigid_transform
 
 _MIN_PAIRS: Final = 3
+#: Iterations of ICP, at most.
+ICP_ROUNDS: Final = 300
 #: Points count as collinear if their spread across the line is below this share of the spread along it.
 _ON_A_LINE: Final = 0.02
 #: Points within this distance count as coincident, metres.
@@ -112,12 +114,11 @@ def refine_pose(
     start: Matrix4,
     *,
     both_ways: bool = True,
-    overlap: float = 1.0,
     farthest_m: float = 0.010,
-    most_iterations: int = 300,
+    most_iterations: int = ICP_ROUNDS,
     go_on: GoOn | None = None,
 ) -> RefinedPose:
-    """Refine a pose by trimmed ICP, point to point (Besl and McKay 1992; Chetverikov et al. 2005).
+    """Refine a pose by ICP, point to point (Besl and McKay 1992).
 
     Each contact point is paired with the nearest patch point, and each patch point with the nearest contact point.
     Contact is smooth, so mainly its outline determines the lateral position. If one cloud lies within the other, only
@@ -134,9 +135,6 @@ def refine_pose(
         Initial ``T_proximity_scan``, such as from `pose_from_pairs`.
     both_ways : bool
         False pairs contact points with patch points only; for a patch that extends far beyond the scan.
-    overlap : float
-        Share of the pairs within reach that is used, nearest first; above 0, up to 1. Use less than 1 if each cloud
-        has a part that the other lacks.
     farthest_m : float
         Maximum distance of a pair, metres; should exceed the initial error.
     most_iterations : int
@@ -150,13 +148,12 @@ def refine_pose(
     ValueError
         ``start`` is no rigid transform.
     """
-    if not (0 < overlap <= 1 and farthest_m > 0 and most_iterations >= 1):
+    if not (farthest_m > 0 and most_iterations >= 1):
         raise CalibrationError(
-            "ICP needs an overlap above 0 up to 1, a reach above 0 m and at least one iteration; "
-            f"got {overlap}, {farthest_m}, {most_iterations}"
+            f"ICP needs a reach above 0 m and at least one iteration; got {farthest_m}, {most_iterations}"
         )
     contact, patch = _thinned(contact_points, "the scan's contact"), _thinned(patch_points, "the patch")
-    pairing = _Pairing(contact, patch, both_ways, overlap, farthest_m)
+    pairing = _Pairing(contact, patch, both_ways, farthest_m)
     pose, shift, iteration = rigid_transform(start), math.inf, 0
     while True:
         pairs = pairing.nearest(pose)
@@ -179,15 +176,13 @@ class _Pairs:
 class _Pairing:
     """Pairs the points of two clouds under a pose."""
 
-    def __init__(
-        self, contact: Float64Array, patch: Float64Array, both_ways: bool, overlap: float, farthest_m: float
-    ) -> None:
+    def __init__(self, contact: Float64Array, patch: Float64Array, both_ways: bool, farthest_m: float) -> None:
         self._contact, self._patch = contact, patch
         self._contact_tree, self._patch_tree = cKDTree(contact), cKDTree(patch)
-        self._both_ways, self._overlap, self._farthest_m = both_ways, overlap, farthest_m
+        self._both_ways, self._farthest_m = both_ways, farthest_m
 
     def nearest(self, pose: Matrix4) -> _Pairs:
-        """Pair the points within reach and keep the nearest share of the pairs."""
+        """Pair the points within reach."""
         used, nearest, distances = self._one_way(self._patch_tree, transformed(pose, self._contact))
         contact, patch = self._contact[used], self._patch[nearest]
         if self._both_ways:
@@ -196,14 +191,12 @@ class _Pairing:
             contact = np.concatenate([contact, self._contact[nearest]])
             patch = np.concatenate([patch, self._patch[used]])
             distances = np.concatenate([distances, apart])
-        best = np.argsort(distances, kind="stable")[: math.ceil(self._overlap * len(distances))]
-        if len(best) < _MIN_PAIRS:
+        if len(distances) < _MIN_PAIRS:
             raise CalibrationError(
                 f"the scan's contact is nowhere within {1e3 * self._farthest_m:g} mm of the patch; "
                 "align it better by hand first"
             )
-        rmse_m = math.sqrt(float(np.mean(distances[best] ** 2)))
-        return _Pairs(contact[best], patch[best], rmse_m)
+        return _Pairs(contact, patch, math.sqrt(float(np.mean(distances**2))))
 
     def _one_way(self, tree: cKDTree, points: Float64Array) -> tuple[IndexArray, IndexArray, Float64Array]:
         """Return indices of the points within reach of the tree, of their nearest neighbours, and the distances."""

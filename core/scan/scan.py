@@ -122,15 +122,21 @@ def _check_file(path: Path) -> None:
         raise SourceError(f"{path} has {size} bytes; a scan has 1 to {_FILE_BYTES}, so export it again or coarser")
 
 
-def _meshes(path: Path) -> list[Any]:
-    """Return trimesh's meshes of a file, each with at most one texture."""
+def import_trimesh() -> Any:
+    """Import trimesh and what it needs for textures, or raise `MissingExtraError`."""
     try:
         import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
         import trimesh
     except ModuleNotFoundError as error:
         raise MissingExtraError(
-            f'reading a scan needs {error.name}, which is not installed: pip install "tactune[scan]"'
+            f'a scan needs {error.name}, which is not installed: pip install "tactune[scan]"'
         ) from error
+    return trimesh
+
+
+def _meshes(path: Path) -> list[Any]:
+    """Return trimesh's meshes of a file, each with at most one texture."""
+    trimesh = import_trimesh()
     logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
     scene = trimesh.load_scene(path, process=False)
     meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]

@@ -7,13 +7,13 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import cv2
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ..errors import ExportError, MissingExtraError, SourceError
+from ..errors import ExportError, SourceError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Int64Array, Uint8Array
 from ..model.files import atomic_path
 from ..model.frames import GroundTruth, Matrix4, Rig
@@ -21,7 +21,7 @@ from ..sources.base import FrameSource
 from ..sources.simulator.objects import compiled, distance, normal
 from ..sources.simulator.source import SimulatorSource
 from .pose import save_transform, transformed
-from .scan import SUFFIXES
+from .scan import SUFFIXES, import_trimesh
 
 #: Thermochromic paint, touched and not, RGB.
 PINK: Final = (235, 110, 170)
@@ -170,15 +170,15 @@ def _looked_up(image: Float32Array, u: Float32Array, v: Float32Array, how: int) 
 
 
 def _coloured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
-    mesh = _trimesh().Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
+    mesh = import_trimesh().Trimesh(vertices, _halves(quads), vertex_colors=painter.colors(vertices), process=False)
     return {path: mesh.export(file_type="ply")}
 
 
 def _textured_files(path: Path, vertices: Float64Array, quads: Int64Array, painter: _Painter) -> dict[Path, bytes]:
     """Give each quad a square block of one texture."""
+    trimesh = import_trimesh()
     import PIL.Image
 
-    trimesh = _trimesh()
     across = math.ceil(math.sqrt(len(quads)))
     down, size = -(-len(quads) // across), across * _BLOCK
     row, column = np.divmod(np.arange(len(quads)), across)
@@ -223,17 +223,6 @@ def _write(files: Mapping[Path, bytes]) -> None:
     for path, data in files.items():
         with atomic_path(path) as temporary:
             temporary.write_bytes(data)
-
-
-def _trimesh() -> Any:
-    try:
-        import PIL.Image  # noqa: F401
-        import trimesh
-    except ModuleNotFoundError as error:
-        raise MissingExtraError(
-            f'writing a scan needs {error.name}, which is not installed: pip install "tactune[scan]"'
-        ) from error
-    return trimesh
 
 
 def object_surface(kind: int, spacing_m: float) -> tuple[Float64Array, Int64Array]:

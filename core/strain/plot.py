@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..errors import MissingExtraError
-from ..model.files import atomic_path
+from ..model.figures import pyplot, save_figure
 from .strain import StrainMeasurement
 
 
@@ -39,14 +38,7 @@ def draw_strain(
     ExportError
         The file cannot be written.
     """
-    try:
-        import matplotlib
-    except ImportError as error:
-        raise MissingExtraError("the figure needs matplotlib: install it with pip install 'tactune[bench]'") from error
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, (curve, *maps) = plt.subplots(1, 3, figsize=(15, 4.2))
+    figure, (curve, *maps) = pyplot().subplots(1, 3, figsize=(15, 4.2))
     order = np.argsort(displacement_mm, kind="stable")
     along = np.take(displacement_mm, order)
     for label, values, style in (("length", length_percent, "C0o-"), ("width", width_percent, "C1s-")):
@@ -66,8 +58,4 @@ def draw_strain(
         axis.invert_yaxis()
         figure.colorbar(drawn, ax=axis, shrink=0.7)
     figure.tight_layout()
-    try:
-        with atomic_path(path) as temporary:
-            figure.savefig(temporary, format="png", dpi=110)
-    finally:
-        plt.close(figure)
+    save_figure(figure, path, dpi=110)

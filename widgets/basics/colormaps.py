@@ -135,13 +135,13 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Arr
     return _frozen(lut)
 
 
-def difference_legend(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Legend:
+def difference_legend(t: float) -> Legend:
     """Return both ends and the band of the difference colours."""
-    lut = difference_lut(t, limit)
+    lut = difference_lut(t, DIFFERENCE_LIMIT)
     return [
-        (f"−{limit:.0%}", _color(lut, 1)),
+        (f"−{DIFFERENCE_LIMIT:.0%}", _color(lut, 1)),
         (f"within ±{t:.1%}", QColor(*_CANDIDATE_RGB)),
-        (f"+{limit:.0%}", _color(lut, 255)),
+        (f"+{DIFFERENCE_LIMIT:.0%}", _color(lut, 255)),
     ]
 
 

@@ -153,7 +153,6 @@ def free_cloud(
     lut: Uint8Array,
     *,
     count: int | None = None,
-    framed: bool = True,
 ) -> DepthCloud:
     """Return a cloud of arbitrary points: an image of one row whose rays and depths give these points.
 
@@ -165,7 +164,7 @@ def free_cloud(
         Metres, in the frame of the view; finite. Pixel (0, i) of the cloud is point i.
     rows : uint8, shape (N,)
         Row of ``lut`` for every point.
-    lut, count, framed
+    lut, count
         As in `DepthCloud`.
 
     Raises
@@ -181,7 +180,7 @@ def free_cloud(
     if len(places) == 0:
         nothing = np.zeros((1, 1), np.uint16)
         rays = np.zeros((1, 1, 2), np.float32)
-        return DepthCloud(nothing, _MIN_SPAN_M, rays, lut, np.eye(4), count=count, framed=framed)
+        return DepthCloud(nothing, _MIN_SPAN_M, rays, lut, np.eye(4), count=count)
     near = float(places[:, 2].min())
     span = max(float(places[:, 2].max()) - near, _MIN_SPAN_M)
     unit = span / _LEVELS
@@ -199,5 +198,4 @@ def free_cloud(
         depth_offset_m=span,
         index=rows[None],
         count=count,
-        framed=framed,
     )

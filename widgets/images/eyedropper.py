@@ -73,7 +73,7 @@ def pick(image: Uint8Array, u: int, v: int, present: HsvRanges, mode: Mode) -> H
     return new_ranges(neighbourhood(image, u, v), present, mode)
 
 
-def neighbourhood(image: Uint8Array, u: int, v: int, radius: int = RADIUS) -> Uint8Array:
+def neighbourhood(image: Uint8Array, u: int, v: int) -> Uint8Array:
     """Cut the pixels around (u, v) out of an image, fewer at its border.
 
     Raises
@@ -84,7 +84,7 @@ def neighbourhood(image: Uint8Array, u: int, v: int, radius: int = RADIUS) -> Ui
     height, width = image.shape[:2]
     if not (0 <= u < width and 0 <= v < height):
         raise EyedropperError(f"pixel ({u}, {v}) is outside the image of {width} x {height} pixels; click inside it")
-    return image[max(0, v - radius) : v + radius + 1, max(0, u - radius) : u + radius + 1]
+    return image[max(0, v - RADIUS) : v + RADIUS + 1, max(0, u - RADIUS) : u + RADIUS + 1]
 
 
 def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
