@@ -9,7 +9,6 @@ import random
 import subprocess
 import sys
 import time
-import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -96,22 +95,6 @@ def peak_bytes(run: Callable[[], Any]) -> int | None:
     before = _status_bytes("VmRSS")
     run()
     return max(0, _status_bytes("VmHWM") - before)
-
-
-def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
-    """Return the peak rise of traced Python and NumPy memory during one call, after ``calls`` warm-up calls."""
-    for _ in range(calls):
-        run()
-    tracemalloc.start()
-    try:
-        run()
-        tracemalloc.reset_peak()
-        before, _ = tracemalloc.get_traced_memory()
-        run()
-        _, peak = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    return peak - before
 
 
 def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:

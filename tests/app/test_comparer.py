@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import pytest
 
+from contrast import contrast_ratio
 from tactune.app.analysis import comparer
 from tactune.app.analysis.comparer import Comparer, Task
 from tactune.app.analysis.method_looks import FALSE_RGB, MISSED_RGB, RIGHT_RGB, TRUTH, method_rgb, method_tip
@@ -21,7 +22,7 @@ from tactune.core.methods.fusion import Fusion
 from tactune.core.methods.registry import make_method, method_names
 from tactune.core.preset import Preset
 from tactune.widgets.basics.colormaps import patch_lut
-from tactune.widgets.basics.theme import contrast_ratio, theme_colors
+from tactune.widgets.basics.theme import theme_colors
 from tiny_sensor import tiny_frame, tiny_rig
 
 METHODS = ("fusion-rigid", "fusion-homography", "fusion-membrane", "proximity-only", "tactile-only")

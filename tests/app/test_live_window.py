@@ -10,6 +10,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel
 
+from contrast import contrast_ratio
 from fake_cameras import FakeCameras
 from patience import load_factor
 from tactune.app.window.frame_presenter import badge, source_sentence
@@ -18,7 +19,6 @@ from tactune.app.worker.results import CloudName, SourceState
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
-from tactune.widgets.basics.theme import contrast_ratio
 from tiny_sensor import TinySource
 
 

@@ -8,12 +8,13 @@ from types import SimpleNamespace
 import pytest
 from PyQt6.QtWidgets import QLabel, QToolButton
 
+from contrast import contrast_ratio
 from tactune.app.window.status import FrameStatus
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.core.preset import Preset
-from tactune.widgets.basics.theme import contrast_ratio, theme_colors
+from tactune.widgets.basics.theme import theme_colors
 from tiny_sensor import tiny_frame, tiny_rig
 
 TIMES = {"fusion": 1.5, "gaps": 1.6, "edge": 1.1, "press": 3.2, "balance": 4.6, "clusters": 0.3, "points": 0.5}

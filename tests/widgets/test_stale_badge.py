@@ -9,8 +9,9 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QWidget
 from pytestqt.qtbot import QtBot
 
+from contrast import contrast_ratio
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
-from tactune.widgets.basics.theme import ThemeName, apply_theme, contrast_ratio, theme_colors
+from tactune.widgets.basics.theme import ThemeName, apply_theme, theme_colors
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_pane import ImagePane

@@ -5,7 +5,8 @@ import pytest
 from PyQt6.QtGui import QPalette
 from PyQt6.QtWidgets import QApplication, QCheckBox, QRadioButton, QWidget
 
-from tactune.widgets.basics.theme import ACCENT, apply_theme, contrast_ratio, theme_colors, theme_name
+from contrast import contrast_ratio
+from tactune.widgets.basics.theme import ACCENT, apply_theme, theme_colors, theme_name
 from tactune.widgets.images.image_pane import ImagePane
 from tactune.widgets.parameters.parameter_row import MessageLabel
 from tactune.widgets.plots.histogram import DifferenceHistogram

@@ -7,8 +7,11 @@ import math
 import subprocess
 import sys
 import time
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +20,6 @@ from tactune.core.bench import gate, run
 from tactune.core.bench.gate import Check, roofline
 from tactune.core.bench.measure import (
     OURS,
-    allocated_bytes,
     bandwidth_bytes_per_s,
     import_seconds,
     peak_bytes,
@@ -33,6 +35,22 @@ from tactune.core.contact.kernels.threads import available_threads, get_threads
 from tactune.core.errors import TactuneError
 
 pytest.importorskip("open3d", reason="needs the extra bench")
+
+
+def allocated_bytes(run: Callable[[], Any], calls: int = 5) -> int:
+    """Return the peak rise of traced Python and NumPy memory during one call, after ``calls`` warm-up calls."""
+    for _ in range(calls):
+        run()
+    tracemalloc.start()
+    try:
+        run()
+        tracemalloc.reset_peak()
+        before, _ = tracemalloc.get_traced_memory()
+        run()
+        _, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    return peak - before
 
 
 @pytest.fixture(scope="module")
