@@ -190,7 +190,7 @@ class HelpersPage(QWidget):
         self.view = PairView(lambda picture, place: None)
         self.view.set_snapping(False)
         self.view.set_loupe_wanted(False)
-        self.table = PointTable("proximity", "tactile")
+        self.table = PointTable()
         self.table.hide_residuals()
         self._make_controls()
         layout = QHBoxLayout(self)

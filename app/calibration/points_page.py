@@ -43,7 +43,7 @@ class PointsPage(QWidget):
         self._nominal = nominal_alignment(session.rig)
         self._ghost: tuple[Side, Place] | None = None
         self.view = PairView(snapper)
-        self.table = PointTable("proximity", "tactile")
+        self.table = PointTable()
         self.hint = ElidedLabel()
         self.fit_line = ElidedLabel()
         self._make_tools()

@@ -28,7 +28,6 @@ _PASSING_SIGMAS = 1.96
 _GRID = (13, 10)
 _MEMBRANE_SHARE = np.array([0.8, 0.65])
 _DRAWS = 40_000
-_RATIOS = np.linspace(0.0, 1.0, 11)
 
 
 class FittedModel(Protocol):
@@ -58,15 +57,12 @@ class UncertaintyMap:
     sigma_px, sigma_mm : float64, shape (M,)
         Expected root mean square alignment error, in proximity pixels, and in millimetres across the line of sight at
         that depth.
-    bound_95_px : float64, shape (M,)
-        95 % bound of the error at each place, proximity pixels.
     """
 
     places: Float64Array
     proximity: Float64Array
     sigma_px: Float64Array
     sigma_mm: Float64Array
-    bound_95_px: Float64Array
 
 
 def membrane_places(tactile: Float64Array, depth_m: Float64Array, rig: Rig) -> Float64Array:
@@ -100,14 +96,12 @@ def uncertainty_map(fit: FittedModel, places: Float64Array, rig: Rig) -> Uncerta
         inside = ((proximity >= 0) & (proximity <= (width - 1, height - 1))).all(axis=1)
     inside = inside if inside.any() else np.ones(len(places), bool)
     places, proximity = places[inside], proximity[inside]
-    derivative = fit.sensitivity(places)
-    sigma_px = np.sqrt((derivative**2).sum(axis=(1, 2)))
+    sigma_px = np.sqrt((fit.sensitivity(places) ** 2).sum(axis=(1, 2)))
     return UncertaintyMap(
         places=places,
         proximity=proximity,
         sigma_px=sigma_px,
         sigma_mm=sigma_px * millimetres_per_pixel(places[:, 2], rig),
-        bound_95_px=bounds_95(derivative, fit.degrees),
     )
 
 
@@ -135,13 +129,6 @@ def bound_95(derivative: Float64Array, degrees: int) -> float:
     weights = np.linalg.svd(rows, compute_uv=False) ** 2 / len(derivative)
     squares = _squares()[:, : len(weights)]
     return float(np.sqrt(np.quantile(squares @ weights / _noise(degrees), 0.95)))
-
-
-def bounds_95(derivative: Float64Array, degrees: int) -> Float64Array:
-    """Return `bound_95` of each place separately, shape (M,)."""
-    squares = np.linalg.svd(derivative, compute_uv=False) ** 2
-    ratio = squares[:, 1] / np.maximum(squares[:, 0], 1e-300)
-    return np.asarray(np.sqrt(squares[:, 0] * np.interp(ratio, _RATIOS, _planar_bounds(degrees))))
 
 
 @dataclass(frozen=True)
@@ -249,10 +236,3 @@ def _noise(degrees: int) -> Float64Array:
     if degrees <= 0:
         return np.ones(_DRAWS)
     return np.asarray(np.random.default_rng(21).chisquare(degrees, _DRAWS) / degrees)
-
-
-@lru_cache(maxsize=64)
-def _planar_bounds(degrees: int) -> Float64Array:
-    """95 % quantile of the squared length of a 2-D normal with variances (1, r), r = 0, 0.1 ... 1."""
-    squares, noise = _squares()[:, :2], _noise(degrees)
-    return np.array([np.quantile((squares[:, 0] + r * squares[:, 1]) / noise, 0.95) for r in _RATIOS])

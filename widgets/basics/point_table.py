@@ -181,7 +181,7 @@ class PointTable(QTableView):
     selectionEdited = pyqtSignal(object)
     deleteRequested = pyqtSignal()
 
-    def __init__(self, left: str, right: str, parent: QWidget | None = None) -> None:
+    def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._model = _Model()
         self._sorted = QSortFilterProxyModel(self)
@@ -189,7 +189,7 @@ class PointTable(QTableView):
         self._sorted.setSortRole(_Role.UserRole)
         self._showing = False
         self.setModel(self._sorted)
-        self.setAccessibleName(f"Point pairs: left is {left}, right is {right}")
+        self.setAccessibleName("Point pairs: left is proximity, right is tactile")
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)

@@ -156,7 +156,7 @@ ROWS = [
 
 @pytest.fixture
 def table(qtbot):
-    made = PointTable("proximity", "tactile")
+    made = PointTable()
     qtbot.addWidget(made)
     made.resize(1100, 200)
     made.set_rows(ROWS)
