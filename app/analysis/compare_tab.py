@@ -5,9 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QPushButton, QSplitter
+from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QSplitter
 
 from ...core.methods.registry import method_names, method_problems
+from ...widgets.basics.controls import caption, push_button
 from ...widgets.basics.message_bar import Severity
 from ...widgets.basics.theme import theme_name
 from ..context import Context
@@ -50,7 +51,7 @@ class CompareTab(MeasuringTab):
         self._late.setSingleShot(True)
         self._late.setInterval(_SETUP_DELAY_MS)
         self.color_by = QComboBox()
-        self.give_up = QPushButton("Cancel")
+        self.give_up = push_button("Cancel", "Cancel preparing the untouched frame, or try again")
         self._lay_out()
         self._connect()
         self._show_tiles()
@@ -84,12 +85,9 @@ class CompareTab(MeasuringTab):
             "Save this comparison as a picture, and its numbers as CSV beside it (Ctrl+E); files count frames from 0"
         )
         self.progress.setToolTip("Marked methods need an untouched frame; the others continue meanwhile")
-        self.give_up.setAutoDefault(False)
-        self.give_up.setToolTip("Cancel preparing the untouched frame, or try again")
         self.give_up.hide()
         row = QHBoxLayout()
-        label = QLabel("Colour &by")
-        label.setBuddy(self.color_by)
+        label = caption("Colour &by", self.color_by)
         row.addWidget(self.status, 1)
         for part in (self.progress, self.give_up, label, self.color_by, self.export):
             row.addWidget(part)

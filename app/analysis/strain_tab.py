@@ -12,8 +12,6 @@ from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QHBoxLayout,
     QLabel,
-    QPushButton,
-    QSpinBox,
     QSplitter,
     QVBoxLayout,
     QWidget,
@@ -21,6 +19,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.model.frames import SensorFrame
 from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
+from ...widgets.basics.controls import caption, frame_count, push_button
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.jobs import Job
@@ -56,9 +55,19 @@ class StrainTab(MeasuringTab):
         self._last: SensorFrame | None = None
         self.view: StrainView | None = None
         self.map, self.curve, self.numbers = StrainMap(), StrainCurve(), StrainNumbers()
-        self.spacing, self.average, self.map_of = QDoubleSpinBox(), QSpinBox(), QComboBox()
-        self.capture = QPushButton("Take as &untouched")
-        self.reset, self.pointed = QPushButton("&Reset curve"), QLabel(" ")
+        self.spacing, self.map_of = QDoubleSpinBox(), QComboBox()
+        self.average = frame_count(
+            _MAX_AVERAGED,
+            "Number of recent frames to average while the membrane does not move. "
+            "10 is more accurate at steep places; 1 follows a moving press",
+            round(context.settings.number(_AVERAGE, 1)),
+        )
+        self.capture = push_button(
+            "Take as &untouched",
+            "Measure displacement from the current membrane; press it while nothing touches the membrane",
+        )
+        self.reset = push_button("&Reset curve", "Start a new curve; the old one can be restored")
+        self.pointed = QLabel(" ")
         self._job = Job(self)
         self._set_up_entries()
         self._lay_out()
@@ -94,36 +103,20 @@ class StrainTab(MeasuringTab):
         self.spacing.setValue(self._settings.number(_SPACING, 1e3 * SPACING_M))
         self.curve.set_spacing_mm(self.spacing.value())
         self.spacing.setToolTip("Distance between neighbouring dots on the flat, unstretched sheet, in millimetres")
-        self.average.setRange(1, _MAX_AVERAGED)
-        self.average.setValue(round(self._settings.number(_AVERAGE, 1)))
-        self.average.setSuffix(" frames")
-        self.average.setSpecialValueText("1 frame")
-        self.average.setToolTip(
-            "Number of recent frames to average while the membrane does not move. "
-            "10 is more accurate at steep places; 1 follows a moving press"
-        )
         self.map_of.addItems([str(choice) for choice in MapOf])
         self.map_of.setCurrentText(self._settings.text(_MAP, MapOf.LARGEST))
         self.map_of.setToolTip("Strain that the colours show: along the length, along the width, or the larger one")
-        self.capture.setToolTip(
-            "Measure displacement from the current membrane; press it while nothing touches the membrane"
-        )
-        self.reset.setToolTip("Start a new curve; the old one can be restored")
         self.export.setToolTip(
             "Save map and curve as a picture, and the curve's points as CSV beside it (Ctrl+E); files count from 0"
         )
         self.progress.setToolTip("The origin of the displacement; strain does not need it")
-        for button in (self.capture, self.reset):
-            button.setAutoDefault(False)
         self.capture.setEnabled(False)
 
     def _lay_out(self) -> None:
         row = QHBoxLayout()
         for text, entry in (("Dot &spacing", self.spacing), ("&Average", self.average), ("&Map", self.map_of)):
-            label = QLabel(text)
-            label.setBuddy(entry)
             entry.setAccessibleName(text.replace("&", ""))
-            row.addWidget(label)
+            row.addWidget(caption(text, entry))
             row.addWidget(entry)
             row.addSpacing(8)
         row.addWidget(self.status, 1)

@@ -19,7 +19,6 @@ from PyQt6.QtWidgets import (
     QHeaderView,
     QLabel,
     QLineEdit,
-    QPushButton,
     QTableWidget,
     QTableWidgetItem,
     QVBoxLayout,
@@ -30,7 +29,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
 from ...core.scan.paint import PaintSettings
-from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar
+from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar, caption, push_button
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
@@ -260,14 +259,18 @@ class AlignPanel(CollapsibleSection):
         self._pose: Float64Array | None = None
         self._pivot = np.zeros(3)
         self.table = QTableWidget(0, 2)
-        self.remove = QPushButton("&Delete pair")
-        self.clear = QPushButton("Delete all")
-        self.center = QPushButton("&Move onto patch")
+        self.remove = push_button("&Delete pair", "Delete the selected pair (Del) and fit the rest again")
+        self.clear = push_button("Delete all", "Delete all pairs; the scan is not moved")
+        self.center = push_button(
+            "&Move onto patch", "Move the centre of the scan's contact to the patch's, as a start without pairs"
+        )
         self.places = [NumberEntry(_place_spec(axis)) for axis in _AXES]
         self.turns = [NumberEntry(_turn_spec(name, axis)) for name, axis in zip(_TURNS, _AXES, strict=True)]
         self.reach = NumberEntry(_REACH)
-        self.refine = QPushButton("Re&fine by ICP")
-        self.cancel = QPushButton("Cancel")
+        self.refine = push_button(
+            "Re&fine by ICP", "Refine the pose by iterative closest points (ICP), starting from the current pose"
+        )
+        self.cancel = push_button("Cancel", "Cancel the refinement; the scan is not moved")
         self.progress = ProgressBar()
         self.outcome = QLabel()
         self.refusal = MessageLabel()
@@ -294,35 +297,23 @@ class AlignPanel(CollapsibleSection):
         table.setFixedHeight(columns.sizeHint().height() + _ROWS * rows.defaultSectionSize() + 4)
 
     def _lay_out(self) -> None:
-        self.remove.setToolTip("Delete the selected pair (Del) and fit the rest again")
-        self.clear.setToolTip("Delete all pairs; the scan is not moved")
-        self.center.setToolTip("Move the centre of the scan's contact to the patch's, as a start without pairs")
-        self.refine.setToolTip("Refine the pose by iterative closest points (ICP), starting from the current pose")
-        self.cancel.setToolTip("Cancel the refinement; the scan is not moved")
         self.outcome.setWordWrap(True)
         for entry in (*self.places, *self.turns):
             entry.setMinimumWidth(entry.minimumSizeHint().width())
         buttons = QHBoxLayout()
         for button in (self.remove, self.clear, self.center):
-            button.setAutoDefault(False)
             buttons.addWidget(button)
         numbers = QGridLayout()
         numbers.setHorizontalSpacing(6)
         numbers.setVerticalSpacing(3)
         for line, (place, turn) in enumerate(zip(self.places, self.turns, strict=True)):
             for column, (text, entry) in enumerate(((_AXES[line], place), (_TURNS[line], turn))):
-                label = QLabel(text)
-                label.setBuddy(entry)
-                numbers.addWidget(label, line, 2 * column)
+                numbers.addWidget(caption(text, entry), line, 2 * column)
                 numbers.addWidget(entry, line, 2 * column + 1)
         numbers.setColumnStretch(1, 1)
         numbers.setColumnStretch(3, 1)
         icp = QHBoxLayout()
-        reach = QLabel("Reach")
-        reach.setBuddy(self.reach)
-        for button in (self.refine, self.cancel):
-            button.setAutoDefault(False)
-        for widget in (self.refine, reach, self.reach, self.cancel):
+        for widget in (self.refine, caption("Reach", self.reach), self.reach, self.cancel):
             icp.addWidget(widget)
         icp.addStretch(1)
         layout = QVBoxLayout(self.body)
@@ -475,10 +466,14 @@ class ResultPanel(CollapsibleSection):
     def __init__(self) -> None:
         super().__init__("Result")
         self.values = {name: QLabel("–") for name, _, _ in _LINES}
-        self.save = QPushButton("&Save transform…")
-        self.load = QPushButton("Load &transform…")
+        self.save = push_button(
+            "&Save transform…", "Write T_proximity_scan as JSON, for tactune evaluate recording --transform"
+        )
+        self.load = push_button(
+            "Load &transform…", "Read the scan's pose from a file: JSON, or four lines of four numbers, metres"
+        )
         self.command = QLineEdit()
-        self.copy = QPushButton("Cop&y")
+        self.copy = push_button("Cop&y", "Copy the command line that repeats this result")
         self.note = QLabel()
         self._lay_out()
         self.save.clicked.connect(self.saveRequested)
@@ -488,12 +483,9 @@ class ResultPanel(CollapsibleSection):
         self.show_command("", "")
 
     def _lay_out(self) -> None:
-        self.save.setToolTip("Write T_proximity_scan as JSON, for tactune evaluate recording --transform")
-        self.load.setToolTip("Read the scan's pose from a file: JSON, or four lines of four numbers, metres")
         self.command.setReadOnly(True)
         self.command.setAccessibleName("Command line")
         self.command.setPlaceholderText("the command line, once the scan is aligned")
-        self.copy.setToolTip("Copy the command line that repeats this result")
         self.note.setWordWrap(True)
         grid = QGridLayout()
         grid.setVerticalSpacing(2)
@@ -508,8 +500,6 @@ class ResultPanel(CollapsibleSection):
             grid.addWidget(label, line, 0)
             grid.addWidget(value, line, 1)
         files = QHBoxLayout()
-        for button in (self.save, self.load, self.copy):
-            button.setAutoDefault(False)
         for button in (self.save, self.load):
             files.addWidget(button)
         repeat = QHBoxLayout()

@@ -13,7 +13,6 @@ from PyQt6.QtWidgets import (
     QHBoxLayout,
     QLabel,
     QMenu,
-    QPushButton,
     QScrollArea,
     QSlider,
     QSplitter,
@@ -27,7 +26,7 @@ from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
-from ...widgets.basics.controls import ProgressBar, make_verdict
+from ...widgets.basics.controls import ProgressBar, caption, make_verdict, push_button
 from ...widgets.basics.dialogs import local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
@@ -64,8 +63,11 @@ class TruthTab(AnalysisTab):
         self.views = TruthViews(self.flow, context.cloud_backend)
         self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
         self.messages = MessageBar()
-        self.open_button, self.recent, self.unit = QPushButton("&Open scan…"), QPushButton("Recent"), QComboBox()
-        self.progress, self.cancel = ProgressBar(), QPushButton("Cancel")
+        self.open_button = push_button(
+            "&Open scan…", "Open the object's painted scan: PLY or OBJ with colours (or drop it here)"
+        )
+        self.recent, self.unit = push_button("Recent", "Recently opened scans"), QComboBox()
+        self.progress, self.cancel = ProgressBar(), push_button("Cancel", "Cancel reading the scan")
         self.guide = QLabel()
         self._framed: object = None
         self._lay_out()
@@ -114,18 +116,11 @@ class TruthTab(AnalysisTab):
         layout.addWidget(across, 1)
 
     def _top(self) -> QHBoxLayout:
-        self.open_button.setToolTip("Open the object's painted scan: PLY or OBJ with colours (or drop it here)")
-        self.open_button.setAutoDefault(False)
-        self.cancel.setToolTip("Cancel reading the scan")
-        self.cancel.setAutoDefault(False)
-        self.recent.setToolTip("Recently opened scans")
-        self.recent.setAutoDefault(False)
         self.recent.setMenu(QMenu(self.recent))
         self.unit.addItems(list(UNITS_M))
         self.unit.setCurrentText(self._settings.text(_UNIT, "m"))
         self.unit.setToolTip("Length unit of the scan's coordinates; an open scan is read again")
-        unit = QLabel("&Unit")
-        unit.setBuddy(self.unit)
+        unit = caption("&Unit", self.unit)
         self.progress.setMaximumWidth(320)
         row = QHBoxLayout()
         for widget in (self.open_button, self.recent, unit, self.unit, self.progress, self.cancel):
@@ -148,10 +143,8 @@ class TruthTab(AnalysisTab):
         size.valueChanged.connect(self.views.set_point_size)
         size.valueChanged.connect(lambda pixels: self._settings.set(_POINT_SIZE, pixels))
         size.setValue(round(self._settings.number(_POINT_SIZE, _USUAL_POINT_PX)))
-        label = QLabel("Point si&ze")
-        label.setBuddy(size)
         row = QHBoxLayout()
-        row.addWidget(label)
+        row.addWidget(caption("Point si&ze", size))
         row.addWidget(size)
         return row
 

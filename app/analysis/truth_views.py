@@ -8,11 +8,11 @@ from typing import Final
 import numpy as np
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtGui import QColor
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QSplitter, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QLabel, QSplitter, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, palette_theme, patch_lut
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
 from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.clouds.pick_view import PickView, Spot, as_place
@@ -123,10 +123,8 @@ class TruthViews(QSplitter):
         self.patch = PickView("Patch", backend)
         self.scan_name = ElidedLabel("no scan")
         self.patch_name = ElidedLabel("no frame")
-        self.present = QPushButton("Use current")
-        self.present.setToolTip("Align to the main window's current frame; pairs and pose stay")
-        self.follow = QPushButton("Follow")
-        self.follow.setToolTip("Follow the main window again, until the next edit of the alignment")
+        self.present = push_button("Use current", "Align to the main window's current frame; pairs and pose stay")
+        self.follow = push_button("Follow", "Follow the main window again, until the next edit of the alignment")
         self._lay_out()
         self.scan.pointClicked.connect(self.scanClicked)
         self.patch.pointClicked.connect(self.patchClicked)
@@ -147,7 +145,6 @@ class TruthViews(QSplitter):
             line.addWidget(QLabel())  # as high as the buttons of the other side
             line.addWidget(name, 1)
             for button in tools:
-                button.setAutoDefault(False)
                 line.addWidget(button)
             column = QVBoxLayout(side)
             column.setContentsMargins(0, 0, 0, 0)

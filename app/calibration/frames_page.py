@@ -13,16 +13,14 @@ from PyQt6.QtWidgets import (
     QLabel,
     QListWidget,
     QListWidgetItem,
-    QPushButton,
     QSlider,
-    QSpinBox,
     QVBoxLayout,
     QWidget,
 )
 
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
-from ...widgets.basics.controls import ProgressBar
+from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
@@ -65,23 +63,19 @@ class FramesPage(QWidget):
 
     def _make_controls(self) -> None:
         self.source = QLabel()
-        self.play = QPushButton("Play")
-        self.play.setToolTip("Play the source, or pause it at this frame")
+        self.play = push_button("Play", "Play the source, or pause it at this frame")
         self.seek = QSlider(Qt.Orientation.Horizontal)
         self.seek.setAccessibleName("Frame of the recording")
         self.seek.setToolTip("Frame of the recording")
-        self.average = QSpinBox()
-        self.average.setRange(1, MAX_FRAMES)
-        self.average.setSuffix(" frames")
-        self.average.setSpecialValueText("1 frame")
-        self.average.setToolTip(
+        self.average = frame_count(
+            MAX_FRAMES,
             "Number of frames to average, starting with the current one: the median of each pixel over its valid "
-            "depths. More frames, less noise; the membrane must not move meanwhile"
+            "depths. More frames, less noise; the membrane must not move meanwhile",
         )
-        self.take = QPushButton("Take snapshot")
-        self.take.setToolTip("Average the next frames and add them as a snapshot (Ctrl+T)")
-        self.take.setShortcut("Ctrl+T")
-        self.cancel = QPushButton("Cancel")
+        self.take = push_button(
+            "Take snapshot", "Average the next frames and add them as a snapshot (Ctrl+T)", shortcut="Ctrl+T"
+        )
+        self.cancel = push_button("Cancel", "Cancel the snapshot")
         self.progress = ProgressBar()
         self.note = QLabel()
         self.note.setWordWrap(True)
@@ -89,12 +83,9 @@ class FramesPage(QWidget):
         self.list.setIconSize(_THUMBNAIL)
         self.list.setAccessibleName("Snapshots")
         self.list.setSpacing(2)
-        self.remove = QPushButton("Remove")
-        self.remove.setToolTip("Remove the snapshot and the points clicked in it; undo restores both")
+        self.remove = push_button("Remove", "Remove the snapshot and the points clicked in it; undo restores both")
         self.span = QLabel()
         self.span.setWordWrap(True)
-        for button in (self.play, self.take, self.cancel, self.remove):
-            button.setAutoDefault(False)
 
     def _lay_out(self) -> None:
         images = QGridLayout()
@@ -108,9 +99,7 @@ class FramesPage(QWidget):
         transport.addWidget(self.source)
         taking = QHBoxLayout()
         self.average.setFixedWidth(110)
-        caption = QLabel("A&verage")
-        caption.setBuddy(self.average)
-        taking.addWidget(caption)
+        taking.addWidget(caption("A&verage", self.average))
         taking.addWidget(self.average)
         taking.addWidget(self.take)
         taking.addWidget(self.progress, 1)

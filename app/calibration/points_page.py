@@ -6,9 +6,9 @@ from functools import partial
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QKeySequence, QShortcut
-from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QLabel, QSplitter, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolButton, QVBoxLayout, QWidget
 
-from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.point_table import PointTable
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
@@ -88,9 +88,7 @@ class PointsPage(QWidget):
         tools = QHBoxLayout()
         tools.setSpacing(6)
         for label, box in (("Snapshot", self.snapshot), ("Left", self.left_image), ("Right", self.right_image)):
-            caption = QLabel(label)
-            caption.setBuddy(box)
-            tools.addWidget(caption)
+            tools.addWidget(caption(label, box))
             tools.addWidget(box)
         for widget in (self.stretch, self.snap, self.link, self.loupe, self.arrows, self.whole):
             tools.addWidget(widget)

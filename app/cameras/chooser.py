@@ -16,7 +16,6 @@ from PyQt6.QtWidgets import (
     QFormLayout,
     QHeaderView,
     QLabel,
-    QPushButton,
     QTreeWidget,
     QTreeWidgetItem,
     QVBoxLayout,
@@ -24,7 +23,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.preset import CamerasSection
-from ...widgets.basics.controls import dialog_buttons
+from ...widgets.basics.controls import dialog_buttons, push_button
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
@@ -189,10 +188,7 @@ class CameraChooser(QDialog):
             header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         self.proximity = _combo("Looks through the membrane at the object: the L515 (infrared, time of flight)")
         self.tactile = _combo("Sees the membrane itself: the D405 (visible light, stereo)")
-        self.refresh = QPushButton("&Refresh")
-        self.refresh.setToolTip("Search for cameras again (F5)")
-        self.refresh.setShortcut("F5")
-        self.refresh.setAutoDefault(False)
+        self.refresh = push_button("&Refresh", "Search for cameras again (F5)", shortcut="F5")
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
         self.buttons.addButton(self.refresh, QDialogButtonBox.ButtonRole.ActionRole)
         self._lay_out()

@@ -5,8 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QPushButton, QTabWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QHBoxLayout, QTabWidget, QVBoxLayout, QWidget
 
+from ...widgets.basics.controls import push_button
 from ...widgets.basics.dialogs import Dialogs
 from ..context import Context
 from ..document.document import Document
@@ -33,9 +34,7 @@ class CheckWindow(QDialog):
             (self.skew, "&Skew", "The delay between both cameras, from motion"),
         ):
             self.tabs.setTabToolTip(self.tabs.addTab(tab, title), tip)
-        leave = QPushButton("Close")
-        leave.setToolTip("Close this window (Esc)")
-        leave.setAutoDefault(False)
+        leave = push_button("Close", "Close this window (Esc)")
         leave.clicked.connect(self.reject)
         self.finished.connect(self._end)
         row = QHBoxLayout()

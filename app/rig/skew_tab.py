@@ -9,11 +9,11 @@ from functools import partial
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, QTimer, pyqtSignal
-from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDoubleSpinBox, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
 from ...core.rig.skew import MAX_GAP_S, MIN_TIME_S, MotionSeries, Sample, Skew, measure_skew
-from ...widgets.basics.controls import ProgressBar, make_verdict
+from ...widgets.basics.controls import ProgressBar, make_verdict, push_button
 from ...widgets.basics.theme import theme_colors
 from ..document.document import Document
 from ..worker.jobs import Job
@@ -55,11 +55,11 @@ class SkewTab(QWidget):
         self._timer.setInterval(_TICK_MS)
         self._timer.timeout.connect(self._look)
         self.seconds = QDoubleSpinBox()
-        self.start = QPushButton("Measure skew")
-        self.cancel = QPushButton("Cancel")
+        self.start = push_button("Measure skew", "Observe the motion and measure the delay (Ctrl+M)", shortcut="Ctrl+M")
+        self.cancel = push_button("Cancel", "Cancel this measurement")
         self.progress = ProgressBar()
         self.sentence = QLabel()
-        self.compensate = QPushButton("Compensate")
+        self.compensate = push_button("Compensate", "Save the delay in the preset; Ctrl+Z in the main window undoes it")
         self.curve = pg.PlotWidget()
         self.motion = pg.PlotWidget()
         self._lay_out()
@@ -155,10 +155,6 @@ class SkewTab(QWidget):
         self.seconds.setSuffix(" s")
         self.seconds.setAccessibleName("Duration")
         self.seconds.setToolTip("Duration of the measurement in seconds; longer is more accurate")
-        self.start.setToolTip("Observe the motion and measure the delay (Ctrl+M)")
-        self.start.setShortcut("Ctrl+M")
-        self.cancel.setToolTip("Cancel this measurement")
-        self.compensate.setToolTip("Save the delay in the preset; Ctrl+Z in the main window undoes it")
         policy = self.progress.sizePolicy()
         policy.setRetainSizeWhenHidden(True)  # so that the layout does not jump
         self.progress.setSizePolicy(policy)
@@ -179,8 +175,6 @@ class SkewTab(QWidget):
         layout.addWidget(self.curve, 100)
         layout.addWidget(self.motion, 100)
         layout.addStretch(1)
-        for button in (self.start, self.cancel, self.compensate):
-            button.setAutoDefault(False)
         for plot, bottom, left in (
             (self.curve, "Delay of the tactile camera, ms", "Correlation"),
             (self.motion, "Time, s (tactile moved by the delay)", "Pressed in, mm"),

@@ -8,11 +8,11 @@ from typing import Final
 
 from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QFont, QKeyEvent
-from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QSpinBox, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
-from ...widgets.basics.controls import ProgressBar, push_button
+from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
 from ...widgets.basics.message_bar import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
@@ -84,15 +84,11 @@ class CaptureWindow(QDialog):
         for pane in (self.now, self.untouched):
             pane.view.setMinimumSize(220, 165)
             pane.resized.connect(partial(_fit, pane))
-        self.frames = QSpinBox()
-        self.frames.setRange(1, MAX_FRAMES)
-        self.frames.setValue(UNTOUCHED_FRAMES)
-        self.frames.setSuffix(" frames")
-        self.frames.setSpecialValueText("1 frame")
-        self.frames.setAccessibleName("Frames to average")
-        self.frames.setToolTip(
+        self.frames = frame_count(
+            MAX_FRAMES,
             f"Number of frames to average, 1 to {MAX_FRAMES}: the median of each pixel. More frames, less noise; "
-            "the membrane must not move meanwhile"
+            "the membrane must not move meanwhile",
+            UNTOUCHED_FRAMES,
         )
         self.progress = ProgressBar()
         self.progress.setAccessibleName("Progress of capturing")
@@ -118,10 +114,8 @@ class CaptureWindow(QDialog):
         images = QHBoxLayout()
         images.addWidget(self.now)
         images.addWidget(self.untouched)
-        caption = QLabel("A&verage")
-        caption.setBuddy(self.frames)
         taking = QHBoxLayout()
-        for widget in (caption, self.frames, self.take):
+        for widget in (caption("A&verage", self.frames), self.frames, self.take):
             taking.addWidget(widget)
         taking.addWidget(self.progress, 1)
         for widget in (self.go_on, self.use_taken):

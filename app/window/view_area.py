@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, 
 
 from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import Legend, Theme, depth_legend, difference_legend, patch_legend, provenance_legend
+from ...widgets.basics.controls import caption
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
 from ..worker.results import CloudName, ColorBy, Rendered, Result
@@ -200,14 +201,10 @@ class ViewArea(QWidget):
     def _choices(self, actions: Actions) -> QHBoxLayout:
         row = QHBoxLayout()
         row.setContentsMargins(4, 2, 4, 0)
-        label = QLabel("&Colour by")
-        label.setBuddy(self.color_by)
-        row.addWidget(label)
+        row.addWidget(caption("&Colour by", self.color_by))
         row.addWidget(self.color_by)
         row.addSpacing(12)
-        size_label = QLabel("Point si&ze")
-        size_label.setBuddy(self.point_size)
-        row.addWidget(size_label)
+        row.addWidget(caption("Point si&ze", self.point_size))
         row.addWidget(self.point_size)
         row.addStretch(1)
         row.addWidget(QLabel("View"))

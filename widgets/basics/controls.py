@@ -12,6 +12,7 @@ from PyQt6.QtWidgets import (
     QProgressBar,
     QPushButton,
     QSizePolicy,
+    QSpinBox,
     QToolButton,
     QVBoxLayout,
     QWidget,
@@ -28,6 +29,25 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     if shortcut:
         button.setShortcut(shortcut)
     return button
+
+
+def caption(text: str, control: QWidget) -> QLabel:
+    """Return a label for a control; the letter after "&" moves the focus there."""
+    label = QLabel(text)
+    label.setBuddy(control)
+    return label
+
+
+def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
+    """Return an entry of 1 to ``most`` frames."""
+    box = QSpinBox()
+    box.setRange(1, most)
+    box.setValue(value)
+    box.setSuffix(" frames")
+    box.setSpecialValueText("1 frame")
+    box.setAccessibleName("Frames to average")
+    box.setToolTip(tip)
+    return box
 
 
 def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:

@@ -18,8 +18,9 @@ from PyQt6.QtGui import (
     QPen,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QLabel, QSizePolicy, QWidget
+from PyQt6.QtWidgets import QAbstractSpinBox, QHBoxLayout, QSizePolicy, QWidget
 
+from ..basics.controls import caption
 from ..basics.fields import FieldSpec
 from ..basics.gestures import GestureClock
 from .number_slider import NumberEntry, Scale
@@ -442,7 +443,5 @@ class RectangleEditor(_Entries):
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(4)
         for text, entry in zip(("x", "y", "w", "h"), self.entries, strict=True):
-            label = QLabel(text)
-            label.setBuddy(entry)
-            layout.addWidget(label)
+            layout.addWidget(caption(text, entry))
             layout.addWidget(entry, 1)
