@@ -10,7 +10,7 @@ from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
 from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
 
-from ...core.model.plugins import load_plugins
+from ...core.model.plugins import load_plugin, load_plugins
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.errors import explain, guarded
@@ -41,7 +41,7 @@ class AnalysisLauncher(QObject):
         super().__init__(context)
         self._context, self._play, self._shared = context, play, shared
         self.window: AnalysisWindow | None = None
-        plugins = load_plugins(TABS, TabKind)
+        plugins = load_plugins(TABS, lambda name: load_plugin(TABS, name, TabKind))
         self._kinds = dict(sorted(plugins.found.items(), key=lambda item: item[1].title.replace("&", "")))
         for name, problem in plugins.problems.items():
             sentence = f"An analysis tab is missing: {problem}."

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from ..errors import PluginError, TactuneError
 from ..model.frames import Rig, SensorFrame
-from ..model.plugins import NOT_INSTALLED, Plugins, load_plugins, plugin_names
+from ..model.plugins import NOT_INSTALLED, Plugins, load_plugin, load_plugins, plugin_names
 from ..preset import Preset
 from .fusion import fusion_kinds
 from .method import ContactMethod, MethodKind
@@ -20,7 +20,7 @@ GROUP: Final = "tactune.methods"
 @lru_cache(maxsize=1)
 def _methods(names: tuple[str, ...]) -> Plugins[MethodKind]:
     """Load the methods of these entry points, and sort all methods."""
-    plugins = load_plugins(GROUP, MethodKind)
+    plugins = load_plugins(GROUP, lambda name: load_plugin(GROUP, name, MethodKind))
     kinds = {kind.name: kind for kind in plugins.found.values()} | fusion_kinds()
     ordered = sorted(kinds.values(), key=lambda kind: (kind.rank, kind.name if kind.rank else ""))
     return Plugins({kind.name: kind for kind in ordered}, plugins.problems)

@@ -11,6 +11,7 @@ before it is asked for.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, distributions
@@ -80,13 +81,13 @@ def load_plugin_class(group: str, name: str, kind: type[T]) -> type[T]:
     return loaded
 
 
-def load_plugins(group: str, kind: type[T]) -> Plugins[T]:
-    """Import every entry point of a group; those that cannot be loaded become `Plugins.problems`."""
+def load_plugins(group: str, load: Callable[[str], T]) -> Plugins[T]:
+    """Call ``load`` with each name of a group; where it raises `PluginError`, keep the sentence."""
     found: dict[str, T] = {}
     problems: dict[str, str] = {}
     for name in plugin_names(group):
         try:
-            found[name] = load_plugin(group, name, kind)
+            found[name] = load(name)
         except PluginError as error:
             problems[name] = str(error)
     return Plugins(found, problems)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Literal
 
 from ..errors import PluginError, SourceError
 from ..model.files import user_path
-from ..model.plugins import NOT_INSTALLED, load_plugin, plugin_names
+from ..model.plugins import NOT_INSTALLED, load_plugin, load_plugins, plugin_names
 from .base import FrameSource, Progress
 
 if TYPE_CHECKING:
@@ -125,14 +125,9 @@ def _load(scheme: str) -> SourceKind:
 
 def _all_kinds() -> tuple[tuple[SourceKind, ...], list[str]]:
     """Return all kinds in the order of lists, and a sentence for each one that cannot be loaded."""
-    kinds: list[SourceKind] = []
-    problems: list[str] = []
-    for scheme in plugin_names(GROUP):
-        try:
-            kinds.append(_load(scheme))
-        except PluginError as error:
-            problems.append(str(error))
-    return tuple(sorted(kinds, key=lambda kind: (kind.rank, kind.scheme))), problems
+    plugins = load_plugins(GROUP, _load)
+    kinds = sorted(plugins.found.values(), key=lambda kind: (kind.rank, kind.scheme))
+    return tuple(kinds), list(plugins.problems.values())
 
 
 def _guess(name: str) -> tuple[SourceKind, str]:

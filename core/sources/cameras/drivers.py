@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from ...errors import PluginError, SourceError, TactuneError
-from ...model.plugins import load_plugin_class, plugin_names
+from ...model.plugins import load_plugin_class, load_plugins
 from ...preset import CamerasSection
 from ..base import CameraRole
 from .camera import CameraDriver, DeviceInfo
@@ -23,13 +23,8 @@ def camera_drivers(name: str = "") -> tuple[list[CameraDriver], list[str]]:
     """
     if name:
         return [_load(name)], []
-    drivers, problems = [], []
-    for known in plugin_names(GROUP):
-        try:
-            drivers.append(_load(known))
-        except PluginError as error:
-            problems.append(str(error))
-    return drivers, problems
+    plugins = load_plugins(GROUP, _load)
+    return list(plugins.found.values()), list(plugins.problems.values())
 
 
 def connected_devices(drivers: Sequence[CameraDriver]) -> tuple[list[tuple[CameraDriver, DeviceInfo]], list[str]]:
