@@ -31,6 +31,7 @@ from .strain_work import MapOf, StrainTask, StrainView, examine
 _SPACING, _AVERAGE, _MAP = "strain/spacing_mm", "strain/average", "strain/map"
 _MAX_AVERAGED = 30
 _WAITING = "Waiting for a frame: open a source in the main window, such as sim:cup?grid=dots."
+_FIRST = "Measuring the first frame…"
 _NO_UNTOUCHED = (
     "No displacement: the untouched membrane is not known. Show it without contact, then press “Take as untouched”."
 )
@@ -179,6 +180,9 @@ class StrainTab(MeasuringTab):
         """Measure the newest frame with the present entries."""
         if self._result is None or not self._frames:
             return
+        if self.view is None:
+            self.status.setText(_FIRST)
+            self.map.show_view(None, MapOf.LARGEST, _FIRST)
         frames = list(self._frames)[-self.average.value() :]
         untouched = self._captured or self.untouched.frame
         result, spacing_m = self._result, self.spacing.value() / 1e3
