@@ -4,12 +4,14 @@ from .alignment import AlignmentSection, HomographyAlignment, RigidAlignment
 from .contact_test import ContactTest
 from .membrane import MembraneSection
 from .preset import CONTACT_TESTS, Preset, now
+from .rig_noise import CameraNoise, RigNoise
 from .sections import CameraSection, CamerasSection, MaskSection, RangeSection, RegionSection, UntouchedRecord
 from .tolerance import OutlierSection, ToleranceSection
 
 __all__ = [
     "CONTACT_TESTS",
     "AlignmentSection",
+    "CameraNoise",
     "CameraSection",
     "CamerasSection",
     "ContactTest",
@@ -20,6 +22,7 @@ __all__ = [
     "Preset",
     "RangeSection",
     "RegionSection",
+    "RigNoise",
     "RigidAlignment",
     "ToleranceSection",
     "UntouchedRecord",

@@ -19,6 +19,7 @@ from .alignment import AlignmentSection
 from .contact_test import ContactTest
 from .membrane import MembraneSection
 from .migrations import SCHEMA_VERSION, Document
+from .rig_noise import RigNoise
 from .sections import CamerasSection, MaskSection, RangeSection, RegionSection, Section, UntouchedRecord, described
 from .tolerance import OutlierSection, ToleranceSection
 
@@ -95,6 +96,14 @@ class Preset(_WithTests):
         described(
             "Untouched frame",
             "The untouched membrane, which some methods and the drift check compare with. Empty: not captured.",
+            hidden=True,
+        ),
+    ] = None
+    noise: Annotated[
+        RigNoise | None,
+        described(
+            "Noise and bias",
+            "The measured noise of both cameras and the bias between them. Empty: not measured.",
             hidden=True,
         ),
     ] = None

@@ -268,7 +268,7 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
     """Raise if the tactile depth differs from the first frame's. The proximity depth may change."""
     if frame is first or frame.tactile_depth.shape != first.tactile_depth.shape:
         return  # take_snapshot refuses other sizes
-    before, after = _tile_medians(first.tactile_depth), _tile_medians(frame.tactile_depth)
+    before, after = tile_medians(first.tactile_depth), tile_medians(frame.tactile_depth)
     moved = np.abs(after - before) > _MOVED_SHARE * before
     if moved.mean() > _MOVED_TILES:
         farthest = float(np.abs(after - before)[moved].max() / np.median(before[moved]))
@@ -279,7 +279,7 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
         )
 
 
-def _tile_medians(counts: Uint16Array) -> Float64Array:
+def tile_medians(counts: Uint16Array) -> Float64Array:
     """Return the median of the valid counts of each image tile, shape (M,); nan where most pixels have no depth."""
     height, width = (size // _TILE_PX * _TILE_PX for size in counts.shape)
     tiles = counts[:height, :width].reshape(height // _TILE_PX, _TILE_PX, width // _TILE_PX, _TILE_PX)

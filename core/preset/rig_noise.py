@@ -1,0 +1,124 @@
+"""The measured noise of both cameras and the bias between them; `tactune.core.rig.noise` measures them."""
+
+from __future__ import annotations
+
+import math
+from datetime import datetime
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from .sections import Section, described
+
+BiasOrigin = Literal["prints", "contact", "unknown"]
+
+_Noise = Annotated[float, Field(ge=0.0, le=1.0)]
+
+
+class CameraNoise(Section):
+    """Depth noise of one camera: a part that differs from pixel to pixel, and a part that neighbours share.
+
+    The shared part is white noise through a Gaussian window of sigma ``length_px``, so two pixels at a distance of d
+    pixels correlate with exp(-d^2 / (4 length_px^2)).
+    """
+
+    white_m: Annotated[
+        _Noise,
+        described(
+            "White noise", "Standard deviation of the part that differs from pixel to pixel.", unit="m", hidden=True
+        ),
+    ]
+    correlated_m: Annotated[
+        _Noise,
+        described(
+            "Correlated noise", "Standard deviation of the part that neighbouring pixels share.", unit="m", hidden=True
+        ),
+    ]
+    length_px: Annotated[
+        float,
+        described(
+            "Correlation length",
+            "Sigma of the Gaussian window that correlates neighbouring pixels. 0: there is no correlated part.",
+            unit="px",
+            hidden=True,
+        ),
+        Field(ge=0.0, le=1000.0),
+    ]
+    changing_share: Annotated[
+        float,
+        described(
+            "Changing share",
+            "Share of the variance that changes from frame to frame. An average over frames reduces only this share.",
+            hidden=True,
+        ),
+        Field(ge=0.0, le=1.0),
+    ]
+    distance_m: Annotated[
+        float, described("Distance", "Depth at which the noise holds.", unit="m", hidden=True), Field(gt=0.0, le=10.0)
+    ]
+
+    @property
+    def total_m(self) -> float:
+        """Standard deviation of one pixel, metres."""
+        return math.hypot(self.white_m, self.correlated_m)
+
+    def density_m4(self, focal_px: float) -> float:
+        """Return the noise power per area at low spatial frequency, m^4.
+
+        The variance of the mean over an area is the density divided by the area, where the area is large compared with
+        the correlation length.
+
+        Parameters
+        ----------
+        focal_px : float
+            The camera's focal length, pixels.
+        """
+        pixel_m = self.distance_m / focal_px
+        shared_m2 = 4.0 * math.pi * (self.length_px * pixel_m) ** 2
+        return (self.white_m * pixel_m) ** 2 + self.correlated_m**2 * shared_m2
+
+
+class RigNoise(Section):
+    """The measured noise of both cameras and the bias between them."""
+
+    proximity: CameraNoise
+    tactile: CameraNoise
+    bias_m: Annotated[
+        float,
+        described(
+            "Bias",
+            "Proximity depth minus tactile depth on the same surface, after the alignment's depth scale and offset.",
+            unit="m",
+            hidden=True,
+        ),
+        Field(ge=-1.0, le=1.0),
+    ] = 0.0
+    bias_sigma_m: Annotated[
+        float,
+        described("Bias uncertainty", "Standard deviation of the bias.", unit="m", hidden=True),
+        Field(ge=0.0, le=1.0),
+    ] = 0.005
+    bias_from: Annotated[
+        BiasOrigin,
+        described(
+            "Bias measured on",
+            "prints: prints of the mask's colour, which both cameras see. contact: an object pressed into the "
+            "membrane. unknown: not measured.",
+            hidden=True,
+        ),
+    ] = "unknown"
+    bias_per_m: Annotated[
+        float,
+        described(
+            "Bias slope",
+            "Growth of the bias per metre of depth. 0: constant, or too small a range of depth to tell.",
+            hidden=True,
+        ),
+        Field(ge=-1.0, le=1.0),
+    ] = 0.0
+    measured: Annotated[datetime, described("Measured", "Date and time of the measurement.", hidden=True)]
+    frames: Annotated[
+        int,
+        described("Frames", "Number of frames that were measured.", unit="frames", hidden=True),
+        Field(ge=1, le=100_000),
+    ]

@@ -1,0 +1,615 @@
+"""The noise of both depth cameras and the bias between them, measured on frames of a scene at rest.
+
+Two things tell the noise. The difference of successive frames contains only what changes from frame to frame. The mean
+of all frames contains what stays: what is left of it beside a smooth surface. The autocovariances of both are fitted
+together by white noise and by noise that neighbours share (a Gaussian window over white noise). A smooth surface that
+is fitted to a window also takes away part of the shared noise; the model of the autocovariance takes away the same.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+import cv2
+import numpy as np
+from scipy.optimize import nnls
+
+from ..contact.alignment import AlignmentModel, make_alignment
+from ..contact.kernels.chain import Region
+from ..contact.masking import colors_at, in_hsv_range
+from ..errors import FrameError
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
+from ..model.clouds import deproject, pixel_areas_m2, valid_depth
+from ..model.frames import DepthCamera, Rig, SensorFrame
+from ..preset import CameraNoise, MaskSection, Preset, RigNoise, now
+from ..preset.rig_noise import BiasOrigin
+from ..sources.base import CameraRole, Progress
+from .untouched import tile_medians
+
+#: Default number of live frames.
+NOISE_FRAMES: Final = 60
+#: Fewest different frames.
+MIN_FRAMES: Final = 10
+#: Area of firm contact below which a frame tells nothing about the bias, m^2.
+MIN_CONTACT_M2: Final = 1e-3
+#: Standard deviation of a bias that was not measured, metres.
+UNKNOWN_BIAS_M: Final = 0.005
+
+#: Finds firm contact in a frame and returns the bias there, metres, and its area, m^2; None without contact.
+ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
+
+#: Lags of the autocovariances, pixels.
+_LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
+#: Candidates for the correlation length, pixels.
+_LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 90)
+#: Side of the windows with a smooth surface: this, or so many correlation lengths up to an upper limit, pixels.
+_TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX = 48, 6.0, 144
+#: Share of a window's pixels that need a depth, and share of the frames in which a pixel needs one.
+_MIN_FILLED, _MIN_SEEN = 0.85, 0.8
+#: What changes and what stays have correlation lengths within this factor. Where only what stays is correlated, the
+#: length is at most a window's share of `_TILE_LENGTHS`: shape is not told from longer ones.
+_LENGTH_RANGE: Final = 1.3
+#: Smallest share of the image with depth.
+_MIN_USABLE: Final = 0.01
+#: Pixels whose noise is larger than the median by this factor are flying pixels at edges.
+_FLYING: Final = 2.5
+#: Residuals beyond so many robust standard deviations are outliers.
+_TRIM: Final = 5.0
+_NORMAL: Final = 1.4826
+#: Standard error of an autocovariance as a share of the variance, at the least.
+_MIN_ERROR: Final = 0.005
+#: A correlated part below this share of the variance has no measurable length.
+_MIN_CORRELATED: Final = 0.01
+
+#: Movement: the median depth of an image tile differs by more than this share in more than this share of the tiles,
+#: between these parts of the time, each of at most so many frames.
+_MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.02, 4, 8
+#: Fewest pixels at the membrane's distance from which the proximity noise there is taken, and the range of distances.
+_NEAR_PIXELS, _NEAR_SHARE = 1500, 0.25
+
+#: Prints: how far their rim is eroded, fewest pixels of one, largest bias, and largest scatter between prints.
+_PRINT_RIM_PX, _PRINT_PIXELS, _MAX_BIAS_M, _MAX_SCATTER_M = 5, 60, 0.04, 0.006
+#: Standard deviation of the bias that no area reduces, metres.
+_BIAS_FLOOR_M: Final = 0.0002
+#: Smallest range of depth that tells the slope of the bias, metres.
+_MIN_RANGE_M: Final = 0.040
+#: Two biases disagree beyond so many standard deviations.
+_DISAGREE: Final = 3.0
+
+
+@dataclass(frozen=True)
+class MeasuredBias:
+    """The bias between both cameras: value and standard deviation, metres; slope per metre of depth."""
+
+    bias_m: float
+    sigma_m: float
+    origin: BiasOrigin
+    per_m: float = 0.0
+
+
+def measure_noise(
+    frames: Sequence[SensorFrame],
+    rig: Rig,
+    preset: Preset,
+    untouched: SensorFrame | None = None,
+    progress: Progress | None = None,
+    contact_bias: ContactBias | None = None,
+    warn: Callable[[str], None] | None = None,
+) -> RigNoise:
+    """Measure the noise of both cameras and the bias between them.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+        Frames of a scene at rest, `NOISE_FRAMES` by default, at least `MIN_FRAMES` different ones.
+    rig : Rig
+    preset : Preset
+        Its alignment relates both depths; its mask shows the prints that both cameras see.
+    untouched : SensorFrame, optional
+        The untouched frame, where all prints are visible.
+    progress : callable, optional
+        Called with the finished share, 0 to 1, and a description.
+    contact_bias : callable, optional
+        See `ContactBias`; measures the bias where an object is pressed firmly into the membrane.
+    warn : callable, optional
+        Called with sentences on a result that is doubtful.
+
+    Raises
+    ------
+    FrameError
+        There are too few different frames, the scene moves, or a camera sees too little depth or no smooth surface.
+    RigMismatchError
+        Neither preset nor rig has the pose between the cameras.
+    """
+    report = progress or (lambda share, words: None)
+    different = list({frame.sequence: frame for frame in frames}.values())
+    if len(different) < MIN_FRAMES:
+        raise FrameError(
+            f"the noise needs {MIN_FRAMES} different frames of a scene at rest, there are {len(different)}; "
+            "let the source play longer"
+        )
+    for frame in (*different, *([untouched] if untouched is not None else [])):
+        frame.check_against(rig)
+    report(0.0, "Looking for movement")
+    _refuse_movement(different)
+    tactile = _camera_noise(
+        "tactile",
+        [frame.tactile_depth for frame in different],
+        rig.tactile,
+        report=lambda share: report(0.1 + 0.35 * share, "Measuring the tactile noise"),
+    )
+    proximity = _camera_noise(
+        "proximity",
+        [frame.proximity_depth for frame in different],
+        rig.proximity,
+        tactile.distance_m,
+        report=lambda share: report(0.45 + 0.35 * share, "Measuring the proximity noise"),
+    )
+    report(0.8, "Measuring the bias")
+    density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
+    found = [
+        print_bias(_spread_out(different, untouched), rig, preset, density_m4),
+        None if contact_bias is None else pressed_bias(different, contact_bias, density_m4),
+    ]
+    report(1.0, "The noise is measured")
+    bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
+    return RigNoise(
+        proximity=proximity,
+        tactile=tactile,
+        bias_m=bias.bias_m,
+        bias_sigma_m=bias.sigma_m,
+        bias_from=bias.origin,
+        bias_per_m=bias.per_m,
+        measured=now(),
+        frames=len(different),
+    )
+
+
+def describe(noise: RigNoise) -> list[str]:
+    """Return the result in sentences: tactile noise, proximity noise, bias."""
+    return [
+        _describe_camera("Tactile", noise.tactile),
+        _describe_camera("Proximity", noise.proximity),
+        _describe_bias(MeasuredBias(noise.bias_m, noise.bias_sigma_m, noise.bias_from, noise.bias_per_m)),
+    ]
+
+
+# The noise of one camera
+
+
+@dataclass(frozen=True)
+class Autocovariances:
+    """Autocovariances at `_LAGS` and their standard errors, m^2."""
+
+    values: Float64Array
+    errors: Float64Array
+
+
+def _camera_noise(
+    role: CameraRole,
+    images: Sequence[Uint16Array],
+    camera: DepthCamera,
+    membrane_m: float | None = None,
+    report: Callable[[float], None] = lambda share: None,
+) -> CameraNoise:
+    """Measure one camera; ``membrane_m`` is the membrane's distance for a time-of-flight camera, None for stereo."""
+    depths = _metres(images, camera)
+    mean, count = _mean_over_frames(depths)
+    seen = count >= _MIN_SEEN * len(depths)
+    if seen.mean() < _MIN_USABLE:
+        raise FrameError(
+            f"the {role} camera sees depth in only {100 * seen.mean():.1f} % of its image; check that it sees the scene"
+        )
+    deviation = _temporal_deviation(depths)
+    if membrane_m is None:
+        distance_m = float(np.median(mean[seen]))
+        growth = np.asarray((mean / distance_m) ** 2, np.float32)
+    else:
+        distance_m, growth = _growth_with_depth(mean, deviation, seen, membrane_m)
+    share = deviation / growth
+    good = seen & (share <= _FLYING * max(float(np.median(share[seen])), camera.depth_unit_m / 4))
+    growth[~good] = np.nan
+    changing = _changing_autocovariances(depths, growth, report)
+    parts, length_px = _fit_noise(changing)
+    if parts[1] <= _MIN_CORRELATED * parts.sum():
+        length_px = 0.0
+    surface = distance_m - distance_m**2 / mean if membrane_m is None else mean
+    divisor = np.ones_like(growth) if membrane_m is None else growth
+    fixed, tile_px = _fixed_autocovariances(role, surface, divisor, good, length_px)
+    lengths = (length_px / _LENGTH_RANGE, length_px * _LENGTH_RANGE) if length_px else (0.0, tile_px / _TILE_LENGTHS)
+    parts, length_px = _fit_noise(changing, fixed, tile_px, len(depths), lengths)
+    white_changing, shared_changing, white_fixed, shared_fixed = parts
+    total, shared = sum(parts), shared_changing + shared_fixed
+    if shared <= _MIN_CORRELATED * total:
+        length_px = 0.0
+    return CameraNoise(
+        white_m=float(np.sqrt(white_changing + white_fixed)),
+        correlated_m=float(np.sqrt(shared)) if length_px else 0.0,
+        length_px=length_px,
+        changing_share=(white_changing + shared_changing) / total if total > 0 else 0.0,
+        distance_m=distance_m,
+    )
+
+
+def _metres(images: Sequence[Uint16Array], camera: DepthCamera) -> Float32Array:
+    """Return depths in metres, shape (N, H, W), nan where there is none."""
+    depths = np.empty((len(images), *images[0].shape), np.float32)
+    for depth, counts in zip(depths, images, strict=True):
+        np.multiply(counts, np.float32(camera.depth_unit_m), out=depth)
+        depth[~valid_depth(counts)] = np.nan
+    return depths
+
+
+def _mean_over_frames(depths: Float32Array) -> tuple[Float32Array, Float32Array]:
+    """Return each pixel's mean depth, nan without any, and its number of depths."""
+    total, count = np.zeros(depths.shape[1:]), np.zeros(depths.shape[1:], np.float32)
+    for depth in depths:
+        known = np.isfinite(depth)
+        total += np.where(known, depth, 0.0)
+        count += known
+    with np.errstate(invalid="ignore"):
+        return np.asarray(total / count, np.float32), count
+
+
+def _differences(depths: Float32Array) -> Iterator[Float32Array]:
+    for before, after in pairwise(depths):
+        yield after - before
+
+
+def _temporal_deviation(depths: Float32Array) -> Float32Array:
+    """Return each pixel's standard deviation over the frames, from the differences of successive frames, metres."""
+    total, count = (np.zeros(depths.shape[1:], np.float32) for _ in range(2))
+    for difference in _differences(depths):
+        known = np.isfinite(difference)
+        total += np.where(known, difference, 0) ** 2
+        count += known
+    return np.asarray(np.sqrt(total / np.maximum(2 * count, 1)), np.float32)
+
+
+def _growth_with_depth(
+    mean: Float32Array, deviation: Float32Array, seen: BoolArray, membrane_m: float
+) -> tuple[float, Float32Array]:
+    """Return a distance, and each pixel's noise as a multiple of that there: a straight line over the depth.
+
+    The distance is the membrane's where the camera sees enough there (prints, objects), else the median depth.
+    """
+    near = seen & (np.abs(mean - membrane_m) < _NEAR_SHARE * membrane_m)
+    distance_m = membrane_m if near.sum() >= _NEAR_PIXELS else float(np.median(mean[seen]))
+    bins = np.floor(mean[seen] / (0.1 * distance_m)).astype(int)
+    edges, inverse, counts = np.unique(bins, return_inverse=True, return_counts=True)
+    used = np.flatnonzero(counts >= _NEAR_PIXELS // 2)
+    depth, noise = (
+        np.array([np.median(image[seen][inverse == index]) for index in used]) for image in (mean, deviation)
+    )
+    if len(edges[used]) < 2 or np.ptp(depth) < 0.2 * distance_m:
+        return distance_m, np.ones_like(mean)
+    slope, start = np.polyfit(depth, noise, 1, w=np.sqrt(counts[used]))
+    there = start + slope * distance_m
+    if there <= 0:
+        return distance_m, np.ones_like(mean)
+    return distance_m, np.asarray(np.clip((start + slope * mean) / there, 0.2, 20.0), np.float32)
+
+
+def _changing_autocovariances(
+    depths: Float32Array, growth: Float32Array, report: Callable[[float], None]
+) -> Autocovariances:
+    """Return the autocovariances of the part that changes; ``growth`` is nan where pixels are left out."""
+    rows = []
+    for number, difference in enumerate(_differences(depths)):
+        report(number / len(depths))
+        noise = difference / growth
+        noise -= np.nanmedian(noise)
+        limit = _TRIM * _NORMAL * float(np.nanmedian(np.abs(noise))) + 1e-9
+        rows.append(_autocovariances(np.where(np.abs(noise) <= limit, noise, np.nan)) / 2)
+    values = np.asarray(rows)
+    return _with_errors(values)
+
+
+def _autocovariances(image: Float32Array) -> Float64Array:
+    """Return the mean products of pixels at `_LAGS` along rows and columns; nan where there is no pair."""
+    known = np.isfinite(image)
+    filled, weight = np.where(known, image, np.float32(0)), known.astype(np.float32)
+    values = []
+    for lag in _LAGS:
+        pairs, products = 0.0, 0.0
+        for first, second in ((np.s_[:, lag:], np.s_[:, : -lag or None]), (np.s_[lag:], np.s_[: -lag or None])):
+            pairs += float(np.vdot(weight[first], weight[second]))
+            products += float(np.vdot(filled[first], filled[second]))
+        values.append(products / pairs if pairs else np.nan)
+    return np.array(values)
+
+
+def _with_errors(rows: Float64Array) -> Autocovariances:
+    """Average autocovariances, shape (M, lags), of M samples."""
+    with np.errstate(invalid="ignore"):
+        values = np.nanmean(rows, axis=0)
+        errors = np.nanstd(rows, axis=0) / np.sqrt(np.maximum(np.isfinite(rows).sum(axis=0), 1))
+    return Autocovariances(values, np.maximum(errors, _MIN_ERROR * abs(values[0])))
+
+
+def _fixed_autocovariances(
+    role: CameraRole, surface: Float32Array, divisor: Float32Array, good: BoolArray, length_px: float
+) -> tuple[Autocovariances, int]:
+    """Return the autocovariances of the mean frame beside smooth surfaces, and the side of the windows, pixels."""
+    largest = min(_MAX_TILE_PX, min(surface.shape) // 3)
+    for tile_px in (int(np.clip(_TILE_LENGTHS * length_px, _TILE_PX, largest)), min(_TILE_PX, largest)):
+        rows = _residual_autocovariances(surface, divisor, good, tile_px)
+        if len(rows):
+            return _with_errors(rows), tile_px
+    raise FrameError(
+        f"the {role} camera sees no smooth surface of {_TILE_PX} x {_TILE_PX} pixels; "
+        "put a smooth object or a wall in front of it"
+    )
+
+
+def _residual_autocovariances(
+    surface: Float32Array, divisor: Float32Array, good: BoolArray, tile_px: int
+) -> Float64Array:
+    """Return the autocovariances of the residual of a quadratic surface, one row for each of the smoothest windows.
+
+    The smoothest half is chosen by the curvature of the fitted surface, of which the residual is independent.
+    """
+    basis = _quadratics(tile_px).reshape(-1, 6)
+    windows = []
+    step = tile_px // 2
+    for top in range(0, surface.shape[0] - tile_px + 1, step):
+        for left in range(0, surface.shape[1] - tile_px + 1, step):
+            place = np.s_[top : top + tile_px, left : left + tile_px]
+            known = good[place].reshape(-1)
+            if known.mean() >= _MIN_FILLED:
+                values = surface[place].reshape(-1).astype(np.float64)
+                weights, residual = _fit_smooth(basis, values, known)
+                residual /= divisor[place].reshape(-1)
+                windows.append((float(np.linalg.norm(weights[3:])), residual.reshape(tile_px, tile_px)))
+    windows.sort(key=lambda window: window[0])
+    smoothest = [residual for _, residual in windows[: (len(windows) + 1) // 2]]
+    variances = np.array([np.nanvar(residual) for residual in smoothest])
+    kept = variances <= 6 * np.median(variances) if len(variances) else []
+    return np.array(
+        [_autocovariances(residual.astype(np.float32)) for residual, keep in zip(smoothest, kept, strict=True) if keep]
+    )
+
+
+def _fit_smooth(basis: Float64Array, values: Float64Array, known: BoolArray) -> tuple[Float64Array, Float64Array]:
+    """Return coefficients and residual, nan at outliers and unknown pixels, of a robust fit."""
+    weights: Float64Array = np.zeros(basis.shape[1])
+    residual = values
+    for _ in range(2):
+        used = basis[known]
+        weights = np.asarray(
+            np.linalg.solve(used.T @ used, used.T @ values[known])
+        )  # orthonormal but for the unknown pixels
+        residual = values - basis @ weights
+        spread = _NORMAL * float(np.median(np.abs(residual[known])))
+        known = known & (np.abs(residual) <= _TRIM * spread + 1e-9)
+    return weights, np.where(known, residual, np.nan)
+
+
+# The model of the autocovariances
+
+
+def _fit_noise(
+    changing: Autocovariances,
+    fixed: Autocovariances | None = None,
+    tile_px: int = 0,
+    frames: int = 1,
+    lengths_px: tuple[float, float] = (0.0, np.inf),
+) -> tuple[Float64Array, float]:
+    """Return the variances of four parts, m^2, and the correlation length, pixels, that fit best.
+
+    The parts are white and correlated noise that changes, then white and correlated noise that stays. The mean of N
+    frames still contains 1 / N of what changes. ``lengths_px`` are the shortest and longest length that are tried.
+    """
+    best: tuple[float, Float64Array, float] = (np.inf, np.zeros(4), 0.0)
+    values = np.concatenate([changing.values, *([fixed.values] if fixed else [])])
+    errors = np.concatenate([changing.errors, *([fixed.errors] if fixed else [])])
+    used = np.isfinite(values) & (errors > 0)
+    if not used.any():
+        return best[1], 0.0
+    lags = np.array(_LAGS, np.float64)
+    for length_px in _LENGTHS_PX[(lengths_px[0] <= _LENGTHS_PX) & (lengths_px[1] >= _LENGTHS_PX)]:
+        white, shared = (lags == 0).astype(float), np.exp(-(lags**2) / (4 * length_px**2))
+        model = np.column_stack([white, shared, np.zeros((len(lags), 2))])
+        if fixed:
+            stays = np.column_stack([_seen_covariances(0.0, tile_px), _seen_covariances(float(length_px), tile_px)])
+            model = np.vstack([model, np.column_stack([stays / frames, stays])])
+        parts, misfit = nnls(model[used] / errors[used, None], values[used] / errors[used])
+        if misfit < best[0]:
+            best = (misfit, parts, float(length_px))
+    return best[1], best[2]
+
+
+@lru_cache(maxsize=512)
+def _seen_covariances(length_px: float, tile_px: int) -> Float64Array:
+    """Return the autocovariances at `_LAGS` that noise of variance 1 keeps beside a fitted quadratic surface.
+
+    With the covariance C and the projector Q Q' onto the surfaces the residual has the covariance
+    (I - Q Q') C (I - Q Q'). C is that of rows times that of columns. Length 0 is white noise.
+    """
+    basis = _quadratics(tile_px)
+    places = np.arange(tile_px)
+    along = np.eye(tile_px)
+    if length_px > 0:
+        along = np.exp(-((places[:, None] - places) ** 2) / (4 * length_px**2))
+    turned = np.einsum("ia,abk,bj->ijk", along, basis, along, optimize=True)
+    inner = np.einsum("ijk,ijl->kl", basis, turned)
+    both = basis @ inner - turned
+    values = []
+    for lag in _LAGS:
+        if lag >= tile_px:
+            values.append(0.0)
+            continue
+        first, second = np.s_[:, : tile_px - lag], np.s_[:, lag:]
+        lost = np.sum(basis[first] * turned[second] - both[first] * basis[second]) / turned[first][..., 0].size
+        values.append(along[0, lag] - lost)
+    return np.array(values)
+
+
+@lru_cache(maxsize=16)
+def _quadratics(tile_px: int) -> Float64Array:
+    """Return orthonormal images of the six quadratic surfaces, shape (T, T, 6), the curved ones last."""
+    y, x = np.mgrid[-1 : 1 : 1j * tile_px, -1 : 1 : 1j * tile_px]
+    columns = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=2).reshape(-1, 6)
+    return np.linalg.qr(columns)[0].reshape(tile_px, tile_px, 6)
+
+
+# The bias
+
+
+def print_bias(frames: Sequence[SensorFrame], rig: Rig, preset: Preset, density_m4: float) -> MeasuredBias | None:
+    """Return the bias on prints of the mask's colour, where the proximity camera sees the membrane itself, or None.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+    rig : Rig
+    preset : Preset
+        Without a mask there are no prints.
+    density_m4 : float
+        Noise power per area of the difference of both depths.
+
+    Raises
+    ------
+    RigMismatchError
+        Neither preset nor rig has the pose between the cameras.
+    """
+    if not preset.mask.enabled or not frames:
+        return None
+    alignment = make_alignment(preset.alignment, rig)
+    prints = [found for frame in frames for found in _prints(frame, rig, preset.mask, alignment)]
+    if not prints:
+        return None
+    bias_m, depth_m, area_m2 = np.array(prints).T
+    centre = float(np.median(bias_m))
+    scatter = _NORMAL * float(np.median(np.abs(bias_m - centre)))
+    if scatter > _MAX_SCATTER_M:
+        return None  # the proximity camera looks through this colour
+    kept = np.abs(bias_m - centre) <= _TRIM * scatter + 2 * _BIAS_FLOOR_M
+    bias_m, depth_m, area_m2 = bias_m[kept], depth_m[kept], area_m2[kept]
+    per_m, away_m = 0.0, np.zeros_like(bias_m)
+    if np.ptp(depth_m) >= _MIN_RANGE_M:
+        per_m = float(np.polyfit(depth_m, bias_m, 1, w=np.sqrt(area_m2))[0])
+        away_m = per_m * (depth_m - np.average(depth_m, weights=area_m2))
+    mean_m = float(np.average(bias_m, weights=area_m2))
+    each_frame = max(len(bias_m) / len(frames), 1.0)
+    between = float(np.std(bias_m - away_m)) / np.sqrt(each_frame)
+    noise = np.sqrt(density_m4 / (area_m2.sum() / len(frames)))
+    return MeasuredBias(mean_m, float(np.hypot(max(noise, between), _BIAS_FLOOR_M)), "prints", per_m)
+
+
+def _prints(
+    frame: SensorFrame, rig: Rig, mask: MaskSection, alignment: AlignmentModel
+) -> Iterator[tuple[float, float, float]]:
+    """Yield median bias, median depth and area of each print, metres and m^2."""
+    camera = rig.proximity
+    height, width = camera.intrinsics.shape
+    aligned = alignment.align(frame.proximity_depth, frame.tactile_depth, Region(0, 0, width, height))
+    with np.errstate(invalid="ignore"):
+        difference = aligned.expected_m - aligned.measured_m
+        near = np.abs(difference) < _MAX_BIAS_M
+    pixels = np.flatnonzero(near & valid_depth(frame.proximity_depth))
+    colors, seen = colors_at(deproject(frame.proximity_depth, camera, pixels), pixels, frame.proximity_color, rig)
+    marked = np.zeros(height * width, np.uint8)
+    marked[pixels] = seen & in_hsv_range(colors, mask)
+    image = cv2.medianBlur(marked.reshape(height, width), 5)  # closes pixels without depth
+    inner = cv2.erode(image, np.ones((_PRINT_RIM_PX, _PRINT_RIM_PX), np.uint8))
+    count, labels = cv2.connectedComponents(inner)
+    depth_m = frame.proximity_depth * np.float32(camera.depth_unit_m)
+    areas = pixel_areas_m2(depth_m, camera.intrinsics)
+    for label in range(1, count):
+        inside = (labels == label) & near
+        if inside.sum() >= _PRINT_PIXELS:
+            yield float(np.median(difference[inside])), float(np.median(depth_m[inside])), float(areas[inside].sum())
+
+
+def pressed_bias(frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float) -> MeasuredBias | None:
+    """Return the bias where an object is pressed firmly into the membrane; None without a frame of enough contact."""
+    found = [contact for frame in frames if (contact := contact_bias(frame)) is not None]
+    firm = np.array([contact for contact in found if contact[1] >= MIN_CONTACT_M2])
+    if not len(firm):
+        return None
+    noise = np.sqrt(density_m4 / np.median(firm[:, 1]))
+    return MeasuredBias(float(np.median(firm[:, 0])), float(np.hypot(noise, _BIAS_FLOOR_M)), "contact")
+
+
+def choose_bias(found: Sequence[MeasuredBias], warn: Callable[[str], None]) -> MeasuredBias:
+    """Return the most certain bias; warn if two disagree."""
+    if not found:
+        return MeasuredBias(0.0, UNKNOWN_BIAS_M, "unknown")
+    best, *others = sorted(found, key=lambda bias: bias.sigma_m)
+    for other in others:
+        if abs(other.bias_m - best.bias_m) > _DISAGREE * np.hypot(other.sigma_m, best.sigma_m):
+            warn(
+                f"Two measurements of the bias disagree: {_numbers(best)} on {best.origin} and {_numbers(other)} on "
+                f"{other.origin}; the first is used. Check the mask and the alignment."
+            )
+    return best
+
+
+# Movement, frames, words
+
+
+def _refuse_movement(frames: Sequence[SensorFrame]) -> None:
+    """Raise if the depth of either camera differs between the frames by more than noise."""
+    for role, images in (
+        ("tactile", [frame.tactile_depth for frame in frames]),
+        ("proximity", [frame.proximity_depth for frame in frames]),
+    ):
+        parts = np.array([_resting_depth(part) for part in _split(images, _PARTS)])
+        parts = parts[:, np.isfinite(parts).all(axis=0)]
+        if not parts.size:
+            continue  # the lack of depth is reported later
+        moved = np.ptp(parts, axis=0) > _MOVED_SHARE * parts.mean(axis=0)
+        if moved.mean() > _MOVED_TILES:
+            raise FrameError(
+                f"the scene moves: the {role} depth changes in {100 * moved.mean():.0f} % of the image; "
+                "hold everything still and measure again"
+            )
+
+
+def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Array]]:
+    bounds = np.linspace(0, len(images), parts + 1).astype(int)
+    return [images[first:last] for first, last in pairwise(bounds)]
+
+
+def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
+    """Return the median depth of each image tile over some of the images, counts; nan without depth."""
+    some = images[:: -(-len(images) // _PART_FRAMES)]
+    return np.asarray(np.median([tile_medians(image) for image in some], axis=0))
+
+
+def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None) -> list[SensorFrame]:
+    """Return the untouched frame and some live frames over the whole time."""
+    some = list(frames[:: max(len(frames) // 10, 1)])
+    return some if untouched is None else [untouched, *some]
+
+
+def _describe_camera(name: str, noise: CameraNoise) -> str:
+    over = f" over {noise.length_px:.0f} px" if noise.correlated_m > noise.white_m / 4 else ""
+    apart = f" ({1e3 * noise.white_m:.2f} mm of it from pixel to pixel)" if over else ", from pixel to pixel"
+    return (
+        f"{name} noise {1e3 * noise.total_m:.2f} mm{over} at {1e3 * noise.distance_m:.0f} mm{apart}; "
+        f"{100 * noise.changing_share:.0f} % of its variance changes from frame to frame."
+    )
+
+
+def _describe_bias(bias: MeasuredBias) -> str:
+    if bias.origin == "unknown":
+        return (
+            "The bias between the cameras could not be told from a gap: press an object firmly (10 cm2 or more) and "
+            "measure again."
+        )
+    slope = f", and {abs(bias.per_m) * 100:.1f} mm {'more' if bias.per_m > 0 else 'less'} per 100 mm of depth"
+    return (
+        f"The proximity camera reads {1e3 * abs(bias.bias_m):.1f} +- {1e3 * bias.sigma_m:.1f} mm "
+        f"{'farther' if bias.bias_m >= 0 else 'nearer'} than the tactile camera{slope if bias.per_m else ''} "
+        f"(measured on {bias.origin})."
+    )
+
+
+def _numbers(bias: MeasuredBias) -> str:
+    return f"{1e3 * bias.bias_m:+.1f} +- {1e3 * bias.sigma_m:.1f} mm"

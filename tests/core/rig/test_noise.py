@@ -1,0 +1,295 @@
+"""The noise of both cameras and the bias between them are what was put in: a wall, and the simulator's sensors."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import cv2
+import numpy as np
+import pytest
+
+from side_by_side import HEIGHT, WIDTH, counts
+from tactune.core.errors import FrameError
+from tactune.core.model.frames import SensorFrame
+from tactune.core.preset import CameraNoise, Preset, RigNoise
+from tactune.core.rig.noise import MeasuredBias, choose_bias, describe, measure_noise
+from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.sensors import SENSORS, SensorModel
+from tactune.core.sources.simulator.source import SimulatorSource
+
+#: The colour that the mask takes for prints, and another one.
+PRINT, OTHER = (214, 40, 160), (120, 120, 120)
+MASK = {"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255), "mask.value": (60, 255)}
+BIAS_M = 0.003
+
+
+def field(seed, white_m, correlated_m, length_px, shape=(HEIGHT, WIDTH)):
+    """White noise plus noise that neighbours share."""
+    rng = np.random.default_rng(seed)
+    shared = cv2.GaussianBlur(rng.normal(size=(2 * HEIGHT, 2 * WIDTH)), (0, 0), length_px)
+    return rng.normal(0, white_m, shape) + correlated_m * shared[:HEIGHT, :WIDTH] / shared.std()
+
+
+def wall(rig, index, proximity_m=0.300, tactile_m=0.300, prints=True):
+    """A wall with prints; the proximity camera reads `BIAS_M` farther, half of the correlated variance stays."""
+    root = math.sqrt(0.5)
+    color = np.full((HEIGHT, WIDTH, 3), OTHER, np.uint8)
+    if prints:
+        for u, v in ((60, 40), (90, 80), (70, 90), (110, 40)):
+            color[v - 8 : v + 8, u - 8 : u + 8] = PRINT
+    near = field(index, 0.0006, root * 0.0005, 2.0) + field(10_001, 0.0, root * 0.0005, 2.0)
+    far = field(5000 + index, 0.0002, root * 0.0010, 3.0) + field(10_002, 0.0, root * 0.0010, 3.0)
+    return SensorFrame(
+        sequence=index,
+        proximity_depth=counts(proximity_m + BIAS_M + near, rig.proximity),
+        tactile_depth=counts(tactile_m + far, rig.tactile),
+        proximity_color=color,
+    )
+
+
+@pytest.fixture(scope="module")
+def preset():
+    return Preset().with_values({"alignment.model": "rigid", **MASK})
+
+
+@pytest.fixture(scope="module")
+def still(rig):
+    return [wall(rig, index) for index in range(40)]
+
+
+def camera(**values):
+    return CameraNoise(
+        **{
+            "white_m": 0.001,
+            "correlated_m": 0.0,
+            "length_px": 0.0,
+            "changing_share": 1.0,
+            "distance_m": 0.3,
+            **values,
+        }
+    )
+
+
+def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still):
+    shares = []
+    noise = measure_noise(still, rig, preset, progress=lambda share, _: shares.append(share))
+    assert noise.proximity.white_m == pytest.approx(0.0006, rel=0.1)
+    assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
+    assert noise.proximity.length_px == pytest.approx(2.0, rel=0.2)
+    assert noise.proximity.changing_share == pytest.approx((0.36 + 0.125) / 0.61, abs=0.08)
+    assert noise.tactile.correlated_m == pytest.approx(0.0010, rel=0.2)
+    assert noise.tactile.length_px == pytest.approx(3.0, rel=0.2)
+    assert noise.tactile.changing_share == pytest.approx((0.04 + 0.5) / 1.04, abs=0.1)
+    assert noise.bias_from == "prints"
+    assert abs(noise.bias_m - BIAS_M) < 2 * noise.bias_sigma_m < 0.0015
+    assert (noise.bias_per_m, noise.frames) == (0.0, 40)
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+
+
+def test_the_density_is_what_an_average_over_an_area_leaves():
+    noise = camera(white_m=0.0004, correlated_m=0.0008, length_px=3.0)
+    focal, side_px = 400.0, 100
+    pixel_m = noise.distance_m / focal
+    rng = np.random.default_rng(3)
+    shared = cv2.GaussianBlur(rng.normal(size=(3000, 3000)), (0, 0), noise.length_px)
+    image = rng.normal(0, noise.white_m, shared.shape) + noise.correlated_m * shared / shared.std()
+    means = image.reshape(30, side_px, 30, side_px).mean(axis=(1, 3))
+    assert noise.density_m4(focal) == pytest.approx(means.var() * (side_px * pixel_m) ** 2, rel=0.2)
+
+
+def test_it_survives_the_preset_file(rig, preset, still, tmp_path):
+    from tactune.core.preset.file import save_preset
+
+    noise = measure_noise(still, rig, preset)
+    save_preset(preset.model_copy(update={"noise": noise}), tmp_path / "mine.json")
+    assert load_preset(tmp_path / "mine.json").noise == noise
+
+
+def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
+    with pytest.raises(FrameError, match=r"10 different frames .*, there are 9"):
+        measure_noise(still[:9] * 3, rig, preset)
+    moving = [wall(rig, index, proximity_m=0.3 + 0.0004 * index) for index in range(20)]
+    with pytest.raises(FrameError, match=r"the scene moves: the proximity depth changes in .* hold everything still"):
+        measure_noise(moving, rig, preset)
+    blind = [wall(rig, index, tactile_m=-1.0) for index in range(20)]
+    blind = [
+        SensorFrame(f.sequence, f.proximity_depth, np.zeros_like(f.tactile_depth), f.proximity_color) for f in blind
+    ]
+    with pytest.raises(FrameError, match=r"the tactile camera sees depth in only 0\.0 %"):
+        measure_noise(blind, rig, preset)
+
+
+def test_a_scene_without_smooth_surfaces_is_refused(rig, preset):
+    holes = np.ones((HEIGHT, WIDTH), bool)
+    holes[::3] = False
+    frames = [wall(rig, index) for index in range(12)]
+    frames = [SensorFrame(f.sequence, f.proximity_depth * holes, f.tactile_depth, f.proximity_color) for f in frames]
+    with pytest.raises(FrameError, match=r"the proximity camera sees no smooth surface"):
+        measure_noise(frames, rig, preset)
+
+
+def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
+    frames = [wall(rig, index, prints=False) for index in range(12)]
+    unknown = measure_noise(frames, rig, preset)
+    assert (unknown.bias_from, unknown.bias_m, unknown.bias_sigma_m) == ("unknown", 0.0, 0.005)
+    assert "press an object firmly (10 cm2 or more)" in describe(unknown)[2]
+    little = measure_noise(frames, rig, preset, contact_bias=lambda frame: (0.003, 0.0009))
+    assert little.bias_from == "unknown"
+    pressed = measure_noise(
+        frames, rig, preset, contact_bias=lambda frame: (0.003 + 0.0001 * (frame.sequence % 3), 0.002)
+    )
+    assert pressed.bias_from == "contact"
+    assert pressed.bias_m == pytest.approx(0.0031)
+    assert "3.1 +- " in describe(pressed)[2]
+    assert "measured on contact" in describe(pressed)[2]
+
+
+def test_two_biases_that_disagree_are_both_said(rig, preset, still):
+    said = []
+    noise = measure_noise(still, rig, preset, contact_bias=lambda frame: (-0.004, 0.004), warn=said.append)
+    assert noise.bias_from == "contact" or noise.bias_m == pytest.approx(BIAS_M, abs=0.001)
+    assert len(said) == 1
+    assert "prints" in said[0]
+    assert "contact" in said[0]
+    one, other = MeasuredBias(0.0031, 0.0004, "prints"), MeasuredBias(0.0028, 0.0003, "contact")
+    assert choose_bias([one, other], said.append) == other
+    assert len(said) == 1
+
+
+def test_the_bias_slope_is_measured_over_a_range_of_depths(rig, preset):
+    across = np.broadcast_to(0.25 + 0.1 * np.arange(WIDTH) / WIDTH, (HEIGHT, WIDTH))
+    frames = []
+    for index in range(12):
+        frame = wall(rig, index)
+        color = frame.proximity_color.copy()
+        for u in (50, 80, 110, 135):
+            color[20:100, u - 8 : u + 8] = PRINT
+        noise = np.random.default_rng(index).normal(0, 0.0002, (2, HEIGHT, WIDTH))
+        # The tactile camera sees the point at depth z at column 78 + 97 (x - 0.04) / z.
+        columns = (np.arange(WIDTH) - 78.0) / 97.0
+        ray = 0.25 + 0.1 / WIDTH * 80.0, 0.1 / WIDTH * 115.0  # z = a + b x / z
+        roots = _depth_of_slope(*ray, columns)
+        near, far = across * 1.02, np.broadcast_to(roots, (HEIGHT, WIDTH))
+        frames.append(
+            SensorFrame(
+                index,
+                counts(near + noise[0], rig.proximity),
+                counts(far + noise[1], rig.tactile),
+                color,
+            )
+        )
+    noise = measure_noise(frames, rig, preset)
+    assert noise.bias_from == "prints"
+    assert noise.bias_per_m == pytest.approx(0.02, abs=0.02)
+    assert "per 100 mm of depth" in describe(noise)[2]
+
+
+def _depth_of_slope(start_m, slope_m, columns, shift_m=0.040):
+    """Depth z = start + slope (x / z) along the tactile rays x = column z + shift."""
+    depth = np.full(len(columns), start_m)
+    for _ in range(50):
+        depth = start_m + slope_m * (columns + shift_m / depth)
+    return depth
+
+
+# The simulator's sensors
+
+
+@lru_cache(maxsize=1)
+def _scene():
+    """The flat mesh of an untouched membrane, kept open so that every sensor uses the same solved scene."""
+    return SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"))
+
+
+@lru_cache(maxsize=2)
+def measured(name):
+    _scene()
+    source = SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor=name)
+    frames = [source.read(index) for index in range(source.length)]
+    return measure_noise(frames, source.rig, load_preset("simulator"), untouched_frame(source)), source.rig
+
+
+def share_of_quantisation(sigma_m, step_m):
+    return sigma_m > step_m / math.sqrt(12)
+
+
+def judge(found: CameraNoise, white_m, correlated_m, length_px, fixed_share, step_m):
+    """Compare with the model, in the parts that exceed the quantisation."""
+    quantised = step_m / math.sqrt(12)
+    if white_m > quantised:
+        assert found.white_m == pytest.approx(math.hypot(white_m, quantised), rel=0.3)
+    if correlated_m > step_m:
+        assert found.correlated_m == pytest.approx(correlated_m, rel=0.3)
+        assert found.length_px == pytest.approx(length_px, rel=0.3)
+    if max(white_m, correlated_m) > step_m:
+        changing = 1 - fixed_share * correlated_m**2 / (white_m**2 + correlated_m**2)
+        assert found.changing_share == pytest.approx(changing, rel=0.3)
+
+
+def check(name):
+    model: SensorModel = SENSORS[name]
+    noise, rig = measured(name)
+    near = noise.proximity.distance_m
+    growth = 1 - model.tof_distance_share + model.tof_distance_share * near / 0.3
+    judge(
+        noise.proximity,
+        model.tof_white_m * growth,
+        model.tof_correlated_m * growth,
+        model.tof_correlated_px,
+        model.tof_correlated_fixed_share,
+        rig.proximity.depth_unit_m,
+    )
+    metres_per_px = noise.tactile.distance_m**2 / (rig.tactile.intrinsics.fx * model.stereo_baseline_m)
+    step_m = metres_per_px / model.stereo_subpixel_steps if model.stereo_subpixel_steps else 1e-4
+    judge(
+        noise.tactile,
+        model.stereo_white_px * metres_per_px,
+        model.stereo_correlated_px * metres_per_px,
+        model.stereo_length_px,
+        model.stereo_fixed_share,
+        step_m,
+    )
+    if not model.exact:  # an exact camera looks through the prints, too
+        assert noise.bias_from == "prints"
+        bias_m = model.tof_offset_m + (model.tof_scale - 1) * 0.285
+        assert abs(noise.bias_m - bias_m) < max(0.0003, 2 * noise.bias_sigma_m)
+        assert noise.bias_sigma_m < 0.002
+
+
+@pytest.mark.parametrize("name", ["l515-d405", "far-offset"])
+def test_a_simulated_sensor_gives_back_its_model(name):
+    check(name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, model in SENSORS.items() if not model.held_out])
+def test_every_simulated_sensor_gives_back_its_model(name):
+    check(name)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", [name for name, model in SENSORS.items() if model.held_out])
+def test_sensors_that_were_held_out_give_back_their_model(name):
+    check(name)
+
+
+def test_sentences_are_plain():
+    noise = RigNoise(
+        proximity=camera(),
+        tactile=camera(white_m=0.0002, correlated_m=0.0008, length_px=6.8, changing_share=0.52),
+        bias_m=-0.0031,
+        bias_sigma_m=0.0002,
+        bias_from="prints",
+        measured="2026-11-22T10:00:00Z",
+        frames=60,
+    )
+    assert describe(noise) == [
+        "Tactile noise 0.82 mm over 7 px at 300 mm (0.20 mm of it from pixel to pixel); "
+        "52 % of its variance changes from frame to frame.",
+        "Proximity noise 1.00 mm at 300 mm, from pixel to pixel; 100 % of its variance changes from frame to frame.",
+        "The proximity camera reads 3.1 +- 0.2 mm nearer than the tactile camera (measured on prints).",
+    ]
