@@ -12,6 +12,7 @@ import typer
 from ...core.errors import TactuneError
 from .common import CliProgress, counted, finite_or_none, warn
 from .scan import evaluate_recording
+from .sensor_table import default_work, listed, plan_sensor_table, print_sensor_table
 
 if TYPE_CHECKING:
     from ...core.evaluation.table import Table, TablePlan
@@ -27,6 +28,8 @@ evaluate_commands = typer.Typer(
 evaluate_commands.command("recording")(evaluate_recording)
 
 _PAPER = "the paper's"
+#: Default number of seeds, and that with --sensors.
+_SEEDS, _SENSOR_SEEDS = 5, 2
 
 
 @evaluate_commands.command()
@@ -39,14 +42,45 @@ def table(
         str, typer.Option(metavar="A,B", help="Objects: octopus, cup, cube, two; with --held-out mug, hand.")
     ] = _PAPER,
     presses: Annotated[str, typer.Option(metavar="A,B", help="Presses: low, medium, high.")] = "low,medium,high",
-    seeds: Annotated[int, typer.Option(min=1, max=1000, metavar="N", help="Noise seeds per scene.")] = 5,
+    seeds: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=1000,
+            metavar="N",
+            help=f"Noise seeds per scene; default: {_SEEDS}, with --sensors {_SENSOR_SEEDS}.",
+        ),
+    ] = None,
     extra: Annotated[
         bool,
         typer.Option(help="Also stiff and wrinkled membranes, two objects, and hovering objects without contact."),
     ] = True,
     held_out: Annotated[
-        bool, typer.Option("--held-out", help="Use objects and seeds that no method was developed on.")
+        bool,
+        typer.Option(
+            "--held-out",
+            help="Use objects and seeds (with --sensors also sensors and membranes) that no method was developed on.",
+        ),
     ] = False,
+    sensors: Annotated[
+        str | None,
+        typer.Option(
+            metavar="A,B",
+            help="Compare the membrane test with the tolerance test, also with the best tolerance of each frame, on "
+            "these sensors of the simulator, or 'all'; a wrong name lists all sensors.",
+        ),
+    ] = None,
+    membranes: Annotated[
+        str, typer.Option(metavar="A,B", help="With --sensors: membranes of the simulator, or 'all'.")
+    ] = "all",
+    check: Annotated[
+        bool,
+        typer.Option("--check", help="With --sensors: exit status 1 if a case does not hold."),
+    ] = False,
+    out: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="With --sensors: also write sensors.md, sensors.csv and cells.csv."),
+    ] = None,
     preset: Annotated[
         str, typer.Option("--preset", "-p", metavar="FILE|NAME", help="The preset of all methods but straight.")
     ] = "simulator",
@@ -65,10 +99,22 @@ def table(
         ),
     ] = None,
 ) -> None:
-    """Compare methods on simulated scenes, beside the paper's figures."""
+    """Compare methods on simulated scenes, beside the paper's figures; with --sensors, on simulated sensors."""
+    if sensors is not None:
+        if methods != "all" or plot is not None or csv_file is not None:
+            raise TactuneError(
+                "--sensors has its own methods and files; use --out in place of --methods, --csv, --plot"
+            )
+        plan_of_sensors = plan_sensor_table(
+            sensors, membranes, "all" if objects == _PAPER else objects, presses, seeds or _SENSOR_SEEDS,
+            held_out=held_out, preset=preset, work=work,
+        )  # fmt: skip
+        raise typer.Exit(print_sensor_table(plan_of_sensors, as_json=as_json, out=out, check=check))
+    if membranes != "all" or check or out is not None:
+        raise TactuneError("--membranes, --check and --out belong to --sensors; add --sensors all")
     from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 
-    plan = _plan(methods, objects, presses, seeds, extra=extra, held_out=held_out, preset=preset, work=work)
+    plan = _plan(methods, objects, presses, seeds or _SEEDS, extra=extra, held_out=held_out, preset=preset, work=work)
     if plot is not None:
         check_plot(plot)
     finished = _measure(plan)
@@ -125,28 +171,26 @@ def _plan(
     work: Path | None,
 ) -> TablePlan:
     """Turn the options into a plan; wrong options are refused before anything is measured."""
-    from platformdirs import user_cache_dir
-
     from ...core.evaluation.table import TablePlan, seeds_from
     from ...core.evaluation.table_cell import FIRST_HELD_OUT_SEED, OBJECTS, plan_scenes, table_methods
     from ...core.methods.registry import check_known
     from ...core.sources.presets import load_preset
     from ...core.sources.simulator.scenes import HELD_OUT
 
-    names = table_methods() if methods == "all" else _listed("--methods", methods)
+    names = table_methods() if methods == "all" else listed("--methods", methods)
     check_known(names, table_methods())
     usual = HELD_OUT if held_out else OBJECTS
     return TablePlan(
         names,
         tuple(
             plan_scenes(
-                usual if objects == _PAPER else _listed("--objects", objects), _listed("--presses", presses),
+                usual if objects == _PAPER else listed("--objects", objects), listed("--presses", presses),
                 extra=extra, held_out=held_out,
             )
         ),
         seeds_from(FIRST_HELD_OUT_SEED if held_out else 0, seeds),
         load_preset(preset),
-        work or Path(user_cache_dir("tactune")) / "evaluation",
+        work or default_work(),
     )  # fmt: skip
 
 
@@ -168,10 +212,3 @@ def _measure(plan: TablePlan) -> Table:
             )
             raise
     return finished
-
-
-def _listed(option: str, text: str) -> tuple[str, ...]:
-    names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
-    if not names:
-        raise TactuneError(f"{option} is {text!r}; give names, separated by commas")
-    return names

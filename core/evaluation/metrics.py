@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import cv2
@@ -12,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from ..contact.pipeline import ContactPatch
 from ..methods.method import MethodPatch
-from ..model.arrays import BoolArray, Float64Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array
 from ..model.clouds import PointCloud, ray_table
 from ..model.frames import GroundTruth, Rig
 
@@ -173,6 +174,58 @@ def cloud_distances(patch: npt.ArrayLike, truth: npt.ArrayLike) -> CloudDistance
     )
 
 
+class TruthTree:
+    """The true cloud of a frame, for scoring many patches of this frame quickly.
+
+    Parameters
+    ----------
+    truth : float, shape (N, 3)
+        Metres; in the order of the pixels.
+    samples : int
+        Upper limit of the true points whose distance to a patch is measured; every n-th one is. This distance varies
+        smoothly, so the symmetric RMSE stays within 1 % of `symmetric_rmse_m`. The distances from a patch to the truth
+        are not sampled, because few stray points decide them.
+    """
+
+    def __init__(self, truth: npt.ArrayLike, samples: int = 6000) -> None:
+        points = np.asarray(truth, np.float64).reshape(-1, 3)
+        self._tree = _quick_tree(points)
+        self._sample = points[:: max(1, -(-len(points) // samples))]
+
+    def symmetric_rmses_m(self, patches: Sequence[Float32Array]) -> list[float]:
+        """Return the symmetric RMSE of each patch, metres; nan if either cloud is empty.
+
+        Parameters
+        ----------
+        patches : sequence of float32, shape (M, 3)
+            Points that several patches share are looked up once.
+        """
+        if self._tree.n == 0 or not patches:
+            return [math.nan] * len(patches)
+        points = np.concatenate(patches)
+        _, first, which = np.unique(_hashes(points), return_index=True, return_inverse=True)
+        distances = _nearest(self._tree, points[first].astype(np.float64))[which]
+        there = np.split(distances, np.cumsum([len(patch) for patch in patches])[:-1])
+        return [self._symmetric_m(patch, mine) for patch, mine in zip(patches, there, strict=True)]
+
+    def _symmetric_m(self, patch: Float32Array, to_truth: Float64Array) -> float:
+        if len(patch) == 0:
+            return math.nan
+        return (_rms(to_truth) + _rms(_nearest(_quick_tree(patch.astype(np.float64)), self._sample))) / 2
+
+
+def _hashes(points: Float32Array) -> npt.NDArray[np.uint64]:
+    """Return 64 bits for each point, which are sorted faster than three coordinates: equal for equal points."""
+    x, y, z = np.ascontiguousarray(points, np.float32).view(np.uint32).T.astype(np.uint64)
+    both = (x << np.uint64(32) | y) * np.uint64(0x9E3779B97F4A7C15)
+    return (both ^ both >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9) + z
+
+
+def _quick_tree(points: Float64Array) -> cKDTree:
+    """Return a tree that is built in half the time and answers as fast, for points of a smooth surface."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
+
+
 def area_error_mm2(patch_mm2: float, truth_mm2: float) -> float:
     """Return the patch area minus the true area, mm^2."""
     return patch_mm2 - truth_mm2
@@ -211,7 +264,11 @@ def _outline(mask: BoolArray) -> BoolArray:
 
 
 def _to_nearest(points: Float64Array, others: Float64Array) -> Float64Array:
-    return np.asarray(cKDTree(others).query(points)[0], np.float64)
+    return _nearest(cKDTree(others), points)
+
+
+def _nearest(tree: cKDTree, points: Float64Array) -> Float64Array:
+    return np.asarray(tree.query(points)[0], np.float64)
 
 
 def _rms(distances: Float64Array) -> float:

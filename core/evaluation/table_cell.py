@@ -16,6 +16,7 @@ from typing import Any, Final, Literal
 from ..errors import TactuneError
 from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import make_method, method_names
+from ..model.arrays import Float32Array
 from ..model.clouds import pixel_areas_m2
 from ..model.files import atomic_path
 from ..model.frames import Rig, SensorFrame
@@ -69,6 +70,8 @@ class PlannedScene:
         ``left`` or ``right`` for high presses, which are off-centre; otherwise empty.
     group : {"main", "extra", "hover"}
         The paper's scenes, further scenes, and scenes without contact.
+    sensor, membrane : str
+        Names of the simulator's sensor and membrane; empty for its default ones.
     """
 
     name: str
@@ -76,6 +79,8 @@ class PlannedScene:
     press: str
     side: str = ""
     group: Group = "main"
+    sensor: str = ""
+    membrane: str = ""
 
     @property
     def row(self) -> str:
@@ -87,6 +92,7 @@ class PlannedScene:
         """Source string for `open_source`, without a seed."""
         options = [f"gap={self.press}" if self.group == "hover" else f"press={self.press}"]
         options += [f"side={self.side}"] * bool(self.side) + [f"object={self.object}"] * (self.name != self.object)
+        options += [f"membrane={self.membrane}"] * bool(self.membrane) + [f"sensor={self.sensor}"] * bool(self.sensor)
         return f"sim:{self.name}?{'&'.join(options)}"
 
 
@@ -137,7 +143,7 @@ class TableCell:
 
     Attributes
     ----------
-    method, row, object, press, side, group, source, seed
+    method, row, object, press, side, group, source, seed, sensor, membrane
         Method, scene (see `PlannedScene`) and noise seed.
     rmse_mm, hausdorff_mm, p95_mm, chamfer_mm : float or None
         Distances to the true contact; see `CloudDistances`.
@@ -151,6 +157,8 @@ class TableCell:
         Largest in-plane strain of the scene (see `TrueStrain`); None if unknown.
     contacts, true_contacts : int
         Number of separate contacts in the patch, and in the truth.
+    true_mm2 : float or None
+        Area of the true contact.
     ms : float or None
         Median computation time per frame.
     failure : str
@@ -181,7 +189,10 @@ class TableCell:
     max_strain: float | None = None
     strain_length: float | None = None
     strain_width: float | None = None
+    true_mm2: float | None = None
     failure: str = ""
+    sensor: str = ""
+    membrane: str = ""
 
 
 def table_methods() -> tuple[str, ...]:
@@ -196,6 +207,74 @@ def build_method(
     if name == STRAIGHT:
         return make("fusion-homography", preset.with_values({"tolerance.t": STRAIGHT_T}), rig, untouched)
     return make(name, preset, rig, untouched)
+
+
+@dataclass(frozen=True, eq=False)
+class MethodRun:
+    """What a method found in the last frame of a scene.
+
+    Attributes
+    ----------
+    patch : MethodPatch or None
+        None if the method could not be built or raised an error.
+    ms : float or None
+        Median computation time per frame.
+    error : str
+        The error message; empty if there was none.
+    """
+
+    patch: MethodPatch | None
+    ms: float | None = None
+    error: str = ""
+
+
+def run_method(build: Callable[[], ContactMethod], frames: Sequence[SensorFrame], warm: bool = False) -> MethodRun:
+    """Run one method on the frames of a still scene. Its errors are part of the result.
+
+    Parameters
+    ----------
+    build : callable
+    frames : sequence of SensorFrame
+    warm : bool
+        Run on the last frame only: the method has no memory and has been used before.
+    """
+    try:
+        method = build()
+        times_ms, patch = [], None
+        for frame in frames[-1:] if warm else frames[-max(method.remembers, _FRAMES_WITHOUT_MEMORY) :]:
+            started = time.perf_counter_ns()
+            patch = method.find(frame)
+            times_ms.append((time.perf_counter_ns() - started) / 1e6)
+    except TactuneError as error:
+        return MethodRun(None, error=str(error))
+    return MethodRun(patch, median(times_ms[1:] or times_ms))
+
+
+#: Returns the fields of a `TableCell` that compare a patch with the truth of its frame.
+Scores = Callable[[MethodPatch, SensorFrame, Rig], dict[str, Any]]
+
+
+def score_run(
+    name: str,
+    scene: PlannedScene,
+    seed: int,
+    run: MethodRun,
+    frame: SensorFrame,
+    rig: Rig,
+    scores: Scores | None = None,
+) -> TableCell:
+    """Score what a method found in the last frame of a scene. A failed run gives a cell with the error message.
+
+    Raises
+    ------
+    TactuneError
+        The scene has no ground truth.
+    """
+    where = (name, scene.row, scene.object, scene.press, scene.side, scene.group, scene.source, seed)
+    known = {**_strain(frame), "sensor": scene.sensor, "membrane": scene.membrane}
+    if run.patch is None:
+        return TableCell(*where, **known, failure=run.error)
+    return TableCell(*where, **((scores or all_scores)(run.patch, frame, rig) | known), ms=run.ms)
 
 
 def measure_cell(
@@ -215,20 +294,7 @@ def measure_cell(
     TactuneError
         The scene has no ground truth.
     """
-    where = (name, scene.row, scene.object, scene.press, scene.side, scene.group, scene.source, seed)
-    strain = _strain(frames[-1])
-    try:
-        method = build()
-        times_ms, patch = [], None
-        for frame in frames[-max(method.remembers, _FRAMES_WITHOUT_MEMORY) :]:
-            started = time.perf_counter_ns()
-            patch = method.find(frame)
-            times_ms.append((time.perf_counter_ns() - started) / 1e6)
-    except TactuneError as error:
-        return TableCell(*where, **strain, failure=str(error))
-    assert patch is not None
-    scores = _scores(patch, frames[-1], rig)
-    return TableCell(*where, **(scores | strain), ms=median(times_ms[1:] or times_ms))
+    return score_run(name, scene, seed, run_method(build, frames), frames[-1], rig)
 
 
 def _strain(frame: SensorFrame) -> dict[str, Any]:
@@ -238,17 +304,29 @@ def _strain(frame: SensorFrame) -> dict[str, Any]:
     return {"max_strain": known.largest, "strain_length": known.length, "strain_width": known.width}
 
 
-def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
-    """Score a patch against its frame's ground truth."""
+def true_contact(frame: SensorFrame, rig: Rig) -> tuple[Float32Array, float]:
+    """Return the points of the true contact (metres, proximity depth frame) and its area in mm^2.
+
+    Raises
+    ------
+    TactuneError
+        The frame has no ground truth.
+    """
     if frame.truth is None:
         raise TactuneError("the scene has no ground truth, so no method can be scored on it; choose a simulated one")
-    truth = truth_cloud(frame.truth, rig).points
+    points = truth_cloud(frame.truth, rig).points
+    return points, 1e6 * float(pixel_areas_m2(points[:, 2], rig.proximity.intrinsics).sum())
+
+
+def all_scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
+    """Score a patch against its frame's ground truth in all measures. Errors: see `true_contact`."""
+    truth, truth_mm2 = true_contact(frame, rig)
+    assert frame.truth is not None
     true_contacts = separate_contacts(frame.truth.contact)
-    if patch.failure or (len(patch.points) == 0 and len(truth) > 0):
-        return {"failure": patch.failure or NO_CONTACT_FOUND, "true_contacts": true_contacts}
+    if reason := failure_of(patch, truth):
+        return {"failure": reason, "true_contacts": true_contacts, "true_mm2": truth_mm2}
     pixels = pixel_scores(patch.mask, frame.truth.contact)
     apart = cloud_distances(patch.points, truth)
-    truth_mm2 = 1e6 * float(pixel_areas_m2(truth[:, 2], rig.proximity.intrinsics).sum())
     numbers = {
         "rmse_mm": 1e3 * apart.symmetric_rmse_m,
         "hausdorff_mm": 1e3 * apart.hausdorff_m,
@@ -262,11 +340,16 @@ def _scores(patch: MethodPatch, frame: SensorFrame, rig: Rig) -> dict[str, Any]:
     }
     known = {key: number if math.isfinite(number) else None for key, number in numbers.items()}
     contacts = {"contacts": separate_contacts(patch.mask), "true_contacts": true_contacts}
-    return known | contacts | {"points": len(patch.points)}
+    return known | contacts | {"points": len(patch.points), "true_mm2": truth_mm2}
+
+
+def failure_of(patch: MethodPatch, truth: Float32Array) -> str:
+    """Return why a patch cannot be scored: its failure, or that it is empty although something touches."""
+    return patch.failure or (NO_CONTACT_FOUND if len(patch.points) == 0 and len(truth) > 0 else "")
 
 
 class TableCellFolder:
-    """Stores finished cells, one JSON file each, so that an interrupted table can be resumed.
+    """Stores finished cells in JSON files, so that an interrupted table can be resumed.
 
     Parameters
     ----------
@@ -274,21 +357,19 @@ class TableCellFolder:
         Created with the first stored cell.
     preset : Preset
         Used by all methods. Cells of another preset or another program version are not reused.
+    variant : str
+        Anything else on which all cells depend.
     """
 
-    def __init__(self, folder: Path, preset: Preset) -> None:
+    def __init__(self, folder: Path, preset: Preset, variant: str = "") -> None:
         self.folder = folder
         settings = preset.model_dump_json(exclude={"name", "notes", "created", "modified"})
-        self._settings = f"{settings} {STRAIGHT_T} {FRAMES_PER_CELL} {code_version()}"
+        self._settings = f"{settings} {STRAIGHT_T} {FRAMES_PER_CELL} {code_version()} {variant}"
 
     def load(self, method: str, scene: PlannedScene, seed: int) -> TableCell | None:
         """Return a stored cell, or None if it is not stored or its file is damaged."""
-        try:
-            found = json.loads(self._path(method, scene, seed).read_text(encoding="utf-8"))
-            cell = table_cell_from_json(found)
-        except (OSError, ValueError, TypeError):
-            return None
-        return cell if (cell.method, cell.source, cell.seed) == (method, scene.source, seed) else None
+        cells = self._read(self._path(method, [method], scene, seed))
+        return cells[0] if cells is not None and _cells_of(cells) == [(method, scene.source, seed)] else None
 
     def save(self, cell: TableCell, scene: PlannedScene) -> None:
         """Store a cell; the file is written atomically.
@@ -298,12 +379,36 @@ class TableCellFolder:
         ExportError
             The folder cannot be written.
         """
-        with atomic_path(self._path(cell.method, scene, cell.seed)) as temporary:
-            temporary.write_text(json.dumps(asdict(cell), allow_nan=False), encoding="utf-8")
+        self._write(self._path(cell.method, [cell.method], scene, cell.seed), [cell])
 
-    def _path(self, method: str, scene: PlannedScene, seed: int) -> Path:
-        text = json.dumps([method, asdict(scene), seed, self._settings])
-        return self.folder / f"{method}-{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+    def load_all(self, methods: Sequence[str], scene: PlannedScene, seed: int) -> list[TableCell] | None:
+        """Return the cells of several methods that `save_all` stored, or None if they are missing or damaged."""
+        cells = self._read(self._path("all", methods, scene, seed))
+        known = cells is not None and _cells_of(cells) == [(method, scene.source, seed) for method in methods]
+        return cells if known else None
+
+    def save_all(self, cells: Sequence[TableCell], scene: PlannedScene) -> None:
+        """Store the cells of several methods on one scene with one seed in one file. Errors: see `save`."""
+        methods, seed = [cell.method for cell in cells], cells[0].seed
+        self._write(self._path("all", methods, scene, seed), cells)
+
+    def _read(self, path: Path) -> list[TableCell] | None:
+        try:
+            return [table_cell_from_json(found) for found in json.loads(path.read_text(encoding="utf-8"))]
+        except (OSError, ValueError, TypeError):
+            return None
+
+    def _write(self, path: Path, cells: Sequence[TableCell]) -> None:
+        with atomic_path(path) as temporary:
+            temporary.write_text(json.dumps([asdict(cell) for cell in cells], allow_nan=False), encoding="utf-8")
+
+    def _path(self, name: str, methods: Sequence[str], scene: PlannedScene, seed: int) -> Path:
+        text = json.dumps([*methods, asdict(scene), seed, self._settings])
+        return self.folder / f"{name}-{hashlib.sha256(text.encode()).hexdigest()[:24]}.json"
+
+
+def _cells_of(cells: Sequence[TableCell]) -> list[tuple[str, str, int]]:
+    return [(cell.method, cell.source, cell.seed) for cell in cells]
 
 
 def table_cell_from_json(found: Any) -> TableCell:

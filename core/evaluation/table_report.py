@@ -74,7 +74,7 @@ def table_as_json(table: Table) -> dict[str, Any]:
             for name, rmse in PAPER_RMSE_MM.items()
         },
         "averages": [line for method in table.methods for line in _average_records(table, method)],
-        "ms": {method: _none(table.median_ms(method)) for method in table.methods},
+        "ms": {method: finite_or_none(table.median_ms(method)) for method in table.methods},
         "strain": scene_strains(table),
         "cells": [asdict(cell) for cell in table.cells],
     }
@@ -107,9 +107,17 @@ def _averages(table: Table) -> str:
         known = dict(zip(("low", "medium", "high"), PAPER_RMSE_MM[paper], strict=True))
         theirs = [f"{known[press]:.2f}" for press in presses]
         lines.append(
-            [method, *mine, _number(table.median_ms(method), 1), "|", paper, *theirs, f"{1e3 * PAPER_SECONDS[paper]:g}"]
+            [
+                method,
+                *mine,
+                number_text(table.median_ms(method), 1),
+                "|",
+                paper,
+                *theirs,
+                f"{1e3 * PAPER_SECONDS[paper]:g}",
+            ]
         )
-    return "Averages per press\n" + _aligned([title, *lines])
+    return "Averages per press\n" + aligned([title, *lines])
 
 
 def _rmse(table: Table, group: str) -> str:
@@ -121,7 +129,7 @@ def _rmse(table: Table, group: str) -> str:
     for method in table.methods:
         averages = [average(table.pick(method, group, row, press), "rmse_mm") for row, press in rows]
         lines.append([method, *(_shown(it, 2) for it in averages)])
-    return ("Each object\n" if group == "main" else "Further scenes\n") + _aligned(lines)
+    return ("Each object\n" if group == "main" else "Further scenes\n") + aligned(lines)
 
 
 def _other_measures(table: Table) -> str:
@@ -135,7 +143,7 @@ def _other_measures(table: Table) -> str:
         cells = table.pick(method, "main")
         shown = [_shown(average(cells, name), digits.get(name, 2)) for name in names]
         lines.append([method, *shown, f"{100 * contacts_right(cells):.0f} %"])
-    return f"Other measures\n{_aligned(lines)}\n{_MEASURES_NOTE}"
+    return f"Other measures\n{aligned(lines)}\n{_MEASURES_NOTE}"
 
 
 def _false_points(table: Table) -> str:
@@ -147,7 +155,7 @@ def _false_points(table: Table) -> str:
     for method in table.methods:
         averages = [average(table.pick(method, "hover", press=gap), "points") for _, gap in rows]
         lines.append([method, *(_shown(it, 0) for it in averages)])
-    return "An object that hovers\n" + _aligned(lines)
+    return "An object that hovers\n" + aligned(lines)
 
 
 def _strains(table: Table) -> str:
@@ -159,7 +167,7 @@ def _strains(table: Table) -> str:
     for it in scenes:
         name = " ".join(filter(None, (it["scene"], it["press"], it["side"])))
         lines.append([name, *(f"{100 * it[key]:.0f}" for key in ("length", "width", "largest"))])
-    return "Strain: between neighbours of a 10 mm grid, and of any triangle of the solver's mesh\n" + _aligned(lines)
+    return "Strain: between neighbours of a 10 mm grid, and of any triangle of the solver's mesh\n" + aligned(lines)
 
 
 def scene_strains(table: Table) -> list[dict[str, Any]]:
@@ -200,9 +208,13 @@ def _measures(cells: list[TableCell]) -> dict[str, Any]:
     measures: dict[str, Any] = {}
     for name in (*MEASURES, "points"):
         it = average(cells, name)
-        measures[name] = {"mean": _none(it.mean), "low": _none(it.low), "high": _none(it.high)}
+        measures[name] = {
+            "mean": finite_or_none(it.mean),
+            "low": finite_or_none(it.low),
+            "high": finite_or_none(it.high),
+        }
     failed = sum(1 for cell in cells if cell.failure)
-    return {**measures, "contacts_right": _none(contacts_right(cells)), "cells": len(cells), "failed": failed}
+    return {**measures, "contacts_right": finite_or_none(contacts_right(cells)), "cells": len(cells), "failed": failed}
 
 
 def _shown(it: Average, digits: int) -> str:
@@ -214,15 +226,18 @@ def _shown(it: Average, digits: int) -> str:
     return f"{it.mean:.{digits}f}{half}{'*' if it.failed else ''}"
 
 
-def _number(number: float, digits: int) -> str:
+def number_text(number: float, digits: int) -> str:
+    """Return a number with some digits, or - if it is nan."""
     return f"{number:.{digits}f}" if math.isfinite(number) else "-"
 
 
-def _none(number: float) -> float | None:
+def finite_or_none(number: float) -> float | None:
+    """Return a number as JSON can hold it: nan and infinity become None."""
     return number if math.isfinite(number) else None
 
 
-def _aligned(lines: Sequence[Line]) -> str:
+def aligned(lines: Sequence[Line]) -> str:
+    """Return lines of cells as text: the first column to the left, the others to the right."""
     widths = [max(len(line[column]) for line in lines) for column in range(len(lines[0]))]
     return "\n".join(
         "  ".join(

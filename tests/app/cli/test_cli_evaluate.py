@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tactune.app.cli.main import main
+from tactune.core.evaluation import sensor_cases, sensor_table
 from tactune.core.evaluation import table as table_module
 from tactune.core.methods.registry import method_names
 from tactune.core.recording.cloud_files import read_cloud
@@ -35,6 +36,14 @@ def lines(text: str) -> list[dict]:
         (["--presses", "hard"], "no press 'hard'"),
         (["--plot", "figure.xyz"], "suffix '.xyz'"),
         (["--preset", "nowhere.json"], "nowhere.json"),
+        (["--sensors", "magic"], "no sensor 'magic'; choose from clean"),
+        (["--sensors", "held-tof"], "no sensor 'held-tof'; it needs --held-out"),
+        (["--sensors", "all", "--membranes", "magic"], "no membrane 'magic'; choose from standard"),
+        (["--sensors", "all", "--objects", "mug"], "no object 'mug'; it needs --held-out"),
+        (["--sensors", ","], "--sensors is ','"),
+        (["--sensors", "all", "--methods", "straight"], "use --out in place of --methods"),
+        (["--check"], "add --sensors all"),
+        (["--membranes", "soft"], "add --sensors all"),
     ],
 )
 def test_what_cannot_be_is_said_before_anything_is_measured(tmp_path, monkeypatch, capsys, words, said):
@@ -66,6 +75,41 @@ def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, monkeypat
     rmse = {cell["method"]: cell["rmse_mm"] for cell in document["cells"]}
     assert 0 < rmse["fusion-rigid"] < rmse["proximity-only"] < 20
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 3
+
+
+def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, monkeypatch, capsys):
+    small = ["--membranes", "standard", "--objects", "cup", "--presses", "medium", "--seeds", 1]
+    words = ["evaluate", "table", "--sensors", "clean,datasheet", *small, "--work", tmp_path / "work"]
+    score, scored = sensor_table.score_runs, []
+
+    def interrupted(runs, scene, *rest):
+        if scene.sensor == "datasheet":
+            raise KeyboardInterrupt
+        return score(runs, scene, *rest)
+
+    def noted(runs, scene, *rest):
+        scored.append(scene.sensor)
+        return score(runs, scene, *rest)
+
+    monkeypatch.setattr(sensor_table, "score_runs", interrupted)
+    assert tactune(monkeypatch, *words) == 130
+    assert "1 of 2 frames are kept" in capsys.readouterr().err
+
+    monkeypatch.setattr(sensor_table, "score_runs", noted)
+    assert tactune(monkeypatch, *words, "--json", "--out", tmp_path / "out") == 0
+    document = json.loads(capsys.readouterr().out)
+    assert scored == ["datasheet"]
+    assert [case["sensor"] for case in document["cases"]] == ["clean", "datasheet"]
+    assert all(0 < case["oracle_mm"] <= case["best_fixed_mm"] < case["straight_mm"] for case in document["cases"])
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"sensors.md", "sensors.csv", "cells.csv"}
+
+    for largest, status in ((100.0, 0), (0.001, 1)):
+        monkeypatch.setattr(sensor_cases, "MAX_OVER_ORACLE", largest)
+        monkeypatch.setattr(sensor_cases.SensorCase, "holds_best", True)
+        assert tactune(monkeypatch, *words, "--check") == status
+        text = capsys.readouterr().out
+        assert text.startswith("medium") and "all three: " in text
+        assert ("Cases that do not hold" in text) == bool(status)
 
 
 @pytest.mark.parametrize("method", ["fusion", *method_names()])
