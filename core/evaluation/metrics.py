@@ -218,7 +218,7 @@ def _hashes(points: Float32Array) -> npt.NDArray[np.uint64]:
     """Return 64 bits for each point, which are sorted faster than three coordinates: equal for equal points."""
     x, y, z = np.ascontiguousarray(points, np.float32).view(np.uint32).T.astype(np.uint64)
     both = (x << np.uint64(32) | y) * np.uint64(0x9E3779B97F4A7C15)
-    return (both ^ both >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9) + z
+    return np.asarray((both ^ both >> np.uint64(29)) * np.uint64(0xBF58476D1CE4E5B9) + z, np.uint64)
 
 
 def _quick_tree(points: Float64Array) -> cKDTree:
