@@ -13,7 +13,7 @@ from .common import CliProgress, counted, warn
 
 if TYPE_CHECKING:
     from ...core.evaluation.sensor_cases import SensorTable
-    from ...core.evaluation.sensor_table import SensorPlan
+    from ...core.evaluation.sensor_table import RigKnowledge, SensorPlan
 
 
 def plan_sensor_table(
@@ -25,6 +25,7 @@ def plan_sensor_table(
     *,
     held_out: bool,
     preset: str,
+    rig: RigKnowledge,
     work: Path | None,
 ) -> SensorPlan:
     """Turn the options into a plan. Names are separated by commas, or are ``all``.
@@ -50,6 +51,7 @@ def plan_sensor_table(
         seeds_from(FIRST_HELD_OUT_SEED if held_out else 0, seeds),
         load_preset(preset),
         work or default_work(),
+        rig,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ from ..methods.method import ContactMethod, MethodPatch
 from ..methods.registry import make_method
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
+from ..rig.noise import NOISE_FRAMES, measure_noise
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
 from ..sources.simulator.membranes import MEMBRANES
@@ -55,6 +56,23 @@ METHODS: Final = (STRAIGHT, *TOLERANCE_TESTS, SHIPPED, AVERAGED)
 RigKnowledge = Literal["measured", "unmeasured"]
 #: Returns the preset with the measured noise of a rig, from the source of a scene.
 MeasureRig = Callable[[Preset, FrameSource], Preset]
+
+
+def measured_rig(preset: Preset, source: FrameSource) -> Preset:
+    """Return the preset with noise and bias of a simulated rig, measured while nothing touches the membrane.
+
+    Raises
+    ------
+    TactuneError
+        The source is no simulator, or the noise cannot be measured.
+    """
+    from ..sources.simulator.source import SimulatorSource  # on demand: it loads the solver
+
+    if not isinstance(source, SimulatorSource):
+        raise TactuneError(f"{source.name} has no frames without the object; choose a simulated source")
+    with source.with_object_away() as away:
+        frames = list(itertools.islice(away, NOISE_FRAMES))
+        return preset.model_copy(update={"noise": measure_noise(frames, away.rig, preset)})
 
 
 @dataclass(frozen=True)
@@ -138,7 +156,7 @@ def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: b
 
 def measure_sensors(
     plan: SensorPlan,
-    measure_rig: MeasureRig | None = None,
+    measure_rig: MeasureRig = measured_rig,
     make: MakeMethod = make_method,
     open_scene: Callable[[str], FrameSource] = open_source,
 ) -> Iterator[list[TableCell]]:
@@ -151,19 +169,20 @@ def measure_sensors(
     ----------
     plan : SensorPlan
     measure_rig : callable, optional
-        Measures a rig, once for each sensor and membrane. Without it, the plan's preset is used as it is.
+        Measures a rig, once for each sensor and membrane, if the plan says so. If it fails, so do the methods that use
+        the measured noise.
 
     Raises
     ------
     TactuneError
-        A scene cannot be opened, a rig cannot be measured or a cell cannot be stored.
+        A scene cannot be opened or a cell cannot be stored.
     """
     folder = TableCellFolder(plan.work, plan.preset, variant=f"rig {plan.rig}")
     wanted = list(itertools.product(plan.scenes, plan.seeds))
     stored = [folder.load_all(METHODS, scene, seed) for scene, seed in wanted]
     missing = iter([frame for frame, cells in zip(wanted, stored, strict=True) if cells is None])
     bench = _Bench(plan.preset, make)
-    with _Reader(plan.preset, measure_rig, open_scene) as reader:
+    with _Reader(plan.preset, measure_rig if plan.rig == "measured" else None, open_scene) as reader:
         reader.begin(next(missing, None))
         for (scene, seed), known in zip(wanted, stored, strict=True):
             cells = known
@@ -178,11 +197,11 @@ def measure_sensors(
 
 @dataclass(frozen=True, eq=False)
 class _Shown:
-    """Frames of one scene with one seed, their rig, and the preset with its measured noise."""
+    """Frames of one scene with one seed, their rig, and the preset with its measured noise or why it has none."""
 
     frames: list[SensorFrame]
     rig: Rig
-    preset: Preset
+    preset: Preset | TactuneError
 
 
 class _Reader:
@@ -192,7 +211,7 @@ class _Reader:
         self, preset: Preset, measure_rig: MeasureRig | None, open_scene: Callable[[str], FrameSource]
     ) -> None:
         self._preset, self._measure, self._open = preset, measure_rig, open_scene
-        self._measured: dict[tuple[str, str], Preset] = {}
+        self._measured: dict[tuple[str, str], Preset | TactuneError] = {}
         self._pool = ThreadPoolExecutor(1)
         self._next: Future[_Shown] | None = None
         self._last: FrameSource | None = None
@@ -213,7 +232,10 @@ class _Reader:
             before.close()
         rig = (scene.sensor, scene.membrane)
         if rig not in self._measured:
-            self._measured[rig] = self._preset if self._measure is None else self._measure(self._preset, source)
+            try:
+                self._measured[rig] = self._measure(self._preset, source) if self._measure else self._preset
+            except TactuneError as error:
+                self._measured[rig] = error
         return _Shown(list(itertools.islice(source, FRAMES_PER_CELL)), source.rig, self._measured[rig])
 
     def __enter__(self) -> _Reader:
@@ -242,6 +264,8 @@ class _Bench:
             if name in (SHIPPED, AVERAGED):
 
                 def build(name: str = name) -> ContactMethod:
+                    if isinstance(shown.preset, TactuneError):
+                        raise shown.preset
                     return build_method(name, shown.preset, shown.rig, None, self._make)
             else:
 

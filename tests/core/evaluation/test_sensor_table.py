@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from tactune.core.evaluation.sensor_table import (
     TOLERANCE_TESTS,
     SensorPlan,
     measure_sensors,
+    measured_rig,
     plan_sensors,
 )
 from tactune.core.evaluation.table_cell import NO_CONTACT_FOUND, STRAIGHT, TableCell
@@ -30,6 +32,7 @@ from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 from tactune.core.sources import SeekableSource
+from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.membranes import MEMBRANES
 from tactune.core.sources.simulator.sensors import SENSORS
@@ -81,7 +84,7 @@ class Bench:
         self.opened.append(name)
         return SmallScene(name)
 
-    def measure(self, plan, measure_rig=None):
+    def measure(self, plan, measure_rig=lambda preset, source: preset):
         return measure_sensors(plan, measure_rig, self.make, self.open)
 
 
@@ -228,6 +231,25 @@ def test_the_shipped_test_gets_the_measured_noise_of_each_rig(tmp_path):
     notes = {name: {preset.notes for made, preset in bench.made if made == name} for name, _ in bench.made}
     assert notes[SHIPPED] == notes[AVERAGED] == {"clean", "heavy"}
     assert notes["fusion-rigid"] == {""}
+    list(bench.measure(replace(plan(tmp_path), rig="unmeasured"), measure_rig))
+    assert len(measured) == 2 and len(bench.opened) == 2 * 12, "cells of a measured rig are not used for another"
+
+
+def test_a_rig_that_cannot_be_measured_fails(tmp_path):
+    def measure_rig(preset, source):
+        raise TactuneError("the scene moves")
+
+    cells = next(Bench().measure(plan(tmp_path), measure_rig))
+    assert {cell.method: cell.failure for cell in cells if cell.failure} == dict.fromkeys(
+        (SHIPPED, AVERAGED), "the scene moves"
+    )
+
+
+def test_a_simulated_rig_is_measured_with_the_object_away():
+    with open_source("sim:cup?press=low&sensor=offset") as source:
+        noise = measured_rig(load_preset("simulator"), source).noise
+    assert noise.bias_m == pytest.approx(0.003, abs=0.001)
+    assert noise.frames == 30
 
 
 def test_an_interrupted_table_goes_on_without_repeating(tmp_path):
