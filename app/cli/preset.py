@@ -1,4 +1,4 @@
-"""The commands ``tactune preset new | show | validate | schema | capture-untouched``."""
+"""The commands ``tactune preset new | show | validate | schema | capture-untouched | measure-rig``."""
 
 from __future__ import annotations
 
@@ -13,9 +13,11 @@ from ...core.errors import CalibrationError, PresetError, TactuneError
 from .common import (
     AveragedFrames,
     CliProgress,
+    PresetOption,
     UntouchedSource,
     average_frames,
     counted,
+    default_preset,
     find_rig,
     open_with_progress,
     parse_settings,
@@ -24,8 +26,9 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
-    from ...core.preset import Preset
+    from ...core.preset import Preset, RigNoise
     from ...core.rig.untouched import UntouchedAverage
+    from ...core.sources import FrameSource
 
 preset_commands = typer.Typer(
     help="Make, show and check presets.", no_args_is_help=True, rich_markup_mode=None, pretty_exceptions_enable=False
@@ -139,6 +142,59 @@ def capture_untouched(
     _capture_into(preset, source, frames, force=force)
 
 
+@preset_commands.command("measure-rig")
+def measure_rig(
+    *,
+    source: Annotated[
+        str, typer.Option("--source", "-s", metavar="SOURCE", help="Frames of a scene at rest, at least 10.")
+    ],
+    preset: PresetOption = None,
+    frames: Annotated[
+        int, typer.Option("--frames", "-n", min=10, max=600, metavar="N", help="Number of frames to measure.")
+    ] = 60,
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", "-o", metavar="FILE", help="The preset file to write; default: the file of --preset."),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file of --out that is already there.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the measurement as JSON.")] = False,
+) -> None:
+    """Measure the noise of both cameras and the bias between them, and store them in a preset.
+
+    The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see. Without
+    --out and without a preset file nothing is written. The simulator removes a moving object for this.
+    """
+    from ...core.preset import now
+    from ...core.preset.checks import check_rig
+    from ...core.preset.file import save_preset, shipped_presets
+    from ...core.rig.noise import describe
+    from ...core.rig.untouched import copy_untouched
+    from ...core.sources.presets import load_preset
+
+    origin = preset or default_preset(source)
+    target = out or (None if preset is None else Path(preset))
+    if target is not None:
+        _check_target(target, preset, force=force)
+    chosen = load_preset(origin)
+    with open_with_progress(source, chosen.cameras) as opened:
+        for sentence in check_rig(chosen, opened.rig):
+            warn(sentence)
+        noise = _measure_noise(opened, chosen, origin, frames)
+    if as_json:
+        typer.echo(noise.model_dump_json(indent=2))
+    else:
+        typer.echo("\n".join(describe(noise)))
+    if target is None:
+        warn("nothing was written; add --out FILE, or --preset with a preset file, to keep the measurement")
+        return
+    if chosen.untouched is not None:
+        copy_untouched(chosen.untouched, Path(origin), target)
+    name = target.stem if origin in shipped_presets() else chosen.name
+    save_preset(chosen.model_copy(update={"name": name, "noise": noise, "modified": now()}), target)
+    if not as_json:
+        typer.echo(f"wrote {target}")
+
+
 @preset_commands.command()
 def schema() -> None:
     """Print the JSON Schema of preset files."""
@@ -218,6 +274,49 @@ def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
         return None if preset.untouched is None else load_untouched(preset.untouched, path)
     except PresetError:  # lost or damaged: the new one replaces it
         return None
+
+
+def _check_target(target: Path, preset: str | None, *, force: bool) -> None:
+    """Raise unless the preset can be written there: not over a shipped one, and over another file with ``force`` only.
+
+    Raises
+    ------
+    PresetError
+    """
+    import importlib.resources
+
+    shipped = Path(str(importlib.resources.files("tactune.presets"))).resolve()
+    if target.suffix == ".mcap" or target.resolve().parent == shipped:
+        raise PresetError(f"{target} is a recording or a shipped preset and stays as it is; add --out FILE")
+    if preset is not None and target == Path(preset):
+        if not target.is_file():
+            raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
+    elif target.exists() and not force:
+        raise PresetError(f"{target} is already there; choose another name or add --force to replace it")
+
+
+def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int) -> RigNoise:
+    """Measure the next frames of a source, with the preset's or the source's untouched frame."""
+    from itertools import islice
+
+    from ...core.rig.noise import measure_noise
+    from ...core.rig.untouched import find_untouched, frames_to_average
+    from ...core.sources.simulator.source import SimulatorSource
+
+    with CliProgress() as progress:
+        found = find_untouched(preset, origin, source, progress.preparing)
+        if isinstance(source, SimulatorSource) and len(source.scene.drawn) > 1:
+            warn(f"the object of {source.name} moves: it is removed for this")
+            with frames_to_average(source, count, progress.preparing) as away:
+                frames = list(away)
+        else:
+            frames = []
+            for frame in islice(source, count):
+                frames.append(frame)
+                progress.frames(len(frames), count)
+        for sentence in found.warnings:
+            warn(sentence)
+        return measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)
 
 
 def _noise_words(captured: UntouchedAverage, unit_m: float) -> str:

@@ -1,0 +1,131 @@
+"""``tactune preset measure-rig``: noise and bias of a recording of a wall, in sentences, as JSON and in a preset."""
+
+from __future__ import annotations
+
+import importlib.resources
+import json
+from collections.abc import Callable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from side_by_side import HEIGHT, WIDTH, counts, rig
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.preset import Preset
+from tactune.core.preset.file import save_preset
+from tactune.core.rig.untouched import load_untouched
+from tactune.core.sources import SeekableSource
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.presets import load_preset
+
+__all__ = ["rig"]
+
+Tactune = Callable[..., Any]
+LAST_YEAR = datetime(2025, 6, 1, tzinfo=UTC)
+PRINT = (214, 40, 160)
+MASK = {"mask.enabled": True, "mask.hue": (145, 175), "mask.saturation": (110, 255), "mask.value": (60, 255)}
+
+
+class Wall(SeekableSource):
+    """A wall with prints 300 mm away and known noise; the proximity camera reads 4 mm too far."""
+
+    def __init__(self, rig: Rig, step_m: float = 0.0) -> None:
+        super().__init__("wall", rig, 14)
+        self._step_m = step_m
+
+    def read(self, index: int) -> SensorFrame:
+        near, far = np.random.default_rng(index).normal(0, (0.0006, 0.0003), (HEIGHT, WIDTH, 2)).transpose(2, 0, 1)
+        color = np.full((HEIGHT, WIDTH, 3), 120, np.uint8)
+        color[30:50, 50:70] = color[70:90, 80:100] = color[60:80, 40:60] = PRINT
+        depth_m = 0.300 + self._step_m * index
+        return SensorFrame(
+            index, counts(depth_m + 0.004 + near, self.rig.proximity), counts(depth_m + far, self.rig.tactile), color
+        )
+
+
+@pytest.fixture
+def wall(tmp_path: Path, rig: Rig) -> Path:
+    export_folder(Wall(rig), tmp_path / "wall")
+    return tmp_path / "wall"
+
+
+@pytest.fixture
+def mine(tmp_path: Path) -> Path:
+    """A preset of last year in a folder of its own."""
+    path = tmp_path / "presets" / "mine.json"
+    save_preset(Preset(name="mine", created=LAST_YEAR, modified=LAST_YEAR).with_values(MASK), path)
+    return path
+
+
+def test_noise_and_bias_are_said_and_stored(tactune: Tactune, wall: Path, mine: Path) -> None:
+    finished = tactune("preset", "measure-rig", "--source", wall, "--preset", mine)
+    assert finished.status == 0
+    tactile, proximity, bias, written = finished.out.splitlines()
+    assert tactile.startswith("Tactile noise 0.30 mm")
+    assert proximity.startswith("Proximity noise 0.60 mm")
+    assert bias.startswith("The proximity camera reads 4.0 +- 0.2 mm farther")
+    assert bias.endswith("(measured on prints).")
+    assert written == f"wrote {mine}"
+    preset = load_preset(mine)
+    assert preset.noise is not None
+    assert preset.noise.bias_m == pytest.approx(0.004, abs=2e-4)
+    assert preset.noise.frames == 14
+    assert preset.created == LAST_YEAR < preset.modified
+
+
+def test_a_shipped_preset_is_measured_into_another_file(tactune: Tactune, wall: Path, tmp_path: Path) -> None:
+    refused = tactune("preset", "measure-rig", "--source", wall, "--preset", "default")
+    assert "default is no preset file, so nothing can be stored in it; add --out FILE" in refused.sentence
+    out = tmp_path / "measured.json"
+    words = ("preset", "measure-rig", "--source", wall, "--out", out, "--frames", 12)
+    finished = tactune(*words)
+    assert finished.status == 0
+    assert "press an object firmly (10 cm2 or more)" in finished.out  # the default preset has no mask
+    preset = load_preset(out)
+    assert (preset.name, preset.noise.bias_from, preset.noise.frames) == ("measured", "unknown", 12)
+    assert "is already there; choose another name or add --force" in tactune(*words).sentence
+    assert tactune(*words, "--force").status == 0
+
+
+def test_shipped_files_and_recordings_are_never_written(tactune: Tactune, wall: Path, tmp_path: Path) -> None:
+    shipped = Path(str(importlib.resources.files("tactune.presets"))) / "simulator.json"
+    before = shipped.read_bytes()
+    for words in (("--preset", shipped), ("--out", shipped, "--force"), ("--out", tmp_path / "clip.mcap")):
+        assert "stays as it is" in tactune("preset", "measure-rig", "--source", wall, *words).sentence
+    assert shipped.read_bytes() == before
+
+
+def test_without_a_file_nothing_is_written(tactune: Tactune, wall: Path) -> None:
+    finished = tactune("preset", "measure-rig", "--source", wall, "--json")
+    assert finished.status == 0
+    assert json.loads(finished.out)["proximity"]["white_m"] == pytest.approx(0.0006, rel=0.1)
+    assert "nothing was written; add --out FILE" in finished.err
+
+
+def test_the_untouched_frame_goes_with_the_preset(tactune: Tactune, wall: Path, mine: Path, tmp_path: Path) -> None:
+    words = ("--source", wall, "--preset", mine)
+    assert tactune("preset", "capture-untouched", *words, "--force").status == 0
+    out = tmp_path / "elsewhere" / "copy.json"
+    out.parent.mkdir()
+    assert tactune("preset", "measure-rig", *words, "--out", out).status == 0
+    copied = load_preset(out)
+    assert copied.name == "mine"
+    assert load_untouched(copied.untouched, out).tactile_depth.shape == (HEIGHT, WIDTH)
+    assert load_preset(mine).noise is None
+
+
+def test_what_cannot_be_measured_is_one_sentence(
+    tactune: Tactune, recording: Path, mine: Path, rig: Rig, tmp_path: Path
+) -> None:
+    export_folder(Wall(rig, step_m=0.001), tmp_path / "moving")
+    before = mine.read_bytes()
+    for source, words in (
+        (recording, "the noise needs 10 different frames of a scene at rest, there are 4"),
+        (tmp_path / "moving", "the scene moves: the tactile depth changes in 100 % of the image"),
+        ("gone", "gone"),
+    ):
+        assert words in tactune("preset", "measure-rig", "--source", source, "--preset", mine).sentence
+    assert mine.read_bytes() == before
