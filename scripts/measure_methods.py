@@ -44,24 +44,17 @@ MEMBRANE = {"contact_test": "membrane", "alignment.model": "rigid"}
 #: Number of time measurements per method and table cell.
 ROUNDS = 9
 
-#: Preset fields that turn off or replace one part of the membrane test.
+#: Preset fields that turn off or change one part of the membrane test.
 PARTS: dict[str, dict[str, float | bool]] = {
     "all parts": {},
     "15 frames averaged": {"membrane.frames": 15},
-    "15 frames, no curvature": {"membrane.frames": 15, "membrane.curvature": 0.0},
-    "15 frames, no balance": {"membrane.frames": 15, "membrane.balance": False},
-    "no local mean": {"membrane.window_px": 0.0},
-    "no bias correction": {"membrane.bias_m": 0.0},
-    "no slope": {"membrane.slope": False},
-    "no erosion": {"membrane.erosion": 0.0},
-    "no erosion, gap 1 mm": {"membrane.erosion": 0.0, "membrane.gap_m": 0.001},
-    "no curvature": {"membrane.curvature": 0.0},
-    "no balance": {"membrane.balance": False},
-    "no protected core": {"membrane.core_share": 1.0},
+    "no bias correction": {"membrane.bias": False},
     "no cluster rule": {"membrane.min_area_mm2": 0.0},
-    "no smooth points": {"membrane.smooth_px": 0.0},
-    "points of proximity": {"membrane.tactile_weight": 0.0},
-    "points of tactile": {"membrane.tactile_weight": 1.0},
+    "gap 0.3 mm": {"membrane.gap_m": 0.0003},
+    "equilibrium length 8 mm": {"membrane.trust_m": 0.008},
+    "equilibrium length 30 mm": {"membrane.trust_m": 0.03},
+    "shape over 2 px": {"membrane.shape_px": 2.0},
+    "shape over 8 px": {"membrane.shape_px": 8.0},
 }
 
 Cell = tuple[str, str]

@@ -304,10 +304,10 @@ def _change(preset: Preset, random: np.random.Generator) -> dict[str, Any]:
         "alignment.model": lambda: str(random.choice(("rigid", "homography"))),
         "alignment.depth_offset_m": lambda: float(random.uniform(-0.01, 0.01)),
         "contact_test": lambda: str(random.choice(tuple(CONTACT_TESTS))),
-        "membrane.gap_m": lambda: float(random.uniform(0.0, 0.005)),
-        "membrane.erosion": lambda: float(random.choice((0.0, 0.9, 2.0))),
-        "membrane.balance": lambda: not preset.membrane.balance,
-        "membrane.window_px": lambda: float(random.choice((0.0, 1.0, 2.5))),
+        "membrane.gap_m": lambda: float(random.uniform(0.0, 0.001)),
+        "membrane.trust_m": lambda: float(random.choice((0.004, 0.016, 0.05))),
+        "membrane.bias": lambda: not preset.membrane.bias,
+        "membrane.shape_px": lambda: float(random.choice((1.0, 4.0, 8.0))),
     }
     name = str(random.choice(list(choices)))
     return {name: choices[name]()}

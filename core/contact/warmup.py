@@ -11,9 +11,9 @@ from ..model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..preset import Preset
 from .kernels import chain as kernels
-from .kernels.balance import settle
 from .kernels.colors import color_lookup
 from .kernels.compiling import Compiled, compiled_so_far, is_kept
+from .kernels.equilibrium import settle
 from .kernels.membrane import find_differences
 from .masking import colors_at, in_hsv_range
 from .outliers.point_search import search_points
@@ -64,7 +64,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     points, pixels = patch.points, np.flatnonzero(patch.mask)
     few = np.arange(min(4, len(points)))
     means = np.empty(len(points))
-    membrane = preset.with_values({"contact_test": "membrane", "membrane.difference_m": 0.1})
+    membrane = preset.with_value("contact_test", "membrane")
     steps: list[Callable[[], object]] = [
         lambda: patch.provenance,
         lambda: patch.aligned,

@@ -8,7 +8,7 @@ from enum import IntEnum
 class Provenance(IntEnum):
     """The verdict on one proximity pixel, in the order in which the tests are made.
 
-    RIM and NOT_PRESSED, used by the membrane test only, come last so that the numbers of the others stay the same.
+    RIM, used by the membrane test only, comes last so that the numbers of the others stay the same.
     """
 
     NO_PROXIMITY_DEPTH = 0
@@ -21,7 +21,6 @@ class Provenance(IntEnum):
     SMALL_CLUSTER = 7
     CONTACT = 8
     RIM = 9
-    NOT_PRESSED = 10
 
     @property
     def label(self) -> str:
@@ -44,6 +43,5 @@ _EXPLANATIONS = {
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",
-    Provenance.RIM: "Dropped: near the object, but the membrane is leaving it here; contact ends further in.",
-    Provenance.NOT_PRESSED: "Dropped: near the object, but the membrane is as curved as where nothing touches it.",
+    Provenance.RIM: "Dropped: near the object, but a membrane in equilibrium has left it; contact ends further in.",
 }

@@ -25,8 +25,8 @@ from .tolerance import OutlierSection, ToleranceSection
 
 #: Every contact test as ``module:object`` of this package, the default first. To add one, add its line here.
 _TESTS: Final = (
-    "tolerance:TOLERANCE",
     "membrane:MEMBRANE",
+    "tolerance:TOLERANCE",
 )
 _tests = [resolve_name(f"{__package__}.{place}") for place in _TESTS]
 #: Every contact test by name.

@@ -45,7 +45,6 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.OUTLIER: (205, 160, 0),
     Provenance.SMALL_CLUSTER: (0, 150, 115),
     Provenance.RIM: (150, 80, 50),
-    Provenance.NOT_PRESSED: (110, 100, 205),
     Provenance.CONTACT: CONTACT_RGB,
 }
 _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
@@ -67,7 +66,6 @@ _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 5
 _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.CONTACT: "contact",
     Provenance.RIM: "rim",
-    Provenance.NOT_PRESSED: "not pressed",
     Provenance.OUTSIDE_TOLERANCE: "not touching",
     Provenance.MASKED: "masked",
     Provenance.OUTLIER: "outlier",

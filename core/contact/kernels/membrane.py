@@ -50,12 +50,14 @@ class RayWindow(NamedTuple):
 
 
 class Rectangle(NamedTuple):
-    """Part of the image that `find_differences` writes about, and the largest difference it accepts.
+    """Part of the image that `find_differences` writes about, the bias, and the largest difference it accepts.
 
     Attributes
     ----------
     left, top, right : int
         Proximity pixels; ``left`` is a multiple of `LANES`, ``right`` is exclusive.
+    bias_m : float32
+        Subtracted from the proximity depth, metres.
     largest_m : float32
         Differences must be smaller, metres.
     """
@@ -63,6 +65,7 @@ class Rectangle(NamedTuple):
     left: int
     top: int
     right: int
+    bias_m: np.float32
     largest_m: np.float32
 
 
@@ -126,7 +129,7 @@ def find_differences(
     out : DifferenceImages
     """
     width, pixels = test.alignment.size.width, plane_size(test.alignment.size)
-    left, top, right, largest_m = rectangle
+    left, top, right, bias_m, largest_m = rectangle
     float_buffer, int_buffer = _float_vector(), _int_vector()
     for v in range(first, last):
         row_in_region = v >= test.region.top and v < test.region.bottom
@@ -140,68 +143,11 @@ def find_differences(
             difference = floats(_ZERO)
             valid = considered & is_depth(count) & (column >= ints(np.int32(u)))
             if tiles[v // TILE_ROWS, u // LANES] and bits(valid) != 0:
+                depth = depth - floats(bias_m)
                 difference, state = _compare(place, depth, valid, state, images, test, color, largest_m)
             start = (v - top) * (right - left) + u - left
             store_lanes(out.differences, start, right - u, difference, before, float_buffer)
             store_lanes(out.states, start, right - u, state, before, int_buffer)
-
-
-@kernel
-def count_gaps(gaps: Any, known: Any, limit: Any, edges: Any, counts: Any) -> Any:
-    """Add the known gaps (H, W) to a histogram with evenly spaced edges; return the number of gaps below ``limit``.
-
-    The bins are those of `numpy.histogram`: each includes its lower edge, the last one its upper edge, too.
-    """
-    bins = counts.shape[0]
-    per_bin = bins / (edges[bins] - edges[0])
-    found = 0
-    for v in range(gaps.shape[0]):
-        for u in range(gaps.shape[1]):
-            gap = gaps[v, u]
-            if not known[v, u] or not abs(gap) < limit:
-                continue
-            found += 1
-            if gap < edges[0] or gap > edges[bins]:
-                continue
-            place = min(int((gap - edges[0]) * per_bin), bins - 1)
-            while gap < edges[place]:
-                place -= 1
-            while place < bins - 1 and gap >= edges[place + 1]:
-                place += 1
-            counts[place] += 1
-    return found
-
-
-@kernel
-def turn_to_normal(gaps: Any, depth: Any, along_x: Any, along_y: Any, window: Any, min_cosine: Any) -> None:
-    """Multiply gaps (H, W) by the cosine between the optical axis and the surface normal, at least ``min_cosine``.
-
-    ``along_x`` and ``along_y`` are the slopes of ``depth`` times the focal lengths; ``window`` is a `RayWindow`.
-    """
-    rays, top, left = window
-    for v in range(gaps.shape[0]):
-        for u in range(gaps.shape[1]):
-            x, y = along_x[v, u], along_y[v, u]
-            z = depth[v, u] + rays[top + v, left + u, 0] * x + rays[top + v, left + u, 1] * y
-            cosine = abs(z) / max(np.sqrt(x * x + y * y + z * z), _MIN_LENGTH)
-            gaps[v, u] *= min(max(cosine, min_cosine), _ONE)
-
-
-@kernel
-def spread_ways(near: Any, labels: Any, between: Any, factor: Any, most: Any, of_label: Any, ways: Any) -> None:
-    """Write the erosion distance of each pixel: that of the pixel outside ``near`` that has the same label.
-
-    At that pixel it is ``factor`` times ``between``, the distance to the second isoline, and at most ``most``. Images
-    are (H, W), distances in pixels; ``of_label`` is a buffer with an element for each label.
-    """
-    height, width = labels.shape
-    for v in range(height):
-        for u in range(width):
-            if near[v, u] == 0:
-                of_label[labels[v, u]] = min(factor * between[v, u], most)
-    for v in range(height):
-        for u in range(width):
-            ways[v, u] = of_label[labels[v, u]]
 
 
 @kernel

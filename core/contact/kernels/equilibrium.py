@@ -1,4 +1,4 @@
-"""The loops over cells of two by two pixels that find where the membrane has left the object, compiled."""
+"""The loops over cells of pixels that find where a membrane in equilibrium touches the object, compiled."""
 
 from __future__ import annotations
 
@@ -18,26 +18,25 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 _MIN_FACING, _MIN_TURN = np.float32(0.25), 0.25
 
 
-class GapImages(NamedTuple):
-    """What `average_cells` averages, images (H, W).
+class DifferenceWindow(NamedTuple):
+    """What `average_cells` averages, images (H, W), and which pixels take part.
 
     Attributes
     ----------
     differences, depth : float32
         Proximity minus tactile depth, and proximity depth, metres.
-    usable : bool
-        Where both count.
-    gaps : float32
-        Local means of the gap, metres.
-    known : bool
-        Where there is a local mean.
+    usable, excluded : bool
+        Where both count; where neither may be contact.
+    centre_m, limit_m : float32
+        Only differences nearer than the limit to the centre are averaged.
     """
 
     differences: Float32Array
     depth: Float32Array
     usable: BoolArray
-    gaps: Float32Array
-    known: BoolArray
+    excluded: BoolArray
+    centre_m: np.float32
+    limit_m: np.float32
 
 
 class Equations(NamedTuple):
@@ -80,42 +79,41 @@ class Relaxation(NamedTuple):
 
 
 @kernel
-def average_cells(images: Any, window: Any, out: Any) -> None:
-    """Write means over cells of two by two pixels.
+def average_cells(window: Any, side: Any, rays: Any, out: Any) -> None:
+    """Write means over cells of ``side`` by ``side`` pixels.
 
     Parameters
     ----------
-    images : GapImages
-    window : membrane.RayWindow
+    window : DifferenceWindow
+    side : int
+    rays : membrane.RayWindow
         Of the images.
-    out : float32, shape (7, H // 2, W // 2)
-        Mean difference of usable pixels, the share of these, and times that share their x, y and z; the mean of known
-        gaps; and the number of pixels with a known gap.
+    out : float32, shape (6, H // side, W // side)
+        Mean difference; share of the pixels that take part; that share times their mean x, y and z; and the excluded
+        share.
     """
-    differences, depth, usable, gaps, known = images
-    rays, top, left = window
+    differences, depth, usable, excluded, centre_m, limit_m = window
+    table, top, left = rays
+    pixels = np.float32(side * side)
     for row in range(out.shape[1]):
         for column in range(out.shape[2]):
-            count, seen = _ZERO, _ZERO
-            difference, x, y, z, gap = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-            for v in range(2 * row, 2 * row + 2):
-                for u in range(2 * column, 2 * column + 2):
-                    if known[v, u]:
-                        gap += gaps[v, u]
-                        seen += _ONE
-                    if usable[v, u]:
+            count, difference, x, y, z, barred = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
+            for v in range(side * row, side * row + side):
+                for u in range(side * column, side * column + side):
+                    if excluded[v, u]:
+                        barred += _ONE
+                    if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:
                         count += _ONE
                         difference += differences[v, u]
-                        x += rays[top + v, left + u, 0] * depth[v, u]
-                        y += rays[top + v, left + u, 1] * depth[v, u]
+                        x += table[top + v, left + u, 0] * depth[v, u]
+                        y += table[top + v, left + u, 1] * depth[v, u]
                         z += depth[v, u]
             out[0, row, column] = difference / max(count, _ONE)
-            out[1, row, column] = count / 4
-            out[2, row, column] = x / 4
-            out[3, row, column] = y / 4
-            out[4, row, column] = z / 4
-            out[5, row, column] = gap / max(seen, _ONE)
-            out[6, row, column] = seen
+            out[1, row, column] = count / pixels
+            out[2, row, column] = x / pixels
+            out[3, row, column] = y / pixels
+            out[4, row, column] = z / pixels
+            out[5, row, column] = barred / pixels
 
 
 @inline
@@ -125,7 +123,7 @@ def _slope_of(rise: Any, way: Any) -> Any:
 
 
 @kernel
-def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, slope: Any, sides: Any, facing: Any) -> None:
+def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, sides: Any, facing: Any) -> None:
     """Write the lengths of cells, and the share of a depth difference along the ray that is along the surface normal.
 
     Parameters
@@ -136,8 +134,6 @@ def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, slope: 
         Where it is below ``min_share``, and at the border, a cell has sides of 1 mm and faces the camera.
     flat_m : tuple of float
         Width and height of a cell that faces the camera at a depth of 1 m.
-    slope : bool
-        If False, all cells count as facing the camera.
     sides : float32, shape (2, H, W)
         Lengths to the right and down, metres.
     facing : float32, shape (H, W)
@@ -162,10 +158,9 @@ def measure_cells(points: Any, shares: Any, min_share: Any, flat_m: Any, slope: 
             y_u, x_v = ray_y * z_u, ray_x * z_v
             sides[0, v, u] = np.sqrt(x_u * x_u + y_u * y_u + z_u * z_u)
             sides[1, v, u] = np.sqrt(x_v * x_v + y_v * y_v + z_v * z_v)
-            if slope:
-                nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
-                along = abs(nx * ray_x + ny * ray_y + nz) / np.sqrt(nx * nx + ny * ny + nz * nz)
-                facing[v, u] = min(max(np.float32(along), _MIN_FACING), _ONE)
+            nx, ny, nz = y_u * z_v - z_u * y_v, z_u * x_v - x_u * z_v, x_u * y_v - y_u * x_v
+            along = abs(nx * ray_x + ny * ray_y + nz) / np.sqrt(nx * nx + ny * ny + nz * nz)
+            facing[v, u] = min(max(np.float32(along), _MIN_FACING), _ONE)
 
 
 @kernel
@@ -249,19 +244,3 @@ def settle(gaps: Any, width: Any, equations: Any, loads: Any, relaxation: Any) -
         if change < tolerance_m:
             return sweep + 1
     return max_sweeps
-
-
-@kernel
-def misfit_of_groups(
-    gaps: Any, along_ray: Any, measured: Any, weight: Any, groups: Any, firm: Any, misfits: Any, touching: Any
-) -> None:
-    """Add up each group's weighted squared residuals, and count its firm cells whose gap is 0.
-
-    A residual is the measured gap minus the gap, both along the ray: ``along_ray`` times a gap along the normal.
-    ``misfits`` and ``touching`` have an element for each group, all other arrays one for each cell.
-    """
-    for i in range(len(gaps)):
-        off = measured[i] - gaps[i] * along_ray[i]
-        misfits[groups[i]] += weight[i] * off * off
-        if firm[i] and gaps[i] == _ZERO:
-            touching[groups[i]] += 1

@@ -1,0 +1,174 @@
+"""The bias between both cameras in one frame: known from the rig, and found again where contact is firm.
+
+In contact both cameras measure the same surface, so the bias is the mean difference there; but where contact is depends
+on the bias. Both are unknowns of one least squares problem, solved by turns: the obstacle problem for a bias, then the
+mean residual in contact as its correction. It starts from above, because a bias that is too large makes everything
+touch, and one that is too small can leave nothing to correct it by.
+
+A bias can't be told from a gap where nothing presses: a free membrane above an object looks the same for any of them.
+So a small contact has no vote of its own; there the rig's measured bias decides.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from ...model.frames import Rig
+from ...preset import Preset
+from .differences import Differences
+from .equilibrium import Cells, Equilibrium, cells_of, settle
+
+#: Side of the cells and sigma of the window over the object's shape, pixels; length over which equilibrium is trusted.
+_CELL_PX: Final = 8
+_SHAPE_PX: Final = 6.0
+_TRUST_M: Final = 0.03
+#: Above the most frequent difference the search begins, and differences nearer than the second take part, metres.
+_START_ABOVE_M: Final = 0.002
+_NEAR_M: Final = 0.012
+#: Bin width of the histogram of differences, metres.
+_BIN_M: Final = 0.0005
+#: Contact of this area proves its bias without the rig's.
+FIRM_M2: Final = 0.001
+#: The bias is found when it changes by less, metres.
+_EXACT_M: Final = 3e-5
+_MAX_ROUNDS: Final = 12
+#: The frame's bias replaces the rig's where they differ by more than this many standard deviations.
+_DISAGREE: Final = 3.0
+#: Noise power that is assumed for a rig that was not measured (a D405 and an L515 at 0.3 m), m^4, and its bias, metres.
+_USUAL_NOISE_M4: Final = 3e-10
+#: Errors of the model count as much as this noise power, m^4.
+_LEAST_NOISE_M4: Final = 1e-11
+_USUAL_SIGMA_M: Final = 0.005
+#: Systematic error of a bias measured on prints, metres, and the fewest such pixels.
+_PRINT_SIGMA_M: Final = 0.0003
+_MIN_PRINT_PIXELS: Final = 200
+
+
+@dataclass(frozen=True)
+class RigBias:
+    """What is known of the bias before a frame is seen.
+
+    Attributes
+    ----------
+    mean_m, sigma_m : float
+        Proximity less tactile depth.
+    noise_m4 : float
+        Noise power of both cameras per area, at low spatial frequency: the variance of a mean over an area is this
+        over the area.
+    measured : bool
+        Whether the rig's noise and bias were measured.
+    tactile_weight : float
+        Weight of the tactile depth in a mean of both depths, from both cameras' noise.
+    """
+
+    mean_m: float
+    sigma_m: float
+    noise_m4: float
+    measured: bool
+    tactile_weight: float = 0.5
+
+
+@dataclass(frozen=True)
+class FrameBias:
+    """The bias in one frame.
+
+    Attributes
+    ----------
+    bias_m : float
+        What remains beyond the bias of the differences it was found in.
+    firm_m2 : float
+        Area of the contact that proves it; 0 if the rig's bias decided.
+    """
+
+    bias_m: float
+    firm_m2: float
+
+
+def rig_bias(preset: Preset, rig: Rig) -> RigBias:
+    """Return what the preset knows of the bias and the noise of its rig."""
+    noise = preset.noise
+    if noise is None:
+        return RigBias(0.0, _USUAL_SIGMA_M, _USUAL_NOISE_M4, measured=False)
+    proximity = noise.proximity.density_m4(rig.proximity.intrinsics.fx)
+    tactile = noise.tactile.density_m4(rig.tactile.intrinsics.fx)
+    power = max(proximity + tactile, _LEAST_NOISE_M4)
+    measured = noise.bias_from != "unknown"
+    weight = (proximity + _LEAST_NOISE_M4 / 2) / (power + _LEAST_NOISE_M4)
+    return RigBias(noise.bias_m, max(noise.bias_sigma_m, _PRINT_SIGMA_M), power, measured, weight)
+
+
+def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig: Rig) -> FrameBias:
+    """Find the bias in a frame.
+
+    Parameters
+    ----------
+    differences : Differences
+        With a wide limit, as the bias may be large.
+    known : RigBias
+    free_per_m : float
+        Twice the mean curvature of the free membrane.
+    """
+    prior = _with_prints(known, differences, rig)
+    start_m = _most_frequent_m(differences, rig) + _START_ABOVE_M
+    cells = _cells(differences, start_m, free_per_m, rig)
+    if cells is not None and np.isfinite(start_m):
+        bias_m, area_m2 = _joint(cells, start_m, None)
+        if area_m2 >= FIRM_M2:
+            variance = known.noise_m4 / area_m2
+            if abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + variance):
+                bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
+            return FrameBias(bias_m, area_m2)
+        cells = _cells(differences, prior.mean_m, free_per_m, rig)
+    return FrameBias(prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0], 0.0)
+
+
+def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
+    """Return the bias relative to that of the differences, from prints if the rig was not measured."""
+    prints = differences.on_prints_m
+    if known.measured or len(prints) < _MIN_PRINT_PIXELS:
+        return replace(known, mean_m=known.mean_m - differences.bias_m)
+    pixel_m = float(np.median(differences.depth_m[differences.depth_m > 0])) / rig.proximity.intrinsics.fx
+    sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
+    return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m)
+
+
+def _most_frequent_m(differences: Differences, rig: Rig) -> float:
+    """Return the most frequent difference; nan without any."""
+    import cv2
+
+    cells = cells_of(differences, _CELL_PX, _SHAPE_PX, 0.0, (0.0, math.inf), rig)
+    if cells is None or not cells.known.any():
+        return math.nan
+    found = cells.difference_m[cells.known]
+    low = float(found.min()) - _BIN_M
+    counts = np.bincount(((found - low) / _BIN_M).astype(np.int64)).astype(np.float32)
+    smooth = cv2.GaussianBlur(counts[None], (0, 0), 1.5, borderType=cv2.BORDER_CONSTANT)[0]
+    return low + (int(np.argmax(smooth)) + 0.5) * _BIN_M
+
+
+def _cells(differences: Differences, centre_m: float, free_per_m: float, rig: Rig) -> Cells | None:
+    return cells_of(differences, _CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig)
+
+
+def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:
+    """Return bias and contact area that agree with each other, from a first guess of the bias."""
+    solution: Equilibrium | None = None
+    area_m2 = 0.0
+    for _ in range(_MAX_ROUNDS):
+        solution = settle(cells, bias_m, _TRUST_M, solution)
+        areas = cells.area_m2[solution.touching]
+        along_ray = (solution.residual_m / cells.facing)[solution.touching]
+        area_m2, moment = float(areas.sum()), float((areas * along_ray).sum())
+        if prior is None:
+            shift = moment / area_m2 if area_m2 > 0 else 0.0
+        else:
+            trust = prior.noise_m4 / prior.sigma_m**2
+            shift = (moment + trust * (prior.mean_m - bias_m)) / (area_m2 + trust)
+        bias_m += shift
+        if abs(shift) < _EXACT_M:
+            break
+    return bias_m, area_m2

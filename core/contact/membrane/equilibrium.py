@@ -1,0 +1,205 @@
+"""Contact as an obstacle problem: where a membrane in equilibrium of tension and pressure touches the object.
+
+A free membrane of tension T under the pressure p has twice the mean curvature p / T (Young-Laplace). For an object of
+curvature k, the gap g between membrane and object satisfies laplacian(g) = p / T - k on the surface. In contact g is
+0, and g is never negative: an obstacle problem (Kinderlehrer and Stampacchia, "An Introduction to Variational
+Inequalities and Their Applications", 1980, chapter 1). Both cameras measure the gap, with noise and a bias b. The gap
+minimises, over a surface,
+
+    |grad g|^2 / 2 + (p / T - k) g + (g - (measured - b))^2 / (2 L^2),    g >= 0,
+
+where L is the length over which equilibrium is trusted more than the measured gap. Noise that is shorter than L is
+averaged, and the edge of contact is where the membrane leaves the object, not where a threshold is passed.
+
+Assumed: the same tension in all directions, no friction, small slopes between membrane and object.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from ...model.arrays import BoolArray, Float32Array
+from ...model.clouds import ray_table
+from ...model.frames import Rig
+from ..kernels import equilibrium as kernels
+from ..kernels.membrane import RayWindow, bulges
+from .differences import Differences
+
+#: Share of a cell's window that must be usable for a gap, for the object's curvature, and for its slope.
+_MIN_SHARE, _MIN_SHARE_OF_SHAPE, _MIN_SHARE_OF_SLOPE = np.float32(0.4), np.float32(0.5), np.float32(0.05)
+#: Excluded share from which a cell takes no part.
+_MAX_EXCLUDED: Final = np.float32(0.5)
+#: Sigma of the window over which the first guess of the gap is averaged, pixels.
+_GUESS_PX: Final = 2.5
+#: How far the object's curvature is extrapolated, pixels.
+_REACH_PX: Final = 16.0
+#: The gap is solved for where the measured one is below the first; at the border of what is seen, below the second.
+_MAX_GAP_M, _MAX_GAP_AT_BORDER_M = np.float32(0.005), np.float32(0.0014)
+#: Lower limit of p / T - k, 1/m: what presses the membrane against a more strongly curved object.
+_MIN_PUSH_PER_M: Final = np.float32(2.0)
+#: A gap far above all others, for cells without a known gap, metres.
+_FAR_M: Final = np.float32(0.01)
+_RELAXATION: Final = kernels.Relaxation(np.float32(1.7), np.float32(1e-5), 300)
+
+
+@dataclass(frozen=True, eq=False)
+class Cells:
+    """Square cells of pixels with what the obstacle problem needs; images are (H, W), framed by one unknown cell.
+
+    Attributes
+    ----------
+    difference_m : float32
+        Mean difference of both depths along the ray.
+    share : float32
+        Share of pixels that take part.
+    known : bool
+        Whether enough pixels near it take part.
+    push_per_m : float32
+        p / T - k: twice the mean curvature of the free membrane less that of the object.
+    sides_m : float32, shape (2, H, W)
+        Length along the surface to the right and down.
+    facing : float32
+        Ratio of a gap along the normal to the difference along the ray.
+    size_px : int
+    """
+
+    difference_m: Float32Array
+    share: Float32Array
+    known: BoolArray
+    push_per_m: Float32Array
+    sides_m: Float32Array
+    facing: Float32Array
+    size_px: int
+
+    @property
+    def area_m2(self) -> Float32Array:
+        """Usable area of each cell, (H, W)."""
+        return np.asarray(self.share * self.sides_m[0] * self.sides_m[1])
+
+
+@dataclass(frozen=True, eq=False)
+class Equilibrium:
+    """The solution: gaps along the normal in the cells, with the frame of unknown cells.
+
+    Attributes
+    ----------
+    gap_m : float32, shape (H, W)
+        0 in contact; large where nothing is known.
+    guess_m : float32, shape (H, W)
+        The local mean of the measured gap.
+    residual_m : float32, shape (H, W)
+        The measured gap less the solution.
+    touching : bool, shape (H, W)
+    """
+
+    gap_m: Float32Array
+    guess_m: Float32Array
+    residual_m: Float32Array
+    touching: BoolArray
+
+
+def cells_of(
+    differences: Differences, size_px: int, shape_px: float, free_per_m: float, near_m: tuple[float, float], rig: Rig
+) -> Cells | None:
+    """Average differences and the object's shape over cells; None if the image is smaller than three cells.
+
+    Parameters
+    ----------
+    size_px : int
+        Side of a cell.
+    shape_px : float
+        Sigma of the window over which the object's shape is averaged, pixels.
+    free_per_m : float
+        Twice the mean curvature of the free membrane.
+    near_m : tuple of float
+        Centre and limit: only differences nearer than the limit to the centre take part.
+    """
+    import cv2
+
+    camera, (height, width) = rig.proximity.intrinsics, differences.usable.shape
+    if min(height, width) < 3 * size_px:
+        return None
+    means = np.zeros((6, height // size_px + 2, width // size_px + 2), np.float32)
+    window = kernels.DifferenceWindow(
+        differences.difference_m, differences.depth_m, differences.usable, differences.excluded,
+        np.float32(near_m[0]), np.float32(near_m[1]),
+    )  # fmt: skip
+    kernels.average_cells(window, size_px, RayWindow(ray_table(camera), *differences.corner), means[:, 1:-1, 1:-1])
+    difference, share, *_, excluded = means
+    sigma = max(shape_px / size_px, 0.3)
+    weight, x, y, z = (cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for part in means[1:5])
+    points = np.stack([x, y, z]) / np.maximum(weight, np.float32(1e-6))
+    bulge, sides, facing = np.empty_like(share), np.empty((2, *share.shape), np.float32), np.empty_like(share)
+    bulges(points, weight, _MIN_SHARE_OF_SHAPE, bulge)
+    kernels.measure_cells(
+        points, weight, _MIN_SHARE_OF_SLOPE, (size_px / camera.fx, size_px / camera.fy), sides, facing
+    )
+    push = np.float32(free_per_m) - np.nan_to_num(_with_nearest(bulge, _REACH_PX / size_px))
+    near = cv2.GaussianBlur(share, (0, 0), _GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT)
+    known = (near > _MIN_SHARE) & (excluded < _MAX_EXCLUDED)
+    known[[0, -1]] = known[:, [0, -1]] = False
+    return Cells(difference, share, known, np.maximum(push, _MIN_PUSH_PER_M), sides, facing, size_px)
+
+
+def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | None = None) -> Equilibrium:
+    """Solve the obstacle problem.
+
+    Parameters
+    ----------
+    bias_m : float
+        Subtracted from the differences.
+    trust_m : float
+        Length over which equilibrium is trusted more than the measured gap.
+    start : Equilibrium, optional
+        That of the same cells with another bias.
+    """
+    import cv2
+
+    sigma = _GUESS_PX / cells.size_px
+    measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
+    share, total = (
+        cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
+        for part in (cells.share, cells.share * measured)
+    )
+    guess = np.asarray(total / np.maximum(share, np.float32(1e-6)), np.float32)
+    inner = cv2.erode(cells.known.view(np.uint8), np.ones((3, 3), np.uint8)).astype(bool)
+    inside = cells.known & (guess < np.where(inner, _MAX_GAP_M, _MAX_GAP_AT_BORDER_M))
+    size = int(np.count_nonzero(inside))
+    places, links = np.empty(size, np.int32), np.empty((7, size), np.float32)
+    even = kernels.link_cells(inside, cells.known, cells.sides_m, cells.share, np.float32(trust_m), places, links)
+    loads = links[4] * measured.reshape(-1)[places] - links[5] * cells.push_per_m.reshape(-1)[places]
+    gap = np.maximum(guess, np.float32(0))
+    if start is not None:
+        gap.reshape(-1)[places] = start.gap_m.reshape(-1)[places]
+    kernels.settle(gap.reshape(-1), gap.shape[1], kernels.Equations(places, links, even), loads, _RELAXATION)
+    gap[~cells.known] = _FAR_M
+    return Equilibrium(gap, guess, measured - gap, inside & (gap <= 0))
+
+
+def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> Float32Array:
+    """Return an image of the cells, interpolated to pixels; far beyond the last whole cell."""
+    import cv2
+
+    inner = image[1:-1, 1:-1]
+    height, width = (side * cells.size_px for side in inner.shape)
+    pixels = np.full(shape, _FAR_M)
+    pixels[:height, :width] = cv2.resize(inner, (width, height), interpolation=cv2.INTER_LINEAR)
+    return pixels
+
+
+def _with_nearest(image: Float32Array, reach_cells: float) -> Float32Array:
+    """Return an image whose nan cells have the value of the nearest known cell within reach."""
+    import cv2
+
+    unknown = np.isnan(image)
+    if not unknown.any() or unknown.all():
+        return image
+    way, labels = cv2.distanceTransformWithLabels(
+        unknown.view(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    of_label = np.full(int(labels.max()) + 1, np.nan, np.float32)
+    of_label[labels[~unknown]] = image[~unknown]
+    return np.where(way <= reach_cells, of_label[labels], np.float32(np.nan))

@@ -1,0 +1,64 @@
+"""How strongly the free membrane is curved, which is its pressure over its tension.
+
+A free membrane under the pressure p and the tension T has twice the mean curvature p / T everywhere (Young-Laplace).
+Only the tactile camera is used, so a bias between the cameras has no effect.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from ...model.arrays import Float32Array
+from ...model.clouds import ray_table
+from ...model.frames import Rig, SensorFrame
+from ...model.intrinsics import Intrinsics
+from ...preset import AlignmentSection
+from ..kernels import membrane as kernels
+
+#: Side of the blocks of tactile pixels over which depth is averaged first, and sigma of the window over blocks.
+_BLOCK_PX: Final = 8
+_WINDOW_BLOCKS: Final = 2.5
+#: Share of a window that must have depth.
+_MIN_SHARE: Final = np.float32(0.7)
+#: With fewer blocks the usual curvature is assumed, 1/m; other values are limited.
+_MIN_BLOCKS: Final = 100
+USUAL_PER_M: Final = 10.0
+_LIMITS_PER_M: Final = (3.0, 40.0)
+
+
+def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
+    """Return twice the mean curvature of the free membrane, 1/m.
+
+    It is the median over the tactile image: contact is flatter or dented, but covers less than half of what the camera
+    sees, and noise has no mean.
+    """
+    import cv2
+
+    camera = rig.tactile.intrinsics
+    shape = camera.height // _BLOCK_PX, camera.width // _BLOCK_PX
+    if min(shape) < 3:
+        return USUAL_PER_M
+    counts, shares = np.empty(shape, np.float32), np.empty(shape, np.float32)
+    kernels.block_means(frame.tactile_depth, _BLOCK_PX, counts, shares)
+    unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
+    depth = counts * np.float32(unit_m) + np.float32(offset_m)
+    # Points are averaged, not depths: at the image's border their mean is shifted, but lies on the surface.
+    parts = (shares, depth * shares, *(depth * shares * ray for ray in _rays_of_blocks(camera)))
+    known, z, x, y = (cv2.GaussianBlur(part, (0, 0), _WINDOW_BLOCKS, borderType=cv2.BORDER_CONSTANT) for part in parts)
+    bulge = np.empty(shape, np.float32)
+    kernels.bulges(np.stack([x, y, z]) / np.maximum(known, np.float32(1e-6)), known, _MIN_SHARE, bulge)
+    bulge = bulge[~np.isnan(bulge)]
+    if len(bulge) < _MIN_BLOCKS:
+        return USUAL_PER_M
+    return float(np.clip(np.median(bulge), *_LIMITS_PER_M))
+
+
+@lru_cache(maxsize=8)
+def _rays_of_blocks(camera: Intrinsics) -> Float32Array:
+    """Return ``(x / z, y / z)`` at the centre of each block, shape (2, h, w)."""
+    rays = ray_table(camera)[: camera.height // _BLOCK_PX * _BLOCK_PX, : camera.width // _BLOCK_PX * _BLOCK_PX]
+    squares = rays.reshape(camera.height // _BLOCK_PX, _BLOCK_PX, camera.width // _BLOCK_PX, _BLOCK_PX, 2)
+    return np.ascontiguousarray(squares.mean(axis=(1, 3)).transpose(2, 0, 1), np.float32)
