@@ -79,8 +79,8 @@ class Relaxation(NamedTuple):
 
 
 @kernel
-def average_cells(window: Any, side: Any, rays: Any, out: Any) -> None:
-    """Write means over cells of ``side`` by ``side`` pixels.
+def average_cells(window: Any, side: Any, rays: Any, first: Any, last: Any, out: Any) -> None:
+    """Write means over cells of ``side`` by ``side`` pixels, in rows ``first`` to ``last - 1`` of cells.
 
     Parameters
     ----------
@@ -95,7 +95,7 @@ def average_cells(window: Any, side: Any, rays: Any, out: Any) -> None:
     differences, depth, usable, excluded, centre_m, limit_m = window
     table, top, left = rays
     pixels = np.float32(side * side)
-    for row in range(out.shape[1]):
+    for row in range(first, last):
         for column in range(out.shape[2]):
             count, difference, x, y, z, barred = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
             for v in range(side * row, side * row + side):

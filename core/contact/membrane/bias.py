@@ -19,7 +19,7 @@ import numpy as np
 
 from ...model.frames import Rig
 from ...preset import Preset
-from .differences import Differences
+from .differences import Differences, surroundings
 from .equilibrium import Cells, Equilibrium, cells_of, settle
 
 #: Side of the cells and sigma of the window over the object's shape, pixels; length over which equilibrium is trusted.
@@ -29,8 +29,8 @@ _TRUST_M: Final = 0.03
 #: Above the most frequent difference the search begins, and differences nearer than the second take part, metres.
 _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
-#: Bin width of the histogram of differences, metres.
-_BIN_M: Final = 0.0005
+#: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
+_BIN_M, _SMOOTH_BINS = 0.0005, 1.5
 #: Contact of this area proves its bias without the rig's.
 FIRM_M2: Final = 0.001
 #: The bias is found when it changes by less, metres.
@@ -82,10 +82,13 @@ class FrameBias:
         What remains beyond the bias of the differences it was found in.
     firm_m2 : float
         Area of the contact that proves it; 0 if the rig's bias decided.
+    part : tuple of slice
+        Rows and columns of the differences outside of which too little is near for contact.
     """
 
-    bias_m: float
-    firm_m2: float
+    bias_m: float = 0.0
+    firm_m2: float = 0.0
+    part: tuple[slice, slice] = (slice(None), slice(None))
 
 
 def rig_bias(preset: Preset, rig: Rig) -> RigBias:
@@ -113,17 +116,19 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
         Twice the mean curvature of the free membrane.
     """
     prior = _with_prints(known, differences, rig)
-    start_m = _most_frequent_m(differences, rig) + _START_ABOVE_M
+    start_m = _most_frequent_m(differences) + _START_ABOVE_M
     cells = _cells(differences, start_m, free_per_m, rig)
-    if cells is not None and np.isfinite(start_m):
+    if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         if area_m2 >= FIRM_M2:
             variance = known.noise_m4 / area_m2
             if abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + variance):
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
-            return FrameBias(bias_m, area_m2)
+            return FrameBias(bias_m, area_m2, _part(cells))
         cells = _cells(differences, prior.mean_m, free_per_m, rig)
-    return FrameBias(prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0], 0.0)
+    if cells is None:
+        return FrameBias(prior.mean_m)
+    return FrameBias(_joint(cells, prior.mean_m, prior)[0], 0.0, _part(cells))
 
 
 def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
@@ -136,22 +141,31 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m)
 
 
-def _most_frequent_m(differences: Differences, rig: Rig) -> float:
-    """Return the most frequent difference; nan without any."""
+def _most_frequent_m(differences: Differences) -> float:
+    """Return the most frequent difference, from every fourth pixel of every fourth row."""
     import cv2
 
-    cells = cells_of(differences, _CELL_PX, _SHAPE_PX, 0.0, (0.0, math.inf), rig)
-    if cells is None or not cells.known.any():
-        return math.nan
-    found = cells.difference_m[cells.known]
+    some = slice(None, None, 4), slice(None, None, 4)
+    found = differences.difference_m[some][differences.usable[some]]
+    if len(found) == 0:
+        return 0.0
     low = float(found.min()) - _BIN_M
     counts = np.bincount(((found - low) / _BIN_M).astype(np.int64)).astype(np.float32)
-    smooth = cv2.GaussianBlur(counts[None], (0, 0), 1.5, borderType=cv2.BORDER_CONSTANT)[0]
+    smooth = cv2.GaussianBlur(counts[None], (0, 0), _SMOOTH_BINS, borderType=cv2.BORDER_CONSTANT)[0]
     return low + (int(np.argmax(smooth)) + 0.5) * _BIN_M
 
 
 def _cells(differences: Differences, centre_m: float, free_per_m: float, rig: Rig) -> Cells | None:
     return cells_of(differences, _CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig)
+
+
+def _part(cells: Cells) -> tuple[slice, slice]:
+    """Return the pixels of the bounding box of all known cells and a cell around them."""
+    box = surroundings(cells.known, 1)  # with the frame of unknown cells, from which cells count
+    if box is None:
+        return slice(0), slice(0)
+    rows, columns = (slice(max(side.start - 1, 0) * _CELL_PX, (side.stop - 1) * _CELL_PX) for side in box)
+    return rows, columns
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:

@@ -5,7 +5,7 @@ Images are cropped to where anything may touch.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -60,6 +60,19 @@ class Differences:
     def corner(self) -> tuple[int, int]:
         """Row and column at which the rectangle begins."""
         return self.place[0].start, self.place[1].start
+
+    def cut(self, part: tuple[slice, slice]) -> Differences:
+        """Return a part of the rectangle."""
+        height, width = self.usable.shape
+        (top, left), (first, last, _), (begin, end, _) = self.corner, part[0].indices(height), part[1].indices(width)
+        return replace(
+            self,
+            place=(slice(top + first, top + last), slice(left + begin, left + end)),
+            difference_m=np.ascontiguousarray(self.difference_m[part]),
+            depth_m=np.ascontiguousarray(self.depth_m[part]),
+            usable=np.ascontiguousarray(self.usable[part]),
+            excluded=np.ascontiguousarray(self.excluded[part]),
+        )
 
 
 def large_contacts(contact: BoolArray, differences: Differences, section: MembraneSection, rig: Rig) -> BoolArray:

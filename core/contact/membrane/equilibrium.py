@@ -26,6 +26,7 @@ from ...model.clouds import ray_table
 from ...model.frames import Rig
 from ..kernels import equilibrium as kernels
 from ..kernels.membrane import RayWindow, bulges
+from ..kernels.threads import by_rows
 from .differences import Differences
 
 #: Share of a cell's window that must be usable for a gap, for the object's curvature, and for its slope.
@@ -127,7 +128,8 @@ def cells_of(
         differences.difference_m, differences.depth_m, differences.usable, differences.excluded,
         np.float32(near_m[0]), np.float32(near_m[1]),
     )  # fmt: skip
-    kernels.average_cells(window, size_px, RayWindow(ray_table(camera), *differences.corner), means[:, 1:-1, 1:-1])
+    rays, inner = RayWindow(ray_table(camera), *differences.corner), means[:, 1:-1, 1:-1]
+    by_rows(lambda first, last: kernels.average_cells(window, size_px, rays, first, last, inner), inner.shape[1])
     difference, share, *_, excluded = means
     sigma = max(shape_px / size_px, 0.3)
     weight, x, y, z = (cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT) for part in means[1:5])

@@ -56,8 +56,7 @@ class MembraneFinder(ContactFinder):
         """Return the contact in a frame."""
         section, rig = preset.membrane, self._rig
         if due("fusion"):
-            self._free_per_m = free_curvature_per_m(frame, preset.alignment, rig)
-            self._differences = self.differences(frame, section)
+            self._differences = self.differences(frame, preset)
         if (differences := self._differences) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("equilibrium"):
@@ -80,23 +79,25 @@ class MembraneFinder(ContactFinder):
         found = cells, self._solution, self._touching, self._large, self._contact
         return Found(self._contact, lambda: full_provenance(self.classify(frame), differences, *found))
 
-    def differences(self, frame: SensorFrame, section: MembraneSection) -> Differences | None:
-        """Return the differences of both depths, and find the bias; None if no pixel is usable."""
+    def differences(self, frame: SensorFrame, preset: Preset) -> Differences | None:
+        """Return the differences of both depths, and find the bias; None if too few pixels are usable for contact."""
+        section = preset.membrane
         bias_m = self._known.mean_m if section.bias else 0.0
-        self._bias = FrameBias(0.0, 0.0)
-        found = self._differences_at(frame, bias_m, _WIDE_M if section.bias else np.float32(_NEAR_M))
-        if found is None or not section.bias:
+        self._bias = FrameBias()
+        found = self._differences_at(frame, bias_m, _WIDE_M if section.bias else np.float32(_NEAR_M), section)
+        if found is None:
+            return None
+        self._free_per_m = free_curvature_per_m(frame, preset.alignment, self._rig)
+        if not section.bias:
             return found
         self._bias = frame_bias(found, self._known, self._free_per_m, self._rig)
         if abs(self._bias.bias_m) <= _ALIGN_ANEW_M:
-            return found
-        bias_m += self._bias.bias_m
-        found = self._differences_at(frame, bias_m, _WIDE_M)
-        if found is not None and self._bias.firm_m2 > 0:
+            return found.cut(self._bias.part)
+        found = self._differences_at(frame, bias_m + self._bias.bias_m, _WIDE_M, section)
+        firm, self._bias = self._bias.firm_m2 > 0, FrameBias()
+        if found is not None and firm:
             self._bias = frame_bias(found, self._known, self._free_per_m, self._rig)
-        else:
-            self._bias = FrameBias(0.0, 0.0)
-        return found
+        return None if found is None else found.cut(self._bias.part)
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range, difference and colour; usable pixels have CONTACT."""
@@ -108,8 +109,10 @@ class MembraneFinder(ContactFinder):
         verdicts[state == kernels.MASKED] = Provenance.MASKED
         return verdicts
 
-    def _differences_at(self, frame: SensorFrame, bias_m: float, largest_m: np.float32) -> Differences | None:
-        """Return the differences of both depths with a bias subtracted; None if no pixel is usable."""
+    def _differences_at(
+        self, frame: SensorFrame, bias_m: float, largest_m: np.float32, section: MembraneSection
+    ) -> Differences | None:
+        """Return the differences of both depths with a bias subtracted; None if less is usable than a contact."""
         tiles, possible = self.coarse.tiles(depth_images(frame), self._exact, float(largest_m) + abs(bias_m))
         if possible == 0:
             return None
@@ -118,12 +121,17 @@ class MembraneFinder(ContactFinder):
         parallel = possible > MAX_TILES_ALONE
         difference, state = self._look(frame, tiles, rectangle, bias_m, largest_m, in_parallel=parallel)
         usable = state == kernels.USABLE
-        if not usable.any():
+        count = int(np.count_nonzero(usable))
+        if count == 0:
+            return None
+        depth = frame.proximity_depth[top:bottom, left:right] * self._depth_unit_m - np.float32(bias_m)
+        camera = self._rig.proximity.intrinsics
+        if 1e6 * count * float(depth[usable].max()) ** 2 < section.min_area_mm2 * camera.fx * camera.fy:
             return None
         return Differences(
             (slice(top, bottom), slice(left, right)),
             difference,
-            frame.proximity_depth[top:bottom, left:right] * self._depth_unit_m - np.float32(bias_m),
+            depth,
             usable,
             state == kernels.EXCLUDED,
             bias_m,
