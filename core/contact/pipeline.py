@@ -73,7 +73,7 @@ class ContactPipeline:
         self._finder_key: Any = None
         self._memory = _Memory()
         self._average: AveragedDepth | None = None
-        self._average_over(preset.averaged_frames)
+        self._average_over(preset)
 
     @property
     def preset(self) -> Preset:
@@ -91,7 +91,7 @@ class ContactPipeline:
         warnings = check_rig(preset, self.rig)
         if preset.alignment.geometry != self._preset.alignment.geometry:
             self._alignment = make_alignment(preset.alignment, self.rig)
-        self._average_over(preset.averaged_frames)
+        self._average_over(preset)
         self._keys = _step_keys(preset)
         self.warnings = warnings
         self._preset = preset
@@ -148,13 +148,14 @@ class ContactPipeline:
                 self._memory.done.pop(name, None)
         return self._finder
 
-    def _average_over(self, frames: int) -> None:
-        """Average depth over this number of frames; the frames so far are kept unless it is 1."""
+    def _average_over(self, preset: Preset) -> None:
+        """Average depth over the preset's number of frames; the frames so far are kept unless it is 1."""
+        frames = preset.averaged_frames
         if frames == 1:
             if self._average is not None:
                 self._average, self._memory = None, _Memory()
-        elif self._average is None:
-            self._average = AveragedDepth(self.rig, frames)
+        elif self._average is None or preset.noise != self._preset.noise:
+            self._average = AveragedDepth(self.rig, frames, preset.noise)
         else:
             self._average.max_frames = frames
 

@@ -6,6 +6,7 @@ in contact stays unchanged. Objects that move behind a still membrane restart th
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Final
 
@@ -13,6 +14,7 @@ import numpy as np
 
 from ...model.arrays import Uint16Array
 from ...model.frames import Rig, SensorFrame
+from ...preset import CameraNoise, RigNoise
 from ..kernels import membrane as kernels
 from ..kernels.threads import by_rows
 
@@ -21,6 +23,8 @@ _SIDE_PX: Final = 32
 #: A block has moved if its mean depth has changed by more than this share: 0.6 and 0.9 mm at 300 mm. The tactile limit
 #: is the smaller one, so that a membrane and object that move together slowly restart both averages.
 _TACTILE_MOVED, _PROXIMITY_MOVED = np.float32(0.002), np.float32(0.003)
+#: Change of a block's mean that counts as noise, standard deviations of the noise of one frame.
+_NOISE_SIGMAS: Final = 5.0
 #: A single pixel restarts if it differs by more: 6 mm at 300 mm, several standard deviations of either camera.
 _JUMP_SHARE = np.float32(0.02)
 
@@ -33,6 +37,8 @@ class AveragedDepth:
     rig : Rig
     frames : int
         Window of the running mean: each new frame weighs at least 1 / ``frames``.
+    noise : RigNoise, optional
+        Measured noise; where it is large, a larger change counts as movement.
 
     Attributes
     ----------
@@ -40,11 +46,15 @@ class AveragedDepth:
         As ``frames``; may be changed.
     """
 
-    def __init__(self, rig: Rig, frames: int) -> None:
+    def __init__(self, rig: Rig, frames: int, noise: RigNoise | None = None) -> None:
         self.max_frames = frames
         self._count = 0
-        self._proximity = _Means(rig.proximity.intrinsics.shape, _PROXIMITY_MOVED)
-        self._tactile = _Means(rig.tactile.intrinsics.shape, _TACTILE_MOVED)
+        proximity, tactile = _PROXIMITY_MOVED, _TACTILE_MOVED
+        if noise is not None:
+            proximity = max(proximity, _largest_change(noise.proximity, rig.proximity.intrinsics.fx))
+            tactile = max(tactile, _largest_change(noise.tactile, rig.tactile.intrinsics.fx))
+        self._proximity = _Means(rig.proximity.intrinsics.shape, proximity)
+        self._tactile = _Means(rig.tactile.intrinsics.shape, tactile)
 
     def add(self, frame: SensorFrame) -> SensorFrame:
         """Return the frame with mean depths; a pixel without depth keeps its earlier mean."""
@@ -70,6 +80,13 @@ class AveragedDepth:
     def count(self) -> int:
         """Number of averaged frames."""
         return min(self._count, self.max_frames)
+
+
+def _largest_change(noise: CameraNoise, focal_px: float) -> np.float32:
+    """Return the largest change of a block's mean depth that noise explains, as a share of the depth."""
+    side_m = _SIDE_PX * noise.distance_m / focal_px
+    sigma_m = math.sqrt(noise.changing_share * noise.density_m4(focal_px)) / side_m
+    return np.float32(_NOISE_SIGMAS * sigma_m / noise.distance_m)
 
 
 class _Means:

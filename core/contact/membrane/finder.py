@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,7 @@ from ...model.patch import NO_CANDIDATES, Candidates, Found
 from ...model.provenance import Provenance
 from ...preset import MembraneSection, Preset
 from ...preset.membrane import NEAR_GAP_M
-from ..alignment import AlignmentModel
+from ..alignment import AlignmentModel, make_alignment
 from ..finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
 from ..kernels import membrane as kernels
 from ..kernels.chain import TILE_ROWS
@@ -33,11 +34,17 @@ _CELL_PX: Final = 3
 
 
 class MembraneFinder(ContactFinder):
-    """Computes the membrane test, only in image tiles where both depths can be near each other."""
+    """Computes the membrane test, only in image tiles where both depths can be near each other.
 
+    Attributes
+    ----------
+    bias : FrameBias
+        That of the last frame, beyond the bias of its differences.
+    """
+
+    bias: FrameBias
     _differences: Differences | None
     _free_per_m: float
-    _bias: FrameBias
     _cells: Cells | None
     _solution: Equilibrium
     _touching: BoolArray
@@ -60,10 +67,10 @@ class MembraneFinder(ContactFinder):
         if (differences := self._differences) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("equilibrium"):
-            near_m = self._bias.bias_m, _NEAR_M
+            near_m = self.bias.bias_m, _NEAR_M
             self._cells = cells_of(differences, _CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
             if self._cells is not None:
-                self._solution = settle(self._cells, self._bias.bias_m, section.trust_m)
+                self._solution = settle(self._cells, self.bias.bias_m, section.trust_m)
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("edge"):
@@ -74,7 +81,7 @@ class MembraneFinder(ContactFinder):
         if due("points"):
             weight = self._known.tactile_weight
             self._contact = surface_points(
-                self._large, differences, self._bias.bias_m, weight, rig, self._workspace.buffers
+                self._large, differences, self.bias.bias_m, weight, rig, self._workspace.buffers
             )
         found = cells, self._solution, self._touching, self._large, self._contact
         return Found(self._contact, lambda: full_provenance(self.classify(frame), differences, *found))
@@ -83,21 +90,21 @@ class MembraneFinder(ContactFinder):
         """Return the differences of both depths, and find the bias; None if too few pixels are usable for contact."""
         section = preset.membrane
         bias_m = self._known.mean_m if section.bias else 0.0
-        self._bias = FrameBias()
+        self.bias = FrameBias()
         found = self._differences_at(frame, bias_m, _WIDE_M if section.bias else np.float32(_NEAR_M), section)
         if found is None:
             return None
         self._free_per_m = free_curvature_per_m(frame, preset.alignment, self._rig)
         if not section.bias:
             return found
-        self._bias = frame_bias(found, self._known, self._free_per_m, self._rig)
-        if abs(self._bias.bias_m) <= _ALIGN_ANEW_M:
-            return found.cut(self._bias.part)
-        found = self._differences_at(frame, bias_m + self._bias.bias_m, _WIDE_M, section)
-        firm, self._bias = self._bias.firm_m2 > 0, FrameBias()
+        self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
+        if abs(self.bias.bias_m) <= _ALIGN_ANEW_M:
+            return found.cut(self.bias.part)
+        found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
+        firm, self.bias = self.bias.firm_m2 > 0, FrameBias()
         if found is not None and firm:
-            self._bias = frame_bias(found, self._known, self._free_per_m, self._rig)
-        return None if found is None else found.cut(self._bias.part)
+            self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
+        return None if found is None else found.cut(self.bias.part)
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range, difference and colour; usable pixels have CONTACT."""
@@ -195,3 +202,21 @@ def full_provenance(
     part[usable & large] = Provenance.OUTLIER
     verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
     return verdicts
+
+
+def firm_contact_bias(preset: Preset, rig: Rig) -> Callable[[SensorFrame], tuple[float, float] | None]:
+    """Return a function that measures the bias in a frame where an object is pressed firmly into the membrane.
+
+    It returns the bias, proximity less tactile depth after the alignment's depth correction, in metres, and the area of
+    contact that proves it, in square metres; None without such contact.
+    """
+    plain = preset.with_values({"contact_test": "membrane", "membrane.bias": True}).model_copy(update={"noise": None})
+    finder = MembraneFinder(plain, rig, make_alignment(plain.alignment, rig))
+
+    def measure(frame: SensorFrame) -> tuple[float, float] | None:
+        differences = finder.differences(frame, plain)
+        if differences is None or finder.bias.firm_m2 == 0:
+            return None
+        return differences.bias_m + finder.bias.bias_m, finder.bias.firm_m2
+
+    return measure
