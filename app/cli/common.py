@@ -271,10 +271,11 @@ def average_frames(source: FrameSource, frames: int) -> UntouchedAverage:
     if isinstance(source, SimulatorSource):
         warn(f"{source.name} is simulated: its object is removed for this, so nothing touches the membrane")
     with frames_to_average(source, frames) as shown, CliProgress() as progress:
-        return average_untouched(_counted_out(shown, frames, progress))
+        return average_untouched(counted_out(shown, frames, progress))
 
 
-def _counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:
+def counted_out(frames: Iterable[SensorFrame], total: int, progress: CliProgress) -> Iterator[SensorFrame]:
+    """Yield frames and show their number."""
     for number, frame in enumerate(frames, start=1):
         yield frame
         progress.frames(number, total)

@@ -17,6 +17,7 @@ from .common import (
     UntouchedSource,
     average_frames,
     counted,
+    counted_out,
     default_preset,
     find_rig,
     open_with_progress,
@@ -150,7 +151,7 @@ def measure_rig(
     ],
     preset: PresetOption = None,
     frames: Annotated[
-        int, typer.Option("--frames", "-n", min=10, max=600, metavar="N", help="Number of frames to measure.")
+        int, typer.Option("--frames", "-n", min=10, max=300, metavar="N", help="Number of frames to measure.")
     ] = 60,
     out: Annotated[
         Path | None,
@@ -297,23 +298,15 @@ def _check_target(target: Path, preset: str | None, *, force: bool) -> None:
 
 def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int) -> RigNoise:
     """Measure the next frames of a source, with the preset's or the source's untouched frame."""
-    from itertools import islice
+    from ...core.rig.noise import frames_at_rest, measure_noise, object_moves
+    from ...core.rig.untouched import find_untouched
 
-    from ...core.rig.noise import measure_noise
-    from ...core.rig.untouched import find_untouched, frames_to_average
-    from ...core.sources.simulator.source import SimulatorSource
-
+    if object_moves(source):
+        warn(f"the object of {source.name} moves: it is removed for this")
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
-        if isinstance(source, SimulatorSource) and len(source.scene.drawn) > 1:
-            warn(f"the object of {source.name} moves: it is removed for this")
-            with frames_to_average(source, count, progress.preparing) as away:
-                frames = list(away)
-        else:
-            frames = []
-            for frame in islice(source, count):
-                frames.append(frame)
-                progress.frames(len(frames), count)
+        with frames_at_rest(source, count, progress.preparing) as shown:
+            frames = list(counted_out(shown, count, progress))
         for sentence in found.warnings:
             warn(sentence)
         return measure_noise(frames, source.rig, preset, found.frame, progress.preparing, warn=warn)

@@ -170,6 +170,8 @@ def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
     """Describe an edit for the Edit menu, such as ``"Tolerance t 0.012"``."""
     if paths == ("untouched",):
         return "Capture untouched frame"
+    if paths == ("noise",):
+        return "Measure noise and bias"
     if len(paths) == 1:
         return f"{field_title(paths[0])} {format_value(preset.value(paths[0]))}"
     if len(paths) == 2:

@@ -1,4 +1,4 @@
-"""The window that checks the cameras (depth quality and skew), and its launcher."""
+"""The window that checks the cameras (depth quality, skew, noise and bias), and its launcher."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ from ..context import Context
 from ..document.document import Document
 from ..worker.results import Result
 from ..worker.worker import Worker
+from .noise_tab import NoiseTab
 from .quality_tab import QualityTab
 from .skew_tab import SkewTab
 
 
 class CheckWindow(QDialog):
-    """Depth quality and skew on the source of the main window. A closed window takes no frames."""
+    """Depth quality, skew, noise and bias on the source of the main window. A closed window takes no frames."""
 
     def __init__(
         self, worker: Worker, document: Document, dialogs: Dialogs, folder: Path, parent: QWidget | None = None
@@ -27,13 +28,18 @@ class CheckWindow(QDialog):
         self.setWindowTitle("Check cameras – Tactune")
         self.quality = QualityTab(document, dialogs.over(self), folder)
         self.skew = SkewTab(worker, document)
+        self.noise = NoiseTab(worker, document)
         self.tabs = QTabWidget()
         self.tabs.setDocumentMode(True)
         for tab, title, tip in (
             (self.quality, "&Quality", "Fill rate, noise, flatness and bias in a region"),
             (self.skew, "&Skew", "The delay between both cameras, from motion"),
+            (self.noise, "&Noise and bias", "The noise of both cameras and the bias between them, for the preset"),
         ):
             self.tabs.setTabToolTip(self.tabs.addTab(tab, title), tip)
+        # both watch the frames of the worker, one at a time
+        self.skew.start.pressed.connect(self.noise.stop)
+        self.noise.start.pressed.connect(self.skew.stop)
         leave = push_button("Close", "Close this window (Esc)")
         leave.clicked.connect(self.reject)
         self.finished.connect(self._end)
@@ -49,11 +55,13 @@ class CheckWindow(QDialog):
         """Take a frame of the main window."""
         self.quality.show_result(result)
         self.skew.show_result(result)
+        self.noise.show_result(result)
 
     def _end(self) -> None:
-        """Stop both measurements."""
+        """Stop all measurements."""
         self.quality.stop()
         self.skew.close_down()
+        self.noise.close_down()
 
 
 class CameraChecks(QObject):

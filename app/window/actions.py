@@ -118,7 +118,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_recording=action(
             "Open recordin&g…", "Open a recording of Tactune or RealSense, or two bags with one camera each", "Ctrl+R"
         ),
-        check_cameras=action("C&heck cameras…", "Depth quality of both cameras and the skew between them", "F6"),
+        check_cameras=action("C&heck cameras…", "Depth quality, noise, skew and bias of both cameras", "F6"),
         capture_untouched=action(
             "Capture u&ntouched frame…",
             "Capture the untouched membrane, which some methods and the re-check need",

@@ -8,10 +8,11 @@ is fitted to a window also takes away part of the shared noise; the model of the
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
+from itertools import islice, pairwise
 from typing import Final
 
 import cv2
@@ -27,11 +28,12 @@ from ..model.clouds import deproject, pixel_areas_m2, valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..preset import CameraNoise, MaskSection, Preset, RigNoise, now
 from ..preset.rig_noise import BiasOrigin
-from ..sources.base import CameraRole, Progress
-from .untouched import tile_medians
+from ..sources.base import CameraRole, FrameSource, Progress
+from .untouched import frames_to_average, tile_medians
 
-#: Default number of live frames.
+#: Default number of live frames, and upper limit: more take too much memory.
 NOISE_FRAMES: Final = 60
+MAX_FRAMES: Final = 300
 #: Fewest different frames.
 MIN_FRAMES: Final = 10
 #: Area of firm contact below which a frame tells nothing about the bias, m^2.
@@ -167,6 +169,25 @@ def measure_noise(
         measured=now(),
         frames=len(different),
     )
+
+
+def object_moves(source: FrameSource) -> bool:
+    """Whether the source is the simulator with an object that moves; `frames_at_rest` removes it."""
+    from ..sources.simulator.source import SimulatorSource  # on demand: other sources need not wait for it
+
+    return isinstance(source, SimulatorSource) and len(source.scene.drawn) > 1
+
+
+@contextmanager
+def frames_at_rest(
+    source: FrameSource, count: int, progress: Progress | None = None
+) -> Iterator[Iterable[SensorFrame]]:
+    """Yield the next ``count`` frames of a source, fewer if it ends; the simulator's without an object that moves."""
+    if not object_moves(source):
+        yield islice(source, count)
+        return
+    with frames_to_average(source, count, progress) as frames:
+        yield frames
 
 
 def describe(noise: RigNoise) -> list[str]:
@@ -589,10 +610,12 @@ def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None) ->
 
 
 def _describe_camera(name: str, noise: CameraNoise) -> str:
-    over = f" over {noise.length_px:.0f} px" if noise.correlated_m > noise.white_m / 4 else ""
-    apart = f" ({1e3 * noise.white_m:.2f} mm of it from pixel to pixel)" if over else ", from pixel to pixel"
+    parts = "from pixel to pixel"
+    if noise.correlated_m > noise.white_m / 10:
+        white_mm, shared_mm = 1e3 * noise.white_m, 1e3 * noise.correlated_m
+        parts = f"{shared_mm:.2f} mm over {noise.length_px:.0f} px, {white_mm:.2f} mm from pixel to pixel"
     return (
-        f"{name} noise {1e3 * noise.total_m:.2f} mm{over} at {1e3 * noise.distance_m:.0f} mm{apart}; "
+        f"{name} noise {1e3 * noise.total_m:.2f} mm at {1e3 * noise.distance_m:.0f} mm distance ({parts}); "
         f"{100 * noise.changing_share:.0f} % of its variance changes from frame to frame."
     )
 

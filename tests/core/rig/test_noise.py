@@ -213,10 +213,6 @@ def measured(name):
     return measure_noise(frames, source.rig, load_preset("simulator"), untouched_frame(source)), source.rig
 
 
-def share_of_quantisation(sigma_m, step_m):
-    return sigma_m > step_m / math.sqrt(12)
-
-
 def judge(found: CameraNoise, white_m, correlated_m, length_px, fixed_share, step_m):
     """Compare with the model, in the parts that exceed the quantisation."""
     quantised = step_m / math.sqrt(12)
@@ -288,8 +284,9 @@ def test_sentences_are_plain():
         frames=60,
     )
     assert describe(noise) == [
-        "Tactile noise 0.82 mm over 7 px at 300 mm (0.20 mm of it from pixel to pixel); "
+        "Tactile noise 0.82 mm at 300 mm distance (0.80 mm over 7 px, 0.20 mm from pixel to pixel); "
         "52 % of its variance changes from frame to frame.",
-        "Proximity noise 1.00 mm at 300 mm, from pixel to pixel; 100 % of its variance changes from frame to frame.",
+        "Proximity noise 1.00 mm at 300 mm distance (from pixel to pixel); "
+        "100 % of its variance changes from frame to frame.",
         "The proximity camera reads 3.1 +- 0.2 mm nearer than the tactile camera (measured on prints).",
     ]
