@@ -58,15 +58,21 @@ class Journal:
         try:
             _lock(self._file, self.path)
             self.read()
+        except OSError as error:
+            self._close()
+            raise self._cannot_write(error) from error
         except BaseException:
-            self._file.close()
+            self._close()
             raise
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        with suppress(OSError):  # `add` has already raised the write error
+        self._close()
+
+    def _close(self) -> None:
+        with suppress(OSError):  # the write error was already raised
             self._file.close()
 
     def __contains__(self, key: str) -> bool:

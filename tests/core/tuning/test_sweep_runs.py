@@ -5,9 +5,11 @@ from __future__ import annotations
 import itertools
 import json
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from queue import SimpleQueue
+from threading import Event, get_ident
 
 import cv2
 import pytest
@@ -22,7 +24,7 @@ from tactune.core.sources.folder import FolderSource
 from tactune.core.tuning.clips import FrameRange, parse_frames, seeded
 from tactune.core.tuning.plan import STAGE_OF, Plan, Request, make_plan
 from tactune.core.tuning.results import Result
-from tactune.core.tuning.run import _one_thread, run_batch
+from tactune.core.tuning.run import run_batch
 from tactune.core.tuning.sweep import Journal, measure_sweep
 from tactune.core.tuning.values import parse_axis, result_paths
 
@@ -208,11 +210,27 @@ def test_a_journal_is_for_one_sweep_at_a_time_and_for_nothing_else(tmp_path):
     assert (tmp_path / "notes").read_text() == "mine\n"
 
 
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="this system has no full device")
-def test_a_full_disk_is_told_with_the_journals_name(tmp_path):
-    with pytest.raises(ExportError, match="cannot write"), Journal(tmp_path / "runs") as journal:
-        journal._file.close()
-        journal._file = Path("/dev/full").open("a+b")  # noqa: SIM115  # the journal closes it
+@contextmanager
+def files_of_at_most(size):
+    """Let the system refuse to write beyond this size, as on a full disk."""
+    resource = pytest.importorskip("resource", reason="this system has no limit for files")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+@pytest.mark.parametrize("opened_before", [False, True])
+def test_a_full_disk_is_told_with_the_journals_name(tmp_path, opened_before):
+    path = tmp_path / "runs"
+    if opened_before:
+        with Journal(path):
+            pass
+    room = path.stat().st_size if opened_before else 0
+    with files_of_at_most(room), pytest.raises(ExportError, match=r"cannot write .*runs"), Journal(path) as journal:
+        assert opened_before
         journal.add([Result("0" * 32)])
 
 
@@ -238,17 +256,29 @@ def test_a_batch_uses_one_thread_and_leaves_the_callers_setting(recording, monke
     assert get_threads() == before
 
 
-def test_batches_at_once_leave_opencv_the_threads_that_it_had():
+def test_batches_at_once_leave_opencv_the_threads_that_it_had(recording, monkeypatch):
+    original, waiting, may_end = ContactPipeline.process, SimpleQueue(), {}
+
+    def process(self, frame):
+        event = may_end.setdefault(get_ident(), Event())
+        waiting.put(event)
+        assert event.wait(60)
+        return original(self, frame)
+
+    monkeypatch.setattr(ContactPipeline, "process", process)
+    (batch,) = plan_of(recording, sets=()).batches(lambda key: False, 1)
     before = cv2.getNumThreads()
     cv2.setNumThreads(2)
     try:
-        with ThreadPoolExecutor(1) as first, ThreadPoolExecutor(1) as second:
-            batches = {thread: ExitStack() for thread in (first, second)}
-            for thread, batch in batches.items():
-                thread.submit(batch.enter_context, _one_thread()).result()
-            first.submit(batches[first].close).result()
-            assert cv2.getNumThreads() == 1
-            second.submit(batches[second].close).result()
+        with ThreadPoolExecutor(2) as pool:
+            runs = {}
+            for _ in range(2):
+                run = pool.submit(run_batch, batch)
+                runs[waiting.get(timeout=60)] = run
+            for event, run in runs.items():
+                assert cv2.getNumThreads() == 1
+                event.set()
+                run.result(60)
         assert cv2.getNumThreads() == 2
     finally:
         cv2.setNumThreads(before)
