@@ -17,6 +17,8 @@ import pytest
 from hypothesis import settings
 from numba.core.caching import IndexDataCacheFile
 
+from commands import Finished
+
 ROOT = Path(__file__).resolve().parent.parent
 SHARED_DATA = Path(os.environ.get("TACTUNE_TEST_DATA", ROOT.parent / "shared" / "data"))
 NO_SHARED_DATA = "no ../shared/data (set TACTUNE_TEST_DATA)"
@@ -62,6 +64,19 @@ def shared_data() -> Path:
     if not SHARED_DATA.is_dir():
         pytest.skip(NO_SHARED_DATA)
     return SHARED_DATA
+
+
+@pytest.fixture
+def tactune(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Finished]:
+    """Run a command in this process, through the entry point of the installed one."""
+    from tactune.app.cli.main import main
+
+    def run(*words: object) -> Finished:
+        monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
+        capsys.readouterr()
+        return Finished(main(), *capsys.readouterr())
+
+    return run
 
 
 @pytest.hookimpl(trylast=True)

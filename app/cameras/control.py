@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from PyQt6.QtCore import QObject
@@ -34,7 +33,6 @@ class CameraControl(QObject):
         self._cameras = self._document.preset.cameras
         self._options: tuple[CameraOption, ...] = ()
         self._source = ""
-        self._make_search: Callable[[], CameraSearch] = lambda: CameraSearch(self)
         self.chooser: CameraChooser | None = None
         self.panel = CameraPanel(context.window)
         self.panel.set_cameras(self._cameras)
@@ -48,13 +46,9 @@ class CameraControl(QObject):
         )
         self._worker.stateChanged.connect(self._state_changed)
 
-    def search_with(self, make: Callable[[], CameraSearch]) -> None:
-        """Replace the search for cameras; for tests."""
-        self._make_search = make
-
     def choose(self) -> None:
         """Ask which cameras to open."""
-        chooser = CameraChooser(self._document.preset.cameras, self._make_search(), self._context.window)
+        chooser = CameraChooser(self._document.preset.cameras, CameraSearch(self), self._context.window)
         chooser.chosen.connect(self._chosen)
         chooser.finished.connect(lambda _: self._chooser_closed(chooser))
         self.chooser = chooser

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from .engines.reference import candidate_points
@@ -49,7 +50,7 @@ def run_gate(rounds: int = 15, progress: Progress = lambda share, words: None) -
     list of Check
     """
     checks: list[Check] = []
-    steps = (_whole_pipeline, _outlier_removal, _empty_scene, _bandwidth, _cold_start)
+    steps = (whole_pipeline, _outlier_removal, _empty_scene, _bandwidth, _cold_start)
     for done, step in enumerate(steps):
         progress(done / len(steps), step.__name__.strip("_").replace("_", " "))
         checks += step(rounds)
@@ -57,9 +58,10 @@ def run_gate(rounds: int = 15, progress: Progress = lambda share, words: None) -
     return checks
 
 
-def _whole_pipeline(rounds: int) -> list[Check]:
+def whole_pipeline(rounds: int, scenes: Sequence[str] = _WHOLE) -> list[Check]:
+    """Compare speed and result of the whole pipeline with the baseline's on these scenes."""
     checks = []
-    for row in compare_engines(_WHOLE, [Job.PIPELINE], rounds=rounds, only=["tactune"]):
+    for row in compare_engines(scenes, [Job.PIPELINE], rounds=rounds, only=["tactune"]):
         if row.engine == "tactune":
             checks.append(Check(f"whole pipeline on {row.scene}, times the baseline's speed", row.ratio, 10))
             checks.append(Check(f"pixels unlike the float64 reference on {row.scene}", row.differing_px or 0, 0, False))

@@ -365,12 +365,6 @@ class MembraneProblem:
         """Return the gauge pressure of the air, in units of the untouched one."""
         return 1.0 + float(x[self.positive.start - 1])
 
-    def displacement_m(self, x: Float64Array) -> Float64Array:
-        """Return the displacement of each node along its outward normal, metres, shape (N,)."""
-        displacement = np.zeros(len(self.inner))
-        displacement[self.moving] = x[: self.positive.start - 1] * _MM
-        return displacement
-
 
 def stiffness_and_areas(positions: Float64Array, triangles: IndexArray) -> tuple[sparse.csr_matrix, Float64Array]:
     """Return the stiffness of the surface's Laplace operator (no unit) and the nodes' areas (m^2).

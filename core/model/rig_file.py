@@ -23,7 +23,6 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SourceError
-from .files import atomic_path
 from .frames import DepthCamera, Rig
 from .intrinsics import Intrinsics
 
@@ -40,12 +39,6 @@ def load_rig(path: Path | str) -> Rig:
         file, the field and the value.
     """
     return parse_rig(read_json_object(Path(path)), str(path))
-
-
-def save_rig(rig: Rig, path: Path | str) -> None:
-    """Write a rig file, atomically. `load_rig` reads it back exactly."""
-    with atomic_path(path) as temporary:
-        temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
 
 
 def json_text(data: dict[str, Any]) -> str:

@@ -223,14 +223,14 @@ def _sides(
     """Return the accepted neighbour pairs along the length and along the width, each int64, shape (M, 2)."""
     usable = []
     for axis in (1, 0):
-        pairs = _without_one_between(lattice.neighbours(axis), pixels, all_spots)
+        pairs = without_one_between(lattice.neighbours(axis), pixels, all_spots)
         seen = [_usable(depth_m, focal_px, pixels[pair], points[pair]) for pair in pairs]
         usable.append(pairs[np.array(seen, bool)])
     along, across = usable
     return along[crossed(along, across, points)], across[crossed(across, along, points)]
 
 
-def _without_one_between(pairs: Int64Array, pixels: Float64Array, all_spots: cKDTree) -> Int64Array:
+def without_one_between(pairs: Int64Array, pixels: Float64Array, all_spots: cKDTree) -> Int64Array:
     """Return the neighbour pairs without a dot between them; pieces that meet shifted by a row have such pairs."""
     ends = pixels[pairs]
     gap, _ = all_spots.query(ends.mean(axis=1)) if len(pairs) else (np.empty(0), None)

@@ -9,6 +9,7 @@ import pyqtgraph as pg
 import pytest
 from PyQt6.QtWidgets import QApplication
 
+from fake_cameras import FakeCameras
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.playback import PlaybackState
@@ -19,6 +20,7 @@ from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.preset import Preset
 from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
+from watched_worker import Watched
 
 
 @pytest.fixture(scope="session", autouse=True)
@@ -89,3 +91,21 @@ def window(qtbot, make_window) -> MainWindow:
     made.worker.seek(3)
     qtbot.waitUntil(lambda: at_rest(made, 3))
     return made
+
+
+@pytest.fixture
+def cameras(window, qtbot) -> FakeCameras:
+    """Live cameras in the window; their first frame is shown."""
+    made = FakeCameras()
+    window.open_request(SourceRequest(made.name, lambda progress: made))
+    made.release()
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == made.name)
+    return made
+
+
+@pytest.fixture
+def watched(qtbot, preset) -> Iterator[Watched]:
+    made = Watched(preset)
+    yield made
+    made.worker.shut_down()
+    assert made.worker.isFinished()

@@ -6,7 +6,7 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from hands import CONTROL, shows_preset_of_document
+from hands import CONTROL, shows_preset_of_document, type_into
 from tactune.app.worker.rendering import accepted_difference
 from tactune.app.worker.results import CloudName
 from tactune.core.contact.pipeline import ContactPipeline
@@ -30,10 +30,7 @@ def choose_by_keyboard(window, qtbot, key):
 def type_gap_mm(window, qtbot, text):
     entry = window.panel.rows["membrane.gap_m"].widget.entry
     window.panel.ensureWidgetVisible(entry)
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, text)
-    QTest.keyClick(entry, Qt.Key.Key_Return)
+    type_into(entry, text)
     qtbot.waitUntil(lambda: shows_preset_of_document(window))
 
 

@@ -330,13 +330,10 @@ def test_it_is_the_default_for_its_recording(tmp_path: Path) -> None:
         load_preset(tmp_path / "bare.mcap")
 
 
-def test_run_uses_it(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
-    from tactune.app.cli import main as cli
-
-    path = record(tmp_path / "session.mcap")
-    monkeypatch.setattr("sys.argv", ["tactune", "run", "--source", str(path), "--truth"])
-    assert cli.main() == 0
-    assert "press seven" in capsys.readouterr().out
+def test_run_uses_it(tmp_path, tactune):
+    done = tactune("run", "--source", record(tmp_path / "session.mcap"), "--truth")
+    assert done.status == 0
+    assert "press seven" in done.out
 
 
 def test_the_window_offers_it(tmp_path: Path, window, qtbot) -> None:  # type: ignore[no-untyped-def]

@@ -7,7 +7,16 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLineEdit
 
-from hands import CONTROL, CONTROL_SHIFT, LEFT, drag_slider, shows_preset_of_document, tolerance_slider
+from hands import (
+    CONTROL,
+    CONTROL_SHIFT,
+    LEFT,
+    drag_slider,
+    image_position,
+    shows_preset_of_document,
+    tolerance_slider,
+    type_into,
+)
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
 from tiny_sensor import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest, tiny_frame, tiny_rig
@@ -17,10 +26,7 @@ def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
     before = window.document.preset
     entry = window.panel.rows["tolerance.t"].widget.entry
     window.activateWindow()
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, "0.05")
-    QTest.keyClick(entry, Qt.Key.Key_Return)
+    type_into(entry, "0.05")
     assert window.document.preset.tolerance.t == 0.05
     assert QApplication.focusWidget() is entry
     QTest.keyClick(entry, Qt.Key.Key_Z, CONTROL)
@@ -71,7 +77,7 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
     QTest.mouseClick(pick, LEFT)
     assert window.eyedropper.mode == "set"
     pane = window.strip.panes["color"]
-    place = pane.widget_position(8, 8).toPoint()
+    place = image_position(pane, 8, 8).toPoint()
     QTest.mouseMove(pane.view.viewport(), place)
     QTest.mouseClick(pane.view.viewport(), LEFT, pos=place)
     mask = window.document.preset.mask
@@ -89,13 +95,13 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
 
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     pane = window.strip.panes["difference"]
-    QTest.mouseMove(pane.view.viewport(), pane.widget_position(WIDTH // 2, HEIGHT // 2).toPoint())
+    QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
     qtbot.waitUntil(lambda: "Kept" in window.strip.readout.text())
     text = window.strip.readout.text()
     assert f"({WIDTH // 2}, {HEIGHT // 2})" in text
     assert "dp 0.252" in text
     assert "dt 0.250" in text
-    QTest.mouseMove(pane.view.viewport(), pane.widget_position(2, 2).toPoint())
+    QTest.mouseMove(pane.view.viewport(), image_position(pane, 2, 2).toPoint())
     qtbot.waitUntil(lambda: "Dropped" in window.strip.readout.text())
 
 

@@ -8,13 +8,17 @@ import sys
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QPushButton
+from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel, QPushButton
 
 from fake_cameras import FakeCameras
+from hands import type_into
 from tactune.app.cameras import chooser as search_module
+from tactune.app.cameras import control
 from tactune.app.cameras.chooser import CameraSearch, FoundCamera
+from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
+from tactune.widgets.basics.controls import CollapsibleSection
 from tiny_sensor import TinySource
 
 LEFT = Qt.MouseButton.LeftButton
@@ -24,20 +28,23 @@ D405 = {"model": "D405", "serial": "d002", "firmware": "5.12.14", "usb": "3.2"}
 D405_TOO = {**D405, "serial": "d003"}
 
 
-def answering(window, text):
+@pytest.fixture
+def answering(monkeypatch):
     """Let the search for cameras answer with this program."""
-    window.cameras.search_with(lambda: CameraSearch(window, ["-c", text]))
-
-
-def finding(window, *devices):
-    answering(window, f"print({json.dumps(json.dumps({'devices': devices}))})")
+    return lambda text: monkeypatch.setattr(control, "CameraSearch", lambda parent: CameraSearch(parent, ["-c", text]))
 
 
 @pytest.fixture
-def window(make_window):
+def finding(answering):
+    return lambda *devices: answering(f"print({json.dumps(json.dumps({'devices': devices}))})")
+
+
+@pytest.fixture
+def window(make_window, monkeypatch):
+    opened_names = []
+    monkeypatch.setattr(MainWindow, "open_source", lambda self, name: opened_names.append(name))
     made = make_window()
-    made.opened_names = []
-    made.cameras._open_cameras = lambda: made.opened_names.append("realsense:")
+    made.opened_names = opened_names
     return made
 
 
@@ -53,15 +60,15 @@ def open_button(dialog):
     return dialog.buttons.button(QDialogButtonBox.StandardButton.Open)
 
 
-def test_the_cameras_are_listed_and_guessed_by_their_model(window, qtbot):
-    finding(window, D405, L515)
+def test_the_cameras_are_listed_and_guessed_by_their_model(window, finding, qtbot):
+    finding(D405, L515)
     dialog = chooser(window, qtbot)
     assert [dialog.list.topLevelItem(row).text(1) for row in range(2)] == ["d002", "f001"]
     assert dialog.list.topLevelItem(0).text(3) == "USB 3.2"
     assert (dialog.proximity.currentData(), dialog.tactile.currentData()) == ("f001", "d002")
     assert dialog.note.text() == "2 cameras were found."
     QTest.mouseClick(open_button(dialog), LEFT)
-    qtbot.waitUntil(lambda: window.opened_names == ["realsense:"])
+    qtbot.waitUntil(lambda: window.opened_names == ["cameras:"])
     cameras = window.document.preset.cameras
     assert (cameras.proximity.serial, cameras.tactile.serial) == ("f001", "d002")
     window.activateWindow()
@@ -70,15 +77,15 @@ def test_the_cameras_are_listed_and_guessed_by_their_model(window, qtbot):
     assert window.document.preset.cameras.proximity.serial == ""
 
 
-def test_the_serials_of_the_preset_are_chosen_again(window, qtbot):
+def test_the_serials_of_the_preset_are_chosen_again(window, finding, qtbot):
     window.document.edit("cameras.tactile.serial", "d003")
-    finding(window, L515, D405, D405_TOO)
+    finding(L515, D405, D405_TOO)
     dialog = chooser(window, qtbot)
     assert dialog.tactile.currentData() == "d003"
 
 
-def test_one_camera_twice_cannot_be_opened(window, qtbot):
-    finding(window, L515, D405)
+def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
+    finding(L515, D405)
     dialog = chooser(window, qtbot)
     assert open_button(dialog).isEnabled()
     dialog.tactile.setFocus()
@@ -88,10 +95,10 @@ def test_one_camera_twice_cannot_be_opened(window, qtbot):
     assert not open_button(dialog).isEnabled()
 
 
-def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window, qtbot):
+def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window, answering, qtbot):
     slow = {**D405, "usb": "2.1", "problem": "it runs at USB 2"}
     answer = {"devices": [slow, D405_TOO], "hint": "the camera driver 2.57 no longer supports the L515"}
-    answering(window, f"print({json.dumps(json.dumps(answer))})")
+    answering(f"print({json.dumps(json.dumps(answer))})")
     dialog = chooser(window, qtbot)
     assert dialog.note.text() == "2 cameras were found. The camera driver 2.57 no longer supports the L515."
     assert dialog.list.topLevelItem(0).text(4) == "it runs at USB 2"
@@ -110,24 +117,24 @@ def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window
         ("print('hello')", "The search for cameras gave no answer: run “tactune doctor”"),
     ],
 )
-def test_what_is_wrong_is_said_with_what_to_do(window, qtbot, program, words):
-    answering(window, program)
+def test_what_is_wrong_is_said_with_what_to_do(window, answering, qtbot, program, words):
+    answering(program)
     dialog = chooser(window, qtbot)
     qtbot.waitUntil(lambda: dialog.note.text().startswith(words))
     assert not open_button(dialog).isEnabled()
 
 
-def test_a_driver_that_hangs_is_given_up(window, qtbot, monkeypatch):
+def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     monkeypatch.setattr(search_module, "PATIENCE_MS", 300)
-    answering(window, "import time; time.sleep(60)")
+    answering("import time; time.sleep(60)")
     dialog = chooser(window, qtbot)
     qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
 
 
-def test_refreshing_finds_what_was_plugged_in_meanwhile(window, qtbot, tmp_path):
+def test_refreshing_finds_what_was_plugged_in_meanwhile(window, answering, qtbot, tmp_path):
     answer = tmp_path / "answer.json"
     answer.write_text(json.dumps({"devices": []}))
-    answering(window, f"print(open({str(answer)!r}).read())")
+    answering(f"print(open({str(answer)!r}).read())")
     dialog = chooser(window, qtbot)
     answer.write_text(json.dumps({"devices": [L515, D405]}))
     QTest.keyClick(dialog, Qt.Key.Key_F5)
@@ -164,15 +171,6 @@ def test_an_l515_sees_proximity():
 
 
 @pytest.fixture
-def cameras(window, qtbot):
-    made = FakeCameras()
-    window.open_request(SourceRequest(made.name, lambda progress: made))
-    made.release()
-    qtbot.waitUntil(lambda: window.result is not None)
-    return made
-
-
-@pytest.fixture
 def panel(window, cameras, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
     made = window.cameras.panel
@@ -180,11 +178,19 @@ def panel(window, cameras, qtbot):
     return made
 
 
-def enter(row, text):
-    row.widget.entry.setFocus()
-    row.widget.entry.selectAll()
-    QTest.keyClicks(row.widget.entry, text)
-    QTest.keyClick(row.widget.entry, Qt.Key.Key_Return)
+def section(panel, role):
+    (made,) = [it for it in panel.findChildren(CollapsibleSection) if it.button.text().startswith(f"{role} camera")]
+    return made
+
+
+def title(panel, role):
+    return section(panel, role).button.text()
+
+
+def note(panel, role):
+    """What the section says in place of settings."""
+    body = section(panel, role).body
+    return " ".join(label.text() for label in body.findChildren(QLabel) if not label.isHidden())
 
 
 def test_every_option_has_a_row_that_says_what_it_means(panel):
@@ -196,11 +202,11 @@ def test_every_option_has_a_row_that_says_what_it_means(panel):
     assert not panel.rows["tactile", "temperature"].widget.isEnabled()
     assert panel.rows["proximity", "visual_preset"].widget.currentText() == "Custom"
     assert isinstance(panel.rows["tactile", "enable_auto_exposure"].widget, QCheckBox)
-    assert "L515" in panel._sections["proximity"].button.text()
+    assert "L515" in title(panel, "Proximity")
 
 
 def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(window, cameras, panel, qtbot):
-    enter(panel.rows["tactile", "exposure"], "1234")
+    type_into(panel.rows["tactile", "exposure"].widget.entry, "1234")
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
     assert window.document.preset.cameras.tactile.options == {"exposure": 1234.0}
     assert window.document.dirty
@@ -238,7 +244,7 @@ def test_a_choice_and_a_flag(window, cameras, panel, qtbot):
 
 def test_reset_goes_back_to_the_camera_s_default(window, cameras, panel, qtbot):
     row = panel.rows["tactile", "exposure"]
-    enter(row, "1234")
+    type_into(row.widget.entry, "1234")
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 1234)
     assert "8500" in row.reset.toolTip()
     QTest.mouseClick(row.reset, LEFT)
@@ -248,7 +254,7 @@ def test_reset_goes_back_to_the_camera_s_default(window, cameras, panel, qtbot):
 
 def test_a_refusal_is_said(window, cameras, panel, qtbot):
     cameras.refuses.add("exposure")
-    enter(panel.rows["tactile", "exposure"], "1234")
+    type_into(panel.rows["tactile", "exposure"].widget.entry, "1234")
     qtbot.waitUntil(lambda: any("switch auto exposure off first" in said for said in window.messages.sentences()))
     assert cameras.values["tactile", "exposure"] == 8500
 
@@ -261,43 +267,44 @@ def test_another_preset_sets_the_cameras(window, cameras, panel, preset, qtbot):
 
 def test_the_delay_is_entered_in_milliseconds(window, panel):
     entry = panel.delay.widget.entry
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, "12.5")
-    QTest.keyClick(entry, Qt.Key.Key_Return)
+    type_into(entry, "12.5")
     assert window.document.preset.cameras.tactile_delay_s == pytest.approx(0.0125)
     assert "milliseconds" in entry.toolTip()
 
 
-def test_changed_cameras_are_offered_to_be_opened_again(window, cameras, panel, qtbot):
-    window.cameras._source = "realsense:f001,d002"
+def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
+    cameras = FakeCameras()
+    cameras.name = "realsense:f001,d002"
+    window.open_request(SourceRequest(cameras.name, lambda progress: cameras))
+    cameras.release()
+    qtbot.waitUntil(lambda: window.result is not None)
     window.document.edit("cameras.tactile_delay_s", 0.1)
     message = window.messages.message("cameras")
     assert message is not None
     [button] = [button for button in message.findChildren(QPushButton) if button.text() == "Open again"]
     QTest.mouseClick(button, LEFT)
-    assert window.opened_names == ["realsense:"]
+    assert window.opened_names == ["cameras:"]
 
 
 def test_without_cameras_the_panel_says_so(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F4)
     panel = window.cameras.panel
     qtbot.waitUntil(panel.isVisible)
-    assert "is a recording or the simulator" in panel._bodies["proximity"].text()
+    assert "is a recording or the simulator" in note(panel, "Proximity")
     panel.close()
 
 
 def test_after_the_cameras_a_recording_has_none(window, panel, qtbot):
-    assert "L515" in panel._sections["proximity"].button.text()
+    assert "L515" in title(panel, "Proximity")
     window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
     qtbot.waitUntil(lambda: panel.rows == {})
-    assert panel._sections["proximity"].button.text() == "Proximity camera"
-    assert "without camera settings" in panel._bodies["proximity"].text()
+    assert title(panel, "Proximity") == "Proximity camera"
+    assert "without camera settings" in note(panel, "Proximity")
 
 
 def test_a_camera_that_is_not_connected_is_no_recording(window, qtbot):
     panel = window.cameras.panel
     panel.set_health((CameraHealth("proximity", "missing", "L515", "f001"),))
-    assert "This camera is not connected" in panel._bodies["proximity"].text()
-    assert "without camera settings" in panel._bodies["tactile"].text()
+    assert "This camera is not connected" in note(panel, "Proximity")
+    assert "without camera settings" in note(panel, "Tactile")
     QApplication.processEvents()

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QDialog, QLabel, QPushButton, QScrollArea, QWidget
+from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
+from hands import text_of
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import SourceError
@@ -38,10 +39,6 @@ class OneCameraSource(TinySource):
         return replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
 
 
-def texts(widget):
-    return " ".join(label.text() for label in widget.findChildren(QLabel))
-
-
 def opened(window, source, qtbot):
     window.open_request(SourceRequest(source.name, lambda progress: source))
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
@@ -51,12 +48,12 @@ def test_shows_every_part_of_a_frame(window):
     views = window.views.views
     assert views[CloudName.PATCH].point_count() == len(window.result.patch.points) > 0
     assert views[CloudName.PROXIMITY].point_count() == views[CloudName.TACTILE].point_count() == 64 * 48
-    status = texts(window.status)
+    status = text_of(window.status)
     assert "tiny" in status
     assert "skew 2.0 ms" in status
     assert f"{len(window.result.patch.points)} points" in status
     assert f"patch {window.result.area_mm2 / 100:.1f} cm²" in status
-    assert window.transport._frame.text() == "4 / 8"
+    assert text_of(window.transport) == "4 / 8"
 
 
 def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
@@ -66,7 +63,7 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     window.document.edit("tolerance.t", 0.001)
     opened(window, TinySource(length=1), qtbot)
     qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
-    assert window.transport._frame.text() == "1 / 1"
+    assert text_of(window.transport) == "1 / 1"
 
 
 @pytest.mark.parametrize(
@@ -269,7 +266,7 @@ def test_opening_shows_progress_and_cancel_keeps_the_present_source(window, qtbo
             progress(0.4, "pressing")
 
     window.open_request(SourceRequest("sim:slow", slow))
-    qtbot.waitUntil(lambda: "pressing" in texts(window.opening))
+    qtbot.waitUntil(lambda: "pressing" in text_of(window.opening))
     assert window.opening.isVisible()
     QTest.mouseClick(window.opening.findChild(QPushButton), LEFT)
     qtbot.waitUntil(lambda: not window.opening.isVisible())
@@ -331,7 +328,7 @@ def test_help_lists_every_shortcut(window, qtbot):
     QTest.keyClick(window, Qt.Key.Key_F1)
     qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QDialog))
     dialog = QApplication.activeModalWidget()
-    words = texts(dialog)
+    words = text_of(dialog)
     for action in window.actions_.all():
         for shortcut in action.shortcuts():
             assert shortcut.toString() in words
@@ -385,6 +382,6 @@ def test_baseline_of_reset_is_what_the_file_holds(window, tmp_path):
 
 
 def test_a_frame_that_overtakes_the_news_of_its_source_stays(window):
-    window._opened(window.result.source)
+    window.worker.opened.emit(window.result.source)
     assert window.views.views[CloudName.PATCH].point_count() > 0
     assert window.actions_.export_patch.isEnabled()

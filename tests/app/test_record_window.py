@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QPushButton
+from PyQt6.QtWidgets import QLabel, QPushButton
 
-from fake_cameras import FakeCameras
+from hands import text_of
 from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_abandoned
@@ -29,15 +31,6 @@ def folder(make_window, settings_file, tmp_path):
 def window(make_window, folder):
     made = make_window()
     made.settings.set("folder/recordings", str(folder))
-    return made
-
-
-@pytest.fixture
-def cameras(window, qtbot):
-    made = FakeCameras()
-    window.open_request(SourceRequest(made.name, lambda progress: made))
-    made.release()
-    qtbot.waitUntil(lambda: window.result is not None)
     return made
 
 
@@ -124,7 +117,7 @@ def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder
     window.worker.seek(3)
     qtbot.waitUntil(lambda: window.transport.state.index == 3 and not window.transport.state.playing)
     begin(window, qtbot)
-    assert "press Space" in window.recording_bar._name.text()
+    assert "press Space" in text_of(window.recording_bar)
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: window.transport.state.at_end and not window.transport.state.playing)
     end(window, qtbot)
@@ -224,23 +217,24 @@ def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
 def test_drops_are_red(window, cameras, qtbot):
     bar = window.recording_bar
     begin(window, qtbot)
-    qtbot.waitUntil(lambda: bar._dropped.text() == "0 dropped")
-    calm = bar._dropped.palette().windowText().color()
+    qtbot.waitUntil(lambda: "0 dropped" in text_of(bar))
+    (dropped,) = [label for label in bar.findChildren(QLabel) if label.text() == "0 dropped"]
+    calm = dropped.palette().windowText().color()
     for index in range(2):
         window.worker.recorder.put(tiny_frame(index, tiny_rig(32, 24)))
-    qtbot.waitUntil(lambda: bar._dropped.text() == "2 dropped")
-    assert bar._dropped.palette().windowText().color() != calm
-    assert "GB free" in bar._room.text() or "MB free" in bar._room.text()
-    assert ":" in bar._time.text()
+    qtbot.waitUntil(lambda: dropped.text() == "2 dropped")
+    assert dropped.palette().windowText().color() != calm
+    assert re.search("[GM]B free", text_of(bar))
+    assert re.search(r"\b\d+:\d\d\b", text_of(bar))
 
 
 def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot):
-    cameras.dropped = 5
-    qtbot.waitUntil(lambda: window.recording._lost == 5)
+    with qtbot.waitSignal(window.worker.stateChanged, check_params_cb=lambda state: state.health.dropped == 5):
+        cameras.dropped = 5
     begin(window, qtbot)
     cameras.release(3)
     cameras.dropped = 8
-    qtbot.waitUntil(lambda: window.recording_bar._dropped.text() == "3 dropped")
+    qtbot.waitUntil(lambda: "3 dropped" in text_of(window.recording_bar))
     end(window, qtbot)
     assert "3 frames are missing: the cameras or this computer lost them" in told(window)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from threading import Event
+import gc
+import weakref
+from threading import Event, current_thread
+from threading import enumerate as enumerate_threads
 
 import pytest
 
@@ -74,13 +77,20 @@ def frame(index):
     return tiny_frame(index, tiny_rig())
 
 
-def test_a_finished_recording_leaves_no_thread_behind(recorder, tmp_path):
-    for _ in range(3):
+def test_finished_recordings_pile_up_no_threads(tmp_path):
+    finishers = []
+    recorder = Recorder(lambda _: finishers.append(weakref.ref(current_thread())), FakeWriter)
+    for count in range(1, 4):
         recorder.start(request(tmp_path))
         recorder.stop()
-        for thread in recorder._finishing:
-            thread.join()
-    assert len(recorder._finishing) == 1
+        for thread in enumerate_threads():
+            if thread.name == "recording finisher":
+                thread.join()
+        assert len(finishers) == count
+    del thread
+    gc.collect()
+    assert sum(finisher() is not None for finisher in finishers) <= 1
+    recorder.close()
 
 
 def test_without_a_recording_frames_pass_by(recorder, made):

@@ -14,49 +14,9 @@ from tactune.app.worker.threads import Mailbox, wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest, Worker
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import SourceError
-from tactune.core.preset import Preset
 from tactune.core.sources.registry import open_source
 from tiny_sensor import HangingSource, LiveSource, TinySource, tiny_frame, tiny_rig
-
-
-class Watched:
-    """A worker with everything that it said."""
-
-    def __init__(self, preset: Preset) -> None:
-        self.worker = Worker(preset)
-        self.results, self.opened, self.failures, self.open_failures, self.progress, self.states = (
-            [],
-            [],
-            [],
-            [],
-            [],
-            [],
-        )
-        self.worker.resultReady.connect(lambda: self.results.append(self.worker.take()))
-        self.worker.opened.connect(self.opened.append)
-        self.worker.failed.connect(self.failures.append)
-        self.worker.openFailed.connect(lambda *what: self.open_failures.append(what))
-        self.worker.opening.connect(lambda *what: self.progress.append(what))
-        self.worker.playbackChanged.connect(self.states.append)
-        self.worker.start()
-
-    def open(self, source):
-        self.worker.open(SourceRequest(source.name, lambda progress: source))
-
-    @property
-    def last(self):
-        return self.results[-1] if self.results else None
-
-    def shows(self, index):
-        return self.last is not None and self.last.playback.index == index
-
-
-@pytest.fixture
-def watched(qtbot, preset):
-    made = Watched(preset)
-    yield made
-    made.worker.shut_down()
-    assert made.worker.isFinished()
+from watched_worker import Watched
 
 
 class OddSource(TinySource):
@@ -103,7 +63,7 @@ def test_plays_loops_and_pauses(watched, qtbot):
     qtbot.waitUntil(lambda: {result.playback.index for result in watched.results} == {0, 1, 2})
     qtbot.waitUntil(lambda: watched.results[-1].processed > 4)
     watched.worker.pause()
-    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].playing)
     assert watched.opened[0].length == 3
 
 
@@ -111,7 +71,7 @@ def test_stops_at_the_end_without_a_loop(watched, qtbot):
     watched.worker.set_loop(False)
     watched.open(TinySource(length=3))
     qtbot.waitUntil(lambda: watched.shows(2))
-    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].playing)
     watched.worker.play()
     qtbot.waitUntil(lambda: sum(result.playback.index == 0 for result in watched.results) == 2)
 
@@ -167,7 +127,7 @@ def test_only_what_is_looked_at_is_drawn(watched, qtbot):
 def test_a_frame_that_cannot_be_read_pauses_and_the_worker_lives_on(watched, qtbot):
     watched.open(TinySource(length=4, broken=frozenset({1})))
     qtbot.waitUntil(lambda: watched.failures == ["tiny: frame 1 is damaged; skip it"])
-    qtbot.waitUntil(lambda: bool(watched.states) and not watched.states[-1].playing)
+    qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].playing)
     watched.worker.seek(2)
     qtbot.waitUntil(lambda: watched.shows(2))
 
@@ -283,7 +243,7 @@ def test_a_frozen_live_frame_stays_while_the_source_goes_on(watched, qtbot, pres
         qtbot.waitUntil(lambda: watched.last is not None)
         watched.worker.set_frozen(True)
         source.more.set()
-        qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].frozen)
+        qtbot.waitUntil(lambda: bool(watched.modes) and watched.modes[-1].frozen)
         held = watched.last.frame.sequence
         watched.worker.set_preset(preset.with_value("tolerance.t", 0.5))
         for _ in range(3):
@@ -321,10 +281,10 @@ def test_the_state_says_what_the_controls_show(watched, qtbot):
     watched.open(TinySource())
     qtbot.waitUntil(lambda: watched.last is not None)
     watched.worker.set_frozen(True)
-    qtbot.waitUntil(lambda: bool(watched.states) and watched.states[-1].frozen)
+    qtbot.waitUntil(lambda: bool(watched.modes) and watched.modes[-1].frozen)
     watched.worker.play()
-    qtbot.waitUntil(lambda: not watched.states[-1].frozen)
-    assert replace(watched.states[-1], index=0).playing
+    qtbot.waitUntil(lambda: not watched.modes[-1].frozen)
+    assert replace(watched.modes[-1], index=0).playing
 
 
 def test_the_newest_item_wins_and_older_ones_are_counted():

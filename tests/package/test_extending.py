@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rig_files import save_rig
+
 if not any(os.environ.get(name) for name in ("QT_QPA_PLATFORM", "DISPLAY", "WAYLAND_DISPLAY")):
     os.environ["QT_QPA_PLATFORM"] = "offscreen"  # so that a bare pytest works on a machine without a display
 
@@ -24,7 +26,6 @@ from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import SourceError
 from tactune.core.methods.registry import make_method, method_kinds, method_names
 from tactune.core.model import plugins
-from tactune.core.model.rig_file import save_rig
 from tactune.core.preset import CameraSection, CamerasSection, Preset
 from tactune.core.sources.cameras.drivers import camera_drivers
 from tactune.core.sources.cameras.source import CameraSource

@@ -98,6 +98,22 @@ def open_recorded(rig: Rig, frames: Sequence[SensorFrame], progress: Progress) -
     return Recorded(rig, frames)
 
 
+class Noting(Recorded):
+    """Leaves a file in a folder for each frame that is read."""
+
+    folder = Path()
+
+    def read(self, index: int) -> SensorFrame:
+        (self.folder / f"read {index}").touch()
+        return super().read(index)
+
+
+def open_noting(rig: Rig, frames: Sequence[SensorFrame], folder: Path, progress: Progress) -> Noting:
+    source = Noting(rig, frames)
+    source.folder = folder
+    return source
+
+
 class Troubled(FrameSource):
     """A live source at 100 Hz that does what the file says, once, when its frame 20 is due.
 

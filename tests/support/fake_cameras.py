@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from threading import Condition, Event, Thread
+from threading import Condition, Event, Thread, current_thread
 
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
@@ -36,7 +36,9 @@ class FakeCameras(FrameSource):
         self.error = ""
         self.ended = False
         self.closed = Event()
-        self.waits = 0
+        self.waits = self.looks = 0
+        self.timeouts_s: set[float] = set()
+        self.callers: set[Thread] = set()
         self.faults: dict[CameraRole, str] = {}
         self.dropped = self.unmatched = 0
         self.message = ""
@@ -79,10 +81,13 @@ class FakeCameras(FrameSource):
     def wait(self, timeout_s: float) -> bool:
         with self._changed:
             self.waits += 1
+            self.timeouts_s.add(timeout_s)
+            self.callers.add(current_thread())
             return self._changed.wait_for(lambda: bool(self._ready or self.error or self.ended), timeout_s)
 
     def next_frame(self) -> SensorFrame | None:
         with self._changed:
+            self.callers.add(current_thread())
             if self.error:
                 raise SourceError(self.error)
             if self.ended:
@@ -94,6 +99,9 @@ class FakeCameras(FrameSource):
             return frame
 
     def health(self) -> Health:
+        self.looks += 1
+        self.callers.add(current_thread())
+
         def camera(role: CameraRole, model: str, serial: str) -> CameraHealth:
             return CameraHealth(role, self.faults.get(role, "streaming"), model, serial)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from PyQt6.QtCore import QMimeData, QPoint, QPointF, Qt, QUrl
 from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit, QMessageBox, QPushButton
+from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton
 
 from tactune.widgets.basics.message_bar import Message
 
@@ -22,6 +22,24 @@ def drag_slider(slider, *fractions):
     for point in points[1:]:
         QTest.mouseMove(slider, point)
     QTest.mouseRelease(slider, LEFT, pos=points[-1])
+
+
+def type_into(entry, text, end=Qt.Key.Key_Return):
+    """Replace what an entry holds, and finish with a key."""
+    entry.setFocus()
+    entry.selectAll()
+    QTest.keyClicks(entry, text)
+    QTest.keyClick(entry, end)
+
+
+def text_of(widget):
+    """The text of all labels in a widget."""
+    return " ".join(label.text() for label in widget.findChildren(QLabel))
+
+
+def image_position(pane, u, v):
+    """Where an image pixel is drawn, in coordinates of the pane's viewport."""
+    return QPointF(pane.view.mapFromScene(pane.box.mapViewToScene(QPointF(u, v))))
 
 
 def tolerance_slider(window):

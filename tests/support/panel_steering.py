@@ -33,10 +33,3 @@ def drag(widget: QWidget, *xs: float) -> None:
     for point in points[1:]:
         QTest.mouseMove(widget, point)
     QTest.mouseRelease(widget, LEFT, pos=points[-1])
-
-
-def type_into(entry: Any, text: str) -> None:
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, text)
-    QTest.keyClick(entry, Qt.Key.Key_Return)

@@ -88,7 +88,8 @@ def drag(view: CloudView, start: tuple[int, int], end: tuple[int, int], button: 
     QTest.mouseRelease(handle, button, modifier, b)  # type: ignore[arg-type]
 
 
-def three_linked(qtbot: QtBot, backend: BackendChoice) -> list[CloudView]:
+def three_linked(qtbot: QtBot, backend: BackendChoice) -> QWidget:
+    """A window with three cloud views that share a camera."""
     window = QWidget()
     layout = QHBoxLayout(window)
     views = [CloudView(title, backend) for title in ("Proximity", "Tactile", "Contact patch")]
@@ -99,5 +100,4 @@ def three_linked(qtbot: QtBot, backend: BackendChoice) -> list[CloudView]:
     qtbot.addWidget(window)
     with qtbot.waitExposed(window):
         window.show()
-    views[0]._keep_window = window  # type: ignore[attr-defined]
-    return views
+    return window

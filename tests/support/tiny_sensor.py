@@ -89,13 +89,14 @@ class LiveSource(FrameSource):
         self._rig = tiny_rig()
         self.count = 0
         self.more = Event()
-        self.stopped = Event()
+        self.asked, self.stopped = Event(), Event()
 
     @property
     def rig(self) -> Rig:
         return self._rig
 
     def next_frame(self) -> SensorFrame | None:
+        self.asked.set()
         while not self.more.wait(0.005):
             if self.stopped.is_set():
                 return None

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
+from threading import Event
 
 import numpy as np
 from PyQt6.QtCore import QPoint, Qt
@@ -12,6 +14,7 @@ from PyQt6.QtWidgets import QWidget
 from hands import LEFT
 from tactune.app.analysis.truth_tab import TruthTab
 from tactune.app.window.main_window import MainWindow
+from tactune.app.worker.jobs import Progress
 from tactune.widgets.clouds.pick_view import PickView
 
 PINK, PURPLE = (235, 80, 160), (90, 60, 150)
@@ -20,6 +23,19 @@ SIDE, HALF_M = 61, 0.06
 DISC_M, DISC_CENTRE = 7 * 0.252 / 60, (0.5 * 0.252 / 60, 0.5 * 0.252 / 60, 0.2522)
 #: A place that lies beside it.
 DISC_CENTRE_BESIDE = (-0.04, 0.03, 0.2522)
+
+
+class EndlessWork:
+    """Work of a job that ends only when it is cancelled."""
+
+    def __init__(self) -> None:
+        self.began = Event()
+
+    def __call__(self, progress: Progress) -> None:
+        while True:
+            progress(0.2, "Working")
+            self.began.set()
+            time.sleep(0.002)
 
 
 def true_pose() -> np.ndarray:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
+import pyqtgraph as pg
 import pytest
 from PyQt6.QtWidgets import QApplication
-from pyqtgraph import setConfigOptions
 from pytestqt.qtbot import QtBot
 
 from panel_steering import Recorder
@@ -12,6 +14,14 @@ from seen_clouds import shown
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
+
+
+@pytest.fixture(autouse=True)
+def every_mouse_move_counts() -> Iterator[None]:
+    before = pg.getConfigOption("mouseRateLimit")
+    pg.setConfigOptions(mouseRateLimit=-1)
+    yield
+    pg.setConfigOptions(mouseRateLimit=before)
 
 
 @pytest.fixture
@@ -38,7 +48,6 @@ def view(backend: BackendChoice, qtbot: QtBot) -> CloudView:
 
 @pytest.fixture
 def panel(qtbot: QtBot) -> ParameterPanel:
-    setConfigOptions(mouseRateLimit=-1)
     widget = ParameterPanel()
     qtbot.addWidget(widget)
     widget.resize(340, 1000)

@@ -17,7 +17,8 @@ from tactune.widgets.clouds.view_camera import ViewCamera
 
 
 def test_orbiting_one_view_turns_all_and_each_says_so_once(qtbot: QtBot, backend: BackendChoice) -> None:
-    views = three_linked(qtbot, backend)
+    window = three_linked(qtbot, backend)
+    views = window.findChildren(CloudView)
     for view in views:
         view.set_cloud(cloud_of(wall()))
     for dragged in views:
@@ -184,7 +185,8 @@ def test_a_new_frame_does_not_move_the_camera(view: CloudView) -> None:
 
 
 def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
-    views = three_linked(qtbot, "software")
+    window = three_linked(qtbot, "software")
+    views = window.findChildren(CloudView)
     left, right = wall(), wall()
     left[:, 40:] = 0
     right[:, :24] = 0

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import numpy as np
 import numpy.typing as npt
 import pytest
+from PyQt6.QtCore import QBuffer
 from PyQt6.QtGui import QColor, QPalette
-from PyQt6.QtWidgets import QLabel
+from PyQt6.QtSvg import QSvgGenerator
+from PyQt6.QtWidgets import QLabel, QWidget
 from pytestqt.qtbot import QtBot
 
 from seen_clouds import BLUE, FRONT, GREEN, RAYS, RED, cloud_of, colored, picture, pixels_of, shown, wall
@@ -291,11 +294,20 @@ def test_a_legend_beyond_its_lines_counts_the_rest_on_the_last_one(qtbot: QtBot)
     legend.set_lines(2)
     legend.resize(204, legend.sizeHint().height())
     assert 2 <= legend.fitting() < len(Provenance)
-    said = []
-    legend._write = lambda painter, x, y, height, text: said.append((y, text))
-    legend.grab()
-    assert said[-1] == (legend.height() / 2, f"+{len(Provenance) - legend.fitting()}")
+    said = painted_texts(legend)
+    assert said[-1][1] == f"+{len(Provenance) - legend.fitting()}"
+    assert said[-1][0] > legend.height() / 2 > said[0][0], "it stands on the second line"
     assert len(said) == legend.fitting() + 1
+
+
+def painted_texts(widget: QWidget) -> list[tuple[float, str]]:
+    """Height of the base line and words of each text that a widget paints, in order."""
+    drawing, file = QSvgGenerator(), QBuffer()
+    drawing.setOutputDevice(file)
+    drawing.setResolution(widget.logicalDpiX())
+    widget.render(drawing)
+    elements = ElementTree.fromstring(file.data().data()).iter("{http://www.w3.org/2000/svg}text")
+    return [(float(element.attrib["y"]), element.text or "") for element in elements]
 
 
 def test_the_tooltip_explains_mouse_and_keys(qtbot: QtBot) -> None:

@@ -77,15 +77,13 @@ def test_expand_covers_both(rgb: np.ndarray, present: HsvRanges) -> None:
     assert wider[new_ranges(rgb, present, "set").contains(COLORS)].all()
 
 
-@given(hues, hues, hues, hues)
-def test_expanded_hue_is_the_shortest_arc(a: int, b: int, c: int, d: int) -> None:
-    from tactune.widgets.images.eyedropper import _covering_arc
-
+@given(samples, ranges)
+def test_expanded_hue_is_the_shortest_arc(rgb: np.ndarray, present: HsvRanges) -> None:
     def members(arc: tuple[int, int]) -> set[int]:
         return {(arc[0] + i) % 180 for i in range((arc[1] - arc[0]) % 180 + 1)}
 
-    wanted = members((a, b)) | members((c, d))
-    found = members(_covering_arc((a, b), (c, d)))
+    wanted = members(present.hue) | members(new_ranges(rgb, present, "set").hue)
+    found = members(new_ranges(rgb, present, "expand").hue)
     # the shortest arc that covers a set leaves out exactly the longest gap between its members
     ordered = sorted(wanted)
     gaps = [(after - before - 1) % 180 for before, after in zip(ordered, ordered[1:] + ordered[:1], strict=True)]

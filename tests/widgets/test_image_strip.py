@@ -1,13 +1,13 @@
 from __future__ import annotations
 
 import numpy as np
-import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import image_position
 from tactune.widgets.images.image_strip import PANES, ImageStrip, StripImages, render_strip
 
 LEFT = Qt.MouseButton.LeftButton
@@ -28,14 +28,6 @@ def scene(height: int = HEIGHT, width: int = WIDTH) -> StripImages:
     )
 
 
-@pytest.fixture(autouse=True)
-def every_mouse_move_counts():
-    before = pg.getConfigOption("mouseRateLimit")
-    pg.setConfigOptions(mouseRateLimit=-1)
-    yield
-    pg.setConfigOptions(mouseRateLimit=before)
-
-
 @pytest.fixture
 def strip(qtbot, qapp: QApplication) -> ImageStrip:
     widget = ImageStrip()
@@ -54,7 +46,7 @@ def viewport(strip: ImageStrip, pane: str):
 
 
 def at(strip: ImageStrip, pane: str, u: float, v: float) -> QPoint:
-    return strip.panes[pane].widget_position(u, v).toPoint()
+    return image_position(strip.panes[pane], u, v).toPoint()
 
 
 def zoom_in(strip: ImageStrip, pane: str, u: float, v: float, notches: int = 10) -> None:

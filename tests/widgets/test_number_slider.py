@@ -9,9 +9,10 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 
+from hands import type_into
 from tactune.core.preset import Preset
 from tactune.widgets.basics.fields import FieldSpec, format_number, section_fields
-from tactune.widgets.parameters.number_slider import NumberEntry, NumberSlider, Scale, parse_number
+from tactune.widgets.parameters.number_slider import NumberSlider, Scale, parse_number
 
 LEFT = Qt.MouseButton.LeftButton
 
@@ -51,13 +52,6 @@ def drag(widget: NumberSlider, start: float, *targets: float) -> None:
     for target in targets:
         QTest.mouseMove(widget.slider, point_at(widget, target))
     QTest.mouseRelease(widget.slider, LEFT, pos=point_at(widget, targets[-1]))
-
-
-def type_into(entry: NumberEntry, text: str, end: Qt.Key = Qt.Key.Key_Return) -> None:
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, text)
-    QTest.keyClick(entry, end)
 
 
 def test_a_drag_is_one_gesture_with_plausible_values(qtbot) -> None:

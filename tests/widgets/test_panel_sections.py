@@ -6,7 +6,8 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QComboBox, QLabel
 
-from panel_steering import EYE3, EYE4, LEFT, Recorder, type_into
+from hands import type_into
+from panel_steering import EYE3, EYE4, LEFT, Recorder
 from tactune.core.preset import AlignmentSection, HomographyAlignment, MaskSection, Preset, RigidAlignment
 from tactune.widgets.parameters.parameter_panel import ParameterPanel
 

@@ -11,7 +11,8 @@ from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel, QWidget
 
-from panel_steering import EYE3, EYE4, LEFT, Recorder, drag, type_into
+from hands import type_into
+from panel_steering import EYE3, EYE4, LEFT, Recorder, drag
 from tactune.core.preset import (
     AlignmentSection,
     HomographyAlignment,

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QWidget
 from pytestqt.qtbot import QtBot
 from scipy.spatial.transform import Rotation
 
+from seen_clouds import canvas_of
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_data import free_cloud
 from tactune.widgets.clouds.pick_view import STEP_M, STEP_RAD, PickView, Spot
@@ -45,12 +45,6 @@ def shown(qtbot: QtBot, backend: str) -> PickView:
     made.set_cloud(free_cloud(POINTS, np.zeros(len(POINTS), np.uint8), lut))
     made.set_camera(CAMERA)
     return made
-
-
-def canvas_of(view: PickView) -> QWidget:
-    canvas = view.findChild(QWidget, "canvas")
-    assert canvas is not None
-    return canvas
 
 
 def on_screen(view: PickView, place: object) -> QPoint:

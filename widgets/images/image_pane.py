@@ -299,10 +299,6 @@ class ImagePane(QWidget):
         width = self.box.viewRect().width()
         return float(self.box.width() * self.devicePixelRatioF() / width) if width > 0 else 1.0
 
-    def widget_position(self, u: float, v: float) -> QPointF:
-        """Return where an image pixel is, in coordinates of ``view.viewport()``."""
-        return QPointF(self.view.mapFromScene(self.box.mapViewToScene(QPointF(u, v))))
-
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
         super().changeEvent(event)

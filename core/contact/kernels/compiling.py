@@ -44,12 +44,12 @@ def inline(function: Callable[..., Any]) -> Any:
 
 def _stamp(function: Callable[..., Any]) -> tuple[tuple[str, int, int], ...]:
     """Return name, time and size of every file of this package whose code may be part of a kernel."""
-    files = [(path, path.stat()) for path in map(Path, _sources(function.__module__)) if path.exists()]
+    files = [(path, path.stat()) for path in map(Path, source_files(function.__module__)) if path.exists()]
     return tuple((path.name, stat.st_mtime_ns, stat.st_size) for path, stat in files)
 
 
 @cache
-def _sources(module_name: str) -> tuple[str, ...]:
+def source_files(module_name: str) -> tuple[str, ...]:
     """Return the files of a module and, recursively, of the modules of this package that it imports from."""
     found: dict[str, str] = {}
     waiting = [module_name]

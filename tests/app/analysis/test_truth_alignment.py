@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
-import time
 from pathlib import Path
-from threading import Event
 
 import numpy as np
 import pytest
@@ -14,44 +12,23 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import CONTROL, LEFT, type_path
+from hands import CONTROL, LEFT, type_into, type_path
 from tactune.app.analysis import truth_flow, truth_work
 from tactune.app.cli.scan import parse_paint
 from tactune.core.scan.pose import load_transform
 from tactune.widgets.clouds.pick_view import STEP_M
 from truth_scene import (
     DISC_CENTRE_BESIDE,
+    EndlessWork,
     click_pair,
     click_three_pairs,
     corners,
     drag,
-    open_plate,
-    open_tab,
     pixel_of,
     pose_of,
     settle,
     true_pose,
-    write_plate,
 )
-
-pytest.importorskip("trimesh")
-
-
-@pytest.fixture
-def tab(qtbot, window):
-    return open_tab(qtbot, window)
-
-
-@pytest.fixture
-def plate(tmp_path):
-    return write_plate(tmp_path / "plate.ply")
-
-
-@pytest.fixture
-def ready(qtbot, tab, plate):
-    open_plate(qtbot, tab, plate)
-    return tab
-
 
 # Following
 
@@ -126,10 +103,7 @@ def test_handles_keys_and_numbers_move_the_scan_and_are_undone(ready):
     QTest.keyClick(view, Qt.Key.Key_Z, CONTROL)
     np.testing.assert_allclose(pose_of(ready), laid, atol=1e-12)
     yaw = ready.align.turns[2]
-    yaw.setFocus()
-    yaw.selectAll()
-    QTest.keyClicks(yaw, "22.9")
-    QTest.keyClick(yaw, Qt.Key.Key_Return)
+    type_into(yaw, "22.9")
     np.testing.assert_allclose(pose_of(ready)[:3, :3], true_pose()[:3, :3], atol=2e-3)
     np.testing.assert_allclose(ready.flow.pivot(), ready.flow.patch.points.mean(axis=0), atol=1e-6)
     QTest.keyClick(yaw, Qt.Key.Key_Up)
@@ -160,22 +134,12 @@ def test_icp_brings_the_scan_nearer_and_can_be_undone(qtbot, ready):
 
 
 def test_icp_can_be_given_up(qtbot, ready, monkeypatch):
-    began = Event()
-
-    def endless(*_):
-        def work(progress):
-            while True:
-                progress(0.2, "Refining")
-                began.set()
-                time.sleep(0.002)
-
-        return work
-
+    work = EndlessWork()
     click_three_pairs(ready)
     pose = pose_of(ready)
-    monkeypatch.setattr(truth_flow, "refining", endless)
+    monkeypatch.setattr(truth_flow, "refining", lambda *_: work)
     QTest.mouseClick(ready.align.refine, LEFT)
-    qtbot.waitUntil(began.is_set)
+    qtbot.waitUntil(work.began.is_set)
     QTest.mouseClick(ready.align.cancel, LEFT)
     qtbot.waitUntil(lambda: not ready.flow.busy_refining)
     np.testing.assert_array_equal(pose_of(ready), pose)
@@ -185,10 +149,7 @@ def test_icp_can_be_given_up(qtbot, ready, monkeypatch):
 def test_icp_out_of_reach_is_told(qtbot, ready):
     click_three_pairs(ready)
     z = ready.align.places[2]
-    z.setFocus()
-    z.selectAll()
-    QTest.keyClicks(z, "400")
-    QTest.keyClick(z, Qt.Key.Key_Return)
+    type_into(z, "400")
     QTest.mouseClick(ready.align.refine, LEFT)
     qtbot.waitUntil(lambda: any("nowhere within 10 mm" in sentence for sentence in ready.messages.sentences()))
     assert ready.align.refine.isEnabled()
@@ -198,10 +159,7 @@ def test_the_command_line_repeats_what_is_shown(qtbot, ready, plate):
     click_three_pairs(ready)
     qtbot.waitUntil(lambda: ready.flow.scores is not None)
     low = ready.paint.rows["hue"].widget.entries[0]
-    low.setFocus()
-    low.selectAll()
-    QTest.keyClicks(low, "140")
-    QTest.keyClick(low, Qt.Key.Key_Return)
+    type_into(low, "140")
     settle(qtbot, ready)
     QTest.mouseClick(ready.result.copy, LEFT)
     words = shlex.split(QApplication.clipboard().text())

@@ -11,7 +11,7 @@ import pytest
 from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
 from tactune.core.scan.paint import PaintSettings
 from tactune.core.scan.pose import load_transform
-from truth_scene import click_pair, click_three_pairs, corners, open_plate, open_tab, settle, write_plate
+from truth_scene import click_pair, click_three_pairs, corners, open_tab, settle
 
 POSE = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))
 
@@ -143,14 +143,10 @@ def test_a_folder_that_cannot_be_written_is_told_once(qapp, qtbot, tmp_path):
     assert "cannot be kept safe" in kept.sentences[0]
 
 
-def test_a_window_that_is_opened_again_goes_on_where_it_was(qtbot, make_window, window, tmp_path):
-    pytest.importorskip("trimesh")
-    plate = write_plate(tmp_path / "plate.ply")
-    tab = open_tab(qtbot, window)
-    open_plate(qtbot, tab, plate)
-    click_three_pairs(tab)
-    click_pair(tab, corners(tab)[0] * (1, 1, 1))
-    before = tab.flow.state
+def test_a_window_that_is_opened_again_goes_on_where_it_was(qtbot, make_window, window, plate, ready):
+    click_three_pairs(ready)
+    click_pair(ready, corners(ready)[0] * (1, 1, 1))
+    before = ready.flow.state
     window.close_without_asking()
     qtbot.waitUntil(window.worker.isFinished)
     again = open_tab(qtbot, make_window())

@@ -2,48 +2,25 @@
 
 from __future__ import annotations
 
-import time
-from threading import Event
-
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import CONTROL, CONTROL_SHIFT, LEFT, drop, type_path
+from hands import CONTROL, CONTROL_SHIFT, LEFT, drop, type_into, type_path
 from tactune.app.analysis import truth_flow
 from truth_scene import (
     DISC_M,
     HALF_M,
+    EndlessWork,
     click_at,
     click_pair,
     corner_errors_mm,
     corners,
-    open_plate,
-    open_tab,
     pose_of,
     settle,
     write_plate,
 )
-
-pytest.importorskip("trimesh")
-
-
-@pytest.fixture
-def tab(qtbot, window):
-    return open_tab(qtbot, window)
-
-
-@pytest.fixture
-def plate(tmp_path):
-    return write_plate(tmp_path / "plate.ply")
-
-
-@pytest.fixture
-def ready(qtbot, tab, plate):
-    open_plate(qtbot, tab, plate)
-    return tab
-
 
 # Opening
 
@@ -94,22 +71,12 @@ def test_what_is_no_scan_is_said_and_the_present_one_stays(qtbot, ready, tmp_pat
 
 
 def test_reading_can_be_given_up(qtbot, ready, plate, monkeypatch):
-    began = Event()
-
-    def endless(path, unit_m):
-        def work(progress):
-            while True:
-                progress(0.2, "Reading")
-                began.set()
-                time.sleep(0.002)
-
-        return work
-
+    work = EndlessWork()
     loaded = ready.flow.loaded
-    monkeypatch.setattr(truth_flow, "loading", endless)
+    monkeypatch.setattr(truth_flow, "loading", lambda *_: work)
     ready.open_scan(plate)
     assert ready.cancel.isVisible() and ready.progress.isVisible()
-    qtbot.waitUntil(began.is_set)
+    qtbot.waitUntil(work.began.is_set)
     QTest.mouseClick(ready.cancel, LEFT)
     qtbot.waitUntil(lambda: not ready.flow.busy_loading)
     assert ready.flow.loaded is loaded
@@ -134,10 +101,7 @@ def test_the_eyedropper_and_the_entries_choose_the_paint(qtbot, ready):
     settle(qtbot, ready)
     assert ready.flow.state.paint == before
     entry = ready.paint.rows["least_area_mm2"].widget.entry
-    entry.setFocus()
-    entry.selectAll()
-    QTest.keyClicks(entry, "5000")
-    QTest.keyClick(entry, Qt.Key.Key_Return)
+    type_into(entry, "5000")
     settle(qtbot, ready)
     assert not ready.flow.contact.vertices.any(), "the disc is smaller than that"
     assert "eyedropper" in ready.guide.text()

@@ -262,7 +262,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     wizard.go_to(5)
     qtbot.waitUntil(lambda: "No calibration yet" in page.image.empty_label.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: page._overlay is not None and "cm²" in page.note.text(), timeout=15000)
+    qtbot.waitUntil(lambda: page.image.empty_label.text() == "" and "cm²" in page.note.text(), timeout=60_000)
     blended = page.image.grab().toImage()
     QTest.mouseClick(page.modes.button(1), LEFT)
     assert page.mode is OverlayMode.CHECKER

@@ -8,18 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.app.cli.main import main
 from tactune.core.evaluation import sensor_cases, sensor_table
 from tactune.core.evaluation import table as table_module
 from tactune.core.methods.registry import method_names
 from tactune.core.recording.cloud_files import read_cloud
 
 SIM = "sim:cup?press=medium"
-
-
-def tactune(monkeypatch, *words: object) -> int:
-    monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
-    return main()
 
 
 def lines(text: str) -> list[dict]:
@@ -46,14 +40,12 @@ def lines(text: str) -> list[dict]:
         (["--membranes", "soft"], "add --sensors all"),
     ],
 )
-def test_what_cannot_be_is_said_before_anything_is_measured(tmp_path, monkeypatch, capsys, words, said):
-    assert tactune(monkeypatch, "evaluate", "table", "--work", tmp_path / "work", *words) == 2
-    shown = capsys.readouterr()
-    assert said in shown.err and shown.out == ""
+def test_what_cannot_be_is_said_before_anything_is_measured(tmp_path, tactune, words, said):
+    assert said in tactune("evaluate", "table", "--work", tmp_path / "work", *words).sentence
     assert not (tmp_path / "work").exists()
 
 
-def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, monkeypatch, capsys):
+def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, tactune, monkeypatch):
     small = ["--methods", "fusion-rigid,proximity-only", "--objects", "cup", "--presses", "medium", "--seeds", 1]
     words = ["evaluate", "table", *small, "--no-extra", "--work", tmp_path / "work"]
     measure = table_module.measure_cell
@@ -64,20 +56,22 @@ def test_a_table_of_the_simulator_goes_on_after_an_interrupt(tmp_path, monkeypat
         return measure(name, *rest)
 
     monkeypatch.setattr(table_module, "measure_cell", interrupted)
-    assert tactune(monkeypatch, *words) == 130
-    assert "1 of 2 cells are kept" in capsys.readouterr().err
+    status, _, err = tactune(*words)
+    assert status == 130
+    assert "1 of 2 cells are kept" in err
 
     measured = []
     monkeypatch.setattr(table_module, "measure_cell", lambda name, *rest: measured.append(name) or measure(name, *rest))
-    assert tactune(monkeypatch, *words, "--json", "--csv", tmp_path / "t.csv") == 0
-    document = json.loads(capsys.readouterr().out)
+    status, out, _ = tactune(*words, "--json", "--csv", tmp_path / "t.csv")
+    assert status == 0
+    document = json.loads(out)
     assert measured == ["proximity-only"]
     rmse = {cell["method"]: cell["rmse_mm"] for cell in document["cells"]}
     assert 0 < rmse["fusion-rigid"] < rmse["proximity-only"] < 20
     assert len((tmp_path / "t.csv").read_text().splitlines()) == 3
 
 
-def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, monkeypatch, capsys):
+def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, tactune, monkeypatch):
     small = ["--membranes", "standard", "--objects", "cup", "--presses", "medium", "--seeds", 1]
     words = ["evaluate", "table", "--sensors", "clean,datasheet", *small, "--work", tmp_path / "work"]
     score, scored = sensor_table.score_runs, []
@@ -92,12 +86,14 @@ def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, monk
         return score(runs, scene, *rest)
 
     monkeypatch.setattr(sensor_table, "score_runs", interrupted)
-    assert tactune(monkeypatch, *words) == 130
-    assert "1 of 2 frames are kept" in capsys.readouterr().err
+    status, _, err = tactune(*words)
+    assert status == 130
+    assert "1 of 2 frames are kept" in err
 
     monkeypatch.setattr(sensor_table, "score_runs", noted)
-    assert tactune(monkeypatch, *words, "--json", "--out", tmp_path / "out") == 0
-    document = json.loads(capsys.readouterr().out)
+    status, out, _ = tactune(*words, "--json", "--out", tmp_path / "out")
+    assert status == 0
+    document = json.loads(out)
     assert scored == ["datasheet"]
     assert [case["sensor"] for case in document["cases"]] == ["clean", "datasheet"]
     assert all(0 < case["oracle_mm"] <= case["best_fixed_mm"] < case["straight_mm"] for case in document["cases"])
@@ -106,36 +102,38 @@ def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, monk
     for largest, status in ((100.0, 0), (0.001, 1)):
         monkeypatch.setattr(sensor_cases, "MAX_OVER_ORACLE", largest)
         monkeypatch.setattr(sensor_cases.SensorCase, "holds_best", True)
-        assert tactune(monkeypatch, *words, "--check") == status
-        text = capsys.readouterr().out
+        found, text, _ = tactune(*words, "--check")
+        assert found == status
         assert text.startswith("medium") and "all three: " in text
         assert ("Cases that do not hold" in text) == bool(status)
 
 
 @pytest.mark.parametrize("method", ["fusion", *method_names()])
-def test_run_knows_every_method(monkeypatch, capsys, method):
-    assert tactune(monkeypatch, "run", "-s", SIM, "-n", 1, "--json", "--truth", "--method", method) == 0
-    (record,) = lines(capsys.readouterr().out)
+def test_run_knows_every_method(tactune, method):
+    status, out, _ = tactune("run", "-s", SIM, "-n", 1, "--json", "--truth", "--method", method)
+    assert status == 0
+    (record,) = lines(out)
     assert (record["method"], record["failure"]) == (method, "")
     assert record["points"] > 100 and record["iou"] > 0.1
 
 
-def test_a_method_writes_its_points(tmp_path, monkeypatch, capsys):
+def test_a_method_writes_its_points(tmp_path, tactune):
     words = ["run", "-s", SIM, "-n", 1, "--json", "--method", "tactile-only", "--out", tmp_path, "--format", "ply"]
-    assert tactune(monkeypatch, *words) == 0
-    (record,) = lines(capsys.readouterr().out)
+    status, out, _ = tactune(*words)
+    assert status == 0
+    (record,) = lines(out)
     points = read_cloud(tmp_path / "patch_000000.ply").points
     assert len(points) == record["points"]
     np.testing.assert_allclose(points.mean(axis=0, dtype=float), record["centroid_m"], rtol=1e-6)
 
 
-def test_a_recording_needs_an_untouched_frame_and_takes_one(make_recording, monkeypatch, capsys):
+def test_a_recording_needs_an_untouched_frame_and_takes_one(make_recording, tactune):
     recording: Path = make_recording()
     words = ["run", "-s", recording, "--json", "--method", "proximity-only"]
-    assert tactune(monkeypatch, *words) == 2
-    assert "give --untouched" in capsys.readouterr().err
-    assert tactune(monkeypatch, *words, "--untouched", recording) == 0
-    assert {record["method"] for record in lines(capsys.readouterr().out)} == {"proximity-only"}
+    assert "give --untouched" in tactune(*words).sentence
+    status, out, _ = tactune(*words, "--untouched", recording)
+    assert status == 0
+    assert {record["method"] for record in lines(out)} == {"proximity-only"}
 
 
 @pytest.mark.parametrize(
@@ -146,7 +144,5 @@ def test_a_recording_needs_an_untouched_frame_and_takes_one(make_recording, monk
         (["--method", "mechanics", "--untouched", "nowhere"], "nowhere"),
     ],
 )
-def test_run_says_what_is_wrong_with_a_method(make_recording, monkeypatch, capsys, words, said):
-    assert tactune(monkeypatch, "run", "-s", make_recording(), "--json", *words) == 2
-    shown = capsys.readouterr()
-    assert said in shown.err and shown.out == ""
+def test_run_says_what_is_wrong_with_a_method(make_recording, tactune, words, said):
+    assert said in tactune("run", "-s", make_recording(), "--json", *words).sentence

@@ -6,7 +6,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -61,7 +60,7 @@ class LiveSource(FrameSource):
         self._asked = 0
         self.given = 0
         self.message = ""
-        self.lost_each = 0
+        self.lost_each = self.interrupt_after = 0
 
     @property
     def rig(self) -> Any:
@@ -79,6 +78,8 @@ class LiveSource(FrameSource):
             self._source.seek(0)
             frame = self._source.next_frame()
         self.given += 1
+        if self.given == self.interrupt_after:
+            os.kill(os.getpid(), signal.SIGINT)
         return frame
 
     def health(self) -> Health:
@@ -162,7 +163,7 @@ def test_what_a_live_source_has_to_say_is_said_once(tmp_path: Path, live: LiveSo
 
 
 def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactune: Run) -> None:
-    threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT)).start()
+    live.interrupt_after = 5
     usual = signal.getsignal(signal.SIGINT)
     done = tactune("record", "-s", "live:x", "-o", tmp_path / "a.mcap")
     assert done.status == 0

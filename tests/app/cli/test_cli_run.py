@@ -256,23 +256,23 @@ def test_a_reader_that_stops_reading_is_no_error(recording: Path) -> None:
 
 def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
-    slow = (
-        "import sys, time\n"
+    interrupted = (
+        "import os, signal, sys\n"
         "from tactune.app.cli.main import main\n"
         "from tactune.core.contact.pipeline import ContactPipeline as P\n"
         "process = P.process\n"
-        "P.process = lambda self, frame: (time.sleep(2 * (frame.sequence == 2)), process(self, frame))[1]\n"
+        "def interrupt(self, frame):\n"
+        "    if frame.sequence == 2:\n"
+        "        os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return process(self, frame)\n"
+        "P.process = interrupt\n"
         "sys.exit(main())"
     )
-    command = [sys.executable, "-c", slow, "run", "--source", str(recording), "--out", str(out)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        while not (out / "patch_000001.npz").exists() and process.poll() is None:
-            time.sleep(0.01)
-        process.send_signal(signal.SIGINT)
-        printed, complaints = process.communicate()
-    assert process.returncode == 130
-    assert complaints == "tactune: stopped after 3 of 4 frames\n"
-    assert printed.startswith("3 frames of folder:")
+    command = [sys.executable, "-c", interrupted, "run", "--source", str(recording), "--out", str(out)]
+    done = subprocess.run(command, check=False, capture_output=True, text=True)
+    assert done.returncode == 130
+    assert done.stderr == "tactune: stopped after 3 of 4 frames\n"
+    assert done.stdout.startswith("3 frames of folder:")
     assert names(out) == ["patch_000000.npz", "patch_000001.npz", "patch_000002.npz"]
     with np.load(out / "patch_000001.npz") as saved:
         assert len(saved["points"]) > 0

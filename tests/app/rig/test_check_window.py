@@ -186,13 +186,16 @@ def test_the_region_follows_entries_and_the_true_distance_gives_the_accuracy(ope
 def test_a_closed_window_takes_no_frames(open_checks, rig, qtbot):
     main = open_checks(Wall(rig))
     checks = main.checks.window
-    wait(qtbot, lambda: checks.quality.quality is not None)
+    wait(qtbot, lambda: checks.quality.quality is not None and checks.quality.quality.proximity.frames == 40)
     checks.close()
-    before = main.result.frame
-    wait(qtbot, lambda: main.result.frame is not before)
-    assert len(checks.quality._frames) == 0
+    shown, measured = [], []
+    main.context.frameShown.connect(lambda: shown.append(1))
+    checks.quality.measured.connect(measured.append)
+    wait(qtbot, lambda: len(shown) >= 30)
+    assert measured == []
     main.actions_.check_cameras.trigger()
-    wait(qtbot, lambda: len(checks.quality._frames) > 0)
+    wait(qtbot, lambda: bool(measured))
+    assert measured[0].proximity.frames < 30
 
 
 def test_the_delay_is_measured_shown_and_compensated_with_undo(open_checks, rig, qtbot):

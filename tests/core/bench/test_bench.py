@@ -99,8 +99,6 @@ def test_memory_is_seen() -> None:
     def wasteful() -> None:
         kept[:] = [np.ones(8 << 20)]
 
-    assert allocated_bytes(wasteful) >= 60 << 20
-    assert allocated_bytes(lambda: None) < 10_000
     peak = peak_bytes(wasteful)
     assert peak is None or peak >= 30 << 20
 
@@ -143,9 +141,8 @@ def test_a_check_that_falls_short_says_so() -> None:
 
 def test_the_gate_finds_a_slow_pipeline(monkeypatch: pytest.MonkeyPatch) -> None:
     """With the ratio of the baseline in place of ours, 1, the gate must fail."""
-    monkeypatch.setattr(gate, "_WHOLE", ("empty",))
     monkeypatch.setattr(gate, "compare_engines", lambda *args, **kwargs: _slowed(run.compare_engines(*args, **kwargs)))
-    checks = gate._whole_pipeline(3)
+    checks = gate.whole_pipeline(3, ["empty"])
     assert [check.holds for check in checks] == [False, True]
 
 

@@ -11,6 +11,8 @@ from tactune.core.calibration import Correspondence, calibrate
 from tactune.core.calibration.quality import patch_effect
 from tactune.core.calibration.report import place_name
 from tactune.core.calibration.rigid import MIN_POINTS
+from tactune.core.contact import pipeline as pipeline_module
+from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import CalibrationError
 from tactune.core.preset import Preset
@@ -186,14 +188,15 @@ def test_a_preset_keeps_the_calibration_and_aligns_by_it(rig):
     assert preset.rig == rig
 
 
-def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig):
+def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, monkeypatch):
     preset = calibrate(clicked(rig), rig).apply_to(Preset())
+    made = []
+    monkeypatch.setattr(pipeline_module, "make_alignment", lambda *given: made.append(given) or make_alignment(*given))
     pipeline = ContactPipeline(preset, rig)
-    model = pipeline._alignment
     pipeline.update(preset.with_value("alignment.calibration", None))
-    assert pipeline._alignment is model
+    assert len(made) == 1
     pipeline.update(preset.with_value("alignment.depth_scale", 1.01))
-    assert pipeline._alignment is not model
+    assert len(made) == 2
 
 
 @pytest.mark.parametrize(

@@ -157,5 +157,5 @@ def test_a_change_in_another_module_reaches_the_kernel(package: Path) -> None:
 
 
 def test_the_pipelines_kernels_know_all_their_files() -> None:
-    names = {Path(path).name for path in compiling._sources(kernels.find_candidates.py_func.__module__)}
+    names = {Path(path).name for path in compiling.source_files(kernels.find_candidates.py_func.__module__)}
     assert {"chain.py", "simd.py", "lenses.py"} <= names

@@ -9,20 +9,22 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
+SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 PROCESS = """
 import numpy as np
-from tactune.core.contact.warmup import _frame, _rig, is_compiled, warm_up
+from tactune.core.contact.warmup import is_compiled, warm_up
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
+from tiny_sensor import tiny_frame, tiny_rig
 """
 
 
 def run(program: str, **environment: str) -> str:
     done = subprocess.run(
         [sys.executable, "-W", "error", "-c", PROCESS + program],
-        check=False, capture_output=True, text=True, env=os.environ | environment, timeout=300,
+        check=False, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(SUPPORT)} | environment,
+        timeout=300,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     return done.stdout
@@ -47,7 +49,7 @@ print(compiled_so_far())
 def test_without_any_folder_to_write_to_the_kernels_still_run():
     program = """
 import numba.core.caching as caching
-caching.CacheImpl._locator_classes = []
+caching.CacheImpl._locator_classes = []  # numba has no public setting for "no folder at all"
 import importlib, tactune.core.contact.kernels.compiling, tactune.core.contact.kernels.colors
 importlib.reload(tactune.core.contact.kernels.colors)
 from tactune.core.contact.masking import in_hsv_range
@@ -96,7 +98,8 @@ print(patch.stage_ms["balance"] > 0.2, after.loaded - before.loaded, after.compi
 def test_two_pipelines_in_two_threads_at_once():
     program = """
 import threading
-frame, rig = _frame(), _rig()
+rig = tiny_rig()
+frame = tiny_frame(12, rig)
 wanted = ContactPipeline(Preset(), rig).process(frame)
 wrong = []
 def work():
@@ -118,7 +121,8 @@ print(len(wrong), len(wanted.points) > 100)
 def test_a_forked_child_goes_on():
     program = """
 import os
-frame, rig = _frame(), _rig()
+rig = tiny_rig()
+frame = tiny_frame(12, rig)
 pipeline = ContactPipeline(Preset(), rig)
 wanted = pipeline.process(frame).points
 child = os.fork()

@@ -11,7 +11,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactune.app.cli.main import main
 from tactune.core.errors import SourceError
 from tactune.core.model.clouds import PointCloud
 from tactune.core.recording.cloud_files import read_points, write_cloud
@@ -19,11 +18,6 @@ from tactune.core.recording.cloud_files import read_points, write_cloud
 RNG = np.random.default_rng(5)
 PATCH = RNG.normal(0, 0.02, (150, 3)).astype(np.float32)
 TRUTH = RNG.normal(0, 0.02, (120, 3)).astype(np.float32)
-
-
-def tactune(monkeypatch, *words: object) -> int:
-    monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
-    return main()
 
 
 def brute_force() -> dict[str, float]:
@@ -48,16 +42,18 @@ def test_a_device_behind_a_link_is_refused(tmp_path, suffix):
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd", "npz", "csv"])
-def test_files_of_this_program_against_brute_force(tmp_path, monkeypatch, capsys, suffix):
+def test_files_of_this_program_against_brute_force(tmp_path, tactune, suffix):
     write_cloud(tmp_path / f"a.{suffix}", PointCloud(PATCH))
     write_cloud(tmp_path / f"b.{suffix}", PointCloud(TRUTH))
     files = ["--patch", tmp_path / f"a.{suffix}", "--truth", tmp_path / f"b.{suffix}"]
-    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+    status, out, _ = tactune("evaluate", "patch", *files, "--json")
+    assert status == 0
+    found = json.loads(out)
     assert (found.pop("patch_points"), found.pop("truth_points")) == (150, 120)
     assert found == pytest.approx(brute_force(), rel=1e-6)
-    assert tactune(monkeypatch, "evaluate", "patch", *files) == 0
-    assert f"{brute_force()['symmetric_rmse_mm']:.3f} mm" in capsys.readouterr().out
+    status, out, _ = tactune("evaluate", "patch", *files)
+    assert status == 0
+    assert f"{brute_force()['symmetric_rmse_mm']:.3f} mm" in out
 
 
 @pytest.mark.parametrize("suffix", ["ply", "pcd"])
@@ -80,25 +76,24 @@ def test_files_of_open3d_and_its_distances(tmp_path, suffix, ascii_text):
 
 @pytest.mark.parametrize("empty", [PATCH[:0], np.full((2, 3), np.nan, np.float32)])
 @pytest.mark.parametrize("which", ["--patch", "--truth"])
-def test_an_empty_cloud_is_refused(tmp_path, monkeypatch, capsys, empty, which):
+def test_an_empty_cloud_is_refused(tmp_path, tactune, empty, which):
     write_cloud(tmp_path / "a.ply", PointCloud(empty))
     write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
     (other,) = {"--patch", "--truth"} - {which}
     files = [which, tmp_path / "a.ply", other, tmp_path / "b.ply"]
-    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 2
-    shown = capsys.readouterr()
-    assert shown.out == ""
-    assert "a.ply holds no point" in shown.err
+    status, out, err = tactune("evaluate", "patch", *files, "--json")
+    assert (status, out) == (2, "")
+    assert "a.ply holds no point" in err
 
 
-def test_points_with_a_nan_are_counted(tmp_path, monkeypatch, capsys):
+def test_points_with_a_nan_are_counted(tmp_path, tactune):
     write_cloud(tmp_path / "a.npz", PointCloud(np.vstack([PATCH, np.full((3, 3), np.nan, np.float32)])))
     write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
     files = ["--patch", tmp_path / "a.npz", "--truth", tmp_path / "b.ply"]
-    assert tactune(monkeypatch, "evaluate", "patch", *files, "--json") == 0
-    shown = capsys.readouterr()
-    assert json.loads(shown.out)["patch_points"] == 150
-    assert "a.npz: 3 points of 153 ignored" in shown.err
+    status, out, err = tactune("evaluate", "patch", *files, "--json")
+    assert status == 0
+    assert json.loads(out)["patch_points"] == 150
+    assert "a.npz: 3 points of 153 ignored" in err
 
 
 def test_points_that_are_none_are_left_out_and_infinite_ones_refused(tmp_path):
@@ -169,10 +164,9 @@ def test_what_is_wrong_with_a_file_is_said_with_its_line(tmp_path, name, data, w
         ("a.ply", RNG.bytes(5000)),
     ],
 )
-def test_garbage_is_one_sentence(tmp_path: Path, monkeypatch, capsys, name, data):
+def test_garbage_is_one_sentence(tmp_path: Path, tactune, name, data):
     if data is not None:
         (tmp_path / name).write_bytes(data)
     write_cloud(tmp_path / "b.ply", PointCloud(TRUTH))
-    assert tactune(monkeypatch, "evaluate", "patch", "--patch", tmp_path / name, "--truth", tmp_path / "b.ply") == 2
-    shown = capsys.readouterr()
-    assert shown.out == "" and len(shown.err.strip().splitlines()) == 1 and name in shown.err
+    done = tactune("evaluate", "patch", "--patch", tmp_path / name, "--truth", tmp_path / "b.ply")
+    assert name in done.sentence

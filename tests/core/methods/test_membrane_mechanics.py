@@ -115,7 +115,8 @@ def test_the_program_is_the_membranes_balance_in_si_units(bulged):
     p0 = bulged.gauge_pressure_pa
     stiffness, areas = stiffness_and_areas(mesh.positions, mesh.triangles)
     tension = p0 * problem.radius_m / 2
-    u = problem.displacement_m(solution.x)
+    u = np.zeros(len(problem.moving))
+    u[problem.moving] = 1e-3 * solution.x[: problem.positive.start - 1]
     rise = (problem.air_pressure(solution.x) - 1.0) * p0
     contact = problem.contact_pressure(solution.x) * p0
     unbalanced = tension * (stiffness @ u) - areas * (rise - contact)

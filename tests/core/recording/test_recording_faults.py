@@ -68,7 +68,9 @@ def test_a_killed_recording_plays_up_to_its_last_chunk(
     ) as child:
         assert child.stdout is not None
         assert child.stdout.readline() == "going\n"
-        time.sleep(0.1)
+        before = killed.stat().st_size
+        while killed.stat().st_size == before and child.poll() is None:
+            time.sleep(0.001)
         os.kill(child.pid, signal.SIGKILL)
     folder = FolderSource(tmp_path / "folder")
     with McapSource(killed) as source:

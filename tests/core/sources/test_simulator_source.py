@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import gc
 import os
 
 import cv2
@@ -168,7 +169,7 @@ def test_both_ways_of_saying_no_depth_occur(cup):
 
 def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup):
     frame = cup.read(REST)
-    flags = cup._solved.states[0].flags
+    flags = clean_states(cup)[cup.scene.frames[REST]].flags
     patch = (flags & REFLECTIVE_FLAG) != 0
     assert patch.sum() > 1000
     error = np.abs(frame.proximity_depth * 0.00025 - frame.truth.depth_m)[patch & (frame.proximity_depth > 0)]
@@ -238,6 +239,13 @@ def test_bad_options_are_refused(options):
         SimulatorSource(**options)
 
 
+def clean_states(simulator):
+    """The states from which a simulator draws its frames, read from its file in the cache."""
+    scene = simulator.scene
+    path = source.cache_file(scene.name, f"{scene.key} {simulator.rig.model_dump_json()}")
+    return load_scene(path, len(scene.drawn)).states
+
+
 def fake_scene(count):
     rng = np.random.default_rng(0)
 
@@ -295,13 +303,23 @@ def test_damaged_cache_counts_as_missing(tmp_path):
 
 def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monkeypatch):
     monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path / name))
-    computed = []
+    computed, fake = [], fake_scene(40)
 
-    def compute(self, *_):
-        computed.append(1)
-        return fake_scene(40)
+    class FakePress:
+        def __init__(self, *_):
+            computed.append(1)
 
-    monkeypatch.setattr(SimulatorSource, "_compute", compute)
+        def states(self):
+            return ((0.0, index, None) for index in range(40))
+
+        def picture(self, index, _):
+            return fake.states[index]
+
+        def facts(self, _depth, index, _):
+            return fake.facts[index]
+
+    monkeypatch.setattr(source, "Press", FakePress)
+    monkeypatch.setattr(source, "Membrane", lambda design: None)
     told = []
     SimulatorSource("cube", progress=lambda share, words: told.append((share, words)))
     assert told[-1] == (1.0, "The cube scene is ready")
@@ -314,6 +332,7 @@ def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monk
         raise ExportError("cannot write: disk full; choose another place")
 
     monkeypatch.setattr(source, "save_scene", refuse)
+    gc.collect()  # open sources share their scene; none is open now
     without = SimulatorSource("cube")
     assert len(computed) == 2
     assert "disk full" in without.health().message
@@ -324,6 +343,6 @@ def test_truth_is_the_solver_s_and_unaffected_by_noise(cup, exact):
     noisy, clean = cup.read(DEEP).truth, exact.read(DEEP).truth
     assert np.array_equal(noisy.contact, clean.contact)
     assert np.array_equal(noisy.depth_m, clean.depth_m, equal_nan=True)
-    state = exact._solved.states[-1]
+    state = clean_states(exact)[exact.scene.frames[DEEP]]
     assert np.array_equal(clean.contact, (state.flags & CONTACT_FLAG) != 0)
     assert np.nanmax(np.abs(clean.depth_m - state.membrane * CLEAN_UNIT_M)[state.membrane > 0]) < 1e-6

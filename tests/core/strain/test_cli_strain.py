@@ -5,21 +5,9 @@ import json
 
 import pytest
 
-from tactune.app.cli.main import main
 from tactune.core.sources.registry import open_source
 
 SOURCE = "sim:cup?press=low&grid=dots"
-
-
-@pytest.fixture
-def tactune(capsys, monkeypatch):
-    def run(*words):
-        monkeypatch.setattr("sys.argv", ["tactune", *map(str, words)])
-        status = main()
-        captured = capsys.readouterr()
-        return status, captured.out, captured.err
-
-    return run
 
 
 def test_json_has_a_line_a_frame(tactune):

@@ -181,9 +181,9 @@ def test_strain_from_frames_at_rest_is_measured_within_two_points(scene):
 def test_no_pair_skips_a_dot_that_is_seen_between():
     """Two rows of a lattice that has grown apart meet; the dots between them are in no order, but seen."""
     spots = np.array([[10.0, 10.0], [20.0, 10.0], [30.0, 10.0], [10.0, 20.0], [30.0, 21.0]])
-    kept = strain._without_one_between(np.array([[0, 1], [0, 2], [3, 4]]), spots, cKDTree(spots))
+    kept = strain.without_one_between(np.array([[0, 1], [0, 2], [3, 4]]), spots, cKDTree(spots))
     assert kept.tolist() == [[0, 1], [3, 4]]
-    assert strain._without_one_between(np.empty((0, 2), np.int64), spots, cKDTree(spots)).shape == (0, 2)
+    assert strain.without_one_between(np.empty((0, 2), np.int64), spots, cKDTree(spots)).shape == (0, 2)
 
 
 def test_droplets_are_no_grid():

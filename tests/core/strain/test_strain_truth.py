@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactune.app.cli.main import main
 from tactune.core.evaluation.table import Table
 from tactune.core.evaluation.table_cell import TableCell
 from tactune.core.evaluation.table_report import scene_strains, table_as_json, table_as_text, write_csv
@@ -138,11 +137,11 @@ def test_the_table_reports_the_strain_of_each_scene_once(tmp_path):
     assert "largest in-plane strain" not in table_as_text(Table([cell("low")]))
 
 
-def test_run_reports_the_true_strain(capsys, monkeypatch):
+def test_run_reports_the_true_strain(tactune):
     def run(*words):
-        monkeypatch.setattr("sys.argv", ["tactune", "run", "-s", LOW, "-p", "simulator", "-n", "1", "--truth", *words])
-        assert main() == 0
-        return capsys.readouterr().out
+        done = tactune("run", "-s", LOW, "-p", "simulator", "-n", 1, "--truth", *words)
+        assert done.status == 0
+        return done.out
 
     with open_source(LOW) as source:
         strain = source.next_frame().truth.strain

@@ -7,52 +7,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import pytest
 from pyarrow import parquet
 
-from tactune.app.cli.main import main
-from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources import SeekableSource
+from commands import Finished
+from small_recordings import NoisyPress, small_rig
 from tactune.core.sources.folder import export_folder
 
-UNIT_M = 0.00025
 LIMIT_S = 240
-
-
-def make_rig(width: int) -> Rig:
-    lens = Intrinsics(width=width, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
-    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
-
-
-class NoisyPress(SeekableSource):
-    """A flat membrane at 300 mm, which an object touches in a square; around that a gap of 3 mm; noise of 1 mm.
-
-    A tolerance of about 0.007 tells both apart best.
-    """
-
-    def __init__(self, seed: int, frames: int, width: int, with_truth: bool) -> None:
-        super().__init__("small", make_rig(width), frames)
-        self._seed, self._with_truth = seed, with_truth
-
-    def read(self, index: int) -> SensorFrame:
-        shape = self.rig.proximity.intrinsics.shape
-        random = np.random.default_rng([self._seed, index])
-        contact = np.zeros(shape, bool)
-        contact[8:40, 8:40] = True
-        depth_m = np.where(contact, 0.300, 0.3035) + random.normal(0, 0.001, shape)
-        return SensorFrame(
-            sequence=index,
-            proximity_depth=np.rint(depth_m / UNIT_M).astype(np.uint16),
-            tactile_depth=np.full(shape, 1200, np.uint16),
-            proximity_color=np.full((*shape, 3), 90, np.uint8),
-            truth=GroundTruth(contact, np.full(shape, 0.3, np.float32)) if self._with_truth else None,
-        )
 
 
 @pytest.fixture
@@ -60,7 +24,7 @@ def make_recording(tmp_path: Path) -> Callable[..., str]:
     """Write a recording and return its source's name."""
 
     def make(name: str = "rec", *, seed: int = 0, frames: int = 3, width: int = 64, with_truth: bool = True) -> str:
-        export_folder(NoisyPress(seed, frames, width, with_truth), tmp_path / name)
+        export_folder(NoisyPress(seed, small_rig(width), frames, with_truth), tmp_path / name)
         return f"folder:{tmp_path / name}"
 
     return make
@@ -71,38 +35,15 @@ def recording(make_recording: Callable[..., str]) -> str:
     return make_recording()
 
 
-@dataclass(frozen=True)
-class Finished:
-    """How a command ended."""
-
-    status: int
-    out: str
-    err: str
-
-    @property
-    def sentence(self) -> str:
-        """The one sentence on standard error of a command that failed as it should."""
-        assert self.status == 2, self
-        assert self.out == ""
-        assert self.err.startswith("tactune: ")
-        assert self.err.count("\n") == 1
-        return self.err
-
-
 @pytest.fixture
-def sweep(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> Callable[..., Finished]:
+def sweep(tactune: Callable[..., Finished], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Finished]:
     """Run ``tactune sweep`` in this process, in a folder of its own, without further processes."""
 
     def run(*words: object) -> Finished:
         (tmp_path / "work").mkdir(exist_ok=True)
         monkeypatch.chdir(tmp_path / "work")
         jobs = [] if {"--jobs", "--scheduler"} & set(words) else ["--jobs", "1"]
-        monkeypatch.setattr("sys.argv", ["tactune", "sweep", *map(str, words), *jobs])
-        status = main()
-        captured = capsys.readouterr()
-        return Finished(status, captured.out, captured.err)
+        return tactune("sweep", *words, *jobs)
 
     return run
 

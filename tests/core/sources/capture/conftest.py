@@ -32,14 +32,13 @@ def _open_things() -> Counter[str]:
 
 
 @pytest.fixture
-def until() -> Callable[[Callable[[], bool]], float]:
-    """Wait until something holds and return how long that took; generous, since machines are busy."""
+def until() -> Callable[[Callable[[], bool]], None]:
+    """Wait until something holds; generous, since machines are busy."""
 
-    def wait(holds: Callable[[], bool], seconds: float = 60.0) -> float:
-        began_s = time.monotonic()
+    def wait(holds: Callable[[], bool], seconds: float = 60.0) -> None:
+        deadline_s = time.monotonic() + seconds
         while not holds():
-            assert time.monotonic() - began_s < seconds, "it did not happen in time"
+            assert time.monotonic() < deadline_s, "it did not happen in time"
             time.sleep(0.005)
-        return time.monotonic() - began_s
 
     return wait

@@ -59,7 +59,7 @@ def start(tmp_path: Path) -> Iterator[Start]:
 
 @pytest.mark.parametrize("sent", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_the_process_ends_with_a_parent_that_is_killed(
-    start: Start, until: Callable[[Callable[[], bool]], float], sent: signal.Signals
+    start: Start, until: Callable[[Callable[[], bool]], None], sent: signal.Signals
 ) -> None:
     parent, pid = start("time.sleep(60)")
     assert alive(pid)
@@ -75,7 +75,7 @@ def test_the_process_ends_with_a_parent_that_is_killed(
     ids=["falls off", "exit", "raise", "close", "del", "abrupt"],
 )
 def test_the_process_ends_with_a_parent_that_ends(
-    start: Start, until: Callable[[Callable[[], bool]], float], more: str
+    start: Start, until: Callable[[Callable[[], bool]], None], more: str
 ) -> None:
     parent, pid = start(more)
     _, words = parent.communicate(timeout=300)
@@ -84,7 +84,7 @@ def test_the_process_ends_with_a_parent_that_ends(
 
 
 def test_a_process_that_hangs_is_ended_with_its_source(
-    start: Start, until: Callable[[Callable[[], bool]], float]
+    start: Start, until: Callable[[Callable[[], bool]], None]
 ) -> None:
     parent, pid = start("import os, signal; os.kill(source.capture_pid, signal.SIGSTOP); source.close()")
     _, words = parent.communicate(timeout=300)

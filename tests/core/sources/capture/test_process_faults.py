@@ -17,7 +17,6 @@ import pytest
 
 import capture_sources
 from capture_sources import make_frame, make_rig, open_recorded, open_troubled
-from patience import load_factor
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.base import Health
@@ -28,7 +27,7 @@ from tactune.core.sources.capture.supervisor import Patience
 #: All that a troubled source sends.
 MADE = [make_frame(make_rig(), number) for number in range(50)]
 
-Until = Callable[[Callable[[], bool]], float]
+Until = Callable[[Callable[[], bool]], None]
 
 
 def take(source: ProcessSource, count: int) -> list[SensorFrame]:
@@ -87,15 +86,12 @@ def test_it_is_told_and_mended(
         assert source.health().message == ""
         pid = source.capture_pid
         harm(source, tmp_path)
-        took_s = until(lambda: source.health().stale)
+        until(lambda: source.health().stale)
         told = source.health()
         assert re.fullmatch(what + "( and)? (is being|has been) restarted\\.", told.message)
         assert not told.ok
         assert [camera.state for camera in told.cameras] in (["stalled"], ["streaming"])
-        took_s += until(lambda: not source.health().stale)
-        assert (
-            took_s < 20 * load_factor()
-        )  # 3 s in words of a person; on a busy machine 0.3 s, 1.2 s or 1.7 s were measured
+        until(lambda: not source.health().stale)
         after = take(source, 30)
         assert source.capture_pid not in (None, pid)
         assert all(map(is_whole, before + after))
@@ -215,7 +211,7 @@ with ProcessSource(partial(open_troubled, Path({str(tmp_path)!r}))) as source:
         assert parent.stdout is not None
         assert parent.stdout.readline() == "ready\n"
         parent.send_signal(signal.SIGSTOP)
-        time.sleep(3.0)
+        time.sleep(3.0)  # longer than the source waits for its process
         parent.send_signal(signal.SIGCONT)
         answer, _ = parent.communicate("go\n", timeout=300)
     assert answer == "True \n"

@@ -6,7 +6,7 @@ import gc
 import os
 import sys
 import threading
-import time
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from capture_sources import (
     make_rig,
     open_for_ever,
     open_nothing,
+    open_noting,
     open_recorded,
     open_troubled,
     same_frame,
@@ -27,6 +28,7 @@ from tactune.core.errors import MissingExtraError, SourceError
 from tactune.core.model.frames import Rig
 from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.capture.protocol import (
+    SLOTS,
     FrameReady,
     Ring,
     arrays_of,
@@ -93,23 +95,26 @@ def test_every_frame_out_equals_the_frame_in(
     assert all(same_frame(one, other) for one, other in zip(out, frames, strict=True))
 
 
-def test_a_slow_caller_of_a_lossless_source_gets_every_frame(nothing_left: None) -> None:
+def test_a_slow_caller_of_a_lossless_source_gets_every_frame(
+    nothing_left: None, tmp_path: Path, until: Callable[[Callable[[], bool]], None]
+) -> None:
     rig = make_rig()
     frames = [make_frame(rig, number) for number in range(40)]
-    with ProcessSource(partial(open_recorded, rig, frames), lossless=True) as source:
-        time.sleep(0.5)
+    with ProcessSource(partial(open_noting, rig, frames, tmp_path), lossless=True) as source:
+        until((tmp_path / f"read {SLOTS}").exists)  # no slot is free
         out = [source.next_frame() for _ in range(3)]
-        time.sleep(0.3)
+        until((tmp_path / f"read {SLOTS + 3}").exists)
+        assert not (tmp_path / "read 39").exists()
         out += list(source)
     assert [frame.sequence for frame in out if frame is not None] == list(range(40))
 
 
 def test_a_slow_caller_of_a_live_source_gets_new_frames_and_the_number_of_lost_ones(
-    nothing_left: None, tmp_path: Path
+    nothing_left: None, tmp_path: Path, until: Callable[[Callable[[], bool]], None]
 ) -> None:
     with ProcessSource(partial(open_troubled, tmp_path)) as source:
         first = source.next_frame()
-        time.sleep(1.0)
+        until(lambda: source.health().unmatched >= 6)  # one for each ten frames
         after = [source.next_frame() for _ in range(10)]
         numbers = [frame.sequence for frame in after if frame is not None]
         assert first is not None

@@ -14,7 +14,6 @@ import pytest
 
 pytest.importorskip("pyrealsense2", reason="the camera driver is not installed", exc_type=ImportError)
 
-from patience import load_factor
 from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
@@ -23,8 +22,8 @@ from tactune.core.sources.base import Health
 from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source
 
-#: Longest recovery on an idle machine, tries of it, and when waiting gives up, in seconds.
-PROMISED_S, ATTEMPTS, ALLOWED_S = 3.0, 3, 60.0
+#: When waiting gives up, in seconds.
+ALLOWED_S = 60.0
 
 
 class Session:
@@ -44,21 +43,20 @@ class Session:
             assert self.source.capture_pid is not None
             os.kill(self.source.capture_pid, what)
 
-    def until(self, holds: Callable[[Health], bool]) -> float:
-        """Record until the health is so; return how long it took."""
-        began_s = time.monotonic()
+    def until(self, holds: Callable[[Health], bool]) -> None:
+        """Record until the health is so."""
+        deadline_s = time.monotonic() + ALLOWED_S
         while not holds(self.source.health()):
-            assert time.monotonic() - began_s < ALLOWED_S, f"still {self.source.health()}"
+            assert time.monotonic() < deadline_s, f"still {self.source.health()}"
             self._record_one()
-        return time.monotonic() - began_s
 
-    def go_through(self, fault: Fault) -> tuple[float, float]:
-        """Harm, mend and go on; return after how long it was told, and then mended."""
+    def go_through(self, fault: Fault) -> None:
+        """Harm, wait until it is told, mend and wait until all is well."""
         self.do(fault.harm)
-        told_s = self.until(lambda health: fault.words in health.message)
+        self.until(lambda health: fault.words in health.message)
         if fault.mend is not None:
             self.do(fault.mend)
-        return told_s, self.until(is_well)
+        self.until(is_well)
 
     def record(self, count: int) -> None:
         """Record this number of further frames."""
@@ -82,9 +80,8 @@ def is_well(health: Health) -> bool:
 
 @pytest.mark.parametrize("fault", FAULTS)
 def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
-    nothing_left: None, tmp_path: Path, capsys: pytest.CaptureFixture[str], fault: str
+    nothing_left: None, tmp_path: Path, fault: str
 ) -> None:
-    told_of = FAULTS[fault]
     path = tmp_path / "session.mcap"
     with (
         ProcessSource(partial(open_software_cameras, tmp_path)) as source,
@@ -93,17 +90,9 @@ def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
         session = Session(tmp_path, source, writer)
         session.record(15)
         assert source.health().message == ""
-        for _ in range(ATTEMPTS):
-            session.until(lambda health: health.message == "")
-            told_s, mended_s = session.go_through(told_of)
-            recovered_s = mended_s if told_of.mend is not None else told_s + mended_s
-            if recovered_s < PROMISED_S * load_factor():
-                break
+        session.go_through(FAULTS[fault])
         session.record(15)
         status = writer.close()
-    with capsys.disabled():
-        print(f"\n{fault}: told after {told_s:.1f} s, mended after {mended_s:.1f} s", end=" ")  # noqa: T201
-    assert recovered_s < PROMISED_S * load_factor()
     assert (status.error, status.dropped, status.frames) == ("", 0, len(session.frames))
     with open_source(str(path)) as recording:
         kept = list(recording)
@@ -117,10 +106,6 @@ def test_a_fault_is_told_and_mended_and_the_recording_stays_whole(
         assert np.array_equal(one.proximity_color, other.proximity_color)
 
 
-def test_no_camera_is_told_at_once(nothing_left: None, tmp_path: Path) -> None:
-    began_s = time.monotonic()
+def test_no_camera_is_told(nothing_left: None) -> None:
     with pytest.raises(SourceError, match=r"^realsense:f0090001,130322270002: .*not connected|^realsense:.* connected"):
         open_source("realsense:f0090001,130322270002")
-    assert (
-        time.monotonic() - began_s < 12.0 * load_factor()
-    )  # the driver itself would search for 15 s; on a quiet machine it takes 1 s
