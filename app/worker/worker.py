@@ -30,7 +30,7 @@ from .results import Result, SourceInfo, SourceState, Wanted
 from .threads import Mailbox, abandon, leave_room_for_the_window
 
 #: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
-_PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
+PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
 
 
 class Worker(QThread):
@@ -170,7 +170,7 @@ class Worker(QThread):
         self._request = None
         self._orders.put(lambda: setattr(self, "_stopping", True))
         self.recorder.close()  # the recorded frames are kept, however slow the disk is
-        if not self.wait(_PATIENCE_MS):
+        if not self.wait(PATIENCE_MS):
             logging.getLogger(__name__).warning(
                 "The source is still busy while the window closes; its thread was abandoned."
             )

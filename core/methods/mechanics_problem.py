@@ -429,7 +429,7 @@ def _diagonal(values: Float64Array) -> sparse.csc_matrix:
 
 
 _TOLERANCE = 1e-10
-_MAX_STEPS = 60
+MAX_STEPS = 60
 
 
 @dataclass(frozen=True, eq=False)
@@ -463,7 +463,7 @@ class MembraneSolver:
         settings = self._solver.settings
         settings.eps_abs = settings.eps_rel = _TOLERANCE
         settings.eps_duality_gap_abs = settings.eps_duality_gap_rel = _TOLERANCE
-        settings.max_iter = _MAX_STEPS
+        settings.max_iter = MAX_STEPS
         lower = np.full(len(first.q), -np.inf)
         lower[first.positive] = 0.0
         self._solver.setup(first.P, first.q, first.A, np.zeros(first.A.shape[0]), x_l=lower)

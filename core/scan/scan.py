@@ -31,7 +31,7 @@ _MAX_TRIANGLES: Final = 20_000_000
 
 #: Textured triangles are subdivided to this edge length, metres, within this total number of triangles.
 _TEXTURE_EDGE_M: Final = 0.0008
-_TEXTURE_TRIANGLES: Final = 3_000_000
+MAX_TEXTURE_TRIANGLES: Final = 3_000_000
 _MAX_CUTS: Final = 24
 
 
@@ -191,7 +191,7 @@ def _cut_edge(vertices: Float64Array, triangles: Int64Array) -> float:
     sides = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
     longest, edge = np.linalg.norm(sides, axis=2).max(axis=1), _TEXTURE_EDGE_M
     # each subdivision halves the edges of a triangle and makes at most four of it
-    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(_TEXTURE_TRIANGLES, len(triangles)):
+    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(MAX_TEXTURE_TRIANGLES, len(triangles)):
         edge *= 1.2
     return edge
 

@@ -10,16 +10,16 @@ import pytest
 from PyQt6.QtWidgets import QApplication
 
 from fake_cameras import FakeCameras
+from hands import show_source
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import SourceInfo, Wanted
 from tactune.app.worker.threads import wait_for_abandoned
-from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.warmup import warm_up_if_needed
 from tactune.core.preset import Preset
-from tiny_sensor import TinySource, at_rest, tiny_frame, tiny_rig
+from tiny_sensor import TinySource, tiny_frame, tiny_rig
 from watched_worker import Watched
 
 
@@ -85,11 +85,7 @@ def make_window(qtbot, preset, tmp_path, settings_file) -> Iterator[Callable[...
 def window(qtbot, make_window) -> MainWindow:
     """A window that stands still at frame 3 of a recording of 8."""
     made = make_window()
-    made.open_request(SourceRequest("tiny", lambda progress: TinySource()))
-    qtbot.waitUntil(lambda: made.result is not None)
-    made.worker.pause()
-    made.worker.seek(3)
-    qtbot.waitUntil(lambda: at_rest(made, 3))
+    show_source(qtbot, made, TinySource(), 3)
     return made
 
 
@@ -97,9 +93,8 @@ def window(qtbot, make_window) -> MainWindow:
 def cameras(window, qtbot) -> FakeCameras:
     """Live cameras in the window; their first frame is shown."""
     made = FakeCameras()
-    window.open_request(SourceRequest(made.name, lambda progress: made))
     made.release()
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == made.name)
+    show_source(qtbot, window, made)
     return made
 
 

@@ -13,6 +13,7 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QLabel, QStyle, QStyleOptionViewItem
 
+from hands import show_source
 from tactune.app.analysis import comparer
 from tactune.app.analysis.compare_table import comparison_csv
 from tactune.app.analysis.comparer import Scores
@@ -66,13 +67,9 @@ def compiled_methods(compiled) -> None:
     comparer.Comparer().compare(comparer.Task(result, ("fusion-rigid", "tactile-only"), source.untouched()))
 
 
-def open_on(qtbot, window, make):
+def open_on(qtbot, window, source):
     """Open a source at frame 3 and the tab on it."""
-    window.open_request(SourceRequest("knowing", lambda progress: make()))
-    qtbot.waitUntil(lambda: window.result is not None)
-    window.worker.pause()
-    window.worker.seek(3)
-    qtbot.waitUntil(lambda: at_rest(window, 3))
+    show_source(qtbot, window, source, 3)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_F7)
@@ -108,7 +105,7 @@ def window(make_window):
 
 @pytest.fixture
 def tab(qtbot, window):
-    return open_on(qtbot, window, KnowingSource)
+    return open_on(qtbot, window, KnowingSource())
 
 
 def outcomes(tab) -> dict[str, comparer.Outcome]:
@@ -220,7 +217,7 @@ def test_another_preset_is_compared_at_once(qtbot, window, tab):
 
 
 def test_without_an_untouched_frame_the_view_says_how_to_get_one(qtbot, window):
-    tab = open_on(qtbot, window, lambda: KnowingSource(untouched=False))
+    tab = open_on(qtbot, window, KnowingSource(untouched=False))
     tile = tab.grid.tiles["tactile-only"]
     assert "Ctrl+Shift+R" in tile.view.message()
     assert "no patch" in tile.caption.text()
@@ -228,7 +225,7 @@ def test_without_an_untouched_frame_the_view_says_how_to_get_one(qtbot, window):
 
 
 def test_without_truth_there_is_no_view_of_it_and_no_score(qtbot, window):
-    tab = open_on(qtbot, window, lambda: KnowingSource(truth=False))
+    tab = open_on(qtbot, window, KnowingSource(truth=False))
     assert tab.grid.shown() == ["fusion-rigid", "tactile-only"]
     assert "RMSE" not in tab.grid.tiles["fusion-rigid"].caption.text()
     assert "no truth known" in tab.status.text()
@@ -240,7 +237,7 @@ def test_a_damaged_untouched_frame_is_said_and_tried_again(qtbot, window):
         def untouched(self) -> SensorFrame | None:
             raise SourceError("the untouched frame is damaged; capture it again")
 
-    tab = open_on(qtbot, window, Damaged)
+    tab = open_on(qtbot, window, Damaged())
     assert "the untouched frame is damaged; capture it again" in tab.grid.tiles["tactile-only"].view.message()
 
 
@@ -256,7 +253,7 @@ def test_the_untouched_frame_of_the_preset_goes_first(preset, tmp_path):
 
 
 def test_preparing_the_untouched_frame_can_be_cancelled_and_begun_again(qtbot, window):
-    tab = open_on(qtbot, window, KnowingSource)
+    tab = open_on(qtbot, window, KnowingSource())
     may_end = Event()
 
     def slow(_preset, _path, progress):
@@ -284,7 +281,7 @@ def test_a_method_that_breaks_leaves_the_others_alone(qtbot, window, monkeypatch
         return make_method(name, *rest)
 
     monkeypatch.setattr(comparer, "make_method", broken)
-    tab = open_on(qtbot, window, KnowingSource)
+    tab = open_on(qtbot, window, KnowingSource())
     assert "ZeroDivisionError: a defect" in tab.grid.tiles["tactile-only"].view.message()
     assert outcomes(tab)["fusion-rigid"].scores.points
 
@@ -302,8 +299,7 @@ def test_a_slow_method_holds_up_nothing_and_its_frames_are_skipped(qtbot, window
             return self._method.find(frame)
 
     monkeypatch.setattr(comparer, "make_method", lambda *args: Slow(make_method(*args)))
-    window.open_request(SourceRequest("knowing", lambda progress: KnowingSource()))
-    qtbot.waitUntil(lambda: window.result is not None)
+    show_source(qtbot, window, KnowingSource())
     window.analysis.actions["compare"].trigger()
     tab = window.analysis.window.made["compare"]
     started = window.result.processed

@@ -8,10 +8,10 @@ import sys
 import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel, QPushButton
+from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel
 
 from fake_cameras import FakeCameras
-from hands import type_into
+from hands import press, show_source, type_into
 from tactune.app.cameras import chooser as search_module
 from tactune.app.cameras import control
 from tactune.app.cameras.chooser import CameraSearch, FoundCamera
@@ -275,14 +275,10 @@ def test_the_delay_is_entered_in_milliseconds(window, panel):
 def test_changed_cameras_are_offered_to_be_opened_again(window, qtbot):
     cameras = FakeCameras()
     cameras.name = "realsense:f001,d002"
-    window.open_request(SourceRequest(cameras.name, lambda progress: cameras))
     cameras.release()
-    qtbot.waitUntil(lambda: window.result is not None)
+    show_source(qtbot, window, cameras)
     window.document.edit("cameras.tactile_delay_s", 0.1)
-    message = window.messages.message("cameras")
-    assert message is not None
-    [button] = [button for button in message.findChildren(QPushButton) if button.text() == "Open again"]
-    QTest.mouseClick(button, LEFT)
+    press(window.messages.message("cameras"), "Open again")
     assert window.opened_names == ["cameras:"]
 
 

@@ -11,13 +11,12 @@ from PyQt6.QtGui import QImage
 from PyQt6.QtTest import QTest
 
 from contrast import contrast_ratio
-from hands import text_of
+from hands import show_source, text_of
 from seen_clouds import canvas_of
 from tactune.app.window.frame_presenter import badge, source_sentence
 from tactune.app.worker import reading
 from tactune.app.worker.processing import FrameProcessor
 from tactune.app.worker.results import CloudName, SourceState
-from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth, Health
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
 from tiny_sensor import TinySource
@@ -66,8 +65,7 @@ def test_all_marks_go_when_the_camera_is_back(window, cameras, qtbot):
 def test_another_source_takes_the_marks_away(window, cameras, qtbot):
     cameras.faults["tactile"] = "missing"
     qtbot.waitUntil(lambda: badges(window)["patch"] != "")
-    window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == "tiny")
+    show_source(qtbot, window, TinySource())
     assert set(badges(window).values()) == {""}
 
 
@@ -131,8 +129,7 @@ def test_freezing_by_key_holds_the_frame_and_says_nothing_of_old(window, cameras
 def test_space_pauses_and_goes_on(window, cameras, qtbot):
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: not window.transport.state.playing)
-    cameras.release(3)
-    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    cameras.give(qtbot, 3)
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: window.result.frame.sequence == 3)
     assert not window.transport.slider.isEnabled()

@@ -75,8 +75,7 @@ def test_a_held_live_source_is_drained_and_goes_on_with_the_newest(watched, came
     hold_on = watched.worker.pause if hold == "pause" else lambda: watched.worker.set_frozen(True)
     hold_on()
     qtbot.waitUntil(lambda: bool(watched.modes) and not watched.modes[-1].running)
-    cameras.release(5)
-    qtbot.waitUntil(lambda: len(cameras.given) == 6)
+    cameras.give(qtbot, 5)
     assert watched.last.frame.sequence == 0
     watched.worker.play()
     qtbot.waitUntil(lambda: watched.last.frame.sequence == 5)

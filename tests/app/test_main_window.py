@@ -11,7 +11,7 @@ from PyQt6.QtCore import Qt, QTimer
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QDialog, QPushButton, QScrollArea, QWidget
 
-from hands import text_of
+from hands import show_source, text_of
 from tactune.app.worker.results import CloudName, ColorBy
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import SourceError
@@ -39,11 +39,6 @@ class OneCameraSource(TinySource):
         return replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
 
 
-def opened(window, source, qtbot):
-    window.open_request(SourceRequest(source.name, lambda progress: source))
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
-
-
 def test_shows_every_part_of_a_frame(window):
     views = window.views.views
     assert views[CloudName.PATCH].point_count() == len(window.result.patch.points) > 0
@@ -61,7 +56,7 @@ def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     assert "Source menu" in window.views.views[CloudName.PATCH].message()
     assert not window.actions_.export_patch.isEnabled()
     window.document.edit("tolerance.t", 0.001)
-    opened(window, TinySource(length=1), qtbot)
+    show_source(qtbot, window, TinySource(length=1))
     qtbot.waitUntil(lambda: "No contact yet" in window.views.views[CloudName.PATCH].message())
     assert text_of(window.transport) == "1 / 1"
 
@@ -107,12 +102,12 @@ def test_one_camera_says_that_there_is_no_contact_to_find(make_window, qtbot):
     nobody = rig.proximity.model_copy(update={"model": "none", "serial": ""})
     alone = rig.model_copy(update={"tactile": nobody})
     window = make_window()
-    opened(window, OneCameraSource(rig=alone), qtbot)
+    show_source(qtbot, window, OneCameraSource(rig=alone))
     views = window.views.views
     qtbot.waitUntil(lambda: views[CloudName.TACTILE].message() == "This recording has no tactile camera")
     assert views[CloudName.PATCH].message() == "One camera only: no contact can be found"
     assert views[CloudName.PROXIMITY].message() == ""
-    opened(window, TinySource(), qtbot)
+    show_source(qtbot, window, TinySource())
     qtbot.waitUntil(lambda: views[CloudName.PATCH].point_count() > 0)
     assert {view.message() for view in views.values()} == {""}
 
@@ -219,7 +214,7 @@ def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
 @pytest.mark.parametrize("size", [(1280, 800), (1920, 1080)])
 def test_nothing_is_cut_off(make_window, qtbot, size):
     window = make_window(size=size)
-    opened(window, TinySource(length=1), qtbot)
+    show_source(qtbot, window, TinySource(length=1))
     QApplication.processEvents()
     assert (window.width(), window.height()) == size
     shown = window.rect()
@@ -240,7 +235,7 @@ def test_a_refused_value_is_said_beside_its_row(window):
 
 def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
     window = make_window(preset.model_copy(update={"rig": tiny_rig(serial="9")}))
-    opened(window, TinySource(length=4), qtbot)
+    show_source(qtbot, window, TinySource(length=4))
     qtbot.waitUntil(lambda: window.messages.message("rig") is not None)
     assert "p9" in window.messages.message("rig").sentence
     window.messages.clear("rig")
@@ -251,7 +246,7 @@ def test_another_rig_warns_once_and_can_be_put_away(make_window, qtbot, preset):
 
 def test_a_preset_of_another_size_says_so_and_shows_the_cameras(make_window, qtbot, preset):
     window = make_window(preset.model_copy(update={"rig": tiny_rig(32, 24)}))
-    opened(window, TinySource(length=1), qtbot)
+    show_source(qtbot, window, TinySource(length=1))
     assert "32 x 24" in window.messages.message("problem").sentence
     assert window.views.views[CloudName.PROXIMITY].point_count() > 0
     assert not window.actions_.export_patch.isEnabled()
@@ -284,7 +279,7 @@ def test_choosing_another_source_gives_up_the_one_being_opened(window, qtbot):
     qtbot.waitUntil(window.opening.isVisible)
     other = TinySource(length=2)
     other.name = "other"
-    opened(window, other, qtbot)
+    show_source(qtbot, window, other)
     assert not window.opening.isVisible()
 
 
@@ -307,7 +302,7 @@ def test_names_on_buttons_keep_their_ampersands(window):
 
 def test_a_single_frame_has_nothing_to_play(make_window, qtbot):
     window = make_window()
-    opened(window, TinySource(length=1), qtbot)
+    show_source(qtbot, window, TinySource(length=1))
     for action in (window.actions_.play, window.actions_.next, window.actions_.freeze):
         assert not action.isEnabled()
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QLabel, QPushButton
+from PyQt6.QtWidgets import QLabel
 
-from hands import text_of
+from hands import press, show_source, text_of
 from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_abandoned
@@ -58,6 +58,12 @@ def frames_of(path):
         return list(source)
 
 
+def recorded(folder):
+    """The frames of the only recording in a folder."""
+    (path,) = folder.iterdir()
+    return frames_of(path)
+
+
 def assert_same(read, given):
     assert [frame.sequence for frame in read] == [frame.sequence for frame in given] != []
     for one, other in zip(read, given, strict=True):
@@ -70,8 +76,7 @@ def test_the_key_records_every_frame_and_the_file_plays_them(window, cameras, qt
     begin(window, qtbot)
     assert window.actions_.record.isChecked()
     assert window.recording_bar.isVisible()
-    cameras.release(40)
-    qtbot.waitUntil(lambda: len(cameras.given) == 41)
+    cameras.give(qtbot, 40)
     end(window, qtbot)
     assert not window.recording_bar.isVisible()
     assert not window.actions_.record.isChecked()
@@ -85,55 +90,39 @@ def test_frames_are_recorded_that_were_never_shown(window, cameras, qtbot, folde
     begin(window, qtbot)
     QTest.keyClick(window, Qt.Key.Key_F)
     qtbot.waitUntil(lambda: window.transport.state.frozen)
-    cameras.release(20)
-    qtbot.waitUntil(lambda: len(cameras.given) == 21)
+    cameras.give(qtbot, 20)
     assert window.result.frame.sequence == 0
     end(window, qtbot)
-    [path] = folder.iterdir()
-    assert len(frames_of(path)) == 20
+    assert len(recorded(folder)) == 20
 
 
 def test_the_file_can_be_opened_from_the_message(window, cameras, qtbot, folder):
     begin(window, qtbot)
-    cameras.release(3)
-    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    cameras.give(qtbot, 3)
     end(window, qtbot)
-    [button] = [
-        button
-        for button in window.messages.message("recording").findChildren(QPushButton)
-        if button.text() == "Open recording"
-    ]
-    QTest.mouseClick(button, LEFT)
+    press(window.messages.message("recording"), "Open recording")
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 3)
     assert window.transport.state.seekable
 
 
 def test_a_recording_that_is_played_records_what_is_played(window, qtbot, folder):
-    source = TinySource(length=8)
-    window.open_request(SourceRequest(source.name, lambda progress: source))
-    qtbot.waitUntil(lambda: window.result is not None)
     window.worker.set_loop(False)
-    window.worker.pause()
-    window.worker.seek(3)
-    qtbot.waitUntil(lambda: window.transport.state.index == 3 and not window.transport.state.playing)
+    show_source(qtbot, window, TinySource(length=8), 3)
     begin(window, qtbot)
     assert "press Space" in text_of(window.recording_bar)
     QTest.keyClick(window, Qt.Key.Key_Space)
     qtbot.waitUntil(lambda: window.transport.state.at_end and not window.transport.state.playing)
     end(window, qtbot)
-    [path] = folder.iterdir()
-    assert [frame.sequence for frame in frames_of(path)] == [3, 4, 5, 6, 7]
+    assert [frame.sequence for frame in recorded(folder)] == [3, 4, 5, 6, 7]
 
 
 def test_another_source_ends_the_recording_and_that_is_said(window, cameras, qtbot, folder):
     begin(window, qtbot)
-    cameras.release(2)
-    qtbot.waitUntil(lambda: len(cameras.given) == 3)
+    cameras.give(qtbot, 2)
     window.open_request(SourceRequest("tiny", lambda progress: TinySource()))
     qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because tiny was opened." in told(window)
-    [path] = folder.iterdir()
-    assert len(frames_of(path)) == 2
+    assert len(recorded(folder)) == 2
 
 
 def test_cameras_that_come_back_are_recorded_on(window, cameras, qtbot, folder):
@@ -142,23 +131,19 @@ def test_cameras_that_come_back_are_recorded_on(window, cameras, qtbot, folder):
     cameras.faults["tactile"] = "missing"
     qtbot.waitUntil(lambda: "not connected" in window.views.views["tactile"].badge())
     cameras.faults.clear()
-    cameras.release(2)
-    qtbot.waitUntil(lambda: len(cameras.given) == 4)
+    cameras.give(qtbot, 2)
     assert window.recording.running
     end(window, qtbot)
-    [path] = folder.iterdir()
-    assert len(frames_of(path)) == 3
+    assert len(recorded(folder)) == 3
 
 
 def test_closing_the_window_finishes_the_file(window, cameras, qtbot, folder):
     begin(window, qtbot)
-    cameras.release(30)
-    qtbot.waitUntil(lambda: len(cameras.given) == 31)
+    cameras.give(qtbot, 30)
     window.close()
     qtbot.waitUntil(lambda: not window.isVisible())
     assert window.worker.isFinished()
-    [path] = folder.iterdir()
-    assert_same(frames_of(path), cameras.given[1:])
+    assert_same(recorded(folder), cameras.given[1:])
 
 
 def test_without_a_source_there_is_nothing_to_record(window, qtbot, folder):
@@ -197,13 +182,11 @@ def test_a_disk_without_room_is_refused(window, cameras, qtbot, monkeypatch):
 
 def test_a_disk_that_fills_up_ends_the_recording_in_time(window, cameras, qtbot, monkeypatch, folder):
     begin(window, qtbot)
-    cameras.release(4)
-    qtbot.waitUntil(lambda: len(cameras.given) == 5)
+    cameras.give(qtbot, 4)
     monkeypatch.setattr(recording, "free_bytes", lambda folder: 1_000_000)
     qtbot.waitUntil(lambda: not window.recording.running)
     assert "It ended because only 1.0 MB are free" in told(window)
-    [path] = folder.iterdir()
-    assert len(frames_of(path)) == 4
+    assert len(recorded(folder)) == 4
 
 
 def test_a_folder_that_cannot_be_made_is_said(window, cameras, qtbot, tmp_path):
@@ -240,7 +223,7 @@ def test_frames_that_never_reached_the_recorder_are_told(window, cameras, qtbot)
 
 
 def test_the_window_closes_while_a_recording_is_made_of_a_source_that_hangs(window, qtbot, folder, monkeypatch):
-    monkeypatch.setattr(worker, "_PATIENCE_MS", 200)
+    monkeypatch.setattr(worker, "PATIENCE_MS", 200)
     source = HangingSource()
     window.open_request(SourceRequest(source.name, lambda progress: source))
     window.worker.pause()  # a source plays once it is open, and this one must not hang yet

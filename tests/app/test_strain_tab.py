@@ -11,21 +11,18 @@ import pytest
 from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtGui import QMouseEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QLabel, QPushButton
+from PyQt6.QtWidgets import QApplication, QLabel
 
-from hands import image_position, type_into
+from hands import image_position, press, show_source, type_into
+from rigs import one_place_rig
 from tactune.app.analysis import strain_tab
 from tactune.app.analysis.strain_work import StrainTask, examine
-from tactune.app.worker.reading import SourceRequest
 from tactune.core.errors import FrameError
-from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame, TrueStrain
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import GroundTruth, SensorFrame, TrueStrain
 from tactune.core.sources.base import SeekableSource
-from tiny_sensor import at_rest
 
-LENS = Intrinsics(width=320, height=240, fx=193.0, fy=193.0, cx=159.5, cy=119.5)
-CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-5)
-RIG = Rig(proximity=CAMERA, tactile=CAMERA, T_proximity_tactile=np.eye(4).tolist())
+RIG = one_place_rig(320, 240, 193.0, 1e-5, 1e-5)
+CAMERA, LENS = RIG.tactile, RIG.tactile.intrinsics
 V, U = np.mgrid[:240, :320].astype(float)
 
 
@@ -60,11 +57,7 @@ class PressedGrid(SeekableSource):
 
 def opened(qtbot, window, source=None, index=3):
     """Show a frame of the grid in the tab, opened by its key."""
-    window.open_request(SourceRequest("grid", lambda progress: source or PressedGrid()))
-    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == "grid")
-    window.worker.pause()
-    window.worker.seek(index)
-    qtbot.waitUntil(lambda: at_rest(window, index))
+    show_source(qtbot, window, source or PressedGrid(), index)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_T, Qt.KeyboardModifier.ControlModifier)
@@ -185,8 +178,7 @@ def test_a_reset_curve_can_be_brought_back(qtbot, make_window):
     tab = opened(qtbot, make_window())
     QTest.mouseClick(tab.reset, Qt.MouseButton.LeftButton)
     assert not tab.curve.points
-    (offer,) = [b for b in tab.messages.message("reset").findChildren(QPushButton) if b.text() == "Bring it back"]
-    QTest.mouseClick(offer, Qt.MouseButton.LeftButton)
+    press(tab.messages.message("reset"), "Bring it back")
     assert [point.sequence for point in tab.curve.points] == [3]
 
 

@@ -194,7 +194,7 @@ def test_shutting_down_while_a_source_opens(qtbot, preset):
 def test_a_disk_that_hangs_does_not_keep_the_window_open_and_what_was_recorded_is_kept(
     qtbot, preset, monkeypatch, caplog, tmp_path
 ):
-    monkeypatch.setattr(worker_module, "_PATIENCE_MS", 200)
+    monkeypatch.setattr(worker_module, "PATIENCE_MS", 200)
     watched, source = Watched(preset), HangingSource()
     watched.worker.pause()
     watched.open(source)

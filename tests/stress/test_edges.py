@@ -8,23 +8,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.bench.reference_pipeline import reference_patch
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.contact.outliers.statistical import statistical_inliers
 from tactune.core.contact.pipeline import ContactPatch, ContactPipeline
 from tactune.core.errors import TactuneError
-from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame, rigid_transform
-from tactune.core.model.intrinsics import Distortion, Intrinsics
+from tactune.core.model.frames import ColorCamera, Rig, SensorFrame, rigid_transform
+from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset
 
 
 def small_rig(width: int = 64, height: int = 48, **tactile: Any) -> Rig:
-    lens = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=(width - 1) / 2, cy=(height - 1) / 2)
-    return Rig(
-        proximity=DepthCamera(intrinsics=lens, depth_unit_m=0.00025),
-        tactile=DepthCamera(intrinsics=lens.model_copy(update=tactile), depth_unit_m=0.0001),
-        T_proximity_tactile=rigid_transform(np.eye(4)),
-    )
+    rig = one_place_rig(width, height, 60.0)
+    lens = rig.tactile.intrinsics.model_copy(update=tactile)
+    return rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"intrinsics": lens})})
 
 
 def frame_of(rig: Rig, proximity: Any, tactile: Any) -> SensorFrame:

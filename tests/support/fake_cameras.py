@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from threading import Condition, Event, Thread, current_thread
 
+from pytestqt.qtbot import QtBot
+
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.sources.base import CameraHealth, CameraOption, CameraRole, FrameSource, Health
@@ -56,6 +58,13 @@ class FakeCameras(FrameSource):
         with self._changed:
             self._ready += count
             self._changed.notify_all()
+
+    def give(self, qtbot: QtBot, count: int) -> None:
+        """Release frames and wait until all are taken."""
+        with self._changed:
+            wanted = len(self.given) + self._ready + count
+        self.release(count)
+        qtbot.waitUntil(lambda: len(self.given) >= wanted)
 
     def run(self, rate_hz: float = 30.0) -> None:
         def expose() -> None:

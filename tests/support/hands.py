@@ -7,7 +7,9 @@ from PyQt6.QtGui import QDragEnterEvent, QDropEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton
 
+from tactune.app.worker.reading import SourceRequest
 from tactune.widgets.basics.message_bar import Message
+from tiny_sensor import at_rest
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -22,6 +24,16 @@ def drag_slider(slider, *fractions):
     for point in points[1:]:
         QTest.mouseMove(slider, point)
     QTest.mouseRelease(slider, LEFT, pos=points[-1])
+
+
+def show_source(qtbot, window, source, index=None):
+    """Open a source and wait for a frame of it; with an index, stand still at that frame."""
+    window.open_request(SourceRequest(source.name, lambda progress: source))
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == source.name)
+    if index is not None:
+        window.worker.pause()
+        window.worker.seek(index)
+        qtbot.waitUntil(lambda: at_rest(window, index))
 
 
 def type_into(entry, text, end=Qt.Key.Key_Return):

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from rigs import one_place_rig
+from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.sources import SeekableSource
 
 UNIT_M = 0.00025
 MEMBRANE_M = 0.3
 
 
-def small_rig(width: int, serial: str = "P1") -> Rig:
-    lens = Intrinsics(width=width, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
-    return Rig(
-        proximity=DepthCamera(model="near", serial=serial, intrinsics=lens, depth_unit_m=UNIT_M),
-        tactile=DepthCamera(model="far", serial="T1", intrinsics=lens, depth_unit_m=0.0001),
-        T_proximity_tactile=np.eye(4).tolist(),
-    )
+def small_rig(width: int, serial: str = "1") -> Rig:
+    return one_place_rig(width, 48, 60.0, UNIT_M, serial=serial)
 
 
 class FlatPress(SeekableSource):

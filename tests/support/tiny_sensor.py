@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rigs import one_place_rig
 from tactune.core.errors import SourceError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.sources.base import FrameSource, SeekableSource
 
 if TYPE_CHECKING:
@@ -21,14 +21,7 @@ MEMBRANE_RGB = (40, 60, 200)
 
 
 def tiny_rig(width: int = WIDTH, height: int = HEIGHT, serial: str = "1") -> Rig:
-    """Both cameras in one place, so that pixels match one to one."""
-    intrinsics = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=(width - 1) / 2, cy=(height - 1) / 2)
-    pose = np.eye(4).tolist()
-    return Rig(
-        proximity=DepthCamera(model="L515", serial=f"p{serial}", intrinsics=intrinsics, depth_unit_m=0.00025),
-        tactile=DepthCamera(model="D405", serial=f"t{serial}", intrinsics=intrinsics, depth_unit_m=0.0001),
-        T_proximity_tactile=pose,
-    )
+    return one_place_rig(width, height, 60.0, serial=serial)
 
 
 def tiny_frame(index: int, rig: Rig) -> SensorFrame:

@@ -57,13 +57,25 @@ def test_a_handle_is_dragged_in_one_gesture(qtbot) -> None:
     assert len({gesture for *_, gesture in edits}) == 2
 
 
-def test_handles_do_not_cross_without_wrapping(qtbot) -> None:
-    slider = make(qtbot, wraps=False, low=50, high=120)
-    drag(slider, 50, 100, 160)
-    assert slider.value() == (120, 120)
-    slider = make(qtbot, wraps=False, low=50, high=120, gap=5)
-    drag(slider, 120, 80, 10)
-    assert slider.value() == (50, 55)
+@pytest.mark.parametrize(
+    ("wraps", "low", "high", "gap", "drags", "value"),
+    [
+        (False, 50, 120, 0, [(50, 100, 160)], (120, 120)),  # handles do not cross
+        (False, 50, 120, 5, [(120, 80, 10)], (50, 55)),
+        (True, 150, 170, 0, [(170, 100, 10)], (150, 10)),  # but on a circle they do
+        (False, 50, 100, 0, [(75, 85, 95)], (70, 120)),  # the band moves as a whole
+        (False, 50, 100, 0, [(75, 85, 95), (95, 179)], (129, 179)),
+        (True, 140, 170, 0, [(155, 170)], (155, 5)),  # and turns on a circle
+        (True, 140, 170, 0, [(155, 170), (0, 20)], (175, 25)),
+    ],
+)
+def test_drags_end_where_they_should(qtbot, wraps, low, high, gap, drags, value) -> None:
+    slider = make(qtbot, wraps=wraps, low=low, high=high, gap=gap)
+    assert not slider.wrapped()
+    for places in drags:
+        drag(slider, *places)
+    assert slider.value() == value
+    assert slider.wrapped() == (value[0] > value[1])
 
 
 def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
@@ -75,30 +87,6 @@ def test_two_handles_on_one_spot_come_apart_both_ways(qtbot) -> None:
     slider.setValue(179, 179)
     drag(slider, 179, 150)
     assert slider.value() == (150, 179)
-
-
-def test_hue_handles_cross_and_the_band_wraps(qtbot) -> None:
-    slider = make(qtbot, wraps=True, low=150, high=170)
-    assert not slider.wrapped()
-    drag(slider, 170, 100, 10)
-    assert slider.value() == (150, 10)
-    assert slider.wrapped()
-
-
-def test_dragging_the_band_moves_both_ends(qtbot) -> None:
-    slider = make(qtbot, wraps=False, low=50, high=100)
-    drag(slider, 75, 85, 95)
-    assert slider.value() == (70, 120)
-    drag(slider, 95, 179)
-    assert slider.value() == (129, 179)
-
-
-def test_dragging_a_hue_band_rotates_it(qtbot) -> None:
-    slider = make(qtbot, wraps=True, low=140, high=170)
-    drag(slider, 155, 170)
-    assert slider.value() == (155, 5)
-    drag(slider, 0, 20)
-    assert slider.value() == (175, 25)
 
 
 def test_a_press_beside_the_band_brings_the_nearer_handle(qtbot) -> None:

@@ -32,7 +32,7 @@ _MIN_MEAN_M = 1e-12
 #: Up to this number of points, all distances are computed exactly.
 _FEW_POINTS = 64
 #: Up to this number of distances, comparing with all points is faster than a k-d tree; and on one thread.
-_MAX_PAIRS, _MAX_PAIRS_ONE_THREAD = 150_000_000, 1_000_000
+MAX_PAIRS, MAX_PAIRS_ONE_THREAD = 150_000_000, 1_000_000
 #: Windows of single points cover at most this share of the number of points, but are at least this large.
 _MAX_WINDOW_SHARE, _MIN_POINT_RADIUS = 0.25, 7
 #: Runs, and points compared with all others, that one thread takes at a time.
@@ -165,7 +165,7 @@ def near_means(
     left = np.flatnonzero(np.isnan(means))
     if len(left) == 0:
         return means
-    if len(left) * len(points) > _MAX_PAIRS:
+    if len(left) * len(points) > MAX_PAIRS:
         means[left] = exact_means(points, k, left)
     else:
         compare_with_all(left, points, k, means)
@@ -201,7 +201,7 @@ def compare_with_all(left: IndexArray, points: Float32Array, k: int, means: Floa
         squares, kept = (scratch(name, len(points) + 2 * LANES, np.float32) for name in ("squares", "kept"))
         search_all(left[chosen], all_points, k, squares, kept, means)
 
-    if len(left) * len(points) <= _MAX_PAIRS_ONE_THREAD:
+    if len(left) * len(points) <= MAX_PAIRS_ONE_THREAD:
         compare(slice(None))
     else:
         parts = -(-len(left) // _COMPARED)

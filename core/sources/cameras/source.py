@@ -20,7 +20,7 @@ from .drivers import camera_drivers, choose, connected_devices
 
 _ANY_CAMERAS: Final = CamerasSection()
 #: A driver call that takes longer than this counts as hung.
-_HUNG_S: Final = 8.0
+HUNG_S: Final = 8.0
 
 
 def open_cameras(driver: str, cameras: CamerasSection, progress: Progress) -> FrameSource:
@@ -196,5 +196,5 @@ class CameraSource(FrameSource):
 
     def _refuse_hung_driver(self) -> None:
         for feed in self._feeds.values():
-            if not self._assembler.closed and time.monotonic() - feed.alive_s > _HUNG_S:
+            if not self._assembler.closed and time.monotonic() - feed.alive_s > HUNG_S:
                 raise SourceError(f"{self.name} the driver does not come back from the {feed.info.title}")

@@ -43,7 +43,7 @@ _OTHER_SEEDS: Final = 1_000_000
 
 #: Cached versions of a scene, and size of the whole cache, bytes.
 _VERSIONS: Final = 3
-_ALL_BYTES: Final = 4_000_000_000
+MAX_CACHE_BYTES: Final = 4_000_000_000
 
 #: Files of this folder on which the clean images depend beyond `Scene.key`.
 CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
@@ -272,7 +272,7 @@ def _clean_up(path: Path) -> None:
     for file in last_used:
         with suppress(OSError):
             total += 0 if file in spare else file.stat().st_size
-        if total > _ALL_BYTES:
+        if total > MAX_CACHE_BYTES:
             spare.add(file)
     for file in spare - {path}:
         with suppress(OSError):  # another user's, or already removed

@@ -102,22 +102,13 @@ def test_what_is_damaged_is_set_aside_and_told(qapp, tmp_path):
     assert Kept(tmp_path).session.state == state()
 
 
-def test_without_the_patch_pairs_and_pose_are_still_there(qapp, tmp_path):
+@pytest.mark.parametrize("harm", [Path.unlink, lambda file: file.write_bytes(file.read_bytes()[:100])])
+def test_without_a_whole_patch_pairs_and_pose_are_still_there(qapp, tmp_path, harm):
     first = Kept(tmp_path)
     first.session.edit("All", state())
     first.close()
-    for file in tmp_path.glob("patch-*.npz"):
-        file.unlink()
-    second = Kept(tmp_path)
-    assert second.session.state == replace(state(), patch=None)
-
-
-def test_with_a_damaged_patch_pairs_and_pose_are_still_there(qapp, tmp_path):
-    first = Kept(tmp_path)
-    first.session.edit("All", state())
-    first.close()
-    for file in tmp_path.glob("patch-*.npz"):
-        file.write_bytes(file.read_bytes()[:100])
+    (file,) = tmp_path.glob("patch-*.npz")
+    harm(file)
     assert Kept(tmp_path).session.state == replace(state(), patch=None)
 
 

@@ -15,7 +15,7 @@ from tactune.core.sources.folder import export_folder
 def make_recording(tmp_path: Path) -> Callable[..., Path]:
     """Write a recording of four frames; the first has no contact, the last 24 x 24 pixels of it."""
 
-    def make(name: str = "recording", *, serial: str = "P1", width: int = 64, with_truth: bool = True) -> Path:
+    def make(name: str = "recording", *, serial: str = "1", width: int = 64, with_truth: bool = True) -> Path:
         export_folder(GrowingPress(small_rig(width, serial), 4, with_truth), tmp_path / name)
         return tmp_path / name
 

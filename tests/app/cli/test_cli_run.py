@@ -150,9 +150,9 @@ def test_another_serial_is_a_warning_and_another_size_an_error(
     preset = tmp_path / "mine.json"
     save_preset(Preset(name="mine", rig=load_rig(make_recording("first") / "rig.json")), preset)
 
-    other_serial = tactune("run", "-s", make_recording("second", serial="P2"), "-p", preset, "--json")
+    other_serial = tactune("run", "-s", make_recording("second", serial="2"), "-p", preset, "--json")
     assert other_serial.status == 0
-    assert "P1" in other_serial.err
+    assert "p1" in other_serial.err
     assert "P2" in other_serial.err
     assert len(other_serial.out.splitlines()) == 4
 

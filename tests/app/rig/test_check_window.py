@@ -13,11 +13,11 @@ from PyQt6.QtCore import QEvent
 from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import QApplication
 
+from hands import show_source
 from side_by_side import HEIGHT, WIDTH, counts
 from tactune.app.rig import skew_tab
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
-from tactune.app.worker.worker import SourceRequest
 from tactune.core.errors import FrameError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
@@ -117,8 +117,7 @@ def open_checks(qtbot, tmp_path) -> Iterator[Open]:
         main = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, native_dialogs=False, backend="software")
         windows.append(main)
         main.show()
-        main.open_request(SourceRequest(source.name, lambda _: source))
-        qtbot.waitUntil(lambda: main.result is not None, timeout=15000)
+        show_source(qtbot, main, source)
         main.actions_.check_cameras.trigger()
         qtbot.waitUntil(main.checks.window.isVisible)
         return main

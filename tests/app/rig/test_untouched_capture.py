@@ -12,6 +12,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from hands import type_into
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.calibration.snapshots import content_hash
@@ -85,9 +86,7 @@ def open_capture(qtbot, window):
 def capture(qtbot, window, frames=5):
     """Open the window, type a number of frames, click on Capture and wait."""
     opened = open_capture(qtbot, window)
-    opened.frames.setFocus()
-    opened.frames.selectAll()
-    QTest.keyClicks(opened.frames, str(frames))
+    type_into(opened.frames, str(frames), Qt.Key.Key_Tab)
     QTest.mouseClick(opened.take, Qt.MouseButton.LeftButton)
     qtbot.waitUntil(lambda: not opened.capture.busy)
     return opened

@@ -6,7 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
-from rig_files import save_rig
+from rigs import save_rig
 from simulated_clicks import ClickNoise, make_clicks
 from tactune.core.calibration import write_points
 from tactune.core.preset import Preset

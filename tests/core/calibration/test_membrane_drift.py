@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.errors import CalibrationError, FrameError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.drift import LIMIT_M, compare_with_untouched
 from tactune.core.rig.untouched import untouched_frame
@@ -21,12 +21,8 @@ from tactune.core.sources.simulator.scenes import Scene, resolve_scene
 
 WIDTH, HEIGHT = 160, 120
 RIM_M, BULGE_M = 0.25, 0.06
-LENS = Intrinsics(width=WIDTH, height=HEIGHT, fx=115.0, fy=115.0, cx=79.5, cy=59.5)
-RIG = Rig(
-    proximity=DepthCamera(intrinsics=LENS, depth_unit_m=0.00025),
-    tactile=DepthCamera(intrinsics=LENS, depth_unit_m=0.0001),
-    T_proximity_tactile=np.eye(4).tolist(),
-)
+RIG = one_place_rig(WIDTH, HEIGHT, 115.0)
+LENS = RIG.tactile.intrinsics
 V, U = np.mgrid[:HEIGHT, :WIDTH]
 X, Y = (U - LENS.cx) / LENS.fx, (V - LENS.cy) / LENS.fy
 RADIUS = np.hypot(U - LENS.cx, V - LENS.cy) / 55

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.threads import set_threads
 from tactune.core.contact.masking import colors_at, in_hsv_range
 from tactune.core.contact.membrane.finder import MembraneFinder
 from tactune.core.contact.pipeline import ContactPipeline, Still
 from tactune.core.model.clouds import ray_table
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.core.preset.membrane import MEMBRANE as MEMBRANE_TEST
@@ -32,9 +32,7 @@ PRINT_RGB = (200, 30, 120)
 @pytest.fixture(scope="module")
 def rig() -> Rig:
     """Two cameras in one place, so that pixels compare one by one."""
-    lens = Intrinsics(width=WIDTH, height=HEIGHT, fx=300.0, fy=300.0, cx=99.5, cy=59.5)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=1e-5)
-    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+    return one_place_rig(WIDTH, HEIGHT, 300.0, 1e-5, 1e-5)
 
 
 def frame_of(gap_m, color=None) -> SensorFrame:

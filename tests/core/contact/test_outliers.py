@@ -120,7 +120,7 @@ def test_equal_distances_everywhere_have_no_inliers():
 def test_clouds_without_a_near_neighbour_go_to_the_tree(monkeypatch):
     points, pixels, lens = scene(3, 640, 480, 0.0008, 0.001)
     calls = []
-    monkeypatch.setattr(statistical, "_MAX_PAIRS", 20_000)
+    monkeypatch.setattr(statistical, "MAX_PAIRS", 20_000)
     monkeypatch.setattr(statistical, "exact_means", lambda *a: calls.append(len(a[-1])) or exact_means(*a))
     assert np.array_equal(statistical_inliers(points, pixels, lens, 60, 2.0), open3d_inliers(points, 60, 2.0))
     assert len(calls) == 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.contact.alignment import make_alignment
 from tactune.core.contact.kernels.chain import Region
 from tactune.core.contact.membrane.press import bulge_per_m, with_light_contact
@@ -199,9 +200,7 @@ def test_behind_the_camera_there_is_no_tactile_pixel(rig):
 @pytest.mark.parametrize(("width", "height"), [(1, 1), (3, 3), (40, 3), (4, 4), (5, 7), (17, 9), (31, 33), (97, 65)])
 @pytest.mark.parametrize("kind", ["flat", "zero", "saturated", "random"])
 def test_images_of_any_size_and_content_are_judged(width, height, kind):
-    lens = Intrinsics(width=width, height=height, fx=60.0, fy=60.0, cx=width / 2, cy=height / 2)
-    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
-    rig = Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+    rig = one_place_rig(width, height, 60.0, UNIT_M, UNIT_M)
     image = np.full((height, width), {"flat": 30_000, "saturated": 65_535}.get(kind, 0), np.uint16)
     if kind == "random":
         image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)

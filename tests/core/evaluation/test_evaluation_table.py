@@ -13,6 +13,7 @@ from urllib.parse import parse_qsl
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.errors import ExportError, TactuneError
 from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
 from tactune.core.evaluation.table import Table, TablePlan, average, measure_table
@@ -25,17 +26,14 @@ from tactune.core.evaluation.table_cell import (
 )
 from tactune.core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 from tactune.core.methods.method import ContactMethod, MethodPatch, failed
-from tactune.core.model.frames import DepthCamera, GroundTruth, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import GroundTruth, SensorFrame
 from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources import SeekableSource
 from tactune.core.sources.registry import open_source
 from tactune.core.sources.simulator.scenes import read_options, resolve_scene
 
-LENS = Intrinsics(width=64, height=48, fx=60.0, fy=60.0, cx=31.5, cy=23.5)
-CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=0.00025)
-RIG = Rig(proximity=CAMERA, tactile=CAMERA, T_proximity_tactile=np.eye(4).tolist())
+RIG = one_place_rig(64, 48, 60.0, tactile_unit_m=0.00025)
 CONTACT = np.zeros((48, 64), bool)
 CONTACT[10:30, 10:40] = True
 

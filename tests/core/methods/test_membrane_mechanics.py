@@ -172,7 +172,7 @@ def test_failures_are_told(bulged, monkeypatch):
     failure = method.find(with_tactile(frame, half)).failure
     assert "nodes, too few" in failure
 
-    monkeypatch.setattr(membrane_solver, "_MAX_STEPS", 2)
+    monkeypatch.setattr(membrane_solver, "MAX_STEPS", 2)
     patch = mechanics(bulged).find(frame)
     assert "gave up after 2 steps" in patch.failure
     assert len(patch.points) == 0

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.untouched_archive import untouched_bytes
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
@@ -30,15 +30,7 @@ HEIGHT, WIDTH = 96, 128
 MEMBRANE = 2800
 
 
-def lens() -> Intrinsics:
-    return Intrinsics(width=WIDTH, height=HEIGHT, fx=90.0, fy=90.0, cx=63.5, cy=47.5)
-
-
-RIG = Rig(
-    proximity=DepthCamera(intrinsics=lens(), depth_unit_m=0.00025),
-    tactile=DepthCamera(intrinsics=lens(), depth_unit_m=0.0001),
-    T_proximity_tactile=np.eye(4).tolist(),
-)
+RIG = one_place_rig(WIDTH, HEIGHT, 90.0)
 
 
 def untouched_image(number: int, noise: float = 4.0) -> SensorFrame:
@@ -280,7 +272,7 @@ def test_a_missing_untouched_frame_is_a_warning_and_the_sources_is_taken(
 def test_an_untouched_frame_of_another_rig_is_not_used(kept: tuple[Path, Preset, SensorFrame]) -> None:
     path, preset, _ = kept
     source = Still()
-    wide = RIG.proximity.model_copy(update={"intrinsics": lens().model_copy(update={"width": 200})})
+    wide = RIG.proximity.model_copy(update={"intrinsics": RIG.proximity.intrinsics.model_copy(update={"width": 200})})
     source.rig = RIG.model_copy(update={"proximity": wide})  # type: ignore[misc]
     found = find_untouched(preset, path, source)
     assert found.frame is None

@@ -108,7 +108,7 @@ def test_a_textured_ply(square):
 @pytest.mark.parametrize("sliver_m", [0.04, 1e-6])
 def test_a_texture_makes_no_more_triangles_than_memory_takes(square, monkeypatch, sliver_m):
     square.write_text(SQUARE_OBJ.replace("0.04 0\n", f"{sliver_m} 0\n"))
-    monkeypatch.setattr("tactune.core.scan.scan._TEXTURE_TRIANGLES", 60)
+    monkeypatch.setattr("tactune.core.scan.scan.MAX_TEXTURE_TRIANGLES", 60)
     assert 10 < len(load_scan(square).triangles) <= 60
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from folder_scenes import RIG, UNIT_M, ListSource, assert_same, make_frame
-from rig_files import save_rig
+from rigs import save_rig
 from tactune.core.model.frames import GroundTruth, Rig
 from tactune.core.model.rig_file import load_rig
 from tactune.core.sources.folder import FolderSource, export_folder

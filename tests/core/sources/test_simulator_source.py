@@ -285,7 +285,7 @@ def test_cache_keeps_the_versions_used_last(tmp_path, monkeypatch):
         os.utime(tmp_path / f"{name}.zip", (1e9 - age, 1e9 - age))
     save_scene(tmp_path / "cup-5.zip", fake_scene(1))
     assert {file.stem for file in tmp_path.iterdir()} == {"cup-5", "cup-4", "cup-3", "cube-1"}
-    monkeypatch.setattr(source, "_ALL_BYTES", 1500)
+    monkeypatch.setattr(source, "MAX_CACHE_BYTES", 1500)
     save_scene(tmp_path / "cup-6.zip", fake_scene(1))
     assert {file.stem for file in tmp_path.iterdir()} == {"cup-6"}
 

@@ -7,18 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from rigs import one_place_rig
 from tactune.core.errors import FrameError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.sources.registry import open_source
 from tactune.core.strain import strain
 from tactune.core.strain.average import average_still
 from tactune.core.strain.strain import StrainError, indentation_m, measure_strain
 
-LENS = Intrinsics(width=640, height=480, fx=386.0, fy=386.0, cx=319.5, cy=239.5)
-RIG = Rig(
-    proximity=DepthCamera(intrinsics=LENS, depth_unit_m=0.0001), tactile=DepthCamera(intrinsics=LENS, depth_unit_m=1e-5)
-)
+RIG = one_place_rig(640, 480, 386.0, 0.0001, 1e-5)
+LENS = RIG.tactile.intrinsics
 DEPTH_M = 0.3
 
 

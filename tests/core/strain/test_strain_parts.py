@@ -7,17 +7,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rigs import one_place_rig
 from tactune.core.errors import FrameError
-from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
-from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.frames import SensorFrame
 from tactune.core.strain.average import average_still
 from tactune.core.strain.lattice import DotLattice, order_dots
 from tactune.core.strain.strain import AxisStrain, StrainMeasurement, axis_strain, crossed, grid_cells
 from tactune.core.strain.surface import surface_area
 
-LENS = Intrinsics(width=160, height=128, fx=100.0, fy=100.0, cx=79.5, cy=63.5)
-CAMERA = DepthCamera(intrinsics=LENS, depth_unit_m=1e-4)
-RIG = Rig(proximity=CAMERA, tactile=CAMERA)
+RIG = one_place_rig(160, 128, 100.0, 1e-4)
+CAMERA, LENS = RIG.tactile, RIG.tactile.intrinsics
 
 
 def grid(columns, rows, spacing=1.0):

@@ -101,10 +101,10 @@ def test_a_slow_caller_of_a_lossless_source_gets_every_frame(
     rig = make_rig()
     frames = [make_frame(rig, number) for number in range(40)]
     with ProcessSource(partial(open_noting, rig, frames, tmp_path), lossless=True) as source:
-        until((tmp_path / f"read {SLOTS}").exists)  # no slot is free
+        until((tmp_path / f"read {SLOTS - 3}").exists)
         out = [source.next_frame() for _ in range(3)]
-        until((tmp_path / f"read {SLOTS + 3}").exists)
-        assert not (tmp_path / "read 39").exists()
+        until((tmp_path / f"read {SLOTS}").exists)
+        assert not (tmp_path / f"read {SLOTS + 3}").exists(), "it waits for free slots"
         out += list(source)
     assert [frame.sequence for frame in out if frame is not None] == list(range(40))
 

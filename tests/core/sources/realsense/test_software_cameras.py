@@ -179,7 +179,7 @@ def test_color_of_another_lens_is_brought_to_the_depth_pixels(session):
 
 def test_a_driver_that_does_not_come_back_is_told_where_frames_are_asked_for(session, monkeypatch):
     released = threading.Event()
-    monkeypatch.setattr("tactune.core.sources.cameras.source._HUNG_S", 0.5)
+    monkeypatch.setattr("tactune.core.sources.cameras.source.HUNG_S", 0.5)
     monkeypatch.setattr("tactune.core.sources.realsense.camera.RealSenseCamera.read", lambda *_: released.wait() and ())
     try:
         with pytest.raises(SourceError, match=r"driver does not come back from the (L515|D405)"):
