@@ -5,6 +5,7 @@ incompressible rubber (neo-Hookean, stiffening with strain as Yeoh's model does)
 stiffness and clamped at its rim. Air in the
 chamber obeys p (V + V_dead) = const, so that pressing at one place bulges the rest. A rigid object
 must not be penetrated: signed distance >= 0 at every node, reaction >= 0, one of the two zero.
+Along the object nodes slide without friction, or stick.
 
 The equilibrium minimises the energy of rubber, air and atmosphere under that inequality, by
 Nesterov's accelerated gradient with projection to the object's surface and restarts.
@@ -45,7 +46,7 @@ class MembraneState:
     nodes : float64, shape (N, 3)
         Positions of the mean surface in the membrane's frame, metres; `Membrane.surface` adds the folds.
     reaction_n : float64, shape (N,)
-        Force with which the object pushes each node along its normal, newtons; 0 where free.
+        Force with which the object pushes each node along its normal, newtons; 0 where free. Friction comes on top.
     gap_m : float64, shape (N,)
         Signed distance of each node of the surface to the object.
     pressure_pa : float
@@ -147,11 +148,13 @@ def _project(
     base: Float64Array,
     relief: Float64Array,
     free: BoolArray,
+    grips: Float64Array,
     place: Float64Array,
     clear: Float64Array,
 ) -> None:
-    """Move penetrating nodes out to the surface, along the normals at ``base``.
+    """Move penetrating nodes out to the surface, along the normals at ``base``, or back to where they stick.
 
+    A node sticks at ``grips[n, :3]``, where the normal is ``grips[n, 3:]``, while it does not move out of the object.
     Node n was ``clear[n]`` from the object at ``place[n]``; as long as it stays within, no distance is needed.
 
     With the step's own start as base a node rests only where its force is along the true normal, even
@@ -160,6 +163,13 @@ def _project(
     for n in range(nodes.shape[0]):
         if not free[n]:
             continue
+        if not np.isnan(grips[n, 0]):
+            away = 0.0
+            for k in range(3):
+                away += (nodes[n, k] - grips[n, k]) * grips[n, 3 + k]
+            if away <= 0.0:
+                nodes[n], clear[n] = grips[n, :3], 0.0
+                continue
         x, y, z = nodes[n, 0] - place[n, 0], nodes[n, 1] - place[n, 1], nodes[n, 2] - place[n, 2]
         if x * x + y * y + z * z < clear[n] * clear[n]:
             continue
@@ -185,6 +195,7 @@ def _balance(
     nodes: Float64Array,
     relief: Float64Array,
     gradient: Float64Array,
+    grips: Float64Array,
     reaction: Float64Array,
     gap: Float64Array,
 ) -> float:
@@ -200,6 +211,8 @@ def _balance(
             if push > 0.0:
                 reaction[n] = push
                 gx, gy, gz = gx - push * nx, gy - push * ny, gz - push * nz
+                if nodes[n, 0] == grips[n, 0] and nodes[n, 1] == grips[n, 1] and nodes[n, 2] == grips[n, 2]:
+                    gx, gy, gz = 0.0, 0.0, 0.0  # friction carries the rest
         worst = max(worst, gx * gx + gy * gy + gz * gz)
     return float(np.sqrt(worst))
 
@@ -216,6 +229,7 @@ def _relax(
     relief: Float64Array,
     kind: int,
     pose: Float64Array,
+    grips: Float64Array,
     nodal_area: float,
     step: float,
     tolerance: float,
@@ -226,7 +240,7 @@ def _relax(
     """Descend to equilibrium in place; return the iterations and the relative residual."""
     gradient, swept = np.empty_like(nodes), np.empty_like(nodes)
     ahead, place, clear = nodes.copy(), nodes.copy(), np.zeros(nodes.shape[0])
-    _project(kind, pose, ahead, nodes, relief, free, place, clear)
+    _project(kind, pose, ahead, nodes, relief, free, grips, place, clear)
     nodes[:] = ahead
     momentum = 1.0
     relative = np.inf
@@ -235,7 +249,7 @@ def _relax(
     for iteration in range(limit):
         gauge = _gradient(ahead, triangles, inverse, stiffness, free, stiffening, air, swept, gradient)
         if iteration % 20 == 19:
-            worst = _balance(kind, pose, ahead, relief, gradient, reaction, gap)
+            worst = _balance(kind, pose, ahead, relief, gradient, grips, reaction, gap)
             relative = worst / (abs(gauge) * nodal_area)
             done = iteration + 1
             if relative < tolerance:
@@ -248,7 +262,7 @@ def _relax(
                 least = relative
                 kept[:] = nodes
         fresh = ahead - step * gradient
-        _project(kind, pose, fresh, ahead, relief, free, place, clear)
+        _project(kind, pose, fresh, ahead, relief, free, grips, place, clear)
         uphill = 0.0
         for n in range(nodes.shape[0]):
             for k in range(3):
@@ -262,7 +276,7 @@ def _relax(
             for k in range(3):
                 ahead[n, k] = fresh[n, k] + beta * (fresh[n, k] - nodes[n, k])
                 nodes[n, k] = fresh[n, k]
-        _project(kind, pose, ahead, nodes, relief, free, place, clear)
+        _project(kind, pose, ahead, nodes, relief, free, grips, place, clear)
     return done, relative
 
 
@@ -278,7 +292,12 @@ class Membrane:
         self.rest = self._inflate()
 
     def press(
-        self, kind: int, pose: Float64Array, start: Float64Array | None = None, limit: int = 6000
+        self,
+        kind: int,
+        pose: Float64Array,
+        start: Float64Array | None = None,
+        limit: int = 6000,
+        held: Float64Array | None = None,
     ) -> MembraneState:
         """Solve the contact problem with an object in place.
 
@@ -292,10 +311,21 @@ class Membrane:
             First guess; the untouched membrane by default.
         limit : int
             Maximum number of iterations; see `MembraneState.residual`.
+        held : float64, shape (N, 3), optional
+            Places on the object where nodes stick while they touch; NaN for nodes that slide, as all do by default.
         """
-        return self._solve(kind, pose, self.rest.nodes if start is None else start, self.tolerance, limit)
+        nodes = self.rest.nodes if start is None else start
+        grips = np.full((len(nodes), 6), np.nan)
+        if held is not None:
+            sticks = ~np.isnan(held[:, 0])
+            grips[sticks, :3] = held[sticks]
+            _lay(kind, pose, grips, self.mesh.relief_m, sticks)
+            _turn(kind, pose, grips, self.mesh.relief_m)
+        return self._solve(kind, pose, nodes, grips, self.tolerance, limit)
 
-    def _solve(self, kind: int, pose: Float64Array, start: Float64Array, tolerance: float, limit: int) -> MembraneState:
+    def _solve(
+        self, kind: int, pose: Float64Array, start: Float64Array, grips: Float64Array, tolerance: float, limit: int
+    ) -> MembraneState:
         mesh, stiffening = self.mesh, self.design.stiffening
         body = (mesh.triangles, mesh.inverse, mesh.stiffness, mesh.free, stiffening, self._air)
         nodal_area = mesh.area.sum() / len(start)
@@ -304,7 +334,7 @@ class Membrane:
         while True:
             step = share / self._curvature(nodes)
             done, residual = _relax(
-                nodes, *body, mesh.relief_m, kind, pose, nodal_area, step, tolerance, limit, reaction, gap
+                nodes, *body, mesh.relief_m, kind, pose, grips, nodal_area, step, tolerance, limit, reaction, gap
             )
             iterations += done
             # Compressed triangles are stiffer than at the start: too long a step overshoots for good.
@@ -337,12 +367,12 @@ class Membrane:
         x, y = 2 * self.mesh.flat[:, 0] / design.width_m, 2 * self.mesh.flat[:, 1] / design.height_m
         nodes = self.mesh.flat.copy()
         nodes[:, 2] = design.apex_m * (1 - x * x) * (1 - y * y)
-        empty = np.zeros((3, 4))
+        empty, no_grips = np.zeros((3, 4)), np.full((len(nodes), 6), np.nan)
         dome = 0.55 * design.apex_m * design.width_m * design.height_m + design.dead_volume_m3
         amounts, errors = [dome * (ATMOSPHERE_PA + 1500.0), dome * (ATMOSPHERE_PA + 2500.0)], list[float]()
         for _ in range(12):
             self._air[0] = amounts[len(errors)]
-            state = self._solve(NO_OBJECT, empty, nodes, self.tolerance / 10, 20_000)
+            state = self._solve(NO_OBJECT, empty, nodes, no_grips, self.tolerance / 10, 20_000)
             nodes = state.nodes
             errors.append(float(nodes[:, 2].max()) - design.apex_m)
             if abs(errors[-1]) < 2e-7:
@@ -447,6 +477,15 @@ def _lay(kind: int, pose: Float64Array, nodes: Float64Array, relief: Float64Arra
             nodes[n, 0] -= gap * nx
             nodes[n, 1] -= gap * ny
             nodes[n, 2] -= gap * nz
+
+
+@compiled
+def _turn(kind: int, pose: Float64Array, grips: Float64Array, relief: Float64Array) -> None:
+    """Write the object's normal beside the places where nodes stick."""
+    for n in range(grips.shape[0]):
+        if not np.isnan(grips[n, 0]):
+            turned = normal(kind, pose, grips[n, 0], grips[n, 1], grips[n, 2] + relief[n])
+            grips[n, 3], grips[n, 4], grips[n, 5] = turned
 
 
 @compiled

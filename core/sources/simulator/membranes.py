@@ -48,6 +48,7 @@ _ALL: Final = (
         "1.3 times as stiff at the right edge and 0.7 times at the left, thinner in the centre",
         MembraneDesign(stiffness_slope=0.6, centre_stiffness=0.75),
     ),
+    NamedMembrane("sticky", "sticks to the object instead of sliding along it", MembraneDesign(sticks=True)),
     NamedMembrane(
         "held-membrane",
         "other pre-stretch, stiffening, air and distribution of stiffness",

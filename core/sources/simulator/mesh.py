@@ -47,6 +47,9 @@ class MembraneDesign:
         Difference of the stiffness between the right and the left edge, as a share of `stiffness_n_m`.
     centre_stiffness : float
         Factor on the stiffness in the centre, such as below 1 for rubber that was cast thinner there.
+    sticks : bool
+        Whether the rubber sticks to the object: a node that touches keeps its place on the object until it comes off.
+        Otherwise it slides without friction.
     cells : tuple of int
         Quads along width and height; both even keep the mesh mirror-symmetric.
     """
@@ -62,6 +65,7 @@ class MembraneDesign:
     prestretch: float = 1.04
     stiffness_slope: float = 0.0
     centre_stiffness: float = 1.0
+    sticks: bool = False
     cells: tuple[int, int] = (118, 68)
 
 

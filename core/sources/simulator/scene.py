@@ -25,6 +25,8 @@ APEX_M: Final = 0.314
 RIM_M: Final = APEX_M - MembraneDesign.apex_m
 #: A mesh with fewer columns tears in deep presses.
 _FEWEST_COLUMNS: Final = 56
+#: A node of the fine mesh touches where this share of the coarse nodes around it do.
+_TOUCHING_SHARE: Final = 0.999
 #: Far wall behind the sensor, as n . x = d in the membrane's frame.
 _BACKDROP: Final = (0.09, -0.05, 0.9946, 0.62)
 
@@ -124,7 +126,7 @@ class PressFacts:
     strain_length_seen, strain_width_seen : float
         The same over the pairs of which the tactile camera sees both dots whole, see `grid_strain`.
     force_n : float
-        Sum of the contact reactions' magnitudes.
+        Sum of the contact reactions' magnitudes, along the object's normals.
     gauge_pressure_pa : float
         Air pressure over the atmosphere's.
     residual : float
@@ -180,29 +182,43 @@ class Press:
         Steps before the first drawn one only lead there and are solved on a coarse mesh.
         """
         way, drawn = self.scene.way, self.scene.drawn
-        before = self._led_to(drawn[0])
+        before, held = self._led_to(drawn[0])
         for number in range(drawn[0], len(way)):
             pose, depth = self.pose(way[number]), way[number][2]
             if depth <= 0.0:
                 state = self.membrane.rest
             else:
-                state = _follow(self.membrane, self.pressed.kind, pose, before)
-                before = [*before[-1:], state.nodes]
+                state = _follow(self.membrane, self.pressed.kind, pose, before, held)
+                before, held = [*before[-1:], state.nodes], self._held(state, number)
             if number in drawn:
                 yield depth, pose, state
 
-    def _led_to(self, first: int) -> list[Float64Array]:
-        """Return the fine nodes, interpolated, of the coarse membrane just before and at a step."""
-        design = self.membrane.design
+    def _led_to(self, first: int) -> tuple[list[Float64Array], Float64Array | None]:
+        """Return the fine nodes, interpolated, of the coarse membrane at a step, and where they stick then."""
+        design, fine = self.membrane.design, self.membrane.mesh
         if first == 0:
-            return []
+            return [], None
         coarse = Membrane(replace(design, cells=_way_cells(design)))
         before: list[Float64Array] = []
-        for step in self.scene.way[: first + 1]:
-            before = [*before[-1:], _follow(coarse, self.pressed.kind, self.pose(step), before).nodes]
-        fine = coarse.at(self.membrane.mesh.flat[:, :2], before[-1])
-        fine[~self.membrane.mesh.free] = self.membrane.mesh.flat[~self.membrane.mesh.free]
-        return [fine]
+        held = None
+        for number, step in enumerate(self.scene.way[: first + 1]):
+            state = _follow(coarse, self.pressed.kind, self.pose(step), before, held)
+            before, held = [*before[-1:], state.nodes], self._held(state, number)
+        nodes = coarse.at(fine.flat[:, :2], state.nodes)
+        nodes[~fine.free] = fine.flat[~fine.free]
+        if not design.sticks:
+            return [nodes], None
+        touching = np.repeat((state.reaction_n > 0.0)[:, None].astype(np.float64), 3, axis=1)
+        share = coarse.at(fine.flat[:, :2], touching)
+        return [nodes], np.where(share > _TOUCHING_SHARE, nodes, np.nan)
+
+    def _held(self, state: MembraneState, number: int) -> Float64Array | None:
+        """Return where the nodes that touch at a step stick at the next one: they move with the object."""
+        if not self.membrane.design.sticks or number + 1 == len(self.scene.way):
+            return None
+        (x, y, depth), (next_x, next_y, next_depth) = self.scene.way[number : number + 2]
+        moved = np.array([next_x - x, next_y - y, depth - next_depth])
+        return np.where((state.reaction_n > 0.0)[:, None], state.nodes + moved, np.nan)
 
     def facts(self, depth_m: float, pose: Float64Array, state: MembraneState) -> PressFacts:
         """Return the ground truth of one state."""
@@ -274,12 +290,14 @@ def _way_cells(design: MembraneDesign) -> tuple[int, int]:
     return (columns // 4 * 2, rows // 4 * 2) if columns >= 2 * _FEWEST_COLUMNS else design.cells
 
 
-def _follow(membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array]) -> MembraneState:
+def _follow(
+    membrane: Membrane, kind: int, pose: Float64Array, before: list[Float64Array], held: Float64Array | None
+) -> MembraneState:
     """Solve the next step from an extrapolated guess, or from the last state where the extrapolation fails."""
     guesses: list[Float64Array | None] = [2 * before[-1] - before[-2]] if len(before) > 1 else []
     guesses.append(before[-1] if before else None)
     for guess in guesses:
-        state = membrane.press(kind, pose, guess)
+        state = membrane.press(kind, pose, guess, held=held)
         if state.residual < membrane.tolerance:
             break
     return state

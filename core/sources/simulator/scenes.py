@@ -215,6 +215,8 @@ def _check(name: str, variant: Variant) -> None:
     if variant.membrane not in MEMBRANES:
         known = ", ".join(MEMBRANES)
         raise SourceError(f"sim:{name}: there is no membrane {variant.membrane!r}; choose one of {known}")
+    if name == "slide" and MEMBRANES[variant.membrane].design.sticks:
+        raise SourceError(f"sim:slide: the membrane {variant.membrane} sticks and cannot slide; choose another one")
     if variant.object not in OBJECTS:
         raise SourceError(f"sim:{name}: there is no object {variant.object!r}; choose one of {', '.join(OBJECTS)}")
     if variant.object != Variant.object and name not in SPECIAL_SCENES:
