@@ -22,6 +22,7 @@ from scipy.optimize import nnls
 from ..contact.alignment import AlignmentModel, make_alignment
 from ..contact.kernels.chain import Region
 from ..contact.masking import colors_at, in_hsv_range
+from ..contact.membrane.finder import firm_contact_bias
 from ..errors import FrameError
 from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint16Array
 from ..model.clouds import deproject, pixel_areas_m2, valid_depth
@@ -116,7 +117,8 @@ def measure_noise(
     progress : callable, optional
         Called with the finished share, 0 to 1, and a description.
     contact_bias : callable, optional
-        See `ContactBias`; measures the bias where an object is pressed firmly into the membrane.
+        See `ContactBias`; measures the bias where an object is pressed firmly into the membrane. The membrane test's
+        own by default.
     warn : callable, optional
         Called with sentences on a result that is doubtful.
 
@@ -155,7 +157,7 @@ def measure_noise(
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
     found = [
         print_bias(_spread_out(different, untouched), rig, preset, density_m4),
-        None if contact_bias is None else pressed_bias(different, contact_bias, density_m4),
+        pressed_bias(different, contact_bias or firm_contact_bias(preset, rig), density_m4),
     ]
     report(1.0, "The noise is measured")
     bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 
 from ...model.frames import Rig
-from ...preset import Preset
+from ...preset import CameraNoise, Preset
 from .differences import Differences, surroundings
-from .equilibrium import Cells, Equilibrium, cells_of, settle
+from .equilibrium import GUESS_PX, Cells, Equilibrium, cells_of, settle
 
 #: Side of the cells and sigma of the window over the object's shape, pixels; length over which equilibrium is trusted.
 _CELL_PX: Final = 8
@@ -29,6 +29,8 @@ _TRUST_M: Final = 0.03
 #: Above the most frequent difference the search begins, and differences nearer than the second take part, metres.
 _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
+#: Every fourth pixel of every fourth row tells which differences are frequent, and where.
+_STRIDE_PX: Final = 4
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
 _BIN_M, _SMOOTH_BINS = 0.0005, 1.5
 #: Contact of this area proves its bias without the rig's.
@@ -63,6 +65,8 @@ class RigBias:
         Whether the rig's noise and bias were measured.
     tactile_weight : float
         Weight of the tactile depth in a mean of both depths, from both cameras' noise.
+    gap_sigma_m : float
+        Standard deviation of a gap averaged over a window of `GUESS_PX`.
     """
 
     mean_m: float
@@ -70,6 +74,7 @@ class RigBias:
     noise_m4: float
     measured: bool
     tactile_weight: float = 0.5
+    gap_sigma_m: float = 0.0011
 
 
 @dataclass(frozen=True)
@@ -101,7 +106,15 @@ def rig_bias(preset: Preset, rig: Rig) -> RigBias:
     power = max(proximity + tactile, _LEAST_NOISE_M4)
     measured = noise.bias_from != "unknown"
     weight = (proximity + _LEAST_NOISE_M4 / 2) / (power + _LEAST_NOISE_M4)
-    return RigBias(noise.bias_m, max(noise.bias_sigma_m, _PRINT_SIGMA_M), power, measured, weight)
+    gap_sigma_m = math.hypot(_after_window_m(noise.proximity), _after_window_m(noise.tactile))
+    return RigBias(noise.bias_m, max(noise.bias_sigma_m, _PRINT_SIGMA_M), power, measured, weight, gap_sigma_m)
+
+
+def _after_window_m(noise: CameraNoise) -> float:
+    """Return the standard deviation of a camera's depth averaged over a Gaussian window of `GUESS_PX`."""
+    window = GUESS_PX**2
+    shared = noise.length_px**2 / (noise.length_px**2 + window)
+    return math.sqrt(noise.white_m**2 / (4 * math.pi * window) + noise.correlated_m**2 * shared)
 
 
 def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig: Rig) -> FrameBias:
@@ -117,18 +130,16 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
     """
     prior = _with_prints(known, differences, rig)
     start_m = _most_frequent_m(differences) + _START_ABOVE_M
-    cells = _cells(differences, start_m, free_per_m, rig)
+    cells, part = _cells_near(differences, start_m, free_per_m, rig)
     if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         if area_m2 >= FIRM_M2:
             variance = known.noise_m4 / area_m2
             if abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + variance):
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
-            return FrameBias(bias_m, area_m2, _part(cells))
-        cells = _cells(differences, prior.mean_m, free_per_m, rig)
-    if cells is None:
-        return FrameBias(prior.mean_m)
-    return FrameBias(_joint(cells, prior.mean_m, prior)[0], 0.0, _part(cells))
+            return FrameBias(bias_m, area_m2, part)
+    cells, part = _cells_near(differences, prior.mean_m, free_per_m, rig)
+    return FrameBias(prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0], 0.0, part)
 
 
 def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
@@ -142,10 +153,10 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
 
 
 def _most_frequent_m(differences: Differences) -> float:
-    """Return the most frequent difference, from every fourth pixel of every fourth row."""
+    """Return the most frequent difference."""
     import cv2
 
-    some = slice(None, None, 4), slice(None, None, 4)
+    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
     found = differences.difference_m[some][differences.usable[some]]
     if len(found) == 0:
         return 0.0
@@ -155,17 +166,18 @@ def _most_frequent_m(differences: Differences) -> float:
     return low + (int(np.argmax(smooth)) + 0.5) * _BIN_M
 
 
-def _cells(differences: Differences, centre_m: float, free_per_m: float, rig: Rig) -> Cells | None:
-    return cells_of(differences, _CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig)
-
-
-def _part(cells: Cells) -> tuple[slice, slice]:
-    """Return the pixels of the bounding box of all known cells and a cell around them."""
-    box = surroundings(cells.known, 1)  # with the frame of unknown cells, from which cells count
+def _cells_near(
+    differences: Differences, centre_m: float, free_per_m: float, rig: Rig
+) -> tuple[Cells | None, tuple[slice, slice]]:
+    """Return cells of the part of the image that is near a difference, and that part."""
+    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
+    near = differences.usable[some] & (np.abs(differences.difference_m[some] - np.float32(centre_m)) < _NEAR_M)
+    box = surroundings(near, 2)
     if box is None:
-        return slice(0), slice(0)
-    rows, columns = (slice(max(side.start - 1, 0) * _CELL_PX, (side.stop - 1) * _CELL_PX) for side in box)
-    return rows, columns
+        return None, (slice(0), slice(0))
+    rows, columns = (slice(side.start * _STRIDE_PX, side.stop * _STRIDE_PX) for side in box)
+    part = rows, columns
+    return cells_of(differences.cut(part), _CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig), part
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:

@@ -34,7 +34,7 @@ _MIN_SHARE, _MIN_SHARE_OF_SHAPE, _MIN_SHARE_OF_SLOPE = np.float32(0.4), np.float
 #: Excluded share from which a cell takes no part.
 _MAX_EXCLUDED: Final = np.float32(0.5)
 #: Sigma of the window over which the first guess of the gap is averaged, pixels.
-_GUESS_PX: Final = 2.5
+GUESS_PX: Final = 2.5
 #: How far the object's curvature is extrapolated, pixels.
 _REACH_PX: Final = 16.0
 #: The gap is solved for where the measured one is below the first; at the border of what is seen, below the second.
@@ -42,7 +42,7 @@ _MAX_GAP_M, _MAX_GAP_AT_BORDER_M = np.float32(0.005), np.float32(0.0014)
 #: Lower limit of p / T - k, 1/m: what presses the membrane against a more strongly curved object.
 _MIN_PUSH_PER_M: Final = np.float32(2.0)
 #: A gap far above all others, for cells without a known gap, metres.
-_FAR_M: Final = np.float32(0.01)
+FAR_M: Final = np.float32(0.01)
 _RELAXATION: Final = kernels.Relaxation(np.float32(1.7), np.float32(1e-5), 300)
 
 
@@ -140,7 +140,7 @@ def cells_of(
         points, weight, _MIN_SHARE_OF_SLOPE, (size_px / camera.fx, size_px / camera.fy), sides, facing
     )
     push = np.float32(free_per_m) - np.nan_to_num(_with_nearest(bulge, _REACH_PX / size_px))
-    near = cv2.GaussianBlur(share, (0, 0), _GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT)
+    near = cv2.GaussianBlur(share, (0, 0), GUESS_PX / size_px, borderType=cv2.BORDER_CONSTANT)
     known = (near > _MIN_SHARE) & (excluded < _MAX_EXCLUDED)
     known[[0, -1]] = known[:, [0, -1]] = False
     return Cells(difference, share, known, np.maximum(push, _MIN_PUSH_PER_M), sides, facing, size_px)
@@ -160,7 +160,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     """
     import cv2
 
-    sigma = _GUESS_PX / cells.size_px
+    sigma = GUESS_PX / cells.size_px
     measured = (cells.difference_m - np.float32(bias_m)) * cells.facing
     share, total = (
         cv2.GaussianBlur(part, (0, 0), sigma, borderType=cv2.BORDER_CONSTANT)
@@ -177,7 +177,7 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     if start is not None:
         gap.reshape(-1)[places] = start.gap_m.reshape(-1)[places]
     kernels.settle(gap.reshape(-1), gap.shape[1], kernels.Equations(places, links, even), loads, _RELAXATION)
-    gap[~cells.known] = _FAR_M
+    gap[~cells.known] = FAR_M
     return Equilibrium(gap, guess, measured - gap, inside & (gap <= 0))
 
 
@@ -187,7 +187,7 @@ def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> Floa
 
     inner = image[1:-1, 1:-1]
     height, width = (side * cells.size_px for side in inner.shape)
-    pixels = np.full(shape, _FAR_M)
+    pixels = np.full(shape, FAR_M)
     pixels[:height, :width] = cv2.resize(inner, (width, height), interpolation=cv2.INTER_LINEAR)
     return pixels
 

@@ -21,7 +21,7 @@ from ..kernels.simd import LANES
 from ..kernels.threads import by_rows
 from .bias import FrameBias, frame_bias, rig_bias
 from .differences import Differences, large_contacts, surface_points
-from .equilibrium import Cells, Equilibrium, cells_of, settle, to_pixels
+from .equilibrium import FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
 from .tension import free_curvature_per_m
 
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
@@ -29,6 +29,10 @@ _WIDE_M: Final = np.float32(0.03)
 _NEAR_M: Final = 0.008
 #: Differences are aligned anew for a bias that is off by more, metres: it displaces the tactile pixel by a quarter.
 _ALIGN_ANEW_M: Final = 0.001
+#: A measured gap is certain beyond so many standard deviations of the noise, and beyond errors of the model, metres.
+_CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
+#: A membrane is not nearer to the camera, metres.
+_NEAREST_M: Final = 0.1
 #: Side of the cells of the equilibrium, pixels.
 _CELL_PX: Final = 3
 
@@ -74,8 +78,7 @@ class MembraneFinder(ContactFinder):
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("edge"):
-            gap = to_pixels(cells, self._solution.gap_m, differences.usable.shape)
-            self._touching = (gap <= np.float32(section.gap_m)) & ~differences.excluded
+            self._touching = self._within_edge(cells, section.gap_m, differences)
         if due("clusters"):
             self._large = large_contacts(self._touching, differences, section, rig)
         if due("points"):
@@ -106,6 +109,13 @@ class MembraneFinder(ContactFinder):
             self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
         return None if found is None else found.cut(self.bias.part)
 
+    def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
+        """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger."""
+        certain_m = gap_m + max(_CERTAIN * self._known.gap_sigma_m, _MODEL_ERROR_M)
+        gap = np.where(self._solution.guess_m > np.float32(certain_m), FAR_M, self._solution.gap_m)
+        gap = to_pixels(cells, gap, differences.usable.shape)
+        return np.asarray((gap <= np.float32(gap_m)) & ~differences.excluded)
+
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range, difference and colour; usable pixels have CONTACT."""
         verdicts = super().classify(frame)
@@ -128,12 +138,8 @@ class MembraneFinder(ContactFinder):
         parallel = possible > MAX_TILES_ALONE
         difference, state = self._look(frame, tiles, rectangle, bias_m, largest_m, in_parallel=parallel)
         usable = state == kernels.USABLE
-        count = int(np.count_nonzero(usable))
-        if count == 0:
-            return None
         depth = frame.proximity_depth[top:bottom, left:right] * self._depth_unit_m - np.float32(bias_m)
-        camera = self._rig.proximity.intrinsics
-        if 1e6 * count * float(depth[usable].max()) ** 2 < section.min_area_mm2 * camera.fx * camera.fy:
+        if self._too_few(usable, depth, section.min_area_mm2):
             return None
         return Differences(
             (slice(top, bottom), slice(left, right)),
@@ -144,6 +150,14 @@ class MembraneFinder(ContactFinder):
             bias_m,
             difference[state == kernels.MASKED],
         )
+
+    def _too_few(self, usable: BoolArray, depth_m: Float32Array, min_area_mm2: float) -> bool:
+        """Return whether the usable pixels together are smaller than the smallest contact."""
+        camera, count = self._rig.proximity.intrinsics, int(np.count_nonzero(usable))
+        pixels = 1e-6 * min_area_mm2 * camera.fx * camera.fy  # at a depth of 1 m
+        if count * _NEAREST_M**2 > pixels:
+            return False
+        return count == 0 or count * float(depth_m[usable].max()) ** 2 < pixels
 
     def _look(
         self,
