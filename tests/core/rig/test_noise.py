@@ -73,9 +73,16 @@ def camera(**values):
     )
 
 
+def nothing_pressed(frame):
+    """Answer as a contact test that finds no firm contact."""
+    return
+
+
 def test_a_wall_gives_back_its_noise_and_bias(rig, preset, still):
     shares = []
-    noise = measure_noise(still, rig, preset, progress=lambda share, _: shares.append(share))
+    noise = measure_noise(
+        still, rig, preset, progress=lambda share, _: shares.append(share), contact_bias=nothing_pressed
+    )
     assert noise.proximity.white_m == pytest.approx(0.0006, rel=0.1)
     assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
     assert noise.proximity.length_px == pytest.approx(2.0, rel=0.2)
@@ -134,7 +141,7 @@ def test_a_scene_without_smooth_surfaces_is_refused(rig, preset):
 
 def test_without_prints_the_bias_is_unknown_and_contact_tells_it(rig, preset):
     frames = [wall(rig, index, prints=False) for index in range(12)]
-    unknown = measure_noise(frames, rig, preset)
+    unknown = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
     assert (unknown.bias_from, unknown.bias_m, unknown.bias_sigma_m) == ("unknown", 0.0, 0.005)
     assert "press an object firmly (10 cm2 or more)" in describe(unknown)[2]
     little = measure_noise(frames, rig, preset, contact_bias=lambda frame: (0.003, 0.0009))
@@ -182,7 +189,7 @@ def test_the_bias_slope_is_measured_over_a_range_of_depths(rig, preset):
                 color,
             )
         )
-    noise = measure_noise(frames, rig, preset)
+    noise = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
     assert noise.bias_from == "prints"
     assert noise.bias_per_m == pytest.approx(0.02, abs=0.02)
     assert "per 100 mm of depth" in describe(noise)[2]
