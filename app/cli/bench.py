@@ -10,6 +10,7 @@ import typer
 
 from ...core.errors import TactuneError
 from .common import CliProgress
+from .sensor_table import measure_sensor_table, plan_sensor_table
 
 bench_commands = typer.Typer(
     help="Measure run time and error of the pipeline beside other implementations.",
@@ -36,6 +37,14 @@ def bench(
         bool,
         typer.Option("--growth", help="Also measure how run time grows with the number of points and the image size."),
     ] = False,
+    sensors: Annotated[
+        str | None,
+        typer.Option(
+            "--sensors",
+            metavar="A,B",
+            help="Compare run time and error of the contact tests on these simulated sensors, or 'all', instead.",
+        ),
+    ] = None,
     plots: Annotated[
         Path | None, typer.Option("--plots", metavar="DIR", help="Draw the figures into this folder (extra bench).")
     ] = None,
@@ -45,11 +54,14 @@ def bench(
     ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
 ) -> None:
-    """Compare all engines on all scenes; with --gate, check the promised speed."""
+    """Compare all engines on all scenes; with --gate, check the promised speed; with --sensors, the contact tests."""
     if context.invoked_subcommand is not None:
         return
     if gate:
         raise typer.Exit(_run_gate(rounds, as_json))
+    if sensors is not None:
+        _compare_sensors(sensors, plots, as_json)
+        return
     if report is not None:
         _write_report(report, rounds)
         return
@@ -142,6 +154,27 @@ def _compare(
 
         for path in draw_pareto(rows, plots) + draw_growth(points, sizes, plots):
             typer.echo(f"wrote {path}", err=as_json)
+
+
+def _compare_sensors(sensors: str, plots: Path | None, as_json: bool) -> None:
+    """Measure the contact tests on the cup at all presses, each sensor with one seed."""
+    from dataclasses import asdict
+
+    from ...core.bench.measure import machine_facts
+    from ...core.bench.report import draw_sensors
+    from ...core.bench.sensors import sensor_timings, timings_as_text
+
+    plan = plan_sensor_table(
+        sensors, "standard", "cup", "low,medium,high", 1, held_out=False, preset="simulator", rig="measured", work=None
+    )
+    timings = sensor_timings(measure_sensor_table(plan).cells)
+    facts = machine_facts()
+    if as_json:
+        typer.echo(json.dumps({"machine": facts, "sensors": [asdict(it) for it in timings]}, indent=2))
+    else:
+        typer.echo(_machine_line(facts) + "\n\n" + timings_as_text(timings))
+    for path in draw_sensors(timings, plots) if plots is not None else []:
+        typer.echo(f"wrote {path}", err=as_json)
 
 
 def _write_report(path: Path, rounds: int) -> None:

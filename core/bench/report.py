@@ -17,6 +17,7 @@ from .measure import Timing
 from .registry import Job
 from .run import Row, rows_as_text
 from .scaling import GrowthRow, StageRow, growth_as_text
+from .sensors import SensorTiming
 from .stability import LongRunReport, StabilityReport
 
 _MARKERS = "osD^vP*Xh<>p"
@@ -101,32 +102,51 @@ def draw_pareto(rows: list[Row], folder: Path) -> list[Path]:
         matplotlib is not installed.
     """
     usable = [row for row in rows if row.job == Job.PIPELINE and math.isfinite(row.rmse_mm)]
-    scenes = list(dict.fromkeys(row.scene for row in usable))
-    if not scenes:
+    points = [(row.scene, row.engine, row.timing.median_ms, row.rmse_mm) for row in usable]
+    return _draw_error_over_time(points, folder, "run-time-against-error")
+
+
+def draw_sensors(timings: Sequence[SensorTiming], folder: Path) -> list[Path]:
+    """Draw run time against RMSE for each sensor, one point per tolerance; return the PNG and SVG files.
+
+    Raises
+    ------
+    MissingExtraError
+        matplotlib is not installed.
+    """
+    points = [(it.sensor, it.test, it.ms, it.rmse_mm) for it in timings]
+    return _draw_error_over_time(points, folder, "sensors")
+
+
+def _draw_error_over_time(points: list[tuple[str, str, float, float]], folder: Path, name: str) -> list[Path]:
+    """Draw points (panel, series, ms, RMSE in mm): one panel for each scene or sensor."""
+    panels = list(dict.fromkeys(panel for panel, *_ in points))
+    if not panels:
         return []
     plt = pyplot()
-    columns = min(3, len(scenes))
-    lines = -(-len(scenes) // columns)
+    columns = min(3, len(panels))
+    lines = -(-len(panels) // columns)
     figure, axes = plt.subplots(lines, columns, figsize=(5 * columns, 4 * lines + 0.9), squeeze=False)
-    names = list(dict.fromkeys(row.engine for row in usable))
-    for axis, scene in zip(axes.flat, scenes, strict=False):
-        for row in (row for row in usable if row.scene == scene):
-            number = names.index(row.engine)
-            axis.plot(
-                row.timing.median_ms, row.rmse_mm, _MARKERS[number % len(_MARKERS)], color=f"C{number % 10}",
-                markersize=8, label=row.engine,
-            )  # fmt: skip
-        axis.set(title=scene, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
-        axis.set_ylim(0.0, 1.08 * max(row.rmse_mm for row in usable if row.scene == scene))
+    names = list(dict.fromkeys(series for _, series, *_ in points))
+    for axis, title in zip(axes.flat, panels, strict=False):
+        for number, series in enumerate(names):
+            mine = [(ms, rmse_mm) for panel, its, ms, rmse_mm in points if (panel, its) == (title, series)]
+            if mine:
+                axis.plot(
+                    *zip(*mine, strict=True), _MARKERS[number % len(_MARKERS)], color=f"C{number % 10}",
+                    markersize=8 if len(mine) == 1 else 4, label=series,
+                )  # fmt: skip
+        axis.set(title=title, xscale="log", xlabel="median of a frame, ms", ylabel="symmetric RMSE to truth, mm")
+        axis.set_ylim(0.0, 1.08 * max(rmse_mm for panel, _, _, rmse_mm in points if panel == title))
         axis.grid(True, which="both", alpha=0.3)
-    for axis in list(axes.flat)[len(scenes) :]:
+    for axis in list(axes.flat)[len(panels) :]:
         axis.axis("off")
     labels = {
         label: handle for axis in axes.flat for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
     }
     figure.legend(labels.values(), labels.keys(), loc="lower center", ncols=min(5, len(labels)), frameon=False)
     figure.tight_layout(rect=(0, 0.9 / (4 * lines + 0.9), 1, 1))
-    return _save(figure, folder, "run-time-against-error")
+    return _save(figure, folder, name)
 
 
 def draw_growth(points: list[GrowthRow], sizes: list[GrowthRow], folder: Path) -> list[Path]:

@@ -22,7 +22,7 @@ from .sensor_cases import (
 )
 from .sensor_table import AVERAGED, SHIPPED
 from .table import Table
-from .table_cell import STRAIGHT
+from .table_cell import NO_CONTACT_FOUND, STRAIGHT
 from .table_report import aligned, finite_or_none, number_text, write_csv
 
 _NOTE: Final = (
@@ -126,6 +126,13 @@ def _summary(table: SensorTable) -> str:
     ]
     if table.failing:
         lines += ["", "Cases that do not hold", aligned([_FAILING, *map(_failing, table.failing)])]
+    errors = {
+        f"{cell.sensor}, {cell.membrane}: {cell.failure}": None
+        for cell in table.cells
+        if cell.method == SHIPPED and cell.failure not in ("", NO_CONTACT_FOUND)
+    }
+    if errors:
+        lines += ["", "Errors", *errors]
     return "\n".join(lines)
 
 

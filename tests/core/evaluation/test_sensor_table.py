@@ -193,6 +193,7 @@ def test_an_error_is_a_failure_too():
     cells = [it if it.method != SHIPPED else cell(SHIPPED, None, failure="it lacks a pose") for it in frame([2.0], 1.0)]
     (case,) = sensor_table(cells).cases
     assert (case.empty, case.failed, case.holds) == (0, 1, False)
+    assert "Errors\nheavy, taut: it lacks a pose" in sensors_as_text(sensor_table(cells))
 
 
 def test_the_worst_case_lacks_a_patch_or_has_the_largest_ratio():
