@@ -108,6 +108,12 @@ def test_a_table_of_sensors_goes_on_after_an_interrupt_and_checks(tmp_path, tact
         assert ("Cases that do not hold" in text) == bool(status)
 
 
+def test_bench_refuses_an_unknown_sensor(monkeypatch, capsys):
+    assert tactune(monkeypatch, "bench", "--sensors", "magic") == 2
+    shown = capsys.readouterr()
+    assert "no sensor 'magic'" in shown.err and shown.out == ""
+
+
 @pytest.mark.parametrize("method", ["fusion", *method_names()])
 def test_run_knows_every_method(tactune, method):
     status, out, _ = tactune("run", "-s", SIM, "-n", 1, "--json", "--truth", "--method", method)
