@@ -107,6 +107,8 @@ def real_l515(folder: Path, sensor: SensorModel) -> Noise:
     """Measure the one frame of the real L515."""
     rig = json.loads((folder / "real_pair" / "rig.json").read_text(encoding="utf-8"))["proximity"]
     counts = cv2.imread(str(folder / "real_pair" / "proximity_depth.png"), cv2.IMREAD_UNCHANGED)
+    if counts is None:
+        sys.exit(f"{folder / 'real_pair'} has no readable proximity_depth.png")
     depth = counts.astype(np.float64) * rig["depth_unit_m"]
     lens = Intrinsics(**{key: rig[key] for key in ("width", "height", "fx", "fy", "cx", "cy")})
     scale = lens.width // 640
