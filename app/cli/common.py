@@ -209,14 +209,14 @@ def _parse_setting(text: str) -> tuple[str, Any]:
 
 
 def _turning_sections_on(values: dict[str, Any]) -> dict[str, Any]:
-    """Add ``section.enabled``, or the contact test, for each section with a value, unless the user set it."""
+    """Add ``section.enabled`` for each section with a value, and the contact test if all are one's; the user's win."""
     from ...core.preset.preset import CONTACT_TESTS, preset_paths
 
     sections = {path.partition(".")[0] for path in values}
     switches: dict[str, Any] = {f"{name}.enabled": True for name in sections if f"{name}.enabled" in preset_paths()}
-    _, *others = CONTACT_TESTS  # fields of the default test, the first, do not choose it
-    for name in filter(sections.__contains__, others):
-        switches["contact_test"] = name
+    chosen = [test.name for test in CONTACT_TESTS.values() if sections & set(test.section_names)]
+    if len(chosen) == 1:
+        switches["contact_test"] = chosen[0]
     return switches | values
 
 

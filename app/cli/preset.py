@@ -60,8 +60,8 @@ def new(
             "--set",
             metavar="FIELD=VALUE",
             help="Any field by its path, such as mask.hue=[150,170] or tolerance.t=0.01; may be repeated. "
-            "Setting a field of mask, outliers, range or region turns that section on; setting a field of membrane "
-            "chooses that contact test.",
+            "Setting a field of mask, outliers, range or region turns that section on; setting a field of one contact "
+            "test, such as tolerance.t, outliers.k or membrane.frames, chooses that test.",
         ),
     ] = None,
     name: Annotated[str | None, typer.Option(metavar="NAME", help="Default: the file's name.")] = None,

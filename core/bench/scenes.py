@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
@@ -18,6 +19,8 @@ from ..sources.presets import load_preset
 #: Depths of the simulated presses, metres past first touch.
 LIGHT_M, MEDIUM_M = 0.003, 0.024
 
+#: Engines are variants of this contact test.
+_TEST: Final = {"contact_test": "tolerance"}
 _CONTACT_RGB = (172, 168, 160)
 _MEMBRANE_RGB = (36, 96, 190)
 
@@ -66,14 +69,14 @@ def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
     source = SimulatorSource(scene=scene, seed=seed)
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])
     index = int(np.argmax(depths)) if depth_m is None else int(np.argmax(depths >= depth_m))
-    return BenchScene(scene, "", source.rig, load_preset("simulator"), source.read(index))
+    return BenchScene(scene, "", source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
 
 
 def _untouched() -> BenchScene:
     from ..sources.simulator.source import SimulatorSource
 
     source = SimulatorSource(scene="cup")
-    return BenchScene("untouched", "", source.rig, load_preset("simulator"), source.read(0))
+    return BenchScene("untouched", "", source.rig, load_preset("simulator").with_values(_TEST), source.read(0))
 
 
 def synthetic_scene(
@@ -113,7 +116,14 @@ def synthetic_scene(
         truth=GroundTruth(contact=contact, depth_m=membrane.astype(np.float32)),
     )
     preset = load_preset("simulator").with_values(
-        {"rig": None, "tolerance.t": 0.03, "mask.enabled": True, "mask.hue": (100, 125), "mask.saturation": (120, 255)}
+        {
+            **_TEST,
+            "rig": None,
+            "tolerance.t": 0.03,
+            "mask.enabled": True,
+            "mask.hue": (100, 125),
+            "mask.saturation": (120, 255),
+        }
     )
     return BenchScene(f"{points} points", "", rig, preset, frame)
 

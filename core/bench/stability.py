@@ -104,7 +104,7 @@ def random_case(random: np.random.Generator, *, adversarial: bool) -> tuple[Pres
         tactile_depth=_counts(surface + random.normal(0, noise, surface.shape), rig.tactile.depth_unit_m, random),
         proximity_color=random.integers(0, 256, (height, width, 3), dtype=np.uint8),
     )
-    preset = Preset().with_values(
+    preset = Preset(contact_test="tolerance").with_values(
         {
             "alignment.model": str(random.choice(("rigid", "homography"))),
             "alignment.depth_scale": float(random.uniform(0.95, 1.05)),

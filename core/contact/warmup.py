@@ -56,7 +56,7 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     """
     progress(0.05, COMPILING)
     rig, frame = _rig(), _frame()
-    preset = Preset().with_values(
+    preset = Preset(contact_test="tolerance").with_values(
         {"mask.enabled": True, "mask.value": (0, 9), "outliers.min_cluster_area_mm2": 1.0, "tolerance.t": 0.05}
     )
     pipeline = ContactPipeline(preset, rig)

@@ -54,7 +54,7 @@ class MembraneSection(Section):
     shape_px: Annotated[
         float,
         described(
-            "Smoothing of the shape",
+            "Shape smoothing",
             "Sigma of the Gaussian window over which the object's shape is averaged to measure its curvature. Wider "
             "suits noisy cameras and smooth objects.",
             unit="px",

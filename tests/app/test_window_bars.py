@@ -17,9 +17,9 @@ from tactune.core.preset import Preset
 from tactune.widgets.basics.theme import theme_colors
 from tiny_sensor import tiny_frame, tiny_rig
 
-TIMES = {"fusion": 1.5, "gaps": 1.6, "edge": 1.1, "press": 3.2, "balance": 4.6, "clusters": 0.3, "points": 0.5}
-EACH = "fusion 1.5  gaps 1.6  edge 1.1  press 3.2  balance 4.6  clusters 0.3  points 0.5 ms"
-SUM = "12.8 ms (balance 4.6)"
+TIMES = {"fusion": 4.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
+EACH = "fusion 4.5  equilibrium 6.6  edge 0.4  clusters 0.8  points 0.5 ms"
+SUM = "12.8 ms (equilibrium 6.6)"
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])

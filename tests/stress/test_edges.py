@@ -18,6 +18,8 @@ from tactune.core.model.frames import ColorCamera, Rig, SensorFrame, rigid_trans
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.preset import Preset
 
+PRESET = Preset(contact_test="tolerance")
+
 
 def small_rig(width: int = 64, height: int = 48, **tactile: Any) -> Rig:
     rig = one_place_rig(width, height, 60.0)
@@ -59,9 +61,9 @@ def test_homographies_of_every_condition(exponent: int, mirrored: bool) -> None:
         squeeze[0, 2] = 63
     if exponent == 15:
         with pytest.raises(TactuneError, match="H_p_t"):
-            Preset().with_values(homography(squeeze))
+            PRESET.with_values(homography(squeeze))
         return
-    patch = assert_as_the_reference(Preset().with_values(homography(squeeze)), rig, frame_of(rig, 1200, 3000))
+    patch = assert_as_the_reference(PRESET.with_values(homography(squeeze)), rig, frame_of(rig, 1200, 3000))
     rows = int(47 * 10.0**-exponent) + 1
     assert len(patch.points) == 64 * rows, "the tactile image is scaled to this number of rows"
 
@@ -81,7 +83,7 @@ def test_homographies_of_every_condition(exponent: int, mirrored: bool) -> None:
 )
 def test_odd_homographies(matrix: list[list[float]], count: int) -> None:
     rig = small_rig()
-    patch = assert_as_the_reference(Preset().with_values(homography(matrix)), rig, frame_of(rig, 1200, 3000))
+    patch = assert_as_the_reference(PRESET.with_values(homography(matrix)), rig, frame_of(rig, 1200, 3000))
     assert len(patch.points) == count
 
 
@@ -97,7 +99,7 @@ def test_odd_homographies(matrix: list[list[float]], count: int) -> None:
 )
 def test_homographies_that_are_none_are_refused(matrix: list[list[float]]) -> None:
     with pytest.raises(TactuneError, match="H_p_t"):
-        Preset().with_values(homography(matrix))
+        PRESET.with_values(homography(matrix))
 
 
 @pytest.mark.parametrize("depth", [0, 1, 2, 65534, 65535])
@@ -106,7 +108,7 @@ def test_homographies_that_are_none_are_refused(matrix: list[list[float]]) -> No
 def test_depths_at_the_ends_of_the_scale(depth: int, other: int, model: str) -> None:
     rig = small_rig()
     patch = assert_as_the_reference(
-        Preset().with_values({"alignment.model": model, "outliers.enabled": False, "tolerance.t": 1.0}),
+        PRESET.with_values({"alignment.model": model, "outliers.enabled": False, "tolerance.t": 1.0}),
         rig,
         frame_of(rig, depth, other),
     )
@@ -118,14 +120,14 @@ def test_depths_at_the_ends_of_the_scale(depth: int, other: int, model: str) -> 
 def test_tolerances_at_the_ends(t: float) -> None:
     rig = small_rig()
     same = frame_of(rig, 1200, 3000)
-    patch = assert_as_the_reference(Preset().with_values({"tolerance.t": t, "outliers.enabled": False}), rig, same)
+    patch = assert_as_the_reference(PRESET.with_values({"tolerance.t": t, "outliers.enabled": False}), rig, same)
     assert t < 1 or len(patch.points) == 64 * 48
 
 
 @pytest.mark.parametrize("t", [float("nan"), float("inf"), -1e-9, 1.0000001])
 def test_tolerances_that_mean_nothing_are_refused(t: float) -> None:
     with pytest.raises(TactuneError, match=r"tolerance\.t"):
-        Preset().with_value("tolerance.t", t)
+        PRESET.with_value("tolerance.t", t)
 
 
 @pytest.mark.parametrize(
@@ -147,7 +149,7 @@ def test_odd_poses(pose: tuple[tuple[float, float, float], float], distorted: bo
     lens = {"distortion": Distortion.BROWN_CONRADY, "coefficients": (4.0, -9.0, 0.3, 0.3, 30.0)} if distorted else {}
     rig = small_rig(**lens)
     values = {"alignment.rigid.T_proximity_tactile": matrix.tolist(), "tolerance.t": 1.0, "outliers.enabled": False}
-    patch = assert_as_the_reference(Preset().with_values(values), rig, frame_of(rig, 1200, 3000))
+    patch = assert_as_the_reference(PRESET.with_values(values), rig, frame_of(rig, 1200, 3000))
     assert len(patch.points) == 0
 
 
@@ -156,7 +158,7 @@ def test_odd_poses(pose: tuple[tuple[float, float, float], float], distorted: bo
 def test_image_sizes(size: tuple[int, int], model: str) -> None:
     rig = small_rig(*size)
     values = {"alignment.model": model, "outliers.k": 3, "outliers.enabled": size != (1280, 720)}
-    patch = assert_as_the_reference(Preset().with_values(values), rig, frame_of(rig, 1200, 3000))
+    patch = assert_as_the_reference(PRESET.with_values(values), rig, frame_of(rig, 1200, 3000))
     assert patch.mask.shape == size[::-1]
 
 
@@ -186,7 +188,7 @@ def test_few_points_and_any_k(count: int, k: int, spread: str) -> None:
     flat = proximity.reshape(-1)
     places = np.linspace(0, flat.size - 1, count).astype(int)
     flat[places] = 1200 if spread != "far and near" else np.where(np.arange(count) % 2, 1190, 1210)
-    preset = Preset().with_values({"outliers.k": k, "outliers.ratio": 1e-9 if spread == "plane" else 2.0})
+    preset = PRESET.with_values({"outliers.k": k, "outliers.ratio": 1e-9 if spread == "plane" else 2.0})
     patch = assert_as_the_reference(preset, rig, replace(frame, proximity_depth=proximity))
     assert len(patch.points) <= count
 
@@ -206,6 +208,6 @@ def test_a_colour_camera_that_sees_nothing() -> None:
     looking_away = ColorCamera(intrinsics=rig.proximity.intrinsics, T_color_depth=rigid_transform(away))
     rig = rig.model_copy(update={"proximity_color": looking_away})
     patch = assert_as_the_reference(
-        Preset().with_values({"mask.enabled": True, "outliers.enabled": False}), rig, frame_of(rig, 1200, 3000)
+        PRESET.with_values({"mask.enabled": True, "outliers.enabled": False}), rig, frame_of(rig, 1200, 3000)
     )
     assert len(patch.points) == 64 * 48

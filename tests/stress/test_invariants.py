@@ -18,6 +18,8 @@ from tactune.core.model.frames import DepthCamera, Rig, SensorFrame, rigid_trans
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.preset import Preset
 
+PRESET = Preset(contact_test="tolerance")
+
 SEEDS = st.integers(0, 2**32 - 1)
 
 
@@ -105,7 +107,7 @@ def test_flips_and_quarter_turns_commute(turn: str, model: str) -> None:
         T_proximity_tactile=rigid_transform(matrix @ T_p_t @ np.linalg.inv(matrix)),
     )
     turned_frame = SensorFrame(0, *(np.ascontiguousarray(turned(image)) for image in (depth[0], depth[1], color)))
-    preset = Preset().with_values(
+    preset = PRESET.with_values(
         {"alignment.model": model, "alignment.homography.plane_distance_m": 0.25, "tolerance.t": 0.011,
          "mask.enabled": True, "mask.hue": (20, 100), "outliers.k": 6, "outliers.ratio": 1.0}
     )  # fmt: skip

@@ -59,13 +59,17 @@ def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel
     def shown() -> set[str]:
         return {name for name in ("tolerance", "outliers", "membrane") if panel.sections[name].isVisible()}
 
-    assert shown() == {"tolerance", "outliers"}
-    assert panel.histogram.isVisible()
+    assert shown() == {"membrane"}, "the default test"
+    assert not panel.histogram.isVisible()
     box = panel.rows["contact_test"].widget
     assert isinstance(box, QComboBox)
     assert "as published" in box.toolTip()
     box.setFocus()
     QTest.keyClick(box, Qt.Key.Key_Down)
+    assert seen.edits[-1][:2] == ("contact_test", "tolerance")
+    assert shown() == {"tolerance", "outliers"}
+    assert panel.histogram.isVisible()
+    QTest.keyClick(box, Qt.Key.Key_Up)
     assert seen.edits[-1][:2] == ("contact_test", "membrane")
     assert shown() == {"membrane"}
     assert not panel.histogram.isVisible()
@@ -73,5 +77,5 @@ def test_the_contact_test_decides_which_sections_are_shown(panel: ParameterPanel
     assert any("ignored" in note for note in notes)
     type_into(panel.rows["membrane.gap_m"].widget.entry, "1.1")
     assert seen.edits[-1][:2] == ("membrane.gap_m", 0.0011)
-    panel.set_preset(Preset())
+    panel.set_preset(Preset(contact_test="tolerance"))
     assert shown() == {"tolerance", "outliers"}

@@ -47,7 +47,7 @@ presets = st.builds(
     contact_test=st.sampled_from(["tolerance", "membrane"]),
     tolerance=st.builds(ToleranceSection, t=st.floats(0.0, 1.0)),
     membrane=st.builds(
-        MembraneSection, gap_m=st.floats(0.0, 0.02), window_px=st.floats(0.0, 20.0), erosion=st.floats(0.0, 2.0)
+        MembraneSection, gap_m=st.floats(0.0, 0.005), trust_m=st.floats(0.001, 0.2), shape_px=st.floats(0.5, 30.0)
     ),
     outliers=st.builds(
         OutlierSection,
@@ -78,9 +78,9 @@ def test_every_field_of_the_model_has_a_row(panel: ParameterPanel) -> None:
     expected = [spec.path for name, _ in SECTIONS for spec in fields_of(name)]
     assert list(panel.rows) == expected
     assert {"contact_test", "membrane.gap_m"} < set(expected)
-    assert "membrane.core_share" not in expected, "seldom changed; in the preset's file only"
+    assert "alignment.calibration" not in expected, "a record; in the preset's file only"
     assert "alignment.rigid.T_proximity_tactile" in expected
-    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "untouched"}
+    tuned = set(Preset.model_fields) - {"name", "notes", "created", "modified", "rig", "cameras", "untouched", "noise"}
     assert {name for name, _ in SECTIONS} == tuned
 
 
@@ -192,13 +192,13 @@ def test_millimetres_are_shown_and_metres_are_told(panel: ParameterPanel, seen: 
 
 def test_a_flag_is_turned_off_by_its_box_and_by_its_reset(panel: ParameterPanel, seen: Recorder) -> None:
     panel.set_preset(Preset(contact_test="membrane"))
-    row = panel.rows["membrane.balance"]
-    assert (row.label.text(), row.widget.text()) == ("Balanced edge", "")
+    row = panel.rows["membrane.bias"]
+    assert (row.label.text(), row.widget.text()) == ("Correct bias", "")
     panel.ensureWidgetVisible(row.widget)
     QTest.keyClick(row.widget, Qt.Key.Key_Space)
-    assert seen.edits[-1][:2] == ("membrane.balance", False)
+    assert seen.edits[-1][:2] == ("membrane.bias", False)
     QTest.mouseClick(row.reset, LEFT)
-    assert seen.edits[-1][:2] == ("membrane.balance", True)
+    assert seen.edits[-1][:2] == ("membrane.bias", True)
     assert row.widget.isChecked()
 
 
@@ -225,12 +225,13 @@ def test_a_refused_value_is_explained_and_taken_back(panel: ParameterPanel, seen
 
 
 def test_a_typing_error_is_explained_below_the_row(panel: ParameterPanel, seen: Recorder) -> None:
+    panel.set_preset(Preset(contact_test="tolerance"))
     row = panel.rows["outliers.k"]
     type_into(row.widget.entry, "5000")
     assert seen.edits == []
     assert row.message.isVisible()
     assert "1 to 1000" in row.message.text()
-    panel.set_preset(Preset(outliers=OutlierSection(k=21)))
+    panel.set_preset(Preset(contact_test="tolerance", outliers=OutlierSection(k=21)))
     assert not row.message.isVisible()
 
 
@@ -253,7 +254,7 @@ def test_eyedroppers_exclude_each_other_and_escape_leaves(panel: ParameterPanel,
 
 def test_tolerance_is_told_in_millimetres(panel: ParameterPanel) -> None:
     assert not panel.tolerance_mm.isVisible()
-    panel.set_preset(Preset(tolerance=ToleranceSection(t=0.03)))
+    panel.set_preset(Preset(contact_test="tolerance", tolerance=ToleranceSection(t=0.03)))
     panel.set_median_distance_m(0.236)
     assert panel.tolerance_mm.text() == "= 7.1 mm at 0.236 m"
     assert panel.tolerance_mm.isVisible()
@@ -264,6 +265,7 @@ def test_tolerance_is_told_in_millimetres(panel: ParameterPanel) -> None:
 def test_dragging_a_line_of_the_histogram_edits_the_tolerance(
     qapp: QApplication, panel: ParameterPanel, seen: Recorder
 ) -> None:
+    panel.set_preset(Preset(contact_test="tolerance"))
     panel.set_histogram(np.ones(40), np.linspace(-0.1, 0.1, 41), 0.03)
     qapp.processEvents()
     plot = panel.histogram.plot_widget

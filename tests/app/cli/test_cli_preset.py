@@ -59,8 +59,10 @@ def test_the_contact_test_is_chosen_by_name_or_by_one_of_its_fields(
         assert tactune("preset", "new", "--rig", recording / "rig.json", "--out", tmp_path / name, *words).status == 0
         return load_preset(tmp_path / name)
 
-    assert made("a.json").contact_test == "tolerance"
-    assert made("b.json", "contact_test=membrane").contact_test == "membrane"
+    assert made("a.json").contact_test == "membrane", "the default"
+    assert made("b.json", "contact_test=tolerance").contact_test == "tolerance"
+    share = made("e.json", "tolerance.t=0.01")
+    assert (share.contact_test, share.tolerance.t) == ("tolerance", 0.01)
     gap = made("c.json", "membrane.gap_m=0.001")
     assert (gap.contact_test, gap.membrane.gap_m) == ("membrane", 0.001)
     assert made("d.json", "membrane.gap_m=0.001", "contact_test=tolerance").contact_test == "tolerance"
@@ -72,7 +74,7 @@ def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: P
         "--set",
         "contact_test=membrane",
         "--set",
-        "membrane.erosion=0",
+        "membrane.gap_m=0.0001",
         "--set",
         "membrane.min_area_mm2=0",
     ]
@@ -80,7 +82,7 @@ def test_run_takes_the_contact_test_of_the_preset(tactune: Tactune, recording: P
     finished = tactune("run", "--source", f"folder:{recording}", "--preset", file, "--json", "--truth")
     assert finished.status == 0
     records = [json.loads(line) for line in finished.out.splitlines()]
-    assert set(records[0]["stage_ms"]) == {"fusion", "gaps", "edge", "press", "balance", "clusters", "points"}
+    assert set(records[0]["stage_ms"]) == {"fusion", "equilibrium", "edge", "clusters", "points"}
     assert records[0]["points"] == 0
     assert all(record["iou"] > 0.8 for record in records[2:])
 
@@ -155,8 +157,9 @@ def test_the_untouched_frame_goes_along_with_the_preset_that_new_starts_from(
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
-        ([], []),
-        (["alignment.model=homography"], []),
+        ([], ["mask.hue"]),
+        (["contact_test=tolerance"], []),
+        (["contact_test=tolerance", "alignment.model=homography"], []),
         (["membrane.gap_m=0.001", "mask.hue=[150,170]"], []),
         (["contact_test=membrane"], ["mask.hue"]),
         (["contact_test=membrane", "mask.hue=[150,170]", "alignment.model=homography"], ["one plane"]),

@@ -13,7 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parents[3]
 TOY = Path(__file__).with_name("toy_contact_test.py")
-LINE = '    "membrane:MEMBRANE",\n'
+LINE = '    "tolerance:TOLERANCE",\n'
 
 PANEL = """
 from PyQt6.QtWidgets import QApplication
@@ -76,7 +76,7 @@ def python(program: Path, *words: str) -> str:
 def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording: Path, tmp_path: Path) -> None:
     tactune = ("-m", "tactune.app")
     schema = json.loads(python(program, *tactune, "preset", "schema"))["properties"]
-    assert schema["contact_test"]["enum"] == ["tolerance", "membrane", "toy"]
+    assert schema["contact_test"]["enum"] == ["membrane", "tolerance", "toy"]
     assert "toy: both depths differ" in schema["contact_test"]["description"]
 
     preset = tmp_path / "toy.json"

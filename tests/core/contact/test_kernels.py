@@ -26,6 +26,8 @@ from tactune.core.contact.tolerance import ToleranceFinder
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import MaskSection, Preset
 
+PRESET = Preset(contact_test="tolerance")
+
 
 def tiles_with_candidates(preset, rig, frame) -> np.ndarray:
     finder = ToleranceFinder(preset, rig, make_alignment(preset.alignment, rig))
@@ -67,7 +69,7 @@ def test_no_candidate_is_ever_ruled_out(make_rig, make_frame, seed, model, width
     v, u = rng.integers(0, where.shape[0]), rng.integers(0, where.shape[1])
     where[v : v + 7, u : u + 5] = True
     frame = lifted(frame, rig, gap_m, where)
-    preset = Preset().with_values(
+    preset = PRESET.with_values(
         {
             "alignment.model": model, "alignment.depth_offset_m": offset_m, "tolerance.t": t,
             "range.enabled": limits, "range.limits_m": (0.2, 0.3),
@@ -81,7 +83,7 @@ def test_an_empty_scene_has_no_tile_left(make_rig, make_frame, model):
     rig = make_rig(width=160)
     frame = make_frame(rig, 3, noise_m=0.0005)
     far = lifted(frame, rig, 0.08, np.zeros(frame.proximity_depth.shape, bool))
-    preset = Preset().with_values({"alignment.model": model, "tolerance.t": 0.01})
+    preset = PRESET.with_values({"alignment.model": model, "tolerance.t": 0.01})
     assert not marked(preset, rig, far).any()
     where = np.zeros(frame.proximity_depth.shape, bool)
     where[24:40, 64:96] = True
@@ -92,7 +94,7 @@ def test_an_empty_scene_has_no_tile_left(make_rig, make_frame, model):
 
 def test_a_distorted_tactile_lens_rules_nothing_out(make_rig, make_frame):
     rig = make_rig(distortion="brown_conrady", bend=0.05)
-    assert marked(Preset(), rig, make_frame(rig)).all()
+    assert marked(PRESET, rig, make_frame(rig)).all()
 
 
 def test_every_colour_has_opencvs_hue_saturation_and_value():

@@ -17,6 +17,8 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 
+PRESET = Preset(contact_test="tolerance")
+
 FRAMES = 50
 #: Frames until the small objects that kernel calls create are in balance with those that Python's garbage collector
 #: frees.
@@ -28,7 +30,7 @@ SLACK_BYTES = 32 * 1024
 @pytest.fixture
 def pipeline_and_frame(make_rig, make_frame):
     rig = make_rig(width=320, height=240, color=True)
-    preset = Preset().with_values({"tolerance.t": 0.05, "outliers.min_cluster_area_mm2": 10.0})
+    preset = PRESET.with_values({"tolerance.t": 0.05, "outliers.min_cluster_area_mm2": 10.0})
     pipeline, frame = ContactPipeline(preset, rig), make_frame(rig)
     for _ in range(5):
         patch = pipeline.process(replace(frame))

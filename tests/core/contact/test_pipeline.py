@@ -20,6 +20,8 @@ from tactune.core.model.provenance import Provenance
 from tactune.core.preset import Preset
 from tactune.core.preset.tolerance import TOLERANCE
 
+PRESET = Preset(contact_test="tolerance")
+
 settings_of_all_kinds = st.fixed_dictionaries(
     {
         "alignment.model": st.sampled_from(["rigid", "homography"]),
@@ -58,7 +60,7 @@ def test_every_input_gives_the_references_bits(make_rig, make_frame, values, see
     rig = make_rig(width=width, color=color, distortion=distortion, bend=0.02)
     if values["region.rectangle"][0] >= width:
         values = values | {"region.enabled": False}
-    preset = Preset().with_values(values)
+    preset = PRESET.with_values(values)
     frame = make_frame(rig, seed)
     patch = ContactPipeline(preset, rig).process(frame)
     assert same_patch(patch, reference_patch(preset, rig, frame))
@@ -71,12 +73,12 @@ def test_every_input_gives_the_references_bits(make_rig, make_frame, values, see
 def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_frame):
     rig = make_rig()
     frame = make_frame(rig, 1)
-    used = ContactPipeline(Preset().with_values(first), rig)
+    used = ContactPipeline(PRESET.with_values(first), rig)
     used.process(frame)
-    used.update(Preset().with_values(then))
+    used.update(PRESET.with_values(then))
     if new_frame:
         frame = make_frame(rig, 2)
-    fresh = ContactPipeline(Preset().with_values(then), rig)
+    fresh = ContactPipeline(PRESET.with_values(then), rig)
     assert same_patch(used.process(frame), fresh.process(frame))
 
 
@@ -97,7 +99,7 @@ def test_memory_never_changes_a_result(make_rig, make_frame, first, then, new_fr
 def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, value, repeated):
     rig = make_rig()
     frame = make_frame(rig)
-    preset = Preset().with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
+    preset = PRESET.with_values({"mask.enabled": True, "mask.saturation": [0, 30], "tolerance.t": 0.05})
     contact = ContactPipeline(preset, rig)
     first = contact.process(frame)
     assert set(first.stage_ms) == set(TOLERANCE.step_names)
@@ -109,7 +111,7 @@ def test_a_change_repeats_only_what_comes_after_it(make_rig, make_frame, path, v
 def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
     rig = make_rig()
     frame = make_frame(rig)
-    contact = ContactPipeline(Preset(), rig)
+    contact = ContactPipeline(PRESET, rig)
     first = contact.process(frame)
     provenance = first.provenance
     monkeypatch.setattr(ToleranceFinder, "candidates", None)
@@ -125,7 +127,7 @@ def test_the_same_frame_again_costs_nothing(make_rig, make_frame, monkeypatch):
 def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_frame):
     rig = make_rig()
     frame = make_frame(rig, noise_m=0.0005)
-    contact = ContactPipeline(Preset(), rig, still=Still(0.002, share=0.01))
+    contact = ContactPipeline(PRESET, rig, still=Still(0.002, share=0.01))
     first = contact.process(frame)
 
     def moved(by_counts, pixels):
@@ -140,11 +142,11 @@ def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_f
     assert same.skipped == ("no depth changed beyond noise",)
     assert contact.process(moved(200, 40)).points is first.points
     for other in (moved(9, None), moved(200, 60)):
-        assert same_patch(contact.process(other), ContactPipeline(Preset(), rig).process(other))
+        assert same_patch(contact.process(other), ContactPipeline(PRESET, rig).process(other))
         contact.process(frame)
-    contact.update(Preset().with_value("tolerance.t", 0.01))
+    contact.update(PRESET.with_value("tolerance.t", 0.01))
     assert "no depth changed beyond noise" not in contact.process(moved(1, None)).skipped
-    contact = ContactPipeline(Preset(), rig)
+    contact = ContactPipeline(PRESET, rig)
     contact.process(frame)
     assert contact.process(moved(1, None)).skipped == ()
 
@@ -152,10 +154,10 @@ def test_a_still_scene_is_computed_once_where_that_is_asked_for(make_rig, make_f
 def test_another_ratio_does_not_search_for_neighbours_again(make_rig, make_frame, monkeypatch):
     rig = make_rig()
     frame = make_frame(rig)
-    contact = ContactPipeline(Preset(), rig)
+    contact = ContactPipeline(PRESET, rig)
     contact.process(frame)
     monkeypatch.setattr(statistical, "near_means", None)
-    strict = Preset().with_value("outliers.ratio", 0.5)
+    strict = PRESET.with_value("outliers.ratio", 0.5)
     contact.update(strict)
     patch = contact.process(frame)
     monkeypatch.undo()
@@ -167,7 +169,7 @@ def test_an_empty_scene_skips_everything_after_the_fusion(make_rig, make_frame, 
     frame = make_frame(rig)
     for function in ("drop_outliers", "drop_small_clusters"):
         monkeypatch.setattr(tolerance_module, function, None)
-    preset = Preset().with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
+    preset = PRESET.with_values({"tolerance.t": 0.0, "alignment.depth_offset_m": 0.08, "mask.enabled": True})
     patch = ContactPipeline(preset, rig).process(frame)
     assert len(patch.points) == 0
     assert patch.area_mm2 == 0
@@ -194,7 +196,7 @@ def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):
         0, render(rig.proximity, np.eye(4)), render(rig.tactile, np.asarray(rig.T_proximity_tactile)),
         np.zeros((*rig.proximity_color_shape, 3), np.uint8),
     )  # fmt: skip
-    preset = Preset().with_values({"tolerance.t": 0.003, "outliers.enabled": False})
+    preset = PRESET.with_values({"tolerance.t": 0.003, "outliers.enabled": False})
     patch = ContactPipeline(preset, rig).process(frame)
     verdicts = set(np.unique(patch.provenance))
     assert verdicts == {Provenance.CONTACT, Provenance.NO_TACTILE_DEPTH}
@@ -209,7 +211,7 @@ def test_rigid_alignment_finds_a_surface_that_both_cameras_see(make_rig):
 
 def test_the_induced_homography_is_exact_on_its_plane(make_rig):
     rig = make_rig()
-    section = Preset().with_value("alignment.homography.plane_distance_m", 0.25).alignment
+    section = PRESET.with_value("alignment.homography.plane_distance_m", 0.25).alignment
     corners = np.array([[-0.05, -0.04, 0.25], [0.06, -0.03, 0.25], [0.04, 0.05, 0.25], [-0.03, 0.02, 0.25]])
     T_t_p = np.linalg.inv(np.asarray(rig.T_proximity_tactile))
     seen = rig.tactile.intrinsics.project(corners @ T_t_p[:3, :3].T + T_t_p[:3, 3])
@@ -243,7 +245,7 @@ def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
     frame = make_frame(rig)
     turned = Rig.model_validate(rig.model_dump() | {"proximity_color": rig.proximity_color.model_dump() | {
         "T_color_depth": [[1, 0, 0, 9.0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]]}})  # fmt: skip
-    everything = Preset().with_values({"mask.enabled": True, "tolerance.t": 0.05})
+    everything = PRESET.with_values({"mask.enabled": True, "tolerance.t": 0.05})
     assert (ContactPipeline(everything, rig).process(frame).provenance == Provenance.MASKED).any()
     assert not (ContactPipeline(everything, turned).process(frame).provenance == Provenance.MASKED).any()
 
@@ -253,7 +255,7 @@ def test_a_point_outside_the_colour_image_is_kept(make_rig, make_frame):
 def test_candidates_grow_with_the_tolerance(make_rig, make_frame, a, b, model):
     rig = make_rig()
     frame = make_frame(rig)
-    base = Preset().with_values({"outliers.enabled": False, "alignment.model": model})
+    base = PRESET.with_values({"outliers.enabled": False, "alignment.model": model})
     small, large = (ContactPipeline(base.with_value("tolerance.t", t), rig).process(frame).mask for t in sorted((a, b)))
     assert not (small & ~large).any()
 
@@ -263,7 +265,7 @@ def test_area_and_centroid_of_a_known_patch(make_rig):
     counts = np.zeros((60, 80), np.uint16)
     counts[20:30, 30:50] = 1200  # 0.3 m
     frame = SensorFrame(0, counts, np.full((60, 80), 3000, np.uint16), np.zeros((60, 80, 3), np.uint8))
-    patch = ContactPipeline(Preset().with_values({"tolerance.t": 0.05, "outliers.enabled": False}), rig).process(frame)
+    patch = ContactPipeline(PRESET.with_values({"tolerance.t": 0.05, "outliers.enabled": False}), rig).process(frame)
     camera = rig.proximity.intrinsics
     assert patch.mask.sum() == 200
     assert patch.area_mm2 == pytest.approx(200 * (300 / camera.fx) * (300 / camera.fy), rel=1e-5)
@@ -302,25 +304,25 @@ def test_another_lens_or_colour_camera_is_warned_of_and_rounding_is_not(make_rig
 
 def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
     rig = make_rig()
-    contact = ContactPipeline(Preset(), rig)
+    contact = ContactPipeline(PRESET, rig)
     before = contact.process(make_frame(rig))
     with pytest.raises(RigMismatchError):
         contact.update(Preset(rig=make_rig(width=100)))
-    assert contact.preset == Preset(created=contact.preset.created, modified=contact.preset.modified)
+    assert contact.preset == PRESET
     assert same_patch(contact.process(make_frame(rig)), before)
 
 
 def test_a_rig_without_a_pose_is_refused_in_words(make_rig):
     rig = make_rig().model_copy(update={"T_proximity_tactile": None})
     with pytest.raises(RigMismatchError, match="T_proximity_tactile is empty"):
-        ContactPipeline(Preset(), rig)
+        ContactPipeline(PRESET, rig)
 
 
 def test_a_plane_through_the_tactile_camera_is_refused(make_rig):
     pose = np.eye(4)
     pose[2, 3] = 0.3
     rig = make_rig().model_copy(update={"T_proximity_tactile": rigid_transform(pose)})
-    preset = Preset().with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
+    preset = PRESET.with_values({"alignment.model": "homography", "alignment.homography.plane_distance_m": 0.3})
     with pytest.raises(RigMismatchError, match=r"plane_distance_m is 0\.3"):
         ContactPipeline(preset, rig)
 
@@ -333,7 +335,7 @@ def test_a_lens_without_a_ray_for_every_pixel_is_refused(make_rig, make_frame):
     )
     rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"intrinsics": wild})})
     with pytest.raises(SourceError, match="without a ray"):
-        ContactPipeline(Preset(), rig).process(make_frame(rig))
+        ContactPipeline(PRESET, rig).process(make_frame(rig))
 
 
 def test_other_intrinsics_are_warned_of_with_what_differs(make_rig):
@@ -345,7 +347,7 @@ def test_other_intrinsics_are_warned_of_with_what_differs(make_rig):
 
 
 def test_a_region_outside_the_image_is_refused(make_rig):
-    preset = Preset().with_values({"region.enabled": True, "region.rectangle": [80, 0, 5, 5]})
+    preset = PRESET.with_values({"region.enabled": True, "region.rectangle": [80, 0, 5, 5]})
     with pytest.raises(RigMismatchError, match=r"\(80, 0\).*80 x 60"):
         ContactPipeline(preset, make_rig())
 
@@ -368,4 +370,4 @@ def test_frames_of_the_wrong_shape_are_refused(make_rig, change, words):
         "proximity_color": np.zeros((60, 80, 3), np.uint8),
     }
     with pytest.raises(FrameError, match=words):
-        ContactPipeline(Preset(), rig).process(SensorFrame(sequence=7, **(arrays | change)))
+        ContactPipeline(PRESET, rig).process(SensorFrame(sequence=7, **(arrays | change)))

@@ -73,6 +73,7 @@ def test_a_preset_of_another_rig_is_refused(small_rig):
         make_method("fusion-rigid", load_preset("simulator"), small_rig)
 
 
+CAMERA_NOISE = {"white_m": 0.001, "correlated_m": 0.0, "length_px": 0.0, "changing_share": 1.0, "distance_m": 0.3}
 #: Another value for every field of a preset that may decide what is contact.
 OTHERS = {
     "alignment.model": "homography",
@@ -81,7 +82,7 @@ OTHERS = {
     "alignment.homography.plane_distance_m": 0.2,
     "alignment.depth_scale": 1.01,
     "alignment.depth_offset_m": 0.002,
-    "contact_test": "membrane",
+    "contact_test": "tolerance",
     "mask.enabled": True,
     "mask.hue": (20, 60),
     "mask.saturation": (10, 40),
@@ -92,20 +93,20 @@ OTHERS = {
     "outliers.ratio": 0.5,
     "outliers.min_cluster_area_mm2": 1000.0,
     "membrane.gap_m": 0.0005,
-    "membrane.erosion": 0.0,
-    "membrane.window_px": 0.0,
-    "membrane.bias_m": 0.0,
+    "membrane.trust_m": 0.005,
+    "membrane.shape_px": 9.0,
+    "membrane.bias": False,
     "membrane.min_area_mm2": 5000.0,
-    "membrane.difference_m": 0.001,
-    "membrane.slope": False,
-    "membrane.core_share": 0.0,
-    "membrane.curvature": 0.3,
-    "membrane.balance": False,
-    "membrane.curvature_px": 4.0,
     "membrane.frames": 7,
-    "membrane.max_erosion_px": 0.0,
-    "membrane.smooth_px": 0.0,
-    "membrane.tactile_weight": 1.0,
+    "noise": {
+        "proximity": CAMERA_NOISE,
+        "tactile": CAMERA_NOISE,
+        "bias_m": 0.003,
+        "bias_sigma_m": 0.0003,
+        "bias_from": "prints",
+        "measured": "2026-01-02T03:04:05Z",
+        "frames": 30,
+    },
     "range.enabled": True,
     "range.limits_m": (0.1, 0.2),
     "region.enabled": True,
@@ -150,6 +151,7 @@ def test_where_the_settings_of_a_method_are_equal_so_are_its_patches(bulged, nam
         ("tolerance.t", {"fusion-rigid", "fusion-homography"}),
         ("membrane.gap_m", {"fusion-membrane", "fusion-averaged"}),
         ("membrane.frames", set()),
+        ("noise", {"fusion-membrane", "fusion-averaged"}),
         ("mask.hue", set(NAMES[:4])),
         ("alignment.homography.plane_distance_m", {"fusion-homography"}),
         ("alignment.depth_offset_m", set(NAMES)),

@@ -35,9 +35,10 @@ presets = st.fixed_dictionaries(
         "alignment.depth_offset_m": st.floats(-0.1, 0.1),
         "region.rectangle": st.tuples(*[st.integers(1, 400)] * 4),
         "contact_test": st.sampled_from(["tolerance", "membrane"]),
-        "membrane.gap_m": st.floats(0, 0.02),
-        "membrane.window_px": st.floats(0, 20),
-        "membrane.core_share": st.floats(0, 1),
+        "membrane.gap_m": st.floats(0, 0.005),
+        "membrane.trust_m": st.floats(0.001, 0.2),
+        "membrane.shape_px": st.floats(0.5, 30),
+        "membrane.bias": st.booleans(),
     }
 ).map(lambda values: Preset().with_values(values))
 
@@ -87,8 +88,9 @@ def test_the_default_preset_holds_the_papers_values():
         ("range.limits_m", [0.4, 0.1], ["0.4", "0.1", "swap"]),
         ("region.rectangle", [0, 0, 0, 5], ["region.rectangle", "empty"]),
         ("contact_test", "magic", ["contact_test is 'magic'", "membrane"]),
-        ("membrane.gap_m", 1.8, ["membrane.gap_m is 1.8", "0 to 0.02"]),
-        ("membrane.difference_m", 0, ["membrane.difference_m is 0", "above 0"]),
+        ("membrane.gap_m", 1.8, ["membrane.gap_m is 1.8", "0 to 0.005"]),
+        ("membrane.trust_m", 0, ["membrane.trust_m is 0", "0.001 to 0.2"]),
+        ("membrane.bias", 0.001, ["membrane.bias is 0.001"]),
         ("alignment.model", "affine", ["alignment.model is 'affine'", "rigid"]),
         ("alignment.homography.H_p_t", [[1, 0, 0], [1, 0, 0], [0, 0, 1]], ["singular"]),
         ("alignment.homography.H_p_t", [[0, 0, 0]] * 3, ["singular"]),

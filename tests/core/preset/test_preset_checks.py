@@ -11,7 +11,8 @@ from tactune.core.sources.presets import load_preset
 def test_shipped_presets_and_the_tolerance_test_give_no_notes():
     for name in shipped_presets():
         assert preset_notes(load_preset(name)) == []
-    assert preset_notes(Preset().with_value("alignment.model", "homography")) == []
+    tolerance = Preset(contact_test="tolerance")
+    assert preset_notes(tolerance) == preset_notes(tolerance.with_value("alignment.model", "homography")) == []
 
 
 def test_the_membrane_test_is_noted_without_the_mask_and_on_a_homography():

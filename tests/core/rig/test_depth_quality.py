@@ -202,17 +202,18 @@ def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
 
 
 @pytest.mark.parametrize(
-    ("bias_m", "bias_taken_off_m", "verdict", "limit"),
+    ("bias_m", "corrected", "verdict", "limit"),
     [
-        (0.001, 0.0012, Verdict.GOOD, "below 1.2 mm, what the membrane contact test corrects"),
-        (-0.002, 0.0012, Verdict.FAIR, "below 1.2 mm, what the membrane contact test corrects"),
-        (0.005, 0.0012, Verdict.POOR, "below 1.2 mm, what the membrane contact test corrects"),
-        (0.001, 0.0, Verdict.FAIR, "below 0.6 mm, a third of its largest gap"),
+        (0.017, True, Verdict.GOOD, "below 25 mm, what the test corrects"),
+        (-0.024, True, Verdict.GOOD, "below 25 mm, what the test corrects"),
+        (0.027, True, Verdict.POOR, "below 25 mm, what the test corrects"),
+        (0.0004, False, Verdict.GOOD, "below 0.5 mm, as the bias is not corrected"),
+        (-0.001, False, Verdict.FAIR, "below 0.5 mm, as the bias is not corrected"),
+        (0.002, False, Verdict.POOR, "below 0.5 mm, as the bias is not corrected"),
     ],
 )
-def test_a_bias_is_judged_by_the_membrane_test(rig, make_frame, bias_m, bias_taken_off_m, verdict, limit):
-    parameters = {"membrane.bias_m": bias_taken_off_m, "membrane.gap_m": 0.0018}
-    preset = Preset().with_values({"contact_test": "membrane", **parameters})
+def test_a_bias_is_judged_by_the_membrane_test(rig, make_frame, bias_m, corrected, verdict, limit):
+    preset = Preset().with_values({"contact_test": "membrane", "membrane.bias": corrected})
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
     reading = judge_bias(quality, preset)
     assert (reading.verdict, reading.limit) == (verdict, limit)
