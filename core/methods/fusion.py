@@ -60,15 +60,17 @@ def fusion_kinds() -> dict[str, MethodKind]:
 def _kind_of(variant: FusionVariant) -> MethodKind:
     fields = variant.fields
     homography = fields["alignment.model"] == "homography"
-    sections = CONTACT_TESTS[fields["contact_test"]].section_names
+    test = CONTACT_TESTS[fields["contact_test"]]
+    sections, by_noise = test.section_names, any("noise" in step.fields for step in test.steps)
 
     def make(preset: Preset, rig: Rig, untouched: SensorFrame | None) -> ContactMethod:
         return Fusion(preset, rig, variant.name, fields)
 
     def settings_of(preset: Preset) -> tuple[Any, ...]:
         by_plane = (preset.alignment.homography,) if homography else ()
+        noise = (preset.noise,) if by_noise else ()
         own = [_with_fields(getattr(preset, section), section, fields) for section in sections]
-        return (preset.rig, *pose_settings(preset), *by_plane, preset.region, preset.range, preset.mask, *own)
+        return (preset.rig, *pose_settings(preset), *by_plane, preset.region, preset.range, preset.mask, *noise, *own)
 
     return MethodKind(
         variant.name, variant.tip, variant.rgb, make, settings_of, fields=fields, dark_rgb=variant.dark_rgb, rank=0

@@ -11,10 +11,10 @@ from tactune.core.preset import Preset
 from tactune.core.sources.presets import load_preset
 
 NAMES = (
-    "fusion-rigid",
-    "fusion-homography",
     "fusion-membrane",
     "fusion-averaged",
+    "fusion-rigid",
+    "fusion-homography",
     "proximity-only",
     "tactile-only",
     "tactile-threshold",
@@ -49,7 +49,7 @@ def test_every_method_finds_the_cup(cup_frames, name):
 @pytest.mark.parametrize("model", ["rigid", "homography"])
 def test_fusion_is_the_pipeline_with_that_model(cup_frames, model):
     rig, _, pressed = cup_frames
-    preset = load_preset("simulator")
+    preset = load_preset("simulator").with_value("contact_test", "tolerance")
     other = preset.with_values({"alignment.model": "homography" if model == "rigid" else "rigid"})
     found = make_method(f"fusion-{model}", other, rig).find(pressed)
     expected = ContactPipeline(preset.with_values({"alignment.model": model}), rig).process(pressed)
@@ -64,7 +64,7 @@ def test_a_missing_untouched_frame_is_told(small_rig, name):
 
 
 def test_an_unknown_method_is_told(small_rig):
-    with pytest.raises(TactuneError, match=r"no method 'magic'; known are fusion-rigid, .*, mechanics"):
+    with pytest.raises(TactuneError, match=r"no method 'magic'; known are fusion-membrane, .*, mechanics"):
         make_method("magic", load_preset("simulator"), small_rig)
 
 

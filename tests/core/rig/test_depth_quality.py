@@ -194,7 +194,7 @@ def test_words_say_the_number_what_is_good_and_the_next_step(rig, make_frame):
 @pytest.mark.parametrize(("bias_m", "verdict"), [(0.001, Verdict.GOOD), (-0.005, Verdict.FAIR), (0.017, Verdict.POOR)])
 def test_a_bias_is_judged_by_the_tolerance(rig, make_frame, bias_m, verdict):
     quality = measure_quality([make_frame(0.3 + bias_m, 0.3)], rig, AlignmentSection(), REGION)
-    reading = judge_bias(quality, Preset())
+    reading = judge_bias(quality, Preset(contact_test="tolerance"))
     assert reading.verdict is verdict
     assert ("proximity" if bias_m > 0 else "tactile") in reading.value
     if verdict is not Verdict.GOOD:

@@ -14,7 +14,9 @@ from pyarrow import parquet
 
 from commands import Finished
 from small_recordings import NoisyPress, small_rig
+from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
+from tactune.core.sources.presets import load_preset
 
 LIMIT_S = 240
 
@@ -37,9 +39,15 @@ def recording(make_recording: Callable[..., str]) -> str:
 
 @pytest.fixture
 def sweep(tactune: Callable[..., Finished], monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., Finished]:
-    """Run ``tactune sweep`` in this process, in a folder of its own, without further processes."""
+    """Run ``tactune sweep`` in this process, in a folder of its own, without further processes.
+
+    Without a preset it starts from one with the tolerance test, ``tolerance.json`` beside the folder.
+    """
+    usual = tolerance_preset(tmp_path)
 
     def run(*words: object) -> Finished:
+        if not {"-p", "--file"} & set(words):
+            words = (*words, "-p", usual)
         (tmp_path / "work").mkdir(exist_ok=True)
         monkeypatch.chdir(tmp_path / "work")
         jobs = [] if {"--jobs", "--scheduler"} & set(words) else ["--jobs", "1"]
@@ -48,13 +56,22 @@ def sweep(tactune: Callable[..., Finished], monkeypatch: pytest.MonkeyPatch, tmp
     return run
 
 
+def tolerance_preset(folder: Path) -> Path:
+    """Write the paper's preset with the tolerance test; return its path."""
+    path = folder / "tolerance.json"
+    if not path.exists():
+        save_preset(load_preset("default").with_value("contact_test", "tolerance"), path)
+    return path
+
+
 class LongSweep:
     """A sweep of 200 runs as a command of its own; a piece of work holds at most 25 of them."""
 
     def __init__(self, recording: str, folder: Path) -> None:
         self.table, self.journal = folder / "s.parquet", folder / "s.runs.jsonl"
         grid = ("--set", "tolerance.t=0.004:0.02:20", "--set", "outliers.k=5:24:10")
-        self.command = [sys.executable, "-m", "tactune.app", "sweep", "-s", recording, *grid, "-o", str(self.table)]
+        self.command = [sys.executable, "-m", "tactune.app", "sweep", "-s", recording, *grid]
+        self.command += ["-p", str(tolerance_preset(folder)), "-o", str(self.table)]
 
     def keys(self) -> list[str]:
         """Return the keys of the runs that are kept, in order."""

@@ -24,7 +24,7 @@ def rows_of(path: Path) -> list[dict[str, object]]:
 
 def test_table_and_best_preset(sweep, make_recording, tmp_path):
     one, other = make_recording("one"), make_recording("other", seed=5)
-    done = sweep("-s", one, "-s", other, *SETS, "--objective", "iou", "--best", "best.json", "-p", "default")
+    done = sweep("-s", one, "-s", other, *SETS, "--objective", "iou", "--best", "best.json")
     assert done.status == 0, done.err
     rows = rows_of(tmp_path / "work" / "sweep.parquet")
     assert len(rows) == 12
@@ -64,7 +64,7 @@ def test_the_same_command_does_nothing_twice_and_a_sweep_file_says_the_same(swee
     before, table = journal.read_bytes(), rows_of(tmp_path / "work" / "sweep.parquet")
     asked = {
         "source": [recording], "set": {"tolerance.t": [0.002, 0.007, 0.03], "outliers.k": "5,20"}, "frames": "1:3",
-        "objective": "iou",
+        "objective": "iou", "preset": "tolerance.json",
     }  # fmt: skip
     (tmp_path / "sweep.json").write_text(json.dumps(asked))
     done = sweep("--file", tmp_path / "sweep.json", "--json")
@@ -137,7 +137,7 @@ def test_the_table_tells_the_values_that_a_method_sets_itself(sweep, recording, 
 
 
 def test_a_best_value_at_the_edge_is_said_in_words_and_json(sweep, recording):
-    words = ("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou", "-p", "default")
+    words = ("-s", recording, "--set", "tolerance.t=0.002,0.003,0.004", "--objective", "iou")
     assert "The best tolerance.t, 0.004, is the largest tried; try larger ones, too." in sweep(*words).out
     found = json.loads(sweep(*words, "--json").out)["at_edge"]
     assert found == [{"parameter": "tolerance.t", "value": 0.004, "edge": "largest"}]
@@ -145,7 +145,7 @@ def test_a_best_value_at_the_edge_is_said_in_words_and_json(sweep, recording):
 
 def test_a_table_is_not_replaced_by_one_that_has_not_all_its_runs(sweep, recording, tmp_path):
     table = tmp_path / "work" / "sweep.parquet"
-    assert sweep("-s", recording, "--set", "outliers.k=5,20", "-p", "default").status == 0
+    assert sweep("-s", recording, "--set", "outliers.k=5,20").status == 0
     before = table.read_bytes()
     other = ("-s", recording, "--set", "outliers.k=5,30", "-p", "default")
     sentence = sweep(*other).sentence

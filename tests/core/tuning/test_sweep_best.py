@@ -11,7 +11,7 @@ from tactune.core.tuning.clips import Clip
 from tactune.core.tuning.plan import Plan, Setting
 from tactune.core.tuning.values import plain_value, result_paths
 
-BASE = Preset()
+BASE = Preset(contact_test="tolerance")
 FIXED = {path: plain_value(BASE, path) for path in result_paths()}
 
 

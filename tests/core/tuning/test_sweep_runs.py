@@ -28,7 +28,7 @@ from tactune.core.tuning.run import run_batch
 from tactune.core.tuning.sweep import Journal, measure_sweep
 from tactune.core.tuning.values import parse_axis, result_paths
 
-BASE = Preset()
+BASE = Preset(contact_test="tolerance")
 
 
 def plan_of(*sources: str, sets: tuple[str, ...] = ("tolerance.t=0.004,0.008",), base: Preset = BASE, **more) -> Plan:
