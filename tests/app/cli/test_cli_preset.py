@@ -117,7 +117,7 @@ def test_a_start_that_was_made_for_another_rig_is_noted(tactune: Tactune, record
     first, second, third = (tmp_path / f"{name}.json" for name in ("first", "second", "third"))
     rig = load_rig(recording / "rig.json")
     other = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"serial": "another"})})
-    save_preset(Preset(rig=other), first)
+    save_preset(Preset(rig=other, contact_test="tolerance"), first)
     assert (
         "calibrate again"
         in tactune("preset", "new", "--from", first, "--rig", recording / "rig.json", "-o", second).err

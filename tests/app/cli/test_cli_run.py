@@ -87,14 +87,16 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert lines[0]["area_mm2"] == 0
     assert lines[3]["area_mm2"] == pytest.approx(lines[3]["points"] * (300 / 60) ** 2)
     assert lines[3]["centroid_m"] == pytest.approx([-0.06, -0.02, 0.3], abs=0.005)
-    assert list(lines[3]["stage_ms"]) == ["fusion", "outliers", "clusters"]
+    assert list(lines[3]["stage_ms"]) == ["fusion", "equilibrium", "edge", "clusters", "points"]
 
 
 def test_truth_is_compared_where_it_is_known(
     tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
 ) -> None:
     everything = tmp_path / "all.json"
-    save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.03}), everything)
+    save_preset(
+        Preset(contact_test="tolerance").with_values({"outliers.enabled": False, "tolerance.t": 0.03}), everything
+    )
     labelled = tactune("run", "-s", make_recording(), "-p", everything, "--json", "--truth")
     lines = json_lines(labelled.out)
     assert [line["touched"] for line in lines] == [False, True, True, True]
@@ -125,7 +127,7 @@ def test_frames_without_touch_are_no_part_of_the_median_and_their_false_points_a
     tactune: Tactune, make_recording: Callable[..., Path], tmp_path: Path
 ) -> None:
     loose = tmp_path / "loose.json"
-    save_preset(Preset().with_values({"outliers.enabled": False, "tolerance.t": 0.25}), loose)
+    save_preset(Preset(contact_test="tolerance").with_values({"outliers.enabled": False, "tolerance.t": 0.25}), loose)
     finished = tactune("run", "-s", make_recording(), "-p", loose, "--truth")
     shares = [8 * 8 / (64 * 48), 16 * 16 / (64 * 48), 24 * 24 / (64 * 48)]  # everything is taken for contact
     assert f"iou: median {shares[1]:.3f} over 3 frames with true contact\n" in finished.out

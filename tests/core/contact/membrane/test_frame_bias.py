@@ -1,0 +1,118 @@
+"""The bias that the membrane test finds in a frame: in firm contact by itself, elsewhere only with the rig's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.alignment import make_alignment
+from tactune.core.contact.kernels.chain import Region
+from tactune.core.contact.membrane.finder import MembraneFinder
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.evaluation.metrics import pixel_scores
+from tactune.core.model.frames import SensorFrame
+from tactune.core.preset import Preset
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.sensors import SENSORS
+from tactune.core.sources.simulator.source import SimulatorSource
+
+CELLS = (60, 36)
+MEMBRANE = load_preset("simulator").with_values({"contact_test": "membrane", "alignment.model": "rigid"})
+
+
+@cache
+def cup(sensor: str) -> SimulatorSource:
+    return SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"), sensor=sensor)
+
+
+@cache
+def hovering(gap_mm: float, sensor: str, shape: str = "cup") -> SimulatorSource:
+    return SimulatorSource("hover", seed=1, cells=CELLS, variant=Variant(object=shape, gap_mm=gap_mm), sensor=sensor)
+
+
+def farther(frame: SensorFrame, bias_m: float, unit_m: float) -> SensorFrame:
+    """Return a frame whose proximity camera reads farther by the bias, without its truth."""
+    depth = frame.proximity_depth.astype(np.int32)
+    moved = np.where((depth > 0) & (depth < 65535), depth + round(bias_m / unit_m), depth)
+    return replace(frame, proximity_depth=moved.astype(np.uint16), truth=None)
+
+
+def noise(bias_m: float, sigma_m: float = 0.0003, origin: str = "prints", white_m: float = 0.001) -> dict:
+    camera = {"white_m": white_m, "correlated_m": 0.0, "length_px": 0.0, "changing_share": 1.0, "distance_m": 0.3}
+    return {
+        "proximity": camera, "tactile": camera, "bias_m": bias_m, "bias_sigma_m": sigma_m, "bias_from": origin,
+        "measured": "2026-01-02T03:04:05Z", "frames": 30,
+    }  # fmt: skip
+
+
+def found_bias_m(preset: Preset, frame: SensorFrame, source: SimulatorSource) -> float:
+    finder = MembraneFinder(preset, source.rig, make_alignment(preset.alignment, source.rig))
+    finder.find(frame, preset, lambda step: True)
+    return finder._differences.bias_m + finder._bias.bias_m
+
+
+def true_bias_m(frame: SensorFrame, source: SimulatorSource) -> float:
+    """Return the mean difference of both depths in true contact, which the slow errors of the sensors also shift."""
+    alignment = make_alignment(MEMBRANE.alignment, source.rig)
+    width, height = source.rig.proximity.intrinsics.width, source.rig.proximity.intrinsics.height
+    aligned = alignment.align(frame.proximity_depth, frame.tactile_depth, Region(0, 0, width, height))
+    difference = (aligned.expected_m - aligned.measured_m)[frame.truth.contact]
+    return float(np.mean(difference[np.abs(difference) < 0.02]))
+
+
+@pytest.mark.parametrize("bias_m", [0.0, 0.003, -0.004, 0.017])
+@pytest.mark.parametrize("known", ["not measured", "unknown", "contact"])
+@pytest.mark.parametrize("sensor", ["clean", "datasheet"])
+def test_a_flat_bias_is_found_in_firm_contact(bias_m, known, sensor):
+    source = cup(sensor)
+    frame = source.read(0)
+    moved = farther(frame, bias_m, source.rig.proximity.depth_unit_m)
+    true_m = bias_m + true_bias_m(frame, source)
+    rig = {"not measured": None, "unknown": noise(0.0, 0.005, "unknown"), "contact": noise(true_m, 0.0005, "contact")}
+    preset = MEMBRANE.with_value("noise", rig[known])
+    assert found_bias_m(preset, moved, source) == pytest.approx(true_m, abs=0.0003)
+    mask = ContactPipeline(preset, source.rig).process(moved).mask
+    unbiased = ContactPipeline(preset.with_value("noise", None), source.rig).process(replace(frame, truth=None)).mask
+    assert pixel_scores(mask, frame.truth.contact).iou > pixel_scores(unbiased, frame.truth.contact).iou - 0.05
+
+
+def test_a_rigs_bias_that_has_changed_is_replaced_in_firm_contact():
+    source = cup("clean")
+    moved = farther(source.read(0), 0.006, source.rig.proximity.depth_unit_m)
+    preset = MEMBRANE.with_value("noise", noise(0.0, 0.0003))
+    assert found_bias_m(preset, moved, source) == pytest.approx(0.006, abs=0.0005)
+
+
+@pytest.mark.parametrize("gap_mm", [2.0, 4.0, 10.0])
+@pytest.mark.parametrize("sensor", ["clean", "datasheet"])
+@pytest.mark.parametrize("shape", ["cube", "cup", "octopus"])
+def test_what_hovers_is_no_contact_where_the_bias_is_known(gap_mm, sensor, shape):
+    source = hovering(gap_mm, sensor, shape)
+    preset = MEMBRANE.with_value("noise", noise(SENSORS[sensor].tof_offset_m))
+    for index in (0, 7):
+        patch = ContactPipeline(preset, source.rig).process(source.read(index))
+        assert not patch.mask.any()
+
+
+@pytest.mark.parametrize("bias_m", [0.035, 0.05, -0.035])
+def test_a_larger_bias_than_30_mm_leaves_no_contact(bias_m):
+    source = cup("clean")
+    moved = farther(source.read(0), bias_m, source.rig.proximity.depth_unit_m)
+    assert len(ContactPipeline(MEMBRANE, source.rig).process(moved).points) == 0
+
+
+def test_without_the_correction_the_depths_are_compared_as_they_are():
+    source = cup("clean")
+    preset = MEMBRANE.with_value("membrane.bias", False)
+    pixels = []
+    for bias_m in (0.0, 0.001, 0.002, 0.006):
+        moved = farther(source.read(0), bias_m, source.rig.proximity.depth_unit_m)
+        assert found_bias_m(preset, moved, source) == 0.0
+        pixels.append(int(ContactPipeline(preset, source.rig).process(moved).mask.sum()))
+    assert pixels == sorted(pixels, reverse=True)
+    assert pixels[0] > 3000
+    assert pixels[-1] == 0

@@ -1,0 +1,154 @@
+"""The membrane test on simulated presses, and on images with little or nothing in them."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.kernels.threads import set_threads
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.evaluation.metrics import symmetric_rmse_m, truth_cloud
+from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.provenance import Provenance
+from tactune.core.preset import Preset
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.scenes import Variant
+from tactune.core.sources.simulator.source import SimulatorSource
+
+CELLS = (60, 36)
+SIMULATOR = load_preset("simulator").with_value("alignment.model", "rigid")
+MEMBRANE, TOLERANCE = (SIMULATOR.with_value("contact_test", name) for name in ("membrane", "tolerance"))
+UNIT_M = 1e-5
+
+
+@pytest.mark.parametrize("sensor", ["datasheet", "bias", "stereo"])
+@pytest.mark.parametrize("scene", ["cube", "cup", "octopus"])
+def test_the_error_is_below_that_of_the_best_tolerance(scene, sensor):
+    """The best t of each scene is chosen with its truth, which no user has."""
+    source = SimulatorSource(scene, seed=1, cells=CELLS, variant=Variant(press="medium"), sensor=sensor)
+    frame = source.read(0)
+    seen, truth = replace(frame, truth=None), truth_cloud(frame.truth, source.rig).points
+    ours = symmetric_rmse_m(ContactPipeline(MEMBRANE, source.rig).process(seen).points, truth)
+    pipeline, best = ContactPipeline(TOLERANCE, source.rig), np.inf
+    for t in (0.002, 0.004, 0.006, 0.008, 0.011, 0.016, 0.03):
+        pipeline.update(TOLERANCE.with_value("tolerance.t", t))
+        points = pipeline.process(seen).points
+        best = min(best, symmetric_rmse_m(points, truth)) if len(points) else best
+    assert ours < best < 0.01
+
+
+def flat_rig(width: int, height: int) -> Rig:
+    lens = Intrinsics(width=width, height=height, fx=300.0, fy=300.0, cx=width / 2, cy=height / 2)
+    camera = DepthCamera(intrinsics=lens, depth_unit_m=UNIT_M)
+    return Rig(proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist())
+
+
+def disc(width: int = 200, height: int = 120, radius_px: float = 30.0, lift_m: float = 0.0) -> SensorFrame:
+    """A flat membrane and an object that leaves it by the square of the way beyond a disc."""
+    v, u = np.mgrid[:height, :width]
+    r = np.hypot(u - width // 2, v - height // 2)
+    gap = np.where(r < radius_px, 0.0, 3e-5 * (r - radius_px) ** 2) + lift_m
+    proximity = np.rint((0.3 + np.minimum(gap, 0.1)) / UNIT_M).astype(np.uint16)
+    tactile = np.full((height, width), round(0.3 / UNIT_M), np.uint16)
+    return SensorFrame(0, proximity, tactile, np.zeros((height, width, 3), np.uint8))
+
+
+PLAIN = Preset().with_values({"contact_test": "membrane", "membrane.min_area_mm2": 0.0})
+
+
+@pytest.mark.parametrize("bias", [True, False])
+@pytest.mark.parametrize(
+    ("proximity", "tactile"), [(0, None), (65535, None), (None, 0), (None, 65535), (0, 0), (65535, 65535)]
+)
+def test_images_without_depth_have_no_contact(bias, proximity, tactile):
+    rig, frame = flat_rig(200, 120), disc()
+    images = {
+        name: np.full_like(getattr(frame, name), value)
+        for name, value in (("proximity_depth", proximity), ("tactile_depth", tactile))
+        if value is not None
+    }
+    patch = ContactPipeline(PLAIN.with_value("membrane.bias", bias), rig).process(replace(frame, **images))
+    assert patch.points.shape == (0, 3)
+    assert not patch.mask.any()
+    assert patch.skipped == ("no candidates",)
+    wanted = Provenance.NO_PROXIMITY_DEPTH if proximity is not None else Provenance.NO_TACTILE_DEPTH
+    assert set(np.unique(patch.provenance)) == {wanted}
+
+
+@pytest.mark.parametrize(
+    ("width", "height"), [(1, 1), (2, 3), (3, 3), (8, 8), (9, 9), (40, 3), (4, 40), (17, 9), (31, 33), (97, 65)]
+)
+@pytest.mark.parametrize("kind", ["flat", "zero", "saturated", "random"])
+@pytest.mark.parametrize("bias", [True, False])
+def test_images_of_any_size_and_content_are_judged(width, height, kind, bias):
+    rig = flat_rig(width, height)
+    image = np.full((height, width), {"flat": 30_000, "saturated": 65_535}.get(kind, 0), np.uint16)
+    if kind == "random":
+        image = np.random.default_rng(0).integers(0, 65_536, image.shape).astype(np.uint16)
+    frame = SensorFrame(0, image, image, np.zeros((height, width, 3), np.uint8))
+    pipeline = ContactPipeline(PLAIN.with_values({"membrane.frames": 2, "membrane.bias": bias}), rig)
+    for _ in range(2):
+        patch = pipeline.process(replace(frame))
+        assert patch.mask.shape == patch.provenance.shape == (height, width)
+        assert np.isfinite(patch.points).all()
+        np.testing.assert_array_equal(patch.mask, patch.provenance == Provenance.CONTACT)
+        assert len(patch.points) == np.count_nonzero(patch.mask)
+        if min(width, height) < 9:
+            assert len(patch.points) == 0, "smaller than three cells"
+
+
+def test_region_range_and_mask_exclude_to_the_pixel():
+    rig, frame = flat_rig(200, 120), disc()
+    whole = ContactPipeline(PLAIN, rig).process(frame).mask
+    assert whole.sum() > 2500
+    region = PLAIN.with_values({"region.enabled": True, "region.rectangle": (0, 0, 95, 120)})
+    patch = ContactPipeline(region, rig).process(frame)
+    assert patch.mask[60, 80]
+    assert not patch.mask[:, 95:].any()
+    assert (patch.provenance[:, 95:] == Provenance.OUTSIDE_REGION).all()
+    near = PLAIN.with_values({"range.enabled": True, "range.limits_m": (0.1, 0.2)})
+    patch = ContactPipeline(near, rig).process(frame)
+    assert not patch.mask.any()
+    assert set(np.unique(patch.provenance)) == {Provenance.OUTSIDE_RANGE}
+
+
+def test_the_masks_colour_is_never_contact():
+    camera = flat_rig(200, 120).proximity
+    rig = Rig(
+        proximity=camera, tactile=camera, T_proximity_tactile=np.eye(4).tolist(),
+        proximity_color={"intrinsics": camera.intrinsics, "T_color_depth": np.eye(4).tolist()},
+    )  # fmt: skip
+    frame = disc()
+    color = frame.proximity_color.copy()
+    color[20:100, 100:140] = (200, 30, 120)
+    masked = PLAIN.with_values({"mask.enabled": True, "mask.saturation": (100, 255), "mask.value": (100, 255)})
+    patch = ContactPipeline(masked, rig).process(replace(frame, proximity_color=color))
+    printed = (color[..., 0] == 200) & (patch.provenance != Provenance.OUTSIDE_TOLERANCE)
+    assert patch.mask[60, 85]
+    assert (patch.provenance[50:70, 110:125] == Provenance.MASKED).all()
+    assert np.count_nonzero(patch.mask & printed) < 0.1 * np.count_nonzero(printed)
+
+
+def test_one_and_four_threads_and_a_used_pipeline_give_the_same_bits():
+    source = SimulatorSource("cup", seed=1, cells=CELLS, variant=Variant(press="medium"))
+    first, second = (replace(source.read(index), truth=None) for index in (0, 1))
+
+    def patches(threads: int) -> list[bytes]:
+        set_threads(threads)
+        pipeline = ContactPipeline(MEMBRANE, source.rig)
+        found = [pipeline.process(second), pipeline.process(first)]
+        pipeline.update(MEMBRANE.with_values({"membrane.gap_m": 0.0004, "membrane.trust_m": 0.03}))
+        pipeline.process(first)
+        pipeline.update(MEMBRANE)
+        found += [pipeline.process(first), ContactPipeline(MEMBRANE, source.rig).process(first)]
+        return [patch.points.tobytes() + patch.mask.tobytes() + patch.provenance.tobytes() for patch in found]
+
+    with ThreadPoolExecutor(1) as pool:  # whose thread keeps the setting to itself
+        one, four = (pool.submit(patches, threads).result() for threads in (1, 4))
+    assert one == four
+    assert one[1] == one[2] == one[3]
+    assert one[0] != one[1]
