@@ -29,7 +29,7 @@ UNIT_M = 1e-5
 @pytest.mark.parametrize("scene", ["cube", "cup", "octopus"])
 def test_the_error_is_below_that_of_the_best_tolerance(scene, sensor):
     """The best t of each scene is chosen with its truth, which no user has."""
-    source = SimulatorSource(scene, seed=1, cells=CELLS, variant=Variant(press="medium"), sensor=sensor)
+    source = SimulatorSource(scene, seed=1, variant=Variant(press="medium"), sensor=sensor)
     frame = source.read(0)
     seen, truth = replace(frame, truth=None), truth_cloud(frame.truth, source.rig).points
     ours = symmetric_rmse_m(ContactPipeline(MEMBRANE, source.rig).process(seen).points, truth)
