@@ -300,7 +300,7 @@ def measure_patch():
     from tactune.core.sources.presets import load_preset
     from tactune.core.sources.registry import open_source
 
-    base = load_preset("simulator")
+    base = load_preset("simulator").with_value("contact_test", "tolerance")
     presses = {"press=medium": 2, "press=high&side=right": 1, "press=high&side=left": 1}
     means = {"rigid": [], "homography": []}
     for press, weight in presses.items():

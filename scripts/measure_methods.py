@@ -190,7 +190,11 @@ def main(arguments: Sequence[str]) -> None:
     if "ablation" in names:
         show(parts(), DEVELOPED + SPECIAL, seeds)
     if "turned" in names:
-        both = {label: build for label, build in parts().items() if label in {"all parts", "no balance"}}
+        both = {
+            label: build
+            for label, build in parts().items()
+            if label in {"all parts", "shape over 2 px", "shape over 8 px"}
+        }
         show(both, TURNED_PRESSES, seeds)
     if "heldout" in names:
         show(methods(), NEW_SHAPES, HELD_OUT_SEEDS)

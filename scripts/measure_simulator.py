@@ -29,7 +29,7 @@ def measure(scene: str, seed: int, noise: float) -> None:
     bands: dict[tuple[int, int], list[dict[str, float]]] = {band: [] for band in BANDS_MM}
     untouched_shares, times_ms = [], []
     with SimulatorSource(scene, seed, noise) as source:
-        pipeline = ContactPipeline(load_preset("simulator"), source.rig)
+        pipeline = ContactPipeline(load_preset("simulator").with_value("contact_test", "tolerance"), source.rig)
         for frame in source:
             patch = pipeline.process(frame)
             times_ms.append(sum(patch.stage_ms.values()))
@@ -61,7 +61,7 @@ STILL += [f"sim:{scene}?object={shape}" for scene in ("stiff", "wrinkled") for s
 
 def measure_scenes(seed: int, noise: float) -> None:
     """Print a row for every scene with a still press, and the false points of hovering objects."""
-    preset = load_preset("simulator")
+    preset = load_preset("simulator").with_value("contact_test", "tolerance")
     for name in STILL:
         with open_source(f"{name}&seed={seed}&noise={noise:g}") as source:
             assert isinstance(source, SimulatorSource)
