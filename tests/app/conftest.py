@@ -34,7 +34,9 @@ def compiled() -> None:
 
 @pytest.fixture
 def preset() -> Preset:
-    return Preset.model_validate({"name": "tiny", "tolerance": {"t": 0.03}, "outliers": {"enabled": False}})
+    """A preset with the tolerance test. For the membrane test the disc's 2 mm are a gap, not a bias."""
+    values = {"tolerance.t": 0.03, "outliers.enabled": False, "membrane.bias": False}
+    return Preset(name="tiny", contact_test="tolerance").with_values(values)
 
 
 @pytest.fixture

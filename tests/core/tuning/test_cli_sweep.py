@@ -147,7 +147,7 @@ def test_a_table_is_not_replaced_by_one_that_has_not_all_its_runs(sweep, recordi
     table = tmp_path / "work" / "sweep.parquet"
     assert sweep("-s", recording, "--set", "outliers.k=5,20").status == 0
     before = table.read_bytes()
-    other = ("-s", recording, "--set", "outliers.k=5,30", "-p", "default")
+    other = ("-s", recording, "--set", "outliers.k=5,30")
     sentence = sweep(*other).sentence
     assert "sweep.parquet has 1 of its 2 runs from another sweep" in sentence and "--replace" in sentence
     assert table.read_bytes() == before
