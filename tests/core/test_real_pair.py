@@ -26,7 +26,7 @@ def scene(shared_data):
 
 def share_passing(rig, frame, **values) -> float:
     """Share of the pixels with depth in both cameras that pass the tolerance test, per cent."""
-    preset = Preset().with_values(
+    preset = Preset(contact_test="tolerance").with_values(
         {"outliers.enabled": False} | {path.replace("__", "."): v for path, v in values.items()}
     )
     patch = ContactPipeline(preset, rig).process(frame)
