@@ -71,6 +71,8 @@ _MIN_CORRELATED: Final = 0.01
 #: Movement: the median depth of an image tile differs by more than this share in more than this share of the tiles,
 #: between these parts of the time, each of at most so many frames.
 _MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.02, 4, 8
+#: Changes of a tile within so many standard errors are noise; that of a median is larger than a mean's by the second.
+_MOVED_SIGMAS, _MEDIAN_ERROR = 5.0, 1.25
 #: Fewest pixels at the membrane's distance from which the proximity noise there is taken, and the range of distances.
 _NEAR_PIXELS, _NEAR_SHARE = 1500, 0.25
 
@@ -582,11 +584,12 @@ def _refuse_movement(frames: Sequence[SensorFrame]) -> None:
         ("tactile", [frame.tactile_depth for frame in frames]),
         ("proximity", [frame.proximity_depth for frame in frames]),
     ):
-        parts = np.array([_resting_depth(part) for part in _split(images, _PARTS)])
-        parts = parts[:, np.isfinite(parts).all(axis=0)]
-        if not parts.size:
+        parts, errors = np.array([_resting_depth(part) for part in _split(images, _PARTS)]).swapaxes(0, 1)
+        known = np.isfinite(parts).all(axis=0)
+        if not known.any():
             continue  # the lack of depth is reported later
-        moved = np.ptp(parts, axis=0) > _MOVED_SHARE * parts.mean(axis=0)
+        parts, noise = parts[:, known], _MOVED_SIGMAS * np.sqrt(np.mean(errors[:, known] ** 2, axis=0))
+        moved = np.ptp(parts, axis=0) > np.maximum(_MOVED_SHARE * parts.mean(axis=0), noise)
         if moved.mean() > _MOVED_TILES:
             raise FrameError(
                 f"the scene moves: the {role} depth changes in {100 * moved.mean():.0f} % of the image; "
@@ -600,9 +603,13 @@ def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Arr
 
 
 def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
-    """Return the median depth of each image tile over some of the images, counts; nan without depth."""
-    some = images[:: -(-len(images) // _PART_FRAMES)]
-    return np.asarray(np.median([tile_medians(image) for image in some], axis=0))
+    """Return the median depth of each image tile over some of the images and its standard error, counts.
+
+    Shape (2, M); nan without depth.
+    """
+    some = np.array([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
+    errors = _MEDIAN_ERROR * some.std(axis=0) / np.sqrt(max(len(some) - 1, 1))
+    return np.array([np.median(some, axis=0), errors])
 
 
 def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None) -> list[SensorFrame]:
