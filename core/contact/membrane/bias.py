@@ -181,7 +181,10 @@ def _cells_near(
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:
-    """Return bias and contact area that agree with each other, from a first guess of the bias."""
+    """Return bias and contact area that agree with each other, from a first guess of the bias.
+
+    Without a prior the guess must be too large; then contact shrinks, and the search ends where it is not firm.
+    """
     solution: Equilibrium | None = None
     area_m2 = 0.0
     for _ in range(_MAX_ROUNDS):
@@ -189,8 +192,10 @@ def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, f
         areas = cells.area_m2[solution.touching]
         along_ray = (solution.residual_m / cells.facing)[solution.touching]
         area_m2, moment = float(areas.sum()), float((areas * along_ray).sum())
+        if prior is None and area_m2 < FIRM_M2:
+            break
         if prior is None:
-            shift = moment / area_m2 if area_m2 > 0 else 0.0
+            shift = moment / area_m2
         else:
             trust = prior.noise_m4 / prior.sigma_m**2
             shift = (moment + trust * (prior.mean_m - bias_m)) / (area_m2 + trust)
