@@ -141,7 +141,7 @@ def test_stream_and_seek(cup):
 def test_noise_has_the_size_that_the_data_sheets_give():
     clean = SimulatorSource("cube", noise=0.0, cells=COARSE).read(DEEP)
     for level in (1.0, 2.0):
-        frame = SimulatorSource("cube", noise=level, cells=COARSE).read(DEEP)
+        frame = SimulatorSource("cube", noise=level, cells=COARSE, sensor="datasheet").read(DEEP)
         inside = cv2.erode(clean.truth.contact.astype(np.uint8), np.ones((9, 9))) > 0
         error = (frame.proximity_depth.astype(float) - clean.proximity_depth)[inside & (frame.proximity_depth > 0)]
         spread = 1.4826 * np.median(np.abs(error - np.median(error))) * 0.00025
