@@ -162,8 +162,9 @@ def measure_rig(
 ) -> None:
     """Measure the noise of both cameras and the bias between them, and store them in a preset.
 
-    The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see. Without
-    --out and without a preset file nothing is written. The simulator removes a moving object for this.
+    The scene must be at rest. The bias is measured on prints of the mask's colour, which both cameras see,
+    and where an object is pressed firmly. Without --out and without a preset file nothing is written. The simulator
+    removes a moving object for this.
     """
     from ...core.preset import now
     from ...core.preset.checks import check_rig

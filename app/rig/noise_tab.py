@@ -37,7 +37,8 @@ PATIENCE_S: Final = 5.0
 _TICK_MS: Final = 100
 _INTRO = (
     "Hold the sensor and what it sees still. The noise is measured from the differences of successive frames and from "
-    "the mean frame on smooth surfaces. The bias is measured on prints of the mask's colour, which both cameras see."
+    "the mean frame on smooth surfaces. The bias is measured on prints of the mask's colour, which both cameras see, "
+    "and where an object is pressed firmly into the membrane (10 cm2 or more)."
 )
 _NOT_MEASURED = "The rig was not measured: the preset holds no noise and no bias."
 _NO_FRAME = "There is no frame yet: open a source in the main window first."

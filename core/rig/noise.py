@@ -159,7 +159,7 @@ def measure_noise(
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
     found = [
         print_bias(_spread_out(different, untouched), rig, preset, density_m4),
-        pressed_bias(different, contact_bias or firm_contact_bias(preset, rig), density_m4),
+        pressed_bias(_spread_out(different), contact_bias or firm_contact_bias(preset, rig), density_m4),
     ]
     report(1.0, "The noise is measured")
     bias = choose_bias([bias for bias in found if bias is not None], warn or (lambda sentence: None))
@@ -612,8 +612,8 @@ def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
     return np.array([np.median(some, axis=0), errors])
 
 
-def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None) -> list[SensorFrame]:
-    """Return the untouched frame and some live frames over the whole time."""
+def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None = None) -> list[SensorFrame]:
+    """Return the untouched frame, if there is one, and some live frames over the whole time."""
     some = list(frames[:: max(len(frames) // 10, 1)])
     return some if untouched is None else [untouched, *some]
 
