@@ -105,7 +105,7 @@ def rig_bias(preset: Preset, rig: Rig) -> RigBias:
     tactile = noise.tactile.density_m4(rig.tactile.intrinsics.fx)
     power = max(proximity + tactile, _LEAST_NOISE_M4)
     measured = noise.bias_from != "unknown"
-    weight = (proximity + _LEAST_NOISE_M4 / 2) / (power + _LEAST_NOISE_M4)
+    weight = (proximity + _LEAST_NOISE_M4 / 2) / (proximity + tactile + _LEAST_NOISE_M4)
     gap_sigma_m = math.hypot(_after_window_m(noise.proximity), _after_window_m(noise.tactile))
     return RigBias(noise.bias_m, max(noise.bias_sigma_m, _PRINT_SIGMA_M), power, measured, weight, gap_sigma_m)
 
