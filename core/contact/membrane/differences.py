@@ -76,11 +76,12 @@ class Differences:
 
 
 def large_contacts(contact: BoolArray, differences: Differences, section: MembraneSection, rig: Rig) -> BoolArray:
-    """Return contact without connected groups that are smaller than the preset's smallest contact."""
+    """Return contact without connected groups whose usable pixels are smaller than the preset's smallest contact."""
     camera, (top, left) = rig.proximity.intrinsics, differences.corner
     rows, columns = np.nonzero(contact)
     pixels = (rows + top) * camera.width + columns + left
-    large = in_large_cluster(differences.depth_m[rows, columns], pixels, camera, section.min_area_mm2)
+    depth = np.where(differences.usable[rows, columns], differences.depth_m[rows, columns], np.float32(0))
+    large = in_large_cluster(depth, pixels, camera, section.min_area_mm2)
     if large.all():
         return contact
     kept = np.zeros_like(contact)

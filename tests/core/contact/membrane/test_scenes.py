@@ -60,6 +60,18 @@ def disc(width: int = 200, height: int = 120, radius_px: float = 30.0, lift_m: f
 PLAIN = Preset().with_values({"contact_test": "membrane", "membrane.min_area_mm2": 0.0})
 
 
+@pytest.mark.parametrize("count", [0, 65535])
+def test_a_pixel_without_depth_does_not_enlarge_a_contact(count):
+    """65535 counts would be an area of 2980 mm2 at the 16 m that they stand for."""
+    unit_m, rig, frame = 0.00025, flat_rig(200, 120), disc(radius_px=6.0)
+    rig = rig.model_copy(update={"proximity": rig.proximity.model_copy(update={"depth_unit_m": unit_m})})
+    depth = np.rint(frame.proximity_depth * (UNIT_M / unit_m)).astype(np.uint16)
+    depth[60, 100] = count
+    frame = replace(frame, proximity_depth=depth)
+    assert 100 < ContactPipeline(PLAIN, rig).process(frame).area_mm2 < 300
+    assert not ContactPipeline(PLAIN.with_value("membrane.min_area_mm2", 400.0), rig).process(frame).mask.any()
+
+
 @pytest.mark.parametrize("bias", [True, False])
 @pytest.mark.parametrize(
     ("proximity", "tactile"), [(0, None), (65535, None), (None, 0), (None, 65535), (0, 0), (65535, 65535)]
