@@ -154,10 +154,11 @@ class ContactPipeline:
         if frames == 1:
             if self._average is not None:
                 self._average, self._memory = None, _Memory()
-        elif self._average is None or preset.noise != self._preset.noise:
+        elif self._average is None:
             self._average = AveragedDepth(self.rig, frames, preset.noise)
         else:
             self._average.max_frames = frames
+            self._average.expect(preset.noise)
 
     def _is_still(self, frame: SensorFrame) -> bool:
         """Return whether the remembered patch, computed with the current preset, is also that of a new frame."""

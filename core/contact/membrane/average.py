@@ -49,12 +49,17 @@ class AveragedDepth:
     def __init__(self, rig: Rig, frames: int, noise: RigNoise | None = None) -> None:
         self.max_frames = frames
         self._count = 0
-        proximity, tactile = _PROXIMITY_MOVED, _TACTILE_MOVED
+        self._rig = rig
+        self._proximity, self._tactile = _Means(rig.proximity.intrinsics.shape), _Means(rig.tactile.intrinsics.shape)
+        self.expect(noise)
+
+    def expect(self, noise: RigNoise | None) -> None:
+        """Tell movement from this noise, or from the usual noise for None; the averages are kept."""
+        self._proximity.moved_share, self._tactile.moved_share = _PROXIMITY_MOVED, _TACTILE_MOVED
         if noise is not None:
-            proximity = max(proximity, _largest_change(noise.proximity, rig.proximity.intrinsics.fx))
-            tactile = max(tactile, _largest_change(noise.tactile, rig.tactile.intrinsics.fx))
-        self._proximity = _Means(rig.proximity.intrinsics.shape, proximity)
-        self._tactile = _Means(rig.tactile.intrinsics.shape, tactile)
+            proximity_px, tactile_px = self._rig.proximity.intrinsics.fx, self._rig.tactile.intrinsics.fx
+            self._proximity.moved_share = max(_PROXIMITY_MOVED, _largest_change(noise.proximity, proximity_px))
+            self._tactile.moved_share = max(_TACTILE_MOVED, _largest_change(noise.tactile, tactile_px))
 
     def add(self, frame: SensorFrame) -> SensorFrame:
         """Return the frame with mean depths; a pixel without depth keeps its earlier mean."""
@@ -90,15 +95,22 @@ def _largest_change(noise: CameraNoise, focal_px: float) -> np.float32:
 
 
 class _Means:
-    """The mean of one camera's depth, in counts, and its number of frames per pixel; 0 without depth."""
+    """The mean of one camera's depth, in counts, and its number of frames per pixel; 0 without depth.
 
-    def __init__(self, shape: tuple[int, int], moved_share: np.float32) -> None:
-        self._moved_share = moved_share
+    Attributes
+    ----------
+    moved_share : float32
+        A block has moved if its mean depth has changed by more than this share.
+    """
+
+    moved_share: np.float32
+
+    def __init__(self, shape: tuple[int, int]) -> None:
         self._mean, self._frames = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
 
     def moved(self, counts: Uint16Array) -> bool:
         """Forget the blocks that have moved; return whether any has."""
-        return bool(kernels.forget_moved(counts, self._mean, self._frames, _SIDE_PX, self._moved_share, _JUMP_SHARE))
+        return bool(kernels.forget_moved(counts, self._mean, self._frames, _SIDE_PX, self.moved_share, _JUMP_SHARE))
 
     def forget(self) -> None:
         self._frames[:] = 0
