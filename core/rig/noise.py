@@ -327,6 +327,8 @@ def _changing_autocovariances(
     for number, difference in enumerate(_differences(depths)):
         report(number / len(depths))
         noise = difference / growth
+        if not np.isfinite(noise).any():
+            continue  # a frame without depth
         noise -= np.nanmedian(noise)
         limit = _TRIM * _NORMAL * float(np.nanmedian(np.abs(noise))) + 1e-9
         rows.append(_autocovariances(np.where(np.abs(noise) <= limit, noise, np.nan)) / 2)
@@ -584,12 +586,12 @@ def _refuse_movement(frames: Sequence[SensorFrame]) -> None:
         ("tactile", [frame.tactile_depth for frame in frames]),
         ("proximity", [frame.proximity_depth for frame in frames]),
     ):
-        parts, errors = np.array([_resting_depth(part) for part in _split(images, _PARTS)]).swapaxes(0, 1)
-        known = np.isfinite(parts).all(axis=0)
+        parts, errors = np.ma.masked_invalid([_resting_depth(part) for part in _split(images, _PARTS)]).swapaxes(0, 1)
+        known = parts.count(axis=0) > _PARTS // 2
         if not known.any():
             continue  # the lack of depth is reported later
         parts, noise = parts[:, known], _MOVED_SIGMAS * np.sqrt(np.mean(errors[:, known] ** 2, axis=0))
-        moved = np.ptp(parts, axis=0) > np.maximum(_MOVED_SHARE * parts.mean(axis=0), noise)
+        moved = np.ma.ptp(parts, axis=0) > np.maximum(_MOVED_SHARE * parts.mean(axis=0), noise)
         if moved.mean() > _MOVED_TILES:
             raise FrameError(
                 f"the scene moves: the {role} depth changes in {100 * moved.mean():.0f} % of the image; "
@@ -605,11 +607,13 @@ def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Arr
 def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
     """Return the median depth of each image tile over some of the images and its standard error, counts.
 
-    Shape (2, M); nan without depth.
+    Shape (2, M); nan where most of the images have no depth.
     """
-    some = np.array([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
-    errors = _MEDIAN_ERROR * some.std(axis=0) / np.sqrt(max(len(some) - 1, 1))
-    return np.array([np.median(some, axis=0), errors])
+    some = np.ma.masked_invalid([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
+    count = some.count(axis=0)
+    errors = _MEDIAN_ERROR * some.std(axis=0) / np.sqrt(np.maximum(count - 1, 1))
+    found = np.array([np.ma.median(some, axis=0).filled(np.nan), errors.filled(np.nan)])
+    return np.where(2 * count >= len(some), found, np.nan)
 
 
 def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None = None) -> list[SensorFrame]:

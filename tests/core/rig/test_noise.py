@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import lru_cache
 
 import cv2
@@ -128,6 +129,19 @@ def test_too_few_frames_motion_and_no_depth_are_refused(rig, preset, still):
     ]
     with pytest.raises(FrameError, match=r"the tactile camera sees depth in only 0\.0 %"):
         measure_noise(blind, rig, preset)
+
+
+def test_a_frame_without_depth_hides_no_movement_and_is_left_out(rig, preset, still):
+    def without_depth(frame):
+        return replace(frame, proximity_depth=np.zeros_like(frame.proximity_depth))
+
+    moving = [wall(rig, index, proximity_m=0.3 + 0.0004 * index) for index in range(20)]
+    with pytest.raises(FrameError, match="the scene moves: the proximity depth"):
+        measure_noise([*moving[:5], without_depth(moving[5]), *moving[6:]], rig, preset)
+    frames = [*still[:4], without_depth(still[4]), *still[5:20]]
+    noise = measure_noise(frames, rig, preset, contact_bias=nothing_pressed)
+    assert noise.proximity.white_m == pytest.approx(0.0006, rel=0.1)
+    assert noise.proximity.correlated_m == pytest.approx(0.0005, rel=0.2)
 
 
 def test_a_scene_without_smooth_surfaces_is_refused(rig, preset):
