@@ -609,11 +609,13 @@ def _resting_depth(images: Sequence[Uint16Array]) -> Float64Array:
 
     Shape (2, M); nan where most of the images have no depth.
     """
-    some = np.ma.masked_invalid([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
-    count = some.count(axis=0)
-    errors = _MEDIAN_ERROR * some.std(axis=0) / np.sqrt(np.maximum(count - 1, 1))
-    found = np.array([np.ma.median(some, axis=0).filled(np.nan), errors.filled(np.nan)])
-    return np.where(2 * count >= len(some), found, np.nan)
+    some = np.array([tile_medians(image) for image in images[:: -(-len(images) // _PART_FRAMES)]])
+    count = np.isfinite(some).sum(axis=0)
+    seen = 2 * count >= len(some)
+    found = np.full((2, some.shape[1]), np.nan)
+    found[0, seen] = np.nanmedian(some[:, seen], axis=0)
+    found[1, seen] = _MEDIAN_ERROR * np.nanstd(some[:, seen], axis=0) / np.sqrt(np.maximum(count[seen] - 1, 1))
+    return found
 
 
 def _spread_out(frames: Sequence[SensorFrame], untouched: SensorFrame | None = None) -> list[SensorFrame]:
