@@ -58,7 +58,7 @@ def texts(bar, result, times) -> set[str]:
     return {label.text() for label in bar.findChildren(QLabel)}
 
 
-@pytest.mark.parametrize(("width_px", "shown", "not_shown"), [(800, SUM, EACH), (1920, EACH, SUM)])
+@pytest.mark.parametrize(("width_px", "shown", "not_shown"), [(600, SUM, EACH), (1920, EACH, SUM)])
 def test_the_times_of_the_stages_are_summed_up_where_they_do_not_fit(bar, result, width_px, shown, not_shown):
     bar.resize(width_px, 24)
     found = texts(bar, result, TIMES)

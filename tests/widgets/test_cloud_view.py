@@ -270,7 +270,7 @@ def test_the_legend_shows_what_fits_and_lists_all(qtbot: QtBot) -> None:
     assert line.fitting() == 1
 
 
-@pytest.mark.parametrize(("width", "lines"), [(297, 4), (800, 2), (1600, 1)])
+@pytest.mark.parametrize(("width", "lines"), [(297, 4), (600, 2), (1600, 1)])
 def test_a_legend_with_enough_lines_shows_all_names(qtbot: QtBot, width: int, lines: int) -> None:
     legend = LegendLine()
     qtbot.addWidget(legend)
