@@ -2,7 +2,7 @@
 
 The limits of fill rate, plane fit and temporal noise follow the depth quality that Intel's data sheet of the D400
 family promises (fill rate 99 %, spatial and temporal noise in the order of 1 to 2 % of the distance); the bias is
-judged by the preset's contact test: by its tolerance, or by the membrane test's bias and largest gap.
+judged by the contact test of the preset: by its tolerance, or by what the membrane test corrects.
 """
 
 from __future__ import annotations
@@ -24,6 +24,8 @@ _FLAT_STEP = "No flat surface fills the region: choose a flat target, or drag th
 _GOOD_ACCURACY = 0.02
 #: If the scatter exceeds this multiple of the fair bias, the cameras do not see the same surface.
 _ONE_SURFACE_SHARE = 1.5
+#: The limit on a bias that counts at most for that, metres; the membrane test corrects a larger one.
+_ONE_SURFACE_MAX_M = 0.01
 
 
 class Verdict(StrEnum):
@@ -96,7 +98,7 @@ def judge_bias(quality: DepthQuality, preset: Preset) -> Reading:
     )
     distance_m = bias.bias_m / bias.share if bias.share else math.inf
     limits = preset.test.bias_limits(preset.test_section, distance_m)
-    if bias.spread_m > _ONE_SURFACE_SHARE * limits.fair_m:
+    if bias.spread_m > _ONE_SURFACE_SHARE * min(limits.fair_m, _ONE_SURFACE_MAX_M):
         step = "The cameras do not see the same surface: put a flat, opaque target in front of both."
         return Reading(title, value, Verdict.UNKNOWN, step=step)
     if abs(bias.bias_m) <= limits.good_m:

@@ -155,7 +155,7 @@ OpenWizard = Callable[[], CalibrationWizard]
 
 @pytest.fixture
 def document() -> Document:
-    return Document(Preset(name="tiny"))
+    return Document(Preset(name="tiny", contact_test="tolerance"))
 
 
 @pytest.fixture

@@ -113,7 +113,7 @@ def open_checks(qtbot, tmp_path) -> Iterator[Open]:
     windows = []
 
     def make(source: FrameSource) -> MainWindow:
-        preset = Preset.model_validate({"name": "tiny", "outliers": {"enabled": False}})
+        preset = Preset(name="tiny", contact_test="tolerance").with_value("outliers.enabled", False)
         main = MainWindow(preset, Settings(tmp_path / "window.ini"), tmp_path, native_dialogs=False, backend="software")
         windows.append(main)
         main.show()

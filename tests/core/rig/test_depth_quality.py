@@ -219,9 +219,12 @@ def test_a_bias_is_judged_by_the_membrane_test(rig, make_frame, bias_m, correcte
     assert (reading.verdict, reading.limit) == (verdict, limit)
 
 
-def test_two_surfaces_are_no_bias(rig, make_frame):
-    steps = np.where(np.arange(WIDTH) % 20 < 10, 0.3, 0.4)
-    reading = judge_bias(measure_quality([make_frame(steps, 0.3)], rig, AlignmentSection(), REGION), Preset())
+@pytest.mark.parametrize("contact_test", ["tolerance", "membrane"])
+@pytest.mark.parametrize("farther_m", [0.04, 0.1])
+def test_two_surfaces_are_no_bias(rig, make_frame, contact_test, farther_m):
+    steps = np.where(np.arange(WIDTH) % 20 < 10, 0.3, 0.3 + farther_m)
+    quality = measure_quality([make_frame(steps, 0.3)], rig, AlignmentSection(), REGION)
+    reading = judge_bias(quality, Preset(contact_test=contact_test))
     assert reading.verdict is Verdict.UNKNOWN
     assert "same surface" in reading.line
 
