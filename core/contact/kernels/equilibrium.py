@@ -82,13 +82,15 @@ class Relaxation(NamedTuple):
 def average_cells(window: Any, side: Any, rays: Any, first: Any, last: Any, out: Any) -> None:
     """Write means over cells of ``side`` by ``side`` pixels, in rows ``first`` to ``last - 1`` of cells.
 
+    The last cells may reach beyond the images.
+
     Parameters
     ----------
     window : DifferenceWindow
     side : int
     rays : membrane.RayWindow
         Of the images.
-    out : float32, shape (6, H // side, W // side)
+    out : float32, shape (6, ceil(H / side), ceil(W / side))
         Mean difference; share of the pixels that take part; that share times their mean x, y and z; and the excluded
         share.
     """
@@ -98,8 +100,8 @@ def average_cells(window: Any, side: Any, rays: Any, first: Any, last: Any, out:
     for row in range(first, last):
         for column in range(out.shape[2]):
             count, difference, x, y, z, barred = _ZERO, _ZERO, _ZERO, _ZERO, _ZERO, _ZERO
-            for v in range(side * row, side * row + side):
-                for u in range(side * column, side * column + side):
+            for v in range(side * row, min(side * row + side, usable.shape[0])):
+                for u in range(side * column, min(side * column + side, usable.shape[1])):
                     if excluded[v, u]:
                         barred += _ONE
                     if usable[v, u] and abs(differences[v, u] - centre_m) < limit_m:

@@ -1,1 +1,1 @@
-"""The membrane contact test: contact from local means of the difference of both depths."""
+"""The membrane contact test: contact where a membrane in equilibrium touches the object."""

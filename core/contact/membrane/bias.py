@@ -20,10 +20,10 @@ import numpy as np
 from ...model.frames import Rig
 from ...preset import CameraNoise, Preset
 from .differences import Differences, surroundings
-from .equilibrium import GUESS_PX, Cells, Equilibrium, cells_of, settle
+from .equilibrium import CELL_PX, GUESS_PX, Cells, Equilibrium, cells_of, settle
 
 #: Side of the cells and sigma of the window over the object's shape, pixels; length over which equilibrium is trusted.
-_CELL_PX: Final = 8
+COARSE_CELL_PX: Final = 8
 _SHAPE_PX: Final = 6.0
 _TRUST_M: Final = 0.03
 #: Above the most frequent difference the search begins, and differences nearer than the second take part, metres.
@@ -67,6 +67,8 @@ class RigBias:
         Weight of the tactile depth in a mean of both depths, from both cameras' noise.
     gap_sigma_m : float
         Standard deviation of a gap averaged over a window of `GUESS_PX`.
+    pixel_sigma_m : float
+        Standard deviation of the gap of one pixel.
     """
 
     mean_m: float
@@ -75,6 +77,7 @@ class RigBias:
     measured: bool
     tactile_weight: float = 0.5
     gap_sigma_m: float = 0.0011
+    pixel_sigma_m: float = 0.0013
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,9 @@ def rig_bias(preset: Preset, rig: Rig) -> RigBias:
     measured = noise.bias_from != "unknown"
     weight = (proximity + _LEAST_NOISE_M4 / 2) / (proximity + tactile + _LEAST_NOISE_M4)
     gap_sigma_m = math.hypot(_after_window_m(noise.proximity), _after_window_m(noise.tactile))
-    return RigBias(noise.bias_m, max(noise.bias_sigma_m, _PRINT_SIGMA_M), power, measured, weight, gap_sigma_m)
+    pixel_sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
+    sigma_m = max(noise.bias_sigma_m, _PRINT_SIGMA_M)
+    return RigBias(noise.bias_m, sigma_m, power, measured, weight, gap_sigma_m, pixel_sigma_m)
 
 
 def _after_window_m(noise: CameraNoise) -> float:
@@ -175,9 +180,10 @@ def _cells_near(
     box = surroundings(near, 2)
     if box is None:
         return None, (slice(0), slice(0))
-    rows, columns = (slice(side.start * _STRIDE_PX, side.stop * _STRIDE_PX) for side in box)
+    grid = math.lcm(COARSE_CELL_PX, CELL_PX)  # so that the cells are the same wherever the part begins
+    rows, columns = (slice(side.start * _STRIDE_PX // grid * grid, side.stop * _STRIDE_PX) for side in box)
     part = rows, columns
-    return cells_of(differences.cut(part), _CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig), part
+    return cells_of(differences.cut(part), COARSE_CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig), part
 
 
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:

@@ -29,6 +29,8 @@ from ..kernels.membrane import RayWindow, bulges
 from ..kernels.threads import by_rows
 from .differences import Differences
 
+#: Side of the cells, pixels.
+CELL_PX: Final = 3
 #: Share of a cell's window that must be usable for a gap, for the object's curvature, and for its slope.
 _MIN_SHARE, _MIN_SHARE_OF_SHAPE, _MIN_SHARE_OF_SLOPE = np.float32(0.4), np.float32(0.5), np.float32(0.05)
 #: Excluded share from which a cell takes no part.
@@ -123,7 +125,7 @@ def cells_of(
     camera, (height, width) = rig.proximity.intrinsics, differences.usable.shape
     if min(height, width) < 3 * size_px:
         return None
-    means = np.zeros((6, height // size_px + 2, width // size_px + 2), np.float32)
+    means = np.zeros((6, -(-height // size_px) + 2, -(-width // size_px) + 2), np.float32)
     window = kernels.DifferenceWindow(
         differences.difference_m, differences.depth_m, differences.usable, differences.excluded,
         np.float32(near_m[0]), np.float32(near_m[1]),
@@ -181,15 +183,26 @@ def settle(cells: Cells, bias_m: float, trust_m: float, start: Equilibrium | Non
     return Equilibrium(gap, guess, measured - gap, inside & (gap <= 0))
 
 
-def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> Float32Array:
-    """Return an image of the cells, interpolated to pixels; far beyond the last whole cell."""
+def to_pixels(cells: Cells, image: Float32Array, shape: tuple[int, int]) -> tuple[Float32Array, BoolArray]:
+    """Interpolate an image of the cells to pixels.
+
+    Returns
+    -------
+    pixels : float32, shape (H, W)
+        Interpolated between known cells; far in the others.
+    border : bool, shape (H, W)
+        Whether a cell near the pixel is unknown.
+    """
     import cv2
 
-    inner = image[1:-1, 1:-1]
-    height, width = (side * cells.size_px for side in inner.shape)
-    pixels = np.full(shape, FAR_M)
-    pixels[:height, :width] = cv2.resize(inner, (width, height), interpolation=cv2.INTER_LINEAR)
-    return pixels
+    known, (height, width) = cells.known[1:-1, 1:-1], shape
+    size = known.shape[1] * cells.size_px, known.shape[0] * cells.size_px
+    weight = known.view(np.uint8).astype(np.float32)
+    inside = cv2.resize(weight, size, interpolation=cv2.INTER_NEAREST)[:height, :width] > 0
+    total = cv2.resize(weight * image[1:-1, 1:-1], size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    share = cv2.resize(weight, size, interpolation=cv2.INTER_LINEAR)[:height, :width]
+    pixels = np.where(inside, total / np.maximum(share, np.float32(1e-6)), FAR_M)
+    return np.asarray(pixels, np.float32), np.asarray(inside & (share < 1))
 
 
 def _with_nearest(image: Float32Array, reach_cells: float) -> Float32Array:

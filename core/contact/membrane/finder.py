@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -19,9 +20,9 @@ from ..kernels import membrane as kernels
 from ..kernels.chain import TILE_ROWS
 from ..kernels.simd import LANES
 from ..kernels.threads import by_rows
-from .bias import FrameBias, frame_bias, rig_bias
+from .bias import COARSE_CELL_PX, FrameBias, frame_bias, rig_bias
 from .differences import Differences, large_contacts, surface_points
-from .equilibrium import FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
+from .equilibrium import CELL_PX, FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
 from .tension import free_curvature_per_m
 
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
@@ -33,8 +34,6 @@ _ALIGN_ANEW_M: Final = 0.001
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
 #: A membrane is not nearer to the camera, metres.
 _NEAREST_M: Final = 0.1
-#: Side of the cells of the equilibrium, pixels.
-_CELL_PX: Final = 3
 
 
 class MembraneFinder(ContactFinder):
@@ -72,7 +71,7 @@ class MembraneFinder(ContactFinder):
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
         if due("equilibrium"):
             near_m = self.bias.bias_m, _NEAR_M
-            self._cells = cells_of(differences, _CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
+            self._cells = cells_of(differences, CELL_PX, section.shape_px, self._free_per_m, near_m, rig)
             if self._cells is not None:
                 self._solution = settle(self._cells, self.bias.bias_m, section.trust_m)
         if (cells := self._cells) is None:
@@ -110,11 +109,16 @@ class MembraneFinder(ContactFinder):
         return None if found is None else found.cut(self.bias.part)
 
     def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
-        """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger."""
+        """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger.
+
+        Where the object ends, cells are cut by their pixels: those that do not measure a small gap do not count.
+        """
         certain_m = gap_m + max(_CERTAIN * self._known.gap_sigma_m, _MODEL_ERROR_M)
         gap = np.where(self._solution.guess_m > np.float32(certain_m), FAR_M, self._solution.gap_m)
-        gap = to_pixels(cells, gap, differences.usable.shape)
-        return np.asarray((gap <= np.float32(gap_m)) & ~differences.excluded)
+        gap, border = to_pixels(cells, gap, differences.usable.shape)
+        largest = np.float32(gap_m + max(_CERTAIN * self._known.pixel_sigma_m, _MODEL_ERROR_M))
+        near = differences.usable & (np.abs(differences.difference_m - np.float32(self.bias.bias_m)) < largest)
+        return np.asarray((gap <= np.float32(gap_m)) & ~differences.excluded & (near | ~border))
 
     def classify(self, frame: SensorFrame) -> Uint8Array:
         """Return each pixel's verdict of depth, region, range, difference and colour; usable pixels have CONTACT."""
@@ -187,14 +191,18 @@ class MembraneFinder(ContactFinder):
         return difference, state
 
     def _rectangle(self, tiles: BoolArray) -> tuple[tuple[int, int], tuple[int, int]]:
-        """Return first and last (exclusive) row and column of the possible tiles, with a margin of cells."""
+        """Return first and last (exclusive) row and column of the possible tiles, with a margin of cells.
+
+        It begins at multiples of all cells and tiles, so what lies elsewhere in the image does not shift the cells.
+        """
         width, height, *_ = self.alignment.size
         bounds = []
         for axis, step, size in ((1, TILE_ROWS, height), (0, LANES, width)):
             used = np.flatnonzero(tiles.any(axis=axis))
-            first = max(int(used[0]) * step - 2 * _CELL_PX, 0)
-            last = min((int(used[-1]) + 1) * step + 2 * _CELL_PX, size)
-            bounds.append((first // step * step, last))
+            first = max(int(used[0]) * step - 2 * CELL_PX, 0)
+            last = min((int(used[-1]) + 1) * step + 2 * CELL_PX, size)
+            grid = math.lcm(step, CELL_PX, COARSE_CELL_PX)
+            bounds.append((first // grid * grid, last))
         return bounds[0], bounds[1]
 
 
@@ -210,7 +218,7 @@ def full_provenance(
     """Write the verdicts of the equilibrium and later steps over those of `MembraneFinder.classify`."""
     part, usable = verdicts[differences.place], differences.usable
     guess = np.where(cells.known, solution.guess_m, np.float32(1))
-    near = to_pixels(cells, guess.astype(np.float32), usable.shape) < NEAR_GAP_M
+    near = to_pixels(cells, guess.astype(np.float32), usable.shape)[0] < NEAR_GAP_M
     part[usable & near] = Provenance.RIM
     part[usable & touching] = Provenance.SMALL_CLUSTER
     part[usable & large] = Provenance.OUTLIER
