@@ -212,7 +212,8 @@ def test_differences_are_those_of_whole_images(
     frame = make_frame(rig, seed)
     preset = MEMBRANE.with_values(
         {"mask.enabled": mask, "mask.saturation": (60, 255), "alignment.model": model, "region.enabled": True,
-         "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5)}
+         "region.rectangle": rectangle, "range.enabled": True, "range.limits_m": (0.27, 0.5),
+         "membrane.bias": False, "membrane.min_area_mm2": 0.0}
     )  # fmt: skip
     finder = MembraneFinder(preset, rig, make_alignment(preset.alignment, rig))
     aligned = finder.alignment.align(frame.proximity_depth, frame.tactile_depth, finder.test.region)
@@ -224,7 +225,7 @@ def test_differences_are_those_of_whole_images(
         colors, seen = colors_at(points.astype(np.float32), np.arange(depth.size), frame.proximity_color, rig)
         usable &= ~(in_hsv_range(colors, preset.mask) & seen).reshape(usable.shape)
 
-    found = finder.differences(frame, preset.membrane)
+    found = finder.differences(frame, preset)
     assert (found is None) == (not usable.any())
     verdicts = finder.classify(frame)
     if mask:
