@@ -49,7 +49,7 @@ _OBJECT_REMOVED = "The simulator's object moves, so it was removed for the measu
 
 @dataclass(frozen=True)
 class Measured:
-    """A measurement and what is to be said beside its own sentences."""
+    """A measurement, and further sentences to show below it."""
 
     noise: RigNoise
     remarks: tuple[str, ...]

@@ -1,7 +1,7 @@
 """The noise of both depth cameras and the bias between them, measured on frames of a scene at rest.
 
 Two things tell the noise. The difference of successive frames contains only what changes from frame to frame. The mean
-of all frames contains what stays: what is left of it beside a smooth surface. The autocovariances of both are fitted
+of all frames contains what stays: its residual from a smooth surface. The autocovariances of both are fitted
 together by white noise and by noise that neighbours share (a Gaussian window over white noise). A smooth surface that
 is fitted to a window also takes away part of the shared noise; the model of the autocovariance takes away the same.
 """
@@ -49,7 +49,8 @@ ContactBias = Callable[[SensorFrame], tuple[float, float] | None]
 _LAGS: Final = (0, 1, 2, 3, 4, 6, 8, 12, 16, 24, 32)
 #: Candidates for the correlation length, pixels.
 _LENGTHS_PX: Final = np.geomspace(0.8, 64.0, 90)
-#: Side of the windows with a smooth surface: this, or so many correlation lengths up to an upper limit, pixels.
+#: Side of the windows with a smooth surface, pixels: the first, or this multiple of the correlation length if that is
+#: larger, up to the last.
 _TILE_PX, _TILE_LENGTHS, _MAX_TILE_PX = 48, 6.0, 144
 #: Share of a window's pixels that need a depth, and share of the frames in which a pixel needs one.
 _MIN_FILLED, _MIN_SEEN = 0.85, 0.8
@@ -60,7 +61,7 @@ _LENGTH_RANGE: Final = 1.3
 _MIN_USABLE: Final = 0.01
 #: Pixels whose noise is larger than the median by this factor are flying pixels at edges.
 _FLYING: Final = 2.5
-#: Residuals beyond so many robust standard deviations are outliers.
+#: Residuals beyond this number of robust standard deviations are outliers.
 _TRIM: Final = 5.0
 _NORMAL: Final = 1.4826
 #: Standard error of an autocovariance as a share of the variance, at the least.
@@ -69,9 +70,10 @@ _MIN_ERROR: Final = 0.005
 _MIN_CORRELATED: Final = 0.01
 
 #: Movement: the median depth of an image tile differs by more than this share in more than this share of the tiles,
-#: between these parts of the time, each of at most so many frames.
+#: between these parts of the time. The last number limits the frames that are read of each part.
 _MOVED_SHARE, _MOVED_TILES, _PARTS, _PART_FRAMES = 0.0067, 0.02, 4, 8
-#: Changes of a tile within so many standard errors are noise; that of a median is larger than a mean's by the second.
+#: Changes of an image tile within this number of standard errors are noise. The standard error of a median is that of a
+#: mean times the second number.
 _MOVED_SIGMAS, _MEDIAN_ERROR = 5.0, 1.25
 #: Fewest pixels at the membrane's distance from which the proximity noise there is taken, and the range of distances.
 _NEAR_PIXELS, _NEAR_SHARE = 1500, 0.25
@@ -82,7 +84,7 @@ _PRINT_RIM_PX, _PRINT_PIXELS, _MAX_BIAS_M, _MAX_SCATTER_M = 5, 60, 0.04, 0.006
 _BIAS_FLOOR_M: Final = 0.0002
 #: Smallest range of depth that tells the slope of the bias, metres.
 _MIN_RANGE_M: Final = 0.040
-#: Two biases disagree beyond so many standard deviations.
+#: Two biases disagree beyond this number of standard deviations.
 _DISAGREE: Final = 3.0
 
 
@@ -361,7 +363,7 @@ def _with_errors(rows: Float64Array) -> Autocovariances:
 def _fixed_autocovariances(
     role: CameraRole, surface: Float32Array, divisor: Float32Array, good: BoolArray, length_px: float
 ) -> tuple[Autocovariances, int]:
-    """Return the autocovariances of the mean frame beside smooth surfaces, and the side of the windows, pixels."""
+    """Return the autocovariances of the mean frame's residuals from smooth surfaces, and the window size, pixels."""
     largest = min(_MAX_TILE_PX, min(surface.shape) // 3)
     for tile_px in (int(np.clip(_TILE_LENGTHS * length_px, _TILE_PX, largest)), min(_TILE_PX, largest)):
         rows = _residual_autocovariances(surface, divisor, good, tile_px)
@@ -452,7 +454,7 @@ def _fit_noise(
 
 @lru_cache(maxsize=512)
 def _seen_covariances(length_px: float, tile_px: int) -> Float64Array:
-    """Return the autocovariances at `_LAGS` that noise of variance 1 keeps beside a fitted quadratic surface.
+    """Return the autocovariances at `_LAGS` of noise of variance 1 after a quadratic surface is fitted and subtracted.
 
     With the covariance C and the projector Q Q' onto the surfaces the residual has the covariance
     (I - Q Q') C (I - Q Q'). C is that of rows times that of columns. Length 0 is white noise.

@@ -50,8 +50,8 @@ class Equations(NamedTuple):
     places : int32, shape (N,)
         Flat places of the cells in their image.
     links : float32, shape (7, N)
-        To the left, right, upper and lower neighbour; to the measured gap; the area; and one over the sum of the first
-        five.
+        To the left, right, upper and lower neighbour; to the measured gap; the area, m^2; and the reciprocal of the sum
+        of the first five.
     even : int
         Number of cells of even row plus column. No two of them are neighbours, and no two of the others.
     """

@@ -238,11 +238,11 @@ def forget_moved(counts: Any, means: Any, frames: Any, side: Any, share: Any, ju
 
 
 @kernel
-def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump: Any) -> None:
+def add_to_means(counts: Any, means: Any, frames: Any, out: Any, max_frames: Any, jump: Any) -> None:
     """Add an image of counts to the means over ``frames`` frames, and write the means as counts; 0 for no depth.
 
     A pixel that differs from its mean by more than ``jump`` of it restarts; a pixel without depth loses one frame of
-    its weight. No mean has the weight of more than ``most`` frames.
+    its weight. No mean has the weight of more than ``max_frames`` frames.
     """
     height, width = counts.shape
     for v in range(height):
@@ -254,7 +254,7 @@ def add_to_means(counts: Any, means: Any, frames: Any, out: Any, most: Any, jump
             elif before == _ZERO or abs(value - mean) > jump * mean:
                 before, mean = _ONE, value
             else:
-                before = min(before + _ONE, most)
+                before = min(before + _ONE, max_frames)
                 mean += (value - mean) / before
             frames[v, u], means[v, u] = before, mean
             out[v, u] = np.uint16(mean + _HALF) if before > _ZERO else np.uint16(0)

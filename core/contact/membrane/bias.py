@@ -1,12 +1,12 @@
-"""The bias between both cameras in one frame: known from the rig, and found again where contact is firm.
+"""The bias between both cameras in one frame: from the rig, and from the frame where contact is firm.
 
-In contact both cameras measure the same surface, so the bias is the mean difference there; but where contact is depends
-on the bias. Both are unknowns of one least squares problem, solved by turns: the obstacle problem for a bias, then the
-mean residual in contact as its correction. It starts from above, because a bias that is too large makes everything
-touch, and one that is too small can leave nothing to correct it by.
+In contact both cameras measure the same surface, so the bias is the mean difference there. But where contact is
+depends on the bias. Both are unknowns of one least squares problem, which is solved by alternation: solve the obstacle
+problem for a bias, then correct the bias by the mean residual in contact. The first bias is too large on purpose: then
+too much touches, and contact shrinks. With a bias that is too small nothing may touch, and there is no residual.
 
-A bias can't be told from a gap where nothing presses: a free membrane above an object looks the same for any of them.
-So a small contact has no vote of its own; there the rig's measured bias decides.
+Where nothing presses, a bias can't be told from a gap: the free membrane above an object looks the same for any bias.
+So the bias of a small contact follows from the rig's measured bias.
 """
 
 from __future__ import annotations
@@ -22,30 +22,33 @@ from ...preset import CameraNoise, Preset
 from .differences import Differences, surroundings
 from .equilibrium import CELL_PX, GUESS_PX, Cells, Equilibrium, cells_of, settle
 
-#: Side of the cells and sigma of the window over the object's shape, pixels; length over which equilibrium is trusted.
+#: For the search for the bias: side of a grid cell, pixels; sigma of the window over the object's shape, pixels; length
+#: over which equilibrium is trusted, metres.
 COARSE_CELL_PX: Final = 8
 _SHAPE_PX: Final = 6.0
 _TRUST_M: Final = 0.03
-#: Above the most frequent difference the search begins, and differences nearer than the second take part, metres.
+#: The search begins above the most frequent difference by the first; differences nearer than the second to the start
+#: take part. Metres.
 _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
-#: Every fourth pixel of every fourth row tells which differences are frequent, and where.
+#: Step between the rows and columns that are read to find where differences are near the bias, and which are frequent.
 _STRIDE_PX: Final = 4
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
 _BIN_M, _SMOOTH_BINS = 0.0005, 1.5
-#: Contact of this area proves its bias without the rig's.
+#: Contact is firm from this area on: its bias is measured without the rig's.
 FIRM_M2: Final = 0.001
-#: The bias is found when it changes by less, metres.
+#: The search ends when the bias changes by less, metres, or after this number of rounds.
 _EXACT_M: Final = 3e-5
 _MAX_ROUNDS: Final = 12
 #: The frame's bias replaces the rig's where they differ by more than this many standard deviations.
 _DISAGREE: Final = 3.0
-#: Noise power that is assumed for a rig that was not measured (a D405 and an L515 at 0.3 m), m^4, and its bias, metres.
+#: Assumed for a rig that was not measured: noise power of a D405 and an L515 at 0.3 m, m^4, and standard deviation of
+#: the bias, metres.
 _USUAL_NOISE_M4: Final = 3e-10
-#: Errors of the model count as much as this noise power, m^4.
-_LEAST_NOISE_M4: Final = 1e-11
 _USUAL_SIGMA_M: Final = 0.005
-#: Systematic error of a bias measured on prints, metres, and the fewest such pixels.
+#: Lower limit of the noise power, for errors of the model, m^4.
+_MIN_NOISE_M4: Final = 1e-11
+#: Systematic error of a bias measured on prints, metres, and fewest pixels on prints that tell it.
 _PRINT_SIGMA_M: Final = 0.0003
 _MIN_PRINT_PIXELS: Final = 200
 
@@ -87,11 +90,11 @@ class FrameBias:
     Attributes
     ----------
     bias_m : float
-        What remains beyond the bias of the differences it was found in.
+        Bias of the differences, beyond the `Differences.bias_m` that was subtracted.
     firm_m2 : float
-        Area of the contact that proves it; 0 if the rig's bias decided.
+        Area of the firm contact that it was measured in; 0 if it follows from the rig's bias.
     part : tuple of slice
-        Rows and columns of the differences outside of which too little is near for contact.
+        Rows and columns of the differences that hold all pixels near the bias.
     """
 
     bias_m: float = 0.0
@@ -106,9 +109,9 @@ def rig_bias(preset: Preset, rig: Rig) -> RigBias:
         return RigBias(0.0, _USUAL_SIGMA_M, _USUAL_NOISE_M4, measured=False)
     proximity = noise.proximity.density_m4(rig.proximity.intrinsics.fx)
     tactile = noise.tactile.density_m4(rig.tactile.intrinsics.fx)
-    power = max(proximity + tactile, _LEAST_NOISE_M4)
+    power = max(proximity + tactile, _MIN_NOISE_M4)
     measured = noise.bias_from != "unknown"
-    weight = (proximity + _LEAST_NOISE_M4 / 2) / (proximity + tactile + _LEAST_NOISE_M4)
+    weight = (proximity + _MIN_NOISE_M4 / 2) / (proximity + tactile + _MIN_NOISE_M4)
     gap_sigma_m = math.hypot(_after_window_m(noise.proximity), _after_window_m(noise.tactile))
     pixel_sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
     sigma_m = max(noise.bias_sigma_m, _PRINT_SIGMA_M)

@@ -102,7 +102,7 @@ def surface_points(
     Parameters
     ----------
     bias_m : float
-        What is left of the bias, beyond that of the differences.
+        Bias of the differences, beyond the `Differences.bias_m` that was subtracted.
     tactile_weight : float
         Weight of the tactile depth, 0 to 1; the proximity depth has the rest.
     """

@@ -41,7 +41,7 @@ GUESS_PX: Final = 2.5
 _REACH_PX: Final = 16.0
 #: The gap is solved for where the measured one is below the first; at the border of what is seen, below the second.
 _MAX_GAP_M, _MAX_GAP_AT_BORDER_M = np.float32(0.005), np.float32(0.0014)
-#: Lower limit of p / T - k, 1/m: what presses the membrane against a more strongly curved object.
+#: Lower limit of p / T - k, 1/m; it holds where the object is hollow and curves more strongly than the free membrane.
 _MIN_PUSH_PER_M: Final = np.float32(2.0)
 #: A gap far above all others, for cells without a known gap, metres.
 FAR_M: Final = np.float32(0.01)

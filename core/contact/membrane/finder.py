@@ -28,9 +28,10 @@ from .tension import free_curvature_per_m
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
 _WIDE_M: Final = np.float32(0.03)
 _NEAR_M: Final = 0.008
-#: Differences are aligned anew for a bias that is off by more, metres: it displaces the tactile pixel by a quarter.
+#: Differences are aligned again for a bias that is larger, metres: it displaces the tactile pixel by a quarter pixel.
 _ALIGN_ANEW_M: Final = 0.001
-#: A measured gap is certain beyond so many standard deviations of the noise, and beyond errors of the model, metres.
+#: A measured gap is certainly larger than the largest gap if it exceeds it by this number of standard deviations of the
+#: noise, and by the errors of the model, metres.
 _CERTAIN, _MODEL_ERROR_M = 3.0, 0.0003
 #: A membrane is not nearer to the camera, metres.
 _NEAREST_M: Final = 0.1

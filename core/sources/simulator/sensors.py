@@ -106,7 +106,7 @@ class SensorModel:
 
 _CLEAN: Final = SensorModel("clean", "no error but the quantisation of depth; what noise=0 gives with any sensor")
 
-#: What all sensors but the first have: flying pixels, drop-outs, holes and grain as the data sheets give them.
+#: What most sensors share: flying pixels, drop-outs, holes and grain as the data sheets give them.
 _USUAL: Final = SensorModel(
     "usual",
     "",
