@@ -155,7 +155,7 @@ def test_another_serial_is_a_warning_and_another_size_an_error(
     other_serial = tactune("run", "-s", make_recording("second", serial="2"), "-p", preset, "--json")
     assert other_serial.status == 0
     assert "p1" in other_serial.err
-    assert "P2" in other_serial.err
+    assert "p2" in other_serial.err
     assert len(other_serial.out.splitlines()) == 4
 
     sentence = tactune("run", "-s", make_recording("third", width=80), "-p", preset, "--json").sentence
