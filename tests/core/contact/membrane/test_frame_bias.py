@@ -44,7 +44,10 @@ def farther(frame: SensorFrame, bias_m: float, unit_m: float) -> SensorFrame:
 
 
 def noise(bias_m: float, sigma_m: float = 0.0003, origin: str = "prints", white_m: float = 0.001) -> dict:
-    camera = {"white_m": white_m, "correlated_m": 0.0, "length_px": 0.0, "changing_share": 1.0, "distance_m": 0.3}
+    """Return noise about as large as that of the data sheets, with a part that neighbouring pixels share."""
+    camera = {
+        "white_m": white_m, "correlated_m": white_m / 2, "length_px": 2.4, "changing_share": 1.0, "distance_m": 0.3,
+    }  # fmt: skip
     return {
         "proximity": camera, "tactile": camera, "bias_m": bias_m, "bias_sigma_m": sigma_m, "bias_from": origin,
         "measured": "2026-01-02T03:04:05Z", "frames": 30,
