@@ -89,13 +89,15 @@ def main() -> None:
     """Print all hashes."""
     simulator = load_preset("simulator")
     for name in OBJECTS:
-        print_patches(f"sim:{name}", f"sim:{name}", simulator, PRESS_FRAMES)
-        print_patches(f"sim:{name}?press=medium", f"sim:{name}?press=medium", simulator, (0, 1, 2, 3))
-        print_run(f"run sim:{name}", f"sim:{name}", ["--frames", "40", "--truth"])
+        print_patches(f"sim:{name}", f"sim:{name}?sensor=datasheet", simulator, PRESS_FRAMES)
+        print_patches(f"sim:{name}?press=medium", f"sim:{name}?press=medium&sensor=datasheet", simulator, (0, 1, 2, 3))
+        print_run(f"run sim:{name}", f"sim:{name}?sensor=datasheet", ["--frames", "40", "--truth"])
     test = ["--set", f"contact_test={second_test()}"]
-    print_run("run membrane", "sim:cup?press=high", ["--frames", "4", "--truth", *test])
+    print_run("run membrane", "sim:cup?press=high&sensor=datasheet", ["--frames", "4", "--truth", *test])
     for method in ("fusion-homography", "proximity-only", "tactile-only", "tactile-threshold", "mechanics"):
-        print_run(f"run {method}", "sim:cup?press=medium", ["--frames", "1", "--truth", "--method", method])
+        print_run(
+            f"run {method}", "sim:cup?press=medium&sensor=datasheet", ["--frames", "1", "--truth", "--method", method]
+        )
     if (DATA / "real_pair").is_dir():
         real = f"folder:{DATA / 'real_pair'}"
         for offset in (0.0, REAL_OFFSET_M):
@@ -105,7 +107,14 @@ def main() -> None:
         print(f"skipped: there is no {DATA / 'real_pair'}")
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "octopus.mcap")
-        record = [str(Path(sys.executable).parent / "tactune"), "record", "--source", "sim:octopus", "--out", path]
+        record = [
+            str(Path(sys.executable).parent / "tactune"),
+            "record",
+            "--source",
+            "sim:octopus?sensor=datasheet",
+            "--out",
+            path,
+        ]
         subprocess.run([*record, "--frames", "60", "--preset", "simulator"], check=True, capture_output=True)
         print_patches("recording", path, simulator, (0, 30, 45, 59))
         print_run("run recording", path, ["--truth"])

@@ -256,7 +256,7 @@ def measure_texture():
     from tactune.core.calibration.texture import match_texture
     from tactune.core.sources.registry import open_source
 
-    with open_source("sim:cup") as source:
+    with open_source("sim:cup?sensor=datasheet") as source:
         rig = source.rig
         places, true = judged_places(rig)
         unknown = rig.model_copy(update={"T_proximity_tactile": None})
@@ -307,7 +307,7 @@ def measure_patch():
         for scene in ("cube", "cup", "octopus"):
             scores = {"rigid": [], "homography": []}
             for seed in range(5):
-                with open_source(f"sim:{scene}?{press}&seed={seed}") as source:
+                with open_source(f"sim:{scene}?{press}&sensor=datasheet&seed={seed}") as source:
                     frame, rig = source.read(seed), source.rig
                 pairs = make_clicks(rig, 12, seed).correspondences()
                 rigid = calibrate(pairs, rig, "rigid").apply_to(base, set_tolerance=True)

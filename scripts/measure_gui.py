@@ -4,7 +4,7 @@ With ``--compare N``, measure instead how much an open Compare tab slows the win
 so that other load affects both equally. Run it on an idle machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
-    QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium'
+    QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium&sensor=datasheet'
     xvfb-run -a -s "-screen 0 1920x1080x24" python scripts/measure_gui.py --theme dark
 """
 
@@ -215,7 +215,7 @@ def _spread(values: Iterable[float]) -> str:
 def main() -> int:
     """Run the window and print the measurements."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--source", default="sim")
+    parser.add_argument("--source", default="sim:cup?sensor=datasheet")
     parser.add_argument("--preset", default=None, help="a file or a shipped name; default: as the window chooses")
     parser.add_argument("--seconds", type=float, default=15.0, help="with --compare: of each state in a round")
     parser.add_argument("--size", default="1280x800")

@@ -27,7 +27,7 @@ PAPER_MS = 300.0
 def measure_time():
     """Time of a whole frame and of the solver in it, and the patch's error, for meshes of three sizes."""
     for scene in ("cup", "cube", "octopus"):
-        source = SimulatorSource(scene=scene)
+        source = SimulatorSource(scene=scene, sensor="datasheet")
         frames = [source.read(index) for index in PRESSED]
         for nodes in NODES:
             method = MembraneMechanics(Preset(), source.rig, source.read(0), nodes=nodes)

@@ -74,13 +74,13 @@ class Result:
 def source(cell: Cell, seed: int) -> SimulatorSource:
     """Open a still press once."""
     name, press = cell
-    return SimulatorSource(name, seed=seed, variant=Variant(press=press))
+    return SimulatorSource(name, seed=seed, variant=Variant(press=press), sensor="datasheet")
 
 
 @cache
 def untouched() -> SensorFrame:
     """Return the untouched frame for methods that need one."""
-    return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0)).read(0)
+    return SimulatorSource("hover", seed=7, variant=Variant(gap_mm=20.0), sensor="datasheet").read(0)
 
 
 def measure(builds: dict[str, Build], cell: Cell, seeds: Sequence[int]) -> dict[str, Result]:
@@ -168,7 +168,7 @@ def hover() -> None:
     for shape in ("cube", "cup", "octopus"):
         found = []
         for gap_mm in (1.0, 2.0, 3.0, 4.0, 5.0, 10.0):
-            still = SimulatorSource("hover", seed=100, variant=Variant(object=shape, gap_mm=gap_mm))
+            still = SimulatorSource("hover", seed=100, variant=Variant(object=shape, gap_mm=gap_mm), sensor="datasheet")
             method = make_method(OURS, STRAIGHT, still.rig)
             most = max(len(method.find(still.read(index)).points) for index in (0, 7, 14))
             found.append(f"{gap_mm:g} mm: {most}")

@@ -67,7 +67,7 @@ def main() -> int:
     """Measure; return 1 if a frame is missing or a bit differs."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=1800, help="number of frames; 1800 frames last one minute")
-    parser.add_argument("--scene", default="sim:cup", help="such as sim:cube")
+    parser.add_argument("--scene", default="sim:cup?sensor=datasheet", help="such as sim:cube")
     parser.add_argument(
         "--folder", type=Path, help="folder of the temporary recording; default: the system temporary folder"
     )

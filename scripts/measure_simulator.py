@@ -28,7 +28,7 @@ def measure(scene: str, seed: int, noise: float) -> None:
     """Run a whole press sequence and print its rows."""
     bands: dict[tuple[int, int], list[dict[str, float]]] = {band: [] for band in BANDS_MM}
     untouched_shares, times_ms = [], []
-    with SimulatorSource(scene, seed, noise) as source:
+    with SimulatorSource(scene, seed, noise, sensor="datasheet") as source:
         pipeline = ContactPipeline(load_preset("simulator").with_value("contact_test", "tolerance"), source.rig)
         for frame in source:
             patch = pipeline.process(frame)
@@ -63,7 +63,7 @@ def measure_scenes(seed: int, noise: float) -> None:
     """Print a row for every scene with a still press, and the false points of hovering objects."""
     preset = load_preset("simulator").with_value("contact_test", "tolerance")
     for name in STILL:
-        with open_source(f"{name}&seed={seed}&noise={noise:g}") as source:
+        with open_source(f"{name}&sensor=datasheet&seed={seed}&noise={noise:g}") as source:
             assert isinstance(source, SimulatorSource)
             facts, frame = source.facts(0), source.read(0)
             assert frame.truth is not None
@@ -76,7 +76,9 @@ def measure_scenes(seed: int, noise: float) -> None:
     for gap in (1, 2, 3, 4, 5, 10, 20):
         points = []
         for shape in OBJECTS:
-            with open_source(f"sim:hover?object={shape}&gap={gap}&seed={seed}&noise={noise:g}") as source:
+            with open_source(
+                f"sim:hover?object={shape}&gap={gap}&sensor=datasheet&seed={seed}&noise={noise:g}"
+            ) as source:
                 points.append(len(ContactPipeline(preset, source.rig).process(source.read(0)).points))
         print(f"hovering {gap:2d} mm away, {', '.join(OBJECTS)}: {points} false points")
 

@@ -60,7 +60,7 @@ def main() -> int:
 
 def _compare(name: str, seed: int, frames: int) -> list[tuple[float, float, str]]:
     """Print the line of a scene; return the error in percentage points, the solver's percent, and the direction."""
-    with open_source(f"{_SCENES[name]}&seed={seed}") as source:
+    with open_source(f"{_SCENES[name]}&sensor=datasheet&seed={seed}") as source:
         frame, _ = average_still(list(islice(source, frames)), source.rig)
         measured = measure_strain(frame, source.rig)
     assert frame.truth is not None and frame.truth.strain is not None

@@ -113,7 +113,7 @@ def table(
         ),
     ] = None,
 ) -> None:
-    """Compare methods on simulated scenes, beside the paper's figures; with --sensors, on simulated sensors."""
+    """Compare methods on simulated scenes (sensor datasheet) beside the paper's figures; with --sensors, on others."""
     if sensors is not None:
         if methods != "all" or plot is not None or csv_file is not None:
             raise TactuneError(

@@ -66,7 +66,7 @@ def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
     """Return the first frame of a simulated press that is at least ``depth_m`` deep; None for the deepest."""
     from ..sources.simulator.source import SimulatorSource
 
-    source = SimulatorSource(scene=scene, seed=seed)
+    source = SimulatorSource(scene=scene, seed=seed, sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])
     index = int(np.argmax(depths)) if depth_m is None else int(np.argmax(depths >= depth_m))
     return BenchScene(scene, "", source.rig, load_preset("simulator").with_values(_TEST), source.read(index))
@@ -75,7 +75,7 @@ def _simulated(scene: str, depth_m: float | None, seed: int = 0) -> BenchScene:
 def _untouched() -> BenchScene:
     from ..sources.simulator.source import SimulatorSource
 
-    source = SimulatorSource(scene="cup")
+    source = SimulatorSource(scene="cup", sensor="datasheet")
     return BenchScene("untouched", "", source.rig, load_preset("simulator").with_values(_TEST), source.read(0))
 
 

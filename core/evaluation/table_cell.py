@@ -43,6 +43,8 @@ FIRST_HELD_OUT_SEED: Final = 100
 #: The paper's method: homography alignment and the paper's tolerance.
 STRAIGHT: Final = "straight"
 STRAIGHT_T: Final = 0.03
+#: Sensor of the simulator that the documented figures hold for.
+DOCUMENTED_SENSOR: Final = "datasheet"
 
 #: Frames per table cell. A method gets each frame once. The first one loads code and tables and is not timed; the last
 #: one is scored. Methods without memory get only the last `_FRAMES_WITHOUT_MEMORY`.
@@ -71,7 +73,8 @@ class PlannedScene:
     group : {"main", "extra", "hover"}
         The paper's scenes, further scenes, and scenes without contact.
     sensor, membrane : str
-        Names of the simulator's sensor and membrane; empty for its default ones.
+        Names of the simulator's sensor and membrane. An empty name leaves the choice to the simulator. The documented
+        figures hold for `DOCUMENTED_SENSOR`.
     """
 
     name: str
@@ -79,7 +82,7 @@ class PlannedScene:
     press: str
     side: str = ""
     group: Group = "main"
-    sensor: str = ""
+    sensor: str = DOCUMENTED_SENSOR
     membrane: str = ""
 
     @property

@@ -13,7 +13,7 @@ from tactune.core.evaluation import table as table_module
 from tactune.core.methods.registry import method_names
 from tactune.core.recording.cloud_files import read_cloud
 
-SIM = "sim:cup?press=medium"
+SIM = "sim:cup?press=medium&sensor=datasheet"
 
 
 def lines(text: str) -> list[dict]:

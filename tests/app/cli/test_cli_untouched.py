@@ -171,7 +171,9 @@ def test_recheck_needs_the_untouched_frame_that_the_preset_names(
 
 
 def test_recheck_says_that_the_simulators_object_is_taken_away(tactune: Tactune) -> None:
-    finished = tactune("recheck", "--source", "sim:cup?press=low", "--preset", "simulator", "--frames", 2)
+    finished = tactune(
+        "recheck", "--source", "sim:cup?press=low&sensor=datasheet", "--preset", "simulator", "--frames", 2
+    )
     assert finished.status == 0
     assert "is simulated: its object is removed" in finished.err
 

@@ -322,7 +322,7 @@ def test_the_recheck_compares_the_membrane_with_the_untouched_frame(qtbot, windo
 
 def test_the_simulator_takes_its_object_away(qtbot, make_window):
     window = make_window()
-    window.open_source("sim:cup?press=medium")
+    window.open_source("sim:cup?press=medium&sensor=datasheet")
     qtbot.waitUntil(lambda: window.result is not None, timeout=300_000)
     pressed = window.result.frame
     opened = open_capture(qtbot, window)

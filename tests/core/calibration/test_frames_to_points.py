@@ -22,7 +22,7 @@ COARSE = (88, 52)
 
 @pytest.fixture(scope="module")
 def frames():
-    source = SimulatorSource("cup", cells=COARSE)
+    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
     return [source.read(index) for index in (2, 30)]
 
 
@@ -95,8 +95,8 @@ def test_the_median_leaves_out_what_is_no_depth():
 
 
 def test_a_snapshot_is_quieter_than_a_frame_and_named_by_its_content(rig):
-    source = SimulatorSource("cup", cells=COARSE)
-    clean = SimulatorSource("cup", noise=0.0, cells=COARSE).read(40)
+    source = SimulatorSource("cup", cells=COARSE, sensor="datasheet")
+    clean = SimulatorSource("cup", noise=0.0, cells=COARSE, sensor="datasheet").read(40)
     held = [source.read(index) for index in range(40, 49)]
     snapshot = take_snapshot(held)
     valid = (clean.tactile_depth > 0) & (snapshot.frame.tactile_depth > 0)

@@ -125,7 +125,7 @@ def test_frames_that_cannot_be_compared_are_refused() -> None:
 
 def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
     preset = load_preset("simulator")
-    with open_source("sim:cup?press=medium") as source:
+    with open_source("sim:cup?press=medium&sensor=datasheet") as source:
         untouched, pressed = untouched_frame(source), source.read(0)
         with source.with_object_away() as away:
             now = away.read(20)
@@ -136,7 +136,7 @@ def test_the_simulator_is_fine_untouched_and_touched_when_pressed() -> None:
 
 
 def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytest.MonkeyPatch) -> None:
-    untouched = untouched_frame(open_source("sim:cup?press=none"))
+    untouched = untouched_frame(open_source("sim:cup?press=none&sensor=datasheet"))
     assert untouched is not None
     more_m = 0.004
 
@@ -146,7 +146,7 @@ def test_the_solvers_membrane_at_another_pressure_is_measured(monkeypatch: pytes
         return replace(made, name="cup-inflated-118x68", design=design)
 
     monkeypatch.setattr(source_module, "resolve_scene", inflated)
-    now = open_source("sim:cup?press=none&seed=3")
+    now = open_source("sim:cup?press=none&sensor=datasheet&seed=3")
     drift = compare_with_untouched(load_preset("simulator"), now.rig, now.next_frame(), untouched)
     assert drift.verdict == "inflation"
     assert drift.inflation_m == pytest.approx(more_m, abs=0.0002)

@@ -250,7 +250,9 @@ def test_plan_has_both_sides_of_high_presses_and_keeps_held_out_objects_apart():
 def test_every_planned_scene_is_one_of_the_simulators():
     for scene in [*plan_scenes(), *plan_scenes(["mug", "hand"], held_out=True)]:
         name, _, query = scene.source.removeprefix("sim:").partition("?")
-        variant, _ = read_options(scene.source, dict(parse_qsl(query)))
+        options = dict(parse_qsl(query))
+        assert options.pop("sensor") == "datasheet"
+        variant, _ = read_options(scene.source, options)
         assert resolve_scene(name, variant).frames
 
 
@@ -291,7 +293,7 @@ def test_the_figure_shows_what_the_table_judges(tmp_path, monkeypatch):
 
 
 def test_the_simulators_untouched_frame_is_a_measured_untouched_membrane():
-    with open_source("sim:cup?press=medium") as source:
+    with open_source("sim:cup?press=medium&sensor=datasheet") as source:
         untouched, pressed = untouched_frame(source), source.read(0)
     assert untouched is not None and not untouched.truth
     depth = 1e-4 * untouched.tactile_depth[pressed.truth.contact].astype(float)

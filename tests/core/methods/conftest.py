@@ -127,6 +127,6 @@ def cup_frames():
     """The rig, the untouched membrane, and a cup pressed 24 mm deep."""
     from tactune.core.sources.simulator.source import SimulatorSource
 
-    source = SimulatorSource(scene="cup")
+    source = SimulatorSource(scene="cup", sensor="datasheet")
     depths = np.array([source.facts(index).depth_m for index in range(source.length)])
     return source.rig, source.read(0), source.read(int(np.argmax(depths >= 0.024)))

@@ -24,7 +24,7 @@ def straight():
 
 @pytest.fixture(scope="module", params=["cup", "octopus"])
 def pressed(request):
-    source = SimulatorSource(request.param, cells=CELLS, variant=Variant(press="medium"))
+    source = SimulatorSource(request.param, cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     return source.rig, source.read(4)
 
 
@@ -46,7 +46,7 @@ def test_at_most_half_of_the_straight_methods_error(pressed, straight):
 
 
 def test_the_cups_two_contacts_are_told_apart(straight):
-    source = SimulatorSource("cup", cells=CELLS, variant=Variant(press="medium"))
+    source = SimulatorSource("cup", cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     frame = source.read(4)
     ours = make_method("fusion-membrane", straight, source.rig).find(frame)
     assert separate_contacts(ours.mask) == separate_contacts(frame.truth.contact) == 2
@@ -63,7 +63,7 @@ def test_the_truth_is_not_read_and_nothing_is_remembered(pressed, straight):
 
 
 def test_without_noise_contact_is_found_more_exactly(straight):
-    source = SimulatorSource("cup", noise=0.0, cells=CELLS, variant=Variant(press="medium"))
+    source = SimulatorSource("cup", noise=0.0, cells=CELLS, variant=Variant(press="medium"), sensor="datasheet")
     frame = source.read(0)
     ours = membrane(straight, source.rig).find(frame)
     theirs = make_method("fusion-homography", straight, source.rig).find(frame)
@@ -72,7 +72,7 @@ def test_without_noise_contact_is_found_more_exactly(straight):
 
 @pytest.mark.parametrize("gap_mm", [4.0, 20.0])
 def test_nothing_beside_the_membrane_is_contact(straight, gap_mm):
-    source = SimulatorSource("hover", cells=CELLS, variant=Variant(object="cube", gap_mm=gap_mm))
+    source = SimulatorSource("hover", cells=CELLS, variant=Variant(object="cube", gap_mm=gap_mm), sensor="datasheet")
     method = membrane(straight, source.rig)
     for index in (0, 7):
         patch = method.find(source.read(index))

@@ -188,7 +188,7 @@ class TestTactileOnly:
 def other_untouched() -> SensorFrame:
     from tactune.core.sources.simulator.source import SimulatorSource
 
-    return SimulatorSource(scene="cup").read(1)
+    return SimulatorSource(scene="cup", sensor="datasheet").read(1)
 
 
 class TestOnTheSimulator:

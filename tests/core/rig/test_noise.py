@@ -223,7 +223,7 @@ def _depth_of_slope(start_m, slope_m, columns, shift_m=0.040):
 @lru_cache(maxsize=1)
 def _scene():
     """The flat mesh of an untouched membrane, kept open so that every sensor uses the same solved scene."""
-    return SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"))
+    return SimulatorSource("cube", cells=(60, 36), variant=Variant(press="none"), sensor="datasheet")
 
 
 @lru_cache(maxsize=2)

@@ -95,7 +95,7 @@ def shift(frames, first, seconds, delay_s):
     "scene", ["cube", pytest.param("cup", marks=pytest.mark.long), pytest.param("octopus", marks=pytest.mark.long)]
 )
 def test_the_simulator_pressed_over_and_over_gives_its_delay(scene):
-    source = open_source(f"sim:{scene}?seed=1")
+    source = open_source(f"sim:{scene}?sensor=datasheet&seed=1")
     frames = [source.read(index) for index in range(source.length)]
     for delay_s in (-0.5, -0.0767, 0.0, 0.0083, 0.21, 0.5):
         skew = measure_skew(shift(frames, 20, 5.0, delay_s), source.rig, AlignmentSection())

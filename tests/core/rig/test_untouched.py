@@ -281,7 +281,7 @@ def test_an_untouched_frame_of_another_rig_is_not_used(kept: tuple[Path, Preset,
 
 def test_without_one_the_source_is_asked() -> None:
     assert find_untouched(Preset(), None, Still()).frame is None
-    with open_source("sim:cup?press=medium") as source:
+    with open_source("sim:cup?press=medium&sensor=datasheet") as source:
         found = find_untouched(Preset(), "simulator", source).frame
         assert found is not None
         free = found.tactile_depth[200:280, 280:360].mean() - source.read(0).tactile_depth[200:280, 280:360].mean()

@@ -23,7 +23,7 @@ from tactune.core.sources.registry import open_source
 
 pytest.importorskip("trimesh")
 
-SOURCE = "sim:cup?press=medium"
+SOURCE = "sim:cup?press=medium&sensor=datasheet"
 FRAME = 3
 
 

@@ -18,7 +18,9 @@ COARSE = (60, 36)
 
 
 def open_coarse(scene, noise=0.0, light="normal", **variant):
-    return SimulatorSource(scene, noise=noise, cells=COARSE, variant=Variant(**variant), light=light)
+    return SimulatorSource(
+        scene, noise=noise, cells=COARSE, variant=Variant(**variant), light=light, sensor="datasheet"
+    )
 
 
 def test_the_registry_knows_every_scene():

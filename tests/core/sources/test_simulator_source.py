@@ -24,12 +24,12 @@ REST, DEEP = 0, 45
 
 @pytest.fixture(scope="module", params=["cube", "cup", "octopus"])
 def any_scene(request):
-    return SimulatorSource(request.param, cells=COARSE)
+    return SimulatorSource(request.param, cells=COARSE, sensor="datasheet")
 
 
 @pytest.fixture(scope="module")
 def cup():
-    return SimulatorSource("cup", cells=COARSE)
+    return SimulatorSource("cup", cells=COARSE, sensor="datasheet")
 
 
 @pytest.fixture(scope="module")
@@ -181,7 +181,7 @@ def test_reflective_rubber_returns_the_membrane_and_only_the_mask_removes_it(cup
 
 def test_flying_pixels_hang_between_object_and_backdrop():
     clean = SimulatorSource("cube", noise=0.0, cells=COARSE).read(DEEP).proximity_depth * 0.00025
-    frame = SimulatorSource("cube", cells=COARSE).read(DEEP).proximity_depth * 0.00025
+    frame = SimulatorSource("cube", cells=COARSE, sensor="datasheet").read(DEEP).proximity_depth * 0.00025
     assert ((clean > 0.45) & (clean < 0.7)).sum() < 5
     assert ((frame > 0.45) & (frame < 0.7)).sum() > 50
 

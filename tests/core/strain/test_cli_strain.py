@@ -7,7 +7,7 @@ import pytest
 
 from tactune.core.sources.registry import open_source
 
-SOURCE = "sim:cup?press=low&grid=dots"
+SOURCE = "sim:cup?press=low&grid=dots&sensor=datasheet"
 
 
 def test_json_has_a_line_a_frame(tactune):

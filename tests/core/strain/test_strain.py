@@ -131,7 +131,7 @@ def test_dots_across_a_step_of_depth_are_no_neighbours():
 )
 def test_the_simulator_and_the_dots_agree_within_two_points(scene):
     """Against the solver's largest strain between dots that the tactile camera sees whole, up to 92 %."""
-    with open_source(f"sim:{scene}&grid=dots") as source:
+    with open_source(f"sim:{scene}&grid=dots&sensor=datasheet") as source:
         facts = source.facts(0)
         measured = measure_strain(source.next_frame(), source.rig)
     assert measured.dots == 665 if "high" not in scene else measured.dots > 580
@@ -150,7 +150,7 @@ def test_the_simulator_and_the_dots_agree_within_two_points(scene):
 )
 def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape, side):
     """Up to 90 %; at the cup's sharp lip one of the dots lies at the edge. Cut dots beside have 86 to 109 %."""
-    with open_source(f"sim:{shape}?press=high&side={side}&grid=dots") as source:
+    with open_source(f"sim:{shape}?press=high&side={side}&grid=dots&sensor=datasheet") as source:
         frame = source.next_frame()
         measured, known = measure_strain(frame, source.rig), frame.truth.strain
     assert measured.length.largest == pytest.approx(known.length_seen, abs=0.02)
@@ -168,7 +168,7 @@ def test_strain_between_whole_dots_at_edges_is_measured_within_two_points(shape,
 )
 def test_strain_from_frames_at_rest_is_measured_within_two_points(scene):
     """Up to 112 %: dots on a lip, dots in the shade of a wall, and pieces of the grid shifted by one row."""
-    with open_source(f"sim:{scene}&grid=dots") as source:
+    with open_source(f"sim:{scene}&grid=dots&sensor=datasheet") as source:
         frame, averaged = average_still(list(islice(source, 30)), source.rig)
         measured, known = measure_strain(frame, source.rig), frame.truth.strain
     assert averaged == 30

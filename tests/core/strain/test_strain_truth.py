@@ -19,7 +19,7 @@ from tactune.core.sources.simulator.mesh import MembraneDesign
 from tactune.core.sources.simulator.scene import cameras, simulator_rig
 from tactune.core.sources.simulator.sheet import DOT_RADIUS_M, dot_grid
 
-LOW = "sim:cup?press=low&grid=dots"
+LOW = "sim:cup?press=low&grid=dots&sensor=datasheet"
 
 
 @pytest.fixture(scope="module")
