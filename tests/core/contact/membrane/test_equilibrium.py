@@ -248,20 +248,20 @@ def test_a_cell_is_the_mean_of_the_pixels_that_take_part():
     differences, depth = (rng.uniform(0.1, 0.3, (7, 10)).astype(np.float32) for _ in range(2))
     usable, excluded = rng.random((7, 10)) > 0.4, rng.random((7, 10)) > 0.7
     rays = rng.uniform(-0.5, 0.5, (12, 16, 2)).astype(np.float32)
-    out = np.empty((6, 2, 3), np.float32)
+    out = np.empty((6, 3, 4), np.float32)
     window = kernels.DifferenceWindow(differences, depth, usable, excluded, np.float32(0.2), np.float32(0.08))
-    kernels.average_cells(window, 3, RayWindow(rays, 3, 4), out)
-    for row, column in np.ndindex(2, 3):
+    kernels.average_cells(window, 3, RayWindow(rays, 3, 4), 0, 3, out)
+    for row, column in np.ndindex(3, 4):
         box = np.s_[3 * row : 3 * row + 3, 3 * column : 3 * column + 3]
         part = usable[box] & (np.abs(differences[box] - 0.2) < 0.08)
         ray, z = rays[3:10, 4:14][box], depth[box]
         expected = [
             differences[box][part].mean() if part.any() else 0,
-            part.mean(),
-            (ray[..., 0] * z * part).mean(),
-            (ray[..., 1] * z * part).mean(),
-            (z * part).mean(),
-            excluded[box].mean(),
+            part.sum() / 9,  # also of the last cells, which reach beyond the image
+            (ray[..., 0] * z * part).sum() / 9,
+            (ray[..., 1] * z * part).sum() / 9,
+            (z * part).sum() / 9,
+            excluded[box].sum() / 9,
         ]
         np.testing.assert_allclose(out[:, row, column], expected, rtol=1e-5)
 
