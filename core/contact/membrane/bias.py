@@ -142,7 +142,7 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
     if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
         if area_m2 >= FIRM_M2:
-            variance = known.noise_m4 / area_m2
+            variance = _variance_m2(known, area_m2)
             if abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + variance):
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
             return FrameBias(bias_m, area_m2, part)
@@ -189,6 +189,15 @@ def _cells_near(
     return cells_of(differences.cut(part), COARSE_CELL_PX, _SHAPE_PX, free_per_m, (centre_m, _NEAR_M), rig), part
 
 
+def _variance_m2(known: RigBias, area_m2: float) -> float:
+    """Return the variance of a bias from contact of some area.
+
+    Noise that looks near is taken for contact, so the bias is off by up to the noise of a local mean; no area reduces
+    that.
+    """
+    return known.noise_m4 / area_m2 + known.gap_sigma_m**2
+
+
 def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, float]:
     """Return bias and contact area that agree with each other, from a first guess of the bias.
 
@@ -206,8 +215,8 @@ def _joint(cells: Cells, bias_m: float, prior: RigBias | None) -> tuple[float, f
         if prior is None:
             shift = moment / area_m2
         else:
-            trust = prior.noise_m4 / prior.sigma_m**2
-            shift = (moment + trust * (prior.mean_m - bias_m)) / (area_m2 + trust)
+            weight = area_m2 * _variance_m2(prior, area_m2) / prior.sigma_m**2 if area_m2 > 0 else 1.0
+            shift = (moment + weight * (prior.mean_m - bias_m)) / (area_m2 + weight)
         bias_m += shift
         if abs(shift) < _EXACT_M:
             break
