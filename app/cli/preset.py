@@ -293,6 +293,8 @@ def _check_target(target: Path, preset: str | None, *, force: bool) -> None:
     if preset is not None and target == Path(preset):
         if not target.is_file():
             raise PresetError(f"{target} is no preset file, so nothing can be stored in it; add --out FILE")
+    elif target.exists() and not target.is_file():
+        raise PresetError(f"{target} is no ordinary file; choose another place")
     elif target.exists() and not force:
         raise PresetError(f"{target} is already there; choose another name or add --force to replace it")
 

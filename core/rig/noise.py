@@ -57,7 +57,8 @@ _MIN_FILLED, _MIN_SEEN = 0.85, 0.8
 #: What changes and what stays have correlation lengths within this factor. Where only what stays is correlated, the
 #: length is at most a window's share of `_TILE_LENGTHS`: shape is not told from longer ones.
 _LENGTH_RANGE: Final = 1.3
-#: Smallest share of the image with depth.
+#: Smallest side of an image, pixels, largest noise, metres, and smallest share of the image with depth.
+_MIN_SIDE_PX, _MAX_NOISE_M = 64, 1.0
 _MIN_USABLE: Final = 0.01
 #: Pixels whose noise is larger than the median by this factor are flying pixels at edges.
 _FLYING: Final = 2.5
@@ -142,8 +143,17 @@ def measure_noise(
         )
     for frame in (*different, *([untouched] if untouched is not None else [])):
         frame.check_against(rig)
+    for role, camera in (("tactile", rig.tactile), ("proximity", rig.proximity)):
+        if min(camera.intrinsics.shape) < _MIN_SIDE_PX:
+            width, height = camera.intrinsics.shape[::-1]
+            raise FrameError(f"the {role} images have {width} x {height} pixels, too few to measure their noise")
     report(0.0, "Looking for movement")
     _refuse_movement(different)
+    if warn is not None and all(_same_depth(different[0], frame) for frame in different[1:]):
+        warn(
+            f"all {len(different)} frames have the same depths, so the noise that changes from frame to frame is "
+            "unknown; measure more than one image"
+        )
     tactile = _camera_noise(
         "tactile",
         [frame.tactile_depth for frame in different],
@@ -251,6 +261,8 @@ def _camera_noise(
     parts, length_px = _fit_noise(changing, fixed, tile_px, len(depths), lengths)
     white_changing, shared_changing, white_fixed, shared_fixed = parts
     total, shared = sum(parts), shared_changing + shared_fixed
+    if total > _MAX_NOISE_M**2:
+        raise FrameError(f"the noise of the {role} camera is {np.sqrt(total):.3g} m; check that these are depth images")
     if shared <= _MIN_CORRELATED * total:
         length_px = 0.0
     return CameraNoise(
@@ -354,9 +366,10 @@ def _autocovariances(image: Float32Array) -> Float64Array:
 
 def _with_errors(rows: Float64Array) -> Autocovariances:
     """Average autocovariances, shape (M, lags), of M samples."""
+    counts = np.isfinite(rows).sum(axis=0)
     with np.errstate(invalid="ignore"):
-        values = np.nanmean(rows, axis=0)
-        errors = np.nanstd(rows, axis=0) / np.sqrt(np.maximum(np.isfinite(rows).sum(axis=0), 1))
+        values = np.nansum(rows, axis=0) / counts  # nan where there is none
+        errors = np.sqrt(np.nansum((rows - values) ** 2, axis=0) / counts) / np.sqrt(np.maximum(counts, 1))
     return Autocovariances(values, np.maximum(errors, _MIN_ERROR * abs(values[0])))
 
 
@@ -599,6 +612,12 @@ def _refuse_movement(frames: Sequence[SensorFrame]) -> None:
                 f"the scene moves: the {role} depth changes in {100 * moved.mean():.0f} % of the image; "
                 "hold everything still and measure again"
             )
+
+
+def _same_depth(first: SensorFrame, second: SensorFrame) -> bool:
+    return np.array_equal(first.proximity_depth, second.proximity_depth) and np.array_equal(
+        first.tactile_depth, second.tactile_depth
+    )
 
 
 def _split(images: Sequence[Uint16Array], parts: int) -> list[Sequence[Uint16Array]]:
