@@ -105,9 +105,11 @@ class MembraneFinder(ContactFinder):
             return found.cut(self.bias.part)
         found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
         firm, self.bias = self.bias.firm_m2 > 0, FrameBias()
-        if found is not None and firm:
-            self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
-        return None if found is None else found.cut(self.bias.part)
+        if found is None:
+            return None
+        if firm and (refined := frame_bias(found, self._known, self._free_per_m, self._rig)).firm_m2 > 0:
+            self.bias = refined
+        return found.cut(self.bias.part)
 
     def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
         """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger.
