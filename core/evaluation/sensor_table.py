@@ -211,7 +211,7 @@ class _Reader:
         self, preset: Preset, measure_rig: MeasureRig | None, open_scene: Callable[[str], FrameSource]
     ) -> None:
         self._preset, self._measure, self._open = preset, measure_rig, open_scene
-        self._measured: dict[tuple[str, str], Preset | TactuneError] = {}
+        self._measured: dict[tuple[str, str, int], Preset | TactuneError] = {}
         self._pool = ThreadPoolExecutor(1)
         self._next: Future[_Shown] | None = None
         self._last: FrameSource | None = None
@@ -230,7 +230,7 @@ class _Reader:
         before, self._last = self._last, source  # closed after the next one is open: they share the solved membrane
         if before is not None:
             before.close()
-        rig = (scene.sensor, scene.membrane)
+        rig = (scene.sensor, scene.membrane, seed)  # each seed has a bias of its own
         if rig not in self._measured:
             try:
                 self._measured[rig] = self._measure(self._preset, source) if self._measure else self._preset

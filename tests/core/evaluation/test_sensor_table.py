@@ -228,12 +228,12 @@ def test_the_shipped_test_gets_the_measured_noise_of_each_rig(tmp_path):
 
     bench = Bench()
     list(bench.measure(plan(tmp_path), measure_rig))
-    assert len(measured) == 2, "once for each sensor and membrane"
+    assert len(measured) == 4, "once for each sensor, membrane and seed"
     notes = {name: {preset.notes for made, preset in bench.made if made == name} for name, _ in bench.made}
     assert notes[SHIPPED] == notes[AVERAGED] == {"clean", "heavy"}
     assert notes["fusion-rigid"] == {""}
     list(bench.measure(replace(plan(tmp_path), rig="unmeasured"), measure_rig))
-    assert len(measured) == 2 and len(bench.opened) == 2 * 12, "cells of a measured rig are not used for another"
+    assert len(measured) == 4 and len(bench.opened) == 2 * 12, "cells of a measured rig are not used for another"
 
 
 def test_a_rig_that_cannot_be_measured_fails(tmp_path):
