@@ -81,7 +81,8 @@ KIND = SourceKind(
         "(folds of a twist) and slide take object=cup. press=low, medium or high holds a press, high at "
         "side=right or left, press=none shows the untouched membrane; grid=dots prints dots 10 mm apart; "
         f"membrane={', '.join(MEMBRANES)}; "
-        f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor=: {', '.join(SENSORS)}."
+        f"light=bright or dim; noise=0, 1 or 2 times the errors of sensor= "
+        f"({DEFAULT_SENSOR} by default): {', '.join(SENSORS)}."
     ),
     needs="nothing",
     examples=tuple(f"sim:{scene}" for scene in SCENES),

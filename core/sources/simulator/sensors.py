@@ -303,7 +303,7 @@ _ALL: Final = (
 
 #: All sensors by name: from clean to worn, then those held out.
 SENSORS: Final[dict[str, SensorModel]] = {sensor.name: sensor for sensor in _ALL}
-DEFAULT_SENSOR: Final = "datasheet"
+DEFAULT_SENSOR: Final = "l515-d405"
 
 
 def find_sensor(name: str) -> SensorModel:
