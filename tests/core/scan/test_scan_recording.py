@@ -169,10 +169,10 @@ def test_a_method_that_averages_is_shown_the_frames_before(tactune, source, scan
     found = [record["points"] for record in json.loads(out)["results"] if record["method"] == "fusion-averaged"]
     preset = load_preset("simulator")
     method = make_method("fusion-averaged", preset, source.rig)
-    expected = [len(method.find(source.read(index)).points) for index in range(shown[0], shown[1] + 1)]
-    assert found == expected[-len(found) :]
+    patches = [method.find(source.read(index)) for index in range(shown[0], shown[1] + 1)]
+    assert found == [len(patch.points) for patch in patches[-len(found) :]]
     alone = make_method("fusion-averaged", preset, source.rig).find(source.read(shown[1]))
-    assert found[-1] != len(alone.points)
+    assert not np.array_equal(patches[-1].points, alone.points), "the frames before change the patch"
 
 
 @pytest.mark.parametrize(
