@@ -19,6 +19,7 @@ import numpy as np
 
 from ...model.frames import Rig
 from ...preset import CameraNoise, Preset
+from ...preset.membrane import LARGEST_BIAS_M
 from .differences import Differences, surroundings
 from .equilibrium import CELL_PX, GUESS_PX, Cells, Equilibrium, cells_of, settle
 
@@ -42,6 +43,8 @@ _EXACT_M: Final = 3e-5
 _MAX_ROUNDS: Final = 12
 #: The frame's bias replaces the rig's where they differ by more than this many standard deviations.
 _DISAGREE: Final = 3.0
+#: Then contact must be larger than firm contact by this factor.
+_REPLACING: Final = 2.0
 #: Assumed for a rig that was not measured: noise power of a D405 and an L515 at 0.3 m, m^4, and standard deviation of
 #: the bias, metres.
 _USUAL_NOISE_M4: Final = 3e-10
@@ -141,9 +144,11 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
     cells, part = _cells_near(differences, start_m, free_per_m, rig)
     if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
-        if area_m2 >= FIRM_M2:
-            variance = _variance_m2(known, area_m2)
-            if abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + variance):
+        agrees = abs(bias_m - prior.mean_m) < _DISAGREE * math.sqrt(prior.sigma_m**2 + _variance_m2(known, FIRM_M2))
+        proved = area_m2 >= (FIRM_M2 if agrees else _REPLACING * FIRM_M2)
+        if proved and abs(bias_m + differences.bias_m) <= LARGEST_BIAS_M:
+            if agrees:
+                variance = _variance_m2(known, area_m2)
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
             return FrameBias(bias_m, area_m2, part)
     cells, part = _cells_near(differences, prior.mean_m, free_per_m, rig)

@@ -13,7 +13,7 @@ from ...model.frames import Rig, SensorFrame
 from ...model.patch import NO_CANDIDATES, Candidates, Found
 from ...model.provenance import Provenance
 from ...preset import MembraneSection, Preset
-from ...preset.membrane import NEAR_GAP_M
+from ...preset.membrane import LARGEST_BIAS_M, NEAR_GAP_M
 from ..alignment import AlignmentModel, make_alignment
 from ..finder import MAX_TILES_ALONE, ContactFinder, Steps, Workspace, depth_images
 from ..kernels import membrane as kernels
@@ -26,7 +26,7 @@ from .equilibrium import CELL_PX, FAR_M, Cells, Equilibrium, cells_of, settle, t
 from .tension import free_curvature_per_m
 
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
-_WIDE_M: Final = np.float32(0.03)
+_WIDE_M: Final = np.float32(LARGEST_BIAS_M + 0.015)
 _NEAR_M: Final = 0.008
 #: Differences are aligned again for a bias that is larger, metres: it displaces the tactile pixel by a quarter pixel.
 _ALIGN_ANEW_M: Final = 0.001
