@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QWidget
 from ..widgets.basics.dialogs import Dialogs
 from ..widgets.basics.message_bar import MessageBar
 from ..widgets.clouds.cloud_view import BackendChoice
+from .document.comparison import Comparison
 from .document.document import Document
 from .settings import Settings
 from .worker.playback import PlaybackState
@@ -39,6 +40,8 @@ class Context(QObject):
         Folder for unsaved work.
     window : QWidget
         The parent of other windows.
+    comparison : Comparison
+        The two presets that the views compare.
     result : Result or None
         The frame on the screen; None before the first frame of a source.
     playback : PlaybackState or None
@@ -70,6 +73,7 @@ class Context(QObject):
         self.document, self.worker, self.messages, self.dialogs = document, worker, messages, dialogs
         self.settings, self.data_folder, self.window = settings, data_folder, window
         self._cloud_backend = cloud_backend
+        self.comparison = Comparison(self)
         self.result: Result | None = None
         self.playback: PlaybackState | None = None
         worker.playbackChanged.connect(self._note_playback)

@@ -8,6 +8,7 @@ from typing import Any
 from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from ...core.advice.proposal import Proposal
 from ...core.errors import PresetError
 from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
@@ -97,15 +98,19 @@ class Document(QObject):
         """
         return self.edit_many({path: value}, gesture)
 
-    def edit_many(self, values: dict[str, Any], gesture: int = 0) -> bool:
-        """Change several fields as one undoable step; see `edit`."""
+    def apply(self, proposal: Proposal) -> bool:
+        """Make the changes of a proposal as one undoable step; see `edit`."""
+        return self.edit_many(dict(proposal.changes), title=proposal.label)
+
+    def edit_many(self, values: dict[str, Any], gesture: int = 0, title: str = "") -> bool:
+        """Change several fields as one undoable step; see `edit`. ``title`` is its text in the Edit menu."""
         try:
             after = self.preset.with_values(values)
         except PresetError as error:
             self.refused.emit(next(iter(values)), str(error))
             return False
         paths = tuple(sorted(values))
-        self._history.edit(describe_edit(after, paths), after, gesture, target=paths)
+        self._history.edit(title or describe_edit(after, paths), after, gesture, target=paths)
         return True
 
     def new(self, preset: Preset) -> None:
