@@ -32,8 +32,10 @@ _TRUST_M: Final = 0.03
 #: take part. Metres.
 _START_ABOVE_M: Final = 0.002
 _NEAR_M: Final = 0.012
-#: Step between the rows and columns that are read to find where differences are near the bias, and which are frequent.
+#: Step between the rows and columns that are read where every pixel is not needed, such as for the most frequent
+#: difference.
 _STRIDE_PX: Final = 4
+_SOME: Final = (slice(None, None, _STRIDE_PX),) * 2
 #: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
 _BIN_M, _SMOOTH_BINS = 0.0005, 1.5
 #: Contact is firm from this area on: its bias is measured without the rig's.
@@ -160,7 +162,8 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
     prints = differences.on_prints_m
     if known.measured or len(prints) < _MIN_PRINT_PIXELS:
         return replace(known, mean_m=known.mean_m - differences.bias_m)
-    pixel_m = float(np.median(differences.depth_m[differences.depth_m > 0])) / rig.proximity.intrinsics.fx
+    some = differences.depth_m[_SOME]
+    pixel_m = float(np.median(some[some > 0])) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m)
 
@@ -169,8 +172,7 @@ def _most_frequent_m(differences: Differences) -> float:
     """Return the most frequent difference."""
     import cv2
 
-    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
-    found = differences.difference_m[some][differences.usable[some]]
+    found = differences.difference_m[_SOME][differences.usable[_SOME]]
     if len(found) == 0:
         return 0.0
     low = float(found.min()) - _BIN_M
@@ -183,8 +185,7 @@ def _cells_near(
     differences: Differences, centre_m: float, free_per_m: float, rig: Rig
 ) -> tuple[Cells | None, tuple[slice, slice]]:
     """Return cells of the part of the image that is near a difference, and that part."""
-    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
-    near = differences.usable[some] & (np.abs(differences.difference_m[some] - np.float32(centre_m)) < _NEAR_M)
+    near = differences.usable[_SOME] & (np.abs(differences.difference_m[_SOME] - np.float32(centre_m)) < _NEAR_M)
     box = surroundings(near, 2)
     if box is None:
         return None, (slice(0), slice(0))
