@@ -59,6 +59,11 @@ class Eyedropper(QObject):
             self._messages.show_message("eyedropper", Severity.WARNING, str(error))
             return
         self._messages.clear("eyedropper")
-        self._document.edit_many(
-            {"mask.hue": ranges.hue, "mask.saturation": ranges.saturation, "mask.value": ranges.value}, new_gesture()
-        )
+        picked: dict[str, object] = {
+            "mask.hue": ranges.hue,
+            "mask.saturation": ranges.saturation,
+            "mask.value": ranges.value,
+        }
+        if not mask.enabled:
+            picked = {"mask.enabled": True, **picked}
+        self._document.edit_many(picked, new_gesture(), title="" if mask.enabled else "Pick the mask's colour")

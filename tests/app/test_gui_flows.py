@@ -93,6 +93,24 @@ def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):
     assert window.document.preset is before
 
 
+def test_pick_works_while_the_mask_is_off_and_turns_it_on_in_the_same_step(window, qtbot):
+    before = window.document.preset
+    assert not before.mask.enabled
+    pick = window.panel.eyedroppers["set"]
+    window.panel.ensureWidgetVisible(pick)
+    QTest.mouseClick(pick, LEFT)
+    pane = window.strip.panes["color"]
+    QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
+    mask = window.document.preset.mask
+    assert mask.enabled
+    assert mask.hue[0] <= 115 <= mask.hue[1]
+    assert mask.saturation[0] > 0, "not the whole image"
+    assert window.document.undo_stack.undoText() == "Pick the mask's colour"
+    window.document.undo_stack.undo()
+    assert window.document.preset is before
+    assert window.eyedropper.mode == "set", "the next click picks again"
+
+
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):
     pane = window.strip.panes["difference"]
     QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())

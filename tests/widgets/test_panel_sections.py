@@ -29,7 +29,8 @@ def test_a_section_that_is_off_is_grey(panel: ParameterPanel, seen: Recorder) ->
     assert seen.edits[-1][:2] == ("mask.enabled", False)
     assert not panel.rows["mask.hue"].widget.isEnabled()
     assert panel.rows["tolerance.t"].widget.isEnabled()
-    assert not panel.eyedroppers["set"].isEnabled()
+    assert not panel.eyedroppers["expand"].isEnabled()
+    assert panel.eyedroppers["set"].isEnabled(), "Pick turns the mask on"
 
 
 def test_only_the_chosen_alignment_is_shown(panel: ParameterPanel, seen: Recorder) -> None:

@@ -188,9 +188,10 @@ class CollapsibleSection(QFrame):
         layout.addWidget(self.body)
         self.button.clicked.connect(lambda: self.set_collapsed(not self._collapsed))
 
-    def add_header_widget(self, widget: QWidget) -> None:
-        """Put a widget at the right end of the header, where it stays when the section is folded."""
-        self._header_layout.addWidget(widget)
+    def add_header_widget(self, widget: QWidget, before: QWidget | None = None) -> None:
+        """Put a widget at the right end of the header or before another, where it stays when the section is folded."""
+        at = self._header_layout.count() if before is None else self._header_layout.indexOf(before)
+        self._header_layout.insertWidget(at, widget)
 
     @property
     def collapsed(self) -> bool:

@@ -92,6 +92,20 @@ class FieldSpec:
         rounded = round(number, self.decimals)
         return format_number(rounded or float(f"{number:.2g}"), 15) + self.suffix
 
+    def describe(self, value: Any) -> str:
+        """Format a value of this field for display."""
+        if value is None:
+            return "the rig's own"
+        if self.kind == "number":
+            return self.shown(value)
+        if self.kind == "range":
+            return " to ".join(format_number(end * self.factor) for end in value) + self.suffix
+        if self.kind == "rectangle":
+            return " x ".join(format_number(end) for end in value) + self.suffix
+        if self.kind == "flag":
+            return "on" if value else "off"
+        return "the saved matrix" if self.kind == "matrix" else str(value)
+
     def from_shown(self, number: float) -> float | int:
         """Convert a typed number to the model's unit."""
         if self.integer:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from itertools import pairwise
 
 import numpy as np
@@ -42,7 +43,10 @@ SECTIONS = (
 )
 
 _EYEDROPPERS = {
-    "set": ("Pick", "Pick the membrane's colour: click bare membrane in the colour image. Esc stops."),
+    "set": (
+        "Pick",
+        "Pick the membrane's colour: click bare membrane in the colour image, which also turns the mask on. Esc stops.",
+    ),
     "expand": ("+", "Expand: click membrane that the mask misses, and the ranges widen to include it. Esc stops."),
     "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
 }
@@ -54,6 +58,11 @@ class ParameterPanel(QScrollArea):
     The panel holds no preset of its own: it shows the one given to `set_preset` and tells what a person does.
     Whoever listens answers with `set_preset`, or with `show_error` where the value is refused.
 
+    Parameters
+    ----------
+    suggestible : collection of str
+        The sections that get a button *Suggest*.
+
     Signals
     -------
     valueEdited(path: str, value: object, gesture: int)
@@ -62,19 +71,23 @@ class ParameterPanel(QScrollArea):
         A section was reset: several fields at once.
     eyedropperRequested(mode: str)
         "set", "expand", "shrink", or "off".
+    suggestRequested(section: str)
+        A proposal for a section is wanted; ``"all"`` for all sections.
     """
 
     valueEdited = pyqtSignal(str, object, int)
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)
+    suggestRequested = pyqtSignal(str)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, suggestible: Collection[str] = (), parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._preset = Preset()
         self._median_m = float("nan")
         self.rows: dict[str, ParameterRow] = {}
         self.sections: dict[str, CollapsibleSection] = {}
         self.section_resets: dict[str, QToolButton] = {}
+        self.suggests: dict[str, QToolButton] = {}
         self.eyedroppers: dict[str, QToolButton] = {}
         self.alignment_info = _note()
         self._test_note = _note()
@@ -86,8 +99,13 @@ class ParameterPanel(QScrollArea):
         column = QVBoxLayout(content)
         column.setContentsMargins(4, 4, 4, 4)
         column.setSpacing(6)
+        if suggestible:
+            column.addLayout(self._make_suggest_all())
         for name, title in SECTIONS:
             section = self._make_section(name, title)
+            if name in suggestible:
+                tip = f"Measure {title.lower()} from the present frame and the examples, and propose values"
+                section.add_header_widget(self._make_suggest(name, "Suggest", tip), before=self.section_resets[name])
             self.sections[name] = section
             column.addWidget(section)
         column.addStretch(1)
@@ -216,6 +234,27 @@ class ParameterPanel(QScrollArea):
         self.section_resets[name] = reset
         return section
 
+    def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
+        button = QToolButton()
+        button.setText(text)
+        button.setToolTip(tip)
+        button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        button.setAccessibleName(f"{text} {name.replace('_', ' ')}")
+        button.clicked.connect(lambda: self.suggestRequested.emit(name))
+        self.suggests[name] = button
+        return button
+
+    def _make_suggest_all(self) -> QHBoxLayout:
+        row = QHBoxLayout()
+        row.setContentsMargins(2, 0, 4, 0)
+        title = QLabel("Parameters")
+        title.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+        row.addWidget(title, 1)
+        row.addWidget(
+            self._make_suggest("all", "Suggest all", "Propose values for all sections, each with its evidence")
+        )
+        return row
+
     def _make_eyedropper_bar(self) -> QWidget:
         bar = QWidget()
         layout = QHBoxLayout(bar)
@@ -237,11 +276,12 @@ class ParameterPanel(QScrollArea):
 
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
-        chain: list[QWidget] = []
+        chain: list[QWidget] = [self.suggests["all"]] if self.suggests else []
         for name, section in self.sections.items():
             rows = [row for path, row in self.rows.items() if _section_of(path) == name]
             header = [row.widget for row in rows if row.in_header]
-            chain += [section.button, *header, self.section_resets[name]]
+            suggest = [self.suggests[name]] if name in self.suggests else []
+            chain += [section.button, *header, *suggest, self.section_resets[name]]
             for row in rows:
                 if not row.in_header:
                     chain += [*row.tab_stops, row.reset]
@@ -311,10 +351,12 @@ class ParameterPanel(QScrollArea):
         self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:
-        for button in self.eyedroppers.values():
+        """Let a mask that is off be picked anew, but not be expanded or shrunk."""
+        for mode in ("expand", "shrink"):
+            button = self.eyedroppers[mode]
             button.setEnabled(enabled)
-        if not enabled and any(button.isChecked() for button in self.eyedroppers.values()):
-            self._choose_eyedropper("off")
+            if not enabled and button.isChecked():
+                self._choose_eyedropper("off")
 
     def _show_tolerance_mm(self) -> None:
         known = np.isfinite(self._median_m) and self._median_m > 0

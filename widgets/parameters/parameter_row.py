@@ -8,7 +8,7 @@ from PyQt6.QtCore import QEvent, QObject, Qt, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QColor, QFontDatabase, QPalette, QWheelEvent
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButton, QWidget
 
-from ..basics.fields import FieldSpec, format_number
+from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
 from ..basics.theme import theme_colors
 from .band_slider import RangeEditor, RectangleEditor
@@ -238,7 +238,7 @@ class ParameterRow(QObject):
     def set_reset_target(self, value: Any, origin: str) -> None:
         """Set the value of the reset button and describe its origin."""
         self._target = value
-        self.reset.setToolTip(f"Reset to {self.describe(value)} ({origin})")
+        self.reset.setToolTip(f"Reset to {self.spec.describe(value)} ({origin})")
         self._update_reset(self.widget.isEnabled())
 
     @property
@@ -253,21 +253,6 @@ class ParameterRow(QObject):
         self.editor.setValue(value)
         self._place_editor()
         self._update_reset(self.widget.isEnabled())
-
-    def describe(self, value: Any) -> str:
-        """Format a value of this field for display."""
-        spec = self.spec
-        if value is None:
-            return "the rig's own"
-        if spec.kind == "number":
-            return spec.shown(value)
-        if spec.kind == "range":
-            return " to ".join(format_number(end * spec.factor) for end in value) + spec.suffix
-        if spec.kind == "rectangle":
-            return " x ".join(format_number(end) for end in value) + spec.suffix
-        if spec.kind == "flag":
-            return "on" if value else "off"
-        return "the saved matrix" if spec.kind == "matrix" else str(value)
 
     def _place_editor(self) -> None:
         """Put the editor beside the label, or below it if it is too wide."""
