@@ -46,16 +46,22 @@ class Context(QObject):
         The frame on the screen; None before the first frame of a source.
     playback : PlaybackState or None
         The newest state of playback; None before the first source.
+    trim : (int, int) or None
+        The frames between the in and out marks, for work on a part of the recording: the first, and the one behind
+        the last, as in ``range``; None without marks.
 
     Signals
     -------
     frameShown()
         `result` is on the screen.
+    trimChanged()
+        The in or out mark was set, moved or cleared, or another source was opened.
     sourceRequested(name: str)
         Emit it to open another source, named as `tactune.core.sources.registry.open_source` takes it.
     """
 
     frameShown = pyqtSignal()
+    trimChanged = pyqtSignal()
     sourceRequested = pyqtSignal(str)
 
     def __init__(
@@ -76,6 +82,7 @@ class Context(QObject):
         self.comparison = Comparison(self)
         self.result: Result | None = None
         self.playback: PlaybackState | None = None
+        self.trim: tuple[int, int] | None = None
         worker.playbackChanged.connect(self._note_playback)
 
     @property
