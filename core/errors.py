@@ -38,3 +38,7 @@ class PluginError(TactuneError):
 
 class CalibrationError(TactuneError):
     """Points that determine no alignment, or contradict each other."""
+
+
+class AdviceError(TactuneError):
+    """A proposal that the evidence does not support; the message says why and what evidence is missing."""

@@ -3,12 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from enum import IntEnum
 from typing import Any
 
-from ..model.arrays import BoolArray
+from ..model.arrays import BoolArray, Uint8Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
+
+
+class MaskLabel(IntEnum):
+    """What a proposed mask does to one proximity pixel of the frame that it was made from."""
+
+    UNKNOWN = 0
+    #: The proximity camera looks through the membrane, and the mask keeps the pixel.
+    BARE = 1
+    #: A print that reflects infrared, and the mask misses it.
+    MISSED = 2
+    #: A print that the mask covers.
+    COVERED = 3
+    #: The proximity camera looks through the membrane, but the mask drops the pixel.
+    LOST = 4
 
 
 @dataclass(frozen=True)
@@ -20,7 +35,8 @@ class Proposal:
     section : str
         The section of the preset that it belongs to, such as ``"mask"``; ``"all"`` for several.
     changes : dict of str to object
-        New value by dotted path, such as ``{"alignment.depth_offset_m": 0.0159}``.
+        New value by dotted path, such as ``{"alignment.depth_offset_m": 0.0159}``. Empty if the present values are
+        already those that follow from the evidence.
     label : str
         What it does, short enough for a button and the Edit menu, such as ``"Depth offset +15.9 mm"``.
     evidence : str
@@ -29,6 +45,8 @@ class Proposal:
         What it will change, as one sentence.
     weak : bool
         Whether it follows from the rig's noise alone, without examples of contact.
+    picture : uint8, shape (H, W), or None
+        `MaskLabel` of each proximity pixel, for a proposed mask.
     """
 
     section: str
@@ -37,6 +55,7 @@ class Proposal:
     evidence: str
     expected: str
     weak: bool = False
+    picture: Uint8Array | None = field(default=None, compare=False)
 
     def apply(self, preset: Preset) -> Preset:
         """Return the preset with the changes.

@@ -1,0 +1,223 @@
+"""The mask from an untouched frame: the colours of the prints on which the proximity camera measures the membrane."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ..contact.alignment import make_alignment
+from ..contact.finder import region_bounds
+from ..contact.masking import colors_at, in_hsv_range
+from ..errors import AdviceError
+from ..model.arrays import BoolArray, Float32Array, Uint8Array
+from ..model.clouds import ray_table
+from ..model.frames import Rig, SensorFrame
+from ..preset import MaskSection, Preset
+from ..sources.base import Progress
+from .proposal import Evidence, MaskLabel, Proposal
+
+#: Largest bias between the cameras at which prints are recognised, metres.
+_MAX_BIAS_M: Final = 0.04
+#: A pixel is on a print if its difference is within the first of the prints' bias, and sees through the membrane if it
+#: is beyond the second. Metres.
+_ON_PRINT_M, _THROUGH_M = 0.004, 0.010
+#: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
+_BIN_M, _SMOOTH_BINS = 0.0005, 2.0
+#: Fewest pixels on prints.
+_MIN_PRINT_PIXELS: Final = 300
+#: Share of the prints' colours that the narrowest mask leaves out at each end.
+_TAIL: Final = 0.01
+#: The widest mask exceeds the colours of the prints by this much: hue, saturation, and a share of the brightness, for
+#: light that changes where the membrane is pressed. It is narrowed until it costs at most this share of bare membrane.
+_HUE_MARGIN, _SATURATION_MARGIN, _VALUE_MARGIN, _MAX_LOST = 14, 60, 0.5, 0.005
+_NARROWER: Final = (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)
+#: Prints whose colour tells them from bare membrane by less cannot be masked.
+_MIN_GAIN: Final = 0.5
+
+_HUES: Final = 180
+
+
+@dataclass(frozen=True, eq=False)
+class _Colours:
+    """Where prints and bare membrane are in one frame, and their colours in OpenCV's HSV.
+
+    Attributes
+    ----------
+    labels : uint8, shape (H, W)
+        `MaskLabel`: MISSED on prints, BARE on bare membrane, before there is a mask.
+    rgb : uint8, shape (H, W, 3)
+        The colour of the membrane at each labelled pixel.
+    core : bool, shape (H, W)
+        Prints without their rim, on which colours mix.
+    """
+
+    labels: Uint8Array
+    rgb: Uint8Array
+    core: BoolArray
+
+    def of(self, pixels: BoolArray) -> Uint8Array:
+        """Return the colours at some pixels, RGB, shape (N, 3)."""
+        return self.rgb[pixels]
+
+
+def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
+    """Propose the mask that covers the prints, from frames in which it is known that nothing touches.
+
+    Those are the untouched frame, examples of the untouched membrane, and what lies outside painted contact.
+
+    Raises
+    ------
+    AdviceError
+        There is no such frame, no print reflects infrared in it, or prints and bare membrane have the same colour.
+    """
+    known = list(_known(evidence))
+    if not known:
+        raise AdviceError(
+            "mask: prints can be told from contact only where nothing touches; capture an untouched frame, or paint the "
+            "contact in a frame"
+        )
+    found = []
+    for number, (frame, free) in enumerate(known):
+        progress(number / len(known), "Looking for prints")
+        found.append(_colours(frame, free, evidence.preset, evidence.rig))
+    prints = np.concatenate([colours.of(colours.core) for colours in found])
+    if len(prints) < _MIN_PRINT_PIXELS:
+        raise AdviceError(
+            f"mask: only {len(prints)} pixels of the untouched membrane have a proximity depth on the membrane, so no "
+            "print reflects infrared; leave the mask off, or check the alignment if you see false contact on prints"
+        )
+    section = _narrowest_within(prints, found)
+    covered, lost = _shares(section, found)
+    if covered - lost < _MIN_GAIN:
+        raise AdviceError(
+            f"mask: the prints have the colour of the rest of the membrane (a mask that covers {100 * covered:.0f} % of "
+            f"them drops {100 * lost:.0f} % of the rest); no mask tells them apart"
+        )
+    return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found)
+
+
+def _known(evidence: Evidence) -> Iterable[tuple[SensorFrame, BoolArray | None]]:
+    """Yield frames and where nothing touches in them; None for everywhere."""
+    if evidence.untouched is not None:
+        yield evidence.untouched, None
+    for example in evidence.examples:
+        if example.contact is None:
+            yield example.frame, example.known
+        else:
+            yield example.frame, ~example.contact if example.known is None else example.known & ~example.contact
+
+
+def _colours(frame: SensorFrame, free: BoolArray | None, preset: Preset, rig: Rig) -> _Colours:
+    """Tell prints from bare membrane by the depths, and read their colours."""
+    frame.check_against(rig)
+    bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+    aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
+    difference = aligned.expected_m - aligned.measured_m
+    usable = np.isfinite(difference) if free is None else np.isfinite(difference) & free
+    labels = np.full(difference.shape, MaskLabel.UNKNOWN, np.uint8)
+    with np.errstate(invalid="ignore"):
+        away = difference - _most_frequent_m(difference[usable & (np.abs(difference) < _MAX_BIAS_M)])
+        labels[usable & (away > _THROUGH_M)] = MaskLabel.BARE
+        on_print = (usable & (np.abs(away) < _ON_PRINT_M)).view(np.uint8)
+    on_print = cv2.morphologyEx(on_print, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    labels[on_print > 0] = MaskLabel.MISSED
+    core = cv2.erode(on_print, np.ones((3, 3), np.uint8)) > 0
+    return _Colours(labels, _membrane_colours(frame, labels, aligned.measured_m, rig), core)
+
+
+def _most_frequent_m(differences: Float32Array) -> float:
+    """Return the most frequent of some differences, 0 without any."""
+    if len(differences) == 0:
+        return 0.0
+    bins = np.floor((differences + _MAX_BIAS_M) / _BIN_M).astype(np.int64)
+    counts = np.bincount(bins, minlength=1).astype(np.float32)
+    smooth = cv2.GaussianBlur(counts[None], (0, 0), _SMOOTH_BINS, borderType=cv2.BORDER_CONSTANT)[0]
+    return float((int(np.argmax(smooth)) + 0.5) * _BIN_M - _MAX_BIAS_M)
+
+
+def _membrane_colours(frame: SensorFrame, labels: Uint8Array, membrane_m: Float32Array, rig: Rig) -> Uint8Array:
+    """Return the colour at the membrane's depth of each labelled pixel, RGB; what the colour camera misses is unlabelled."""
+    pixels = np.flatnonzero(labels)
+    depth = membrane_m.reshape(-1)[pixels, None]
+    points = np.concatenate([ray_table(rig.proximity.intrinsics).reshape(-1, 2)[pixels] * depth, depth], axis=1)
+    colors, seen = colors_at(np.ascontiguousarray(points, np.float32), pixels, frame.proximity_color, rig)
+    labels.reshape(-1)[pixels[~seen]] = MaskLabel.UNKNOWN
+    image = np.zeros((*labels.shape, 3), np.uint8)
+    image.reshape(-1, 3)[pixels] = colors
+    return image
+
+
+def _narrowest_within(prints: Uint8Array, found: Sequence[_Colours]) -> MaskSection:
+    """Return the mask of the prints' colours with the widest margins that cost hardly any bare membrane."""
+    hue, saturation, value = cv2.cvtColor(prints[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
+    angles = hue * (2 * np.pi / _HUES)
+    centre = float(np.angle(np.exp(1j * angles).mean())) * _HUES / (2 * np.pi)
+    around = (hue - centre + _HUES / 2) % _HUES - _HUES / 2
+    hue_low, hue_high = np.quantile(around, (_TAIL, 1 - _TAIL))
+    saturation_low, value_low = np.quantile(saturation, _TAIL), np.quantile(value, _TAIL)
+    sections = [
+        MaskSection(
+            enabled=True,
+            hue=(
+                round(centre + hue_low - share * _HUE_MARGIN) % _HUES,
+                round(centre + hue_high + share * _HUE_MARGIN) % _HUES,
+            ),
+            saturation=(max(round(saturation_low - share * _SATURATION_MARGIN), 0), 255),
+            value=(max(round(value_low * (1 - share * _VALUE_MARGIN)), 0), 255),
+        )
+        for share in _NARROWER
+    ]
+    allowed = _shares(sections[-1], found)[1] + _MAX_LOST
+    return next(section for section in sections if _shares(section, found)[1] <= allowed)
+
+
+def _shares(section: MaskSection, found: Sequence[_Colours]) -> tuple[float, float]:
+    """Return which share of the prints a mask covers, and which share of the bare membrane it loses."""
+    counts = np.zeros(5)
+    for colours in found:
+        counts += np.bincount(_labelled(colours, section).reshape(-1), minlength=5)
+    prints = counts[MaskLabel.COVERED] + counts[MaskLabel.MISSED]
+    bare = counts[MaskLabel.LOST] + counts[MaskLabel.BARE]
+    return counts[MaskLabel.COVERED] / max(prints, 1), counts[MaskLabel.LOST] / max(bare, 1)
+
+
+def _labelled(colours: _Colours, section: MaskSection) -> Uint8Array:
+    """Return the labels of a frame's pixels under a mask."""
+    labels = colours.labels.copy()
+    inside = in_hsv_range(colours.rgb, section)
+    labels[inside & (labels == MaskLabel.MISSED)] = MaskLabel.COVERED
+    labels[inside & (labels == MaskLabel.BARE)] = MaskLabel.LOST
+    return labels
+
+
+def _proposal(
+    preset: Preset, section: MaskSection, picture: Uint8Array, covered: float, lost: float, found: Sequence[_Colours]
+) -> Proposal:
+    """Return the proposal of a mask, or that of no change if the present mask does as well."""
+    if preset.mask.enabled:
+        now_covered, now_lost = _shares(preset.mask, found)
+        present = (
+            f"covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the bare membrane"
+        )
+    else:
+        present = "is off"
+    changes = {
+        f"mask.{name}": value for name, value in section.model_dump().items() if value != getattr(preset.mask, name)
+    }
+    (low, high) = section.hue
+    return Proposal(
+        section="mask",
+        changes=changes,
+        label=f"Mask hue {low} to {high}, saturation from {section.saturation[0]}",
+        evidence=(
+            f"On {sum(int(c.core.sum()) for c in found):,} pixels of the untouched membrane the proximity camera "
+            f"measures the membrane itself; these prints are covered to {100 * covered:.0f} %, and {100 * lost:.1f} % of "
+            "the bare membrane is lost."
+        ),
+        expected=f"False contact on prints goes; the present mask {present}.",
+        picture=picture,
+    )

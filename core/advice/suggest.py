@@ -1,0 +1,102 @@
+"""Proposals for the sections of a preset, one at a time or all at once."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from ..errors import AdviceError, FrameError, PresetError, RigMismatchError
+from ..sources.base import Progress
+from .mask import suggest_mask
+from .proposal import Evidence, Proposal
+
+#: Makes the proposal of one section. Raises AdviceError if the evidence does not support one.
+Suggest = Callable[[Evidence, Progress], Proposal]
+
+_SUGGEST: Final[dict[str, Suggest]] = {
+    "mask": suggest_mask,
+}
+#: Sections of the preset that can be suggested, in the order in which they depend on each other.
+SECTIONS: Final = tuple(_SUGGEST)
+
+
+@dataclass(frozen=True)
+class AllProposals:
+    """Proposals for every section that the contact test reads.
+
+    Attributes
+    ----------
+    parts : tuple of Proposal
+        In order; each is computed with the earlier ones applied. Parts without changes keep the present values.
+    refusals : dict of str to str
+        Why there is no proposal, by section.
+    merged : Proposal
+        All changes as one proposal; without changes if no part has any.
+    """
+
+    parts: tuple[Proposal, ...]
+    refusals: dict[str, str]
+    merged: Proposal
+
+
+def suggest(section: str, evidence: Evidence, progress: Progress = lambda share, words: None) -> Proposal:
+    """Propose new values for one section of the preset.
+
+    Parameters
+    ----------
+    section : str
+        One of `SECTIONS`.
+    evidence : Evidence
+    progress : callable, optional
+        Called with the finished share, 0 to 1, and a description. What it raises ends the computation.
+
+    Raises
+    ------
+    AdviceError
+        The evidence does not support a proposal; the message says why and what to do.
+    FrameError, RigMismatchError
+        A frame has another size than the rig's, or neither preset nor rig has a pose.
+    """
+    if section not in _SUGGEST:
+        raise AdviceError(f"there are no suggestions for {section!r}; choose one of {', '.join(SECTIONS)}")
+    evidence.frame.check_against(evidence.rig)
+    proposal = _SUGGEST[section](evidence, progress)
+    progress(1.0, "The suggestion is ready")
+    return proposal
+
+
+def suggest_all(evidence: Evidence, progress: Progress = lambda share, words: None) -> AllProposals:
+    """Propose new values for every section that the contact test reads, each with the earlier ones applied."""
+    present, parts, refusals = evidence.preset, [], {}
+    for number, section in enumerate(SECTIONS):
+        if section not in _read_sections(evidence):
+            continue
+
+        def part_of(share: float, words: str, number: int = number) -> None:
+            progress((number + share) / len(SECTIONS), words)
+
+        try:
+            proposal = suggest(section, evidence, part_of)
+            evidence = replace(evidence, preset=proposal.apply(evidence.preset))
+        except (AdviceError, FrameError, PresetError, RigMismatchError) as error:
+            refusals[section] = str(error)
+        else:
+            parts.append(proposal)
+    changes = {path: value for part in parts for path, value in part.changes.items() if present.value(path) != value}
+    changed = [part for part in parts if part.changes]
+    merged = Proposal(
+        section="all",
+        changes=changes,
+        label="All suggestions: " + "; ".join(part.label for part in changed) if changed else "No change",
+        evidence=" ".join(part.evidence for part in changed),
+        expected=" ".join(part.expected for part in changed),
+        weak=any(part.weak for part in changed),
+    )
+    progress(1.0, "The suggestions are ready")
+    return AllProposals(tuple(parts), refusals, merged)
+
+
+def _read_sections(evidence: Evidence) -> set[str]:
+    """Return the sections that the preset's contact test reads."""
+    return set(SECTIONS) - {"tolerance", "outliers", "membrane"} | set(evidence.preset.test.section_names)
