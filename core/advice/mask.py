@@ -35,6 +35,8 @@ _TAIL: Final = 0.01
 #: light that changes where the membrane is pressed. It is narrowed until it costs at most this share of bare membrane.
 _HUE_MARGIN, _SATURATION_MARGIN, _VALUE_MARGIN, _MAX_LOST = 14, 60, 0.5, 0.005
 _NARROWER: Final = (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)
+#: The present mask is as good if it covers at most this share less.
+_AS_GOOD: Final = 0.02
 #: Prints whose colour tells them from bare membrane by less cannot be masked.
 _MIN_GAIN: Final = 0.5
 
@@ -77,8 +79,8 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     known = list(_known(evidence))
     if not known:
         raise AdviceError(
-            "mask: prints can be told from contact only where nothing touches; capture an untouched frame, or paint the "
-            "contact in a frame"
+            "mask: prints can be told from contact only where nothing touches; capture an untouched frame, or paint "
+            "the contact in a frame"
         )
     found = []
     for number, (frame, free) in enumerate(known):
@@ -94,8 +96,8 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     covered, lost = _shares(section, found)
     if covered - lost < _MIN_GAIN:
         raise AdviceError(
-            f"mask: the prints have the colour of the rest of the membrane (a mask that covers {100 * covered:.0f} % of "
-            f"them drops {100 * lost:.0f} % of the rest); no mask tells them apart"
+            f"mask: the prints have the colour of the rest of the membrane: a mask that covers {100 * covered:.0f} % "
+            f"of them drops {100 * lost:.0f} % of the rest; no mask tells them apart"
         )
     return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found)
 
@@ -140,7 +142,7 @@ def _most_frequent_m(differences: Float32Array) -> float:
 
 
 def _membrane_colours(frame: SensorFrame, labels: Uint8Array, membrane_m: Float32Array, rig: Rig) -> Uint8Array:
-    """Return the colour at the membrane's depth of each labelled pixel, RGB; what the colour camera misses is unlabelled."""
+    """Return the colour of the membrane at each labelled pixel; unlabel pixels that the colour camera misses."""
     pixels = np.flatnonzero(labels)
     depth = membrane_m.reshape(-1)[pixels, None]
     points = np.concatenate([ray_table(rig.proximity.intrinsics).reshape(-1, 2)[pixels] * depth, depth], axis=1)
@@ -198,26 +200,29 @@ def _proposal(
     preset: Preset, section: MaskSection, picture: Uint8Array, covered: float, lost: float, found: Sequence[_Colours]
 ) -> Proposal:
     """Return the proposal of a mask, or that of no change if the present mask does as well."""
-    if preset.mask.enabled:
-        now_covered, now_lost = _shares(preset.mask, found)
-        present = (
-            f"covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the bare membrane"
-        )
-    else:
-        present = "is off"
     changes = {
         f"mask.{name}": value for name, value in section.model_dump().items() if value != getattr(preset.mask, name)
     }
-    (low, high) = section.hue
+    label = f"Mask hue {section.hue[0]} to {section.hue[1]}, saturation from {section.saturation[0]}"
+    present = "The present mask is off: prints pass as contact."
+    if preset.mask.enabled:
+        now_covered, now_lost = _shares(preset.mask, found)
+        present = (
+            f"The present mask covers {100 * now_covered:.0f} % of the prints and drops {100 * now_lost:.1f} % of the "
+            "bare membrane."
+        )
+        if now_covered >= covered - _AS_GOOD and now_lost <= lost + _MAX_LOST:
+            changes, label, picture = {}, "Keep the mask", _labelled(found[0], preset.mask)
+    pixels = sum(int(np.count_nonzero(colours.core)) for colours in found)
     return Proposal(
         section="mask",
         changes=changes,
-        label=f"Mask hue {low} to {high}, saturation from {section.saturation[0]}",
+        label=label,
         evidence=(
-            f"On {sum(int(c.core.sum()) for c in found):,} pixels of the untouched membrane the proximity camera "
-            f"measures the membrane itself; these prints are covered to {100 * covered:.0f} %, and {100 * lost:.1f} % of "
-            "the bare membrane is lost."
+            f"On {pixels:,} pixels of the untouched membrane the proximity camera measures the membrane itself; a mask "
+            f"of their colours covers {100 * covered:.0f} % of the prints and drops {100 * lost:.1f} % of the bare "
+            "membrane."
         ),
-        expected=f"False contact on prints goes; the present mask {present}.",
+        expected=present,
         picture=picture,
     )
