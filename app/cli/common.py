@@ -27,7 +27,7 @@ from ...core.model.files import atomic_path, user_path
 
 if TYPE_CHECKING:
     from ...core.model.frames import Rig, SensorFrame
-    from ...core.preset import CamerasSection
+    from ...core.preset import CamerasSection, Preset
     from ...core.rig.untouched import UntouchedAverage
     from ...core.sources import FrameSource
 
@@ -95,6 +95,14 @@ def counted(number: int, thing: str) -> str:
 def warn(sentence: str) -> None:
     """Print a sentence on standard error."""
     typer.echo(f"tactune: {sentence}", err=True)
+
+
+def tell_notes(preset: Preset) -> None:
+    """Say on standard error what works in a preset but is probably not intended."""
+    from ...core.preset.checks import preset_notes
+
+    for sentence in preset_notes(preset):
+        typer.echo(f"note: {sentence}", err=True)
 
 
 def finite_or_none(number: float | None) -> float | None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ...core.errors import TactuneError
-from .common import CliProgress, counted, finite_or_none, warn
+from .common import CliProgress, counted, finite_or_none, tell_notes, warn
 from .scan import evaluate_recording
 from .sensor_table import default_work, listed, plan_sensor_table, print_sensor_table
 
@@ -129,6 +129,7 @@ def table(
     from ...core.evaluation.table_report import check_plot, draw_patches, table_as_json, table_as_text, write_csv
 
     plan = _plan(methods, objects, presses, seeds or _SEEDS, extra=extra, held_out=held_out, preset=preset, work=work)
+    tell_notes(plan.preset)
     if plot is not None:
         check_plot(plot)
     finished = _measure(plan)

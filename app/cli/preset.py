@@ -22,6 +22,7 @@ from .common import (
     find_rig,
     open_with_progress,
     parse_settings,
+    tell_notes,
     warn,
 )
 
@@ -94,7 +95,7 @@ def new(
             f"cameras, alignment and untouched frame are still those of {start}, made for another rig; calibrate again."
         )
         typer.echo(f"note: {note}", err=True)
-    _tell_notes(preset)
+    tell_notes(preset)
 
 
 @preset_commands.command()
@@ -120,7 +121,7 @@ def validate(presets: Annotated[list[str], typer.Argument(metavar="FILE...")]) -
             typer.echo(f"tactune: {error}", err=True)
         else:
             typer.echo(f"{origin}: good, {_describe(preset)}" + (f", {older}" if older else ""))
-            _tell_notes(preset)
+            tell_notes(preset)
     if bad:
         raise typer.Exit(2)
 
@@ -203,13 +204,6 @@ def schema() -> None:
     from ...core.preset.preset import json_schema
 
     typer.echo(json.dumps(json_schema(), indent=2))
-
-
-def _tell_notes(preset: Preset) -> None:
-    from ...core.preset.checks import preset_notes
-
-    for sentence in preset_notes(preset):
-        typer.echo(f"note: {sentence}", err=True)
 
 
 def _describe(preset: Preset) -> str:

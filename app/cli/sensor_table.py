@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from ...core.errors import TactuneError
-from .common import CliProgress, counted, warn
+from .common import CliProgress, counted, tell_notes, warn
 
 if TYPE_CHECKING:
     from ...core.evaluation.sensor_cases import SensorTable
@@ -59,6 +59,7 @@ def print_sensor_table(plan: SensorPlan, *, as_json: bool, out: Path | None, che
     """Measure and print the table; return the exit status."""
     from ...core.evaluation.sensor_report import sensors_as_json, sensors_as_text, write_report
 
+    tell_notes(plan.preset)
     table = measure_sensor_table(plan)
     if out is not None:
         for path in write_report(table, out):

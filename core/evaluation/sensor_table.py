@@ -20,7 +20,7 @@ from ..methods.registry import make_method
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from ..rig.noise import NOISE_FRAMES, measure_noise
-from ..sources.base import FrameSource
+from ..sources.base import FrameSource, Progress
 from ..sources.registry import open_source
 from ..sources.simulator.membranes import MEMBRANES
 from ..sources.simulator.scenes import HELD_OUT
@@ -56,6 +56,8 @@ METHODS: Final = (STRAIGHT, *TOLERANCE_TESTS, SHIPPED, AVERAGED)
 RigKnowledge = Literal["measured", "unmeasured"]
 #: Returns the preset with the measured noise of a rig, from the source of a scene.
 MeasureRig = Callable[[Preset, FrameSource], Preset]
+#: Opens a scene by its name; calls the given function with its progress.
+OpenScene = Callable[[str, Progress], FrameSource]
 
 
 def measured_rig(preset: Preset, source: FrameSource) -> Preset:
@@ -149,8 +151,11 @@ def _chosen(what: str, names: Sequence[str], known: dict[str, bool], held_out: b
     allowed = [name for name in known if held_out or not known[name]]
     for name in names:
         if name not in allowed:
-            hint = "; it needs --held-out" if name in known else ""
-            raise TactuneError(f"the simulator has no {what} {name!r}{hint}; choose from {', '.join(allowed)}")
+            if name in known:
+                raise TactuneError(
+                    f"the {what} {name!r} is held out; add --held-out, or choose from {', '.join(allowed)}"
+                )
+            raise TactuneError(f"the simulator has no {what} {name!r}; choose from {', '.join(allowed)}")
     return tuple(dict.fromkeys(names)) or tuple(name for name in known if known[name] == held_out)
 
 
@@ -158,7 +163,7 @@ def measure_sensors(
     plan: SensorPlan,
     measure_rig: MeasureRig = measured_rig,
     make: MakeMethod = make_method,
-    open_scene: Callable[[str], FrameSource] = open_source,
+    open_scene: OpenScene = open_source,
 ) -> Iterator[list[TableCell]]:
     """Yield the cells of all `METHODS`, frame by frame; frames stored in ``plan.work`` are not measured again.
 
@@ -207,14 +212,13 @@ class _Shown:
 class _Reader:
     """Reads the frames of one scene and seed after another, in a thread of its own. A context manager."""
 
-    def __init__(
-        self, preset: Preset, measure_rig: MeasureRig | None, open_scene: Callable[[str], FrameSource]
-    ) -> None:
+    def __init__(self, preset: Preset, measure_rig: MeasureRig | None, open_scene: OpenScene) -> None:
         self._preset, self._measure, self._open = preset, measure_rig, open_scene
         self._measured: dict[tuple[str, str, int], Preset | TactuneError] = {}
         self._pool = ThreadPoolExecutor(1)
         self._next: Future[_Shown] | None = None
         self._last: FrameSource | None = None
+        self._closing = False
 
     def begin(self, frame: tuple[PlannedScene, int] | None) -> None:
         """Begin to read the frames of a scene with a seed; nothing for None."""
@@ -226,7 +230,7 @@ class _Reader:
         return self._next.result()
 
     def _read(self, scene: PlannedScene, seed: int) -> _Shown:
-        source = self._open(f"{scene.source}&seed={seed}")
+        source = self._open(f"{scene.source}&seed={seed}", self._go_on)
         before, self._last = self._last, source  # closed after the next one is open: they share the solved membrane
         if before is not None:
             before.close()
@@ -238,10 +242,16 @@ class _Reader:
                 self._measured[rig] = error
         return _Shown(list(itertools.islice(source, FRAMES_PER_CELL)), source.rig, self._measured[rig])
 
+    def _go_on(self, _fraction: float, _text: str) -> None:
+        """Stop solving a scene that nobody waits for any longer."""
+        if self._closing:
+            raise TactuneError("the table was cancelled")
+
     def __enter__(self) -> _Reader:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._closing = True
         self._pool.shutdown(cancel_futures=True)
         if self._last is not None:
             self._last.close()

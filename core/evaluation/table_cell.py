@@ -122,8 +122,11 @@ def plan_scenes(
     for what, names, allowed in (("object", objects, known), ("press", presses, PRESSES)):
         for name in names:
             if name not in allowed:
-                hint = "; it needs --held-out" if name in HELD_OUT else ""
-                raise TactuneError(f"the table has no {what} {name!r}{hint}; choose from {', '.join(allowed)}")
+                if name in HELD_OUT:
+                    raise TactuneError(
+                        f"the {what} {name!r} is held out; add --held-out, or choose from {', '.join(allowed)}"
+                    )
+                raise TactuneError(f"the table has no {what} {name!r}; choose from {', '.join(allowed)}")
     scenes = [scene for name in dict.fromkeys(objects) for press in dict.fromkeys(presses)
               for scene in _still(name, press)]  # fmt: skip
     if extra:

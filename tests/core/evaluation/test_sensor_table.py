@@ -6,6 +6,7 @@ import csv
 import itertools
 import json
 import math
+import threading
 from dataclasses import replace
 from pathlib import Path
 
@@ -80,7 +81,7 @@ class Bench:
             return Shifted(abs(preset.tolerance.t - 0.01) + 0.001)
         return Shifted(0.0005 if name == SHIPPED else 0.004)
 
-    def open(self, name):
+    def open(self, name, progress):
         self.opened.append(name)
         return SmallScene(name)
 
@@ -234,6 +235,27 @@ def test_the_shipped_test_gets_the_measured_noise_of_each_rig(tmp_path):
     assert notes["fusion-rigid"] == {""}
     list(bench.measure(replace(plan(tmp_path), rig="unmeasured"), measure_rig))
     assert len(measured) == 4 and len(bench.opened) == 2 * 12, "cells of a measured rig are not used for another"
+
+
+def test_cancelling_stops_a_scene_that_is_still_being_solved(tmp_path):
+    solving, ended = threading.Event(), threading.Event()
+
+    class Slow(Bench):
+        def open(self, name, progress):
+            if self.opened:
+                solving.set()
+                try:
+                    while True:
+                        progress(0.5, "Solving")
+                finally:
+                    ended.set()
+            return super().open(name, progress)
+
+    frames = Slow().measure(plan(tmp_path))
+    next(frames)
+    assert solving.wait(10)
+    frames.close()
+    assert ended.is_set()
 
 
 def test_a_rig_that_cannot_be_measured_fails(tmp_path):
