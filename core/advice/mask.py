@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -12,6 +12,7 @@ import numpy as np
 from ..contact.alignment import make_alignment
 from ..contact.finder import region_bounds
 from ..contact.masking import colors_at, in_hsv_range
+from ..contact.membrane.bias import most_frequent_m
 from ..errors import AdviceError
 from ..model.arrays import BoolArray, Float32Array, Uint8Array
 from ..model.clouds import ray_table
@@ -25,10 +26,10 @@ _MAX_BIAS_M: Final = 0.04
 #: A pixel is on a print if its difference is within the first of the prints' bias, and sees through the membrane if it
 #: is beyond the second. Metres.
 _ON_PRINT_M, _THROUGH_M = 0.004, 0.010
-#: Bin width of the histogram of differences, metres, and sigma of its smoothing, bins.
-_BIN_M, _SMOOTH_BINS = 0.0005, 2.0
 #: Fewest pixels on prints.
 _MIN_PRINT_PIXELS: Final = 300
+#: Bins of colours, and how much more frequent the colour of a print is outside contact than in it.
+_HUE_BIN, _SATURATION_BIN, _TYPICAL = 6, 16, 2.0
 #: Share of the prints' colours that the narrowest mask leaves out at each end.
 _TAIL: Final = 0.01
 #: The widest mask exceeds the colours of the prints by this much: hue, saturation, and a share of the brightness, for
@@ -41,6 +42,7 @@ _AS_GOOD: Final = 0.02
 _MIN_GAIN: Final = 0.5
 
 _HUES: Final = 180
+_THREE: Final = np.ones((3, 3), np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,23 +71,29 @@ class _Colours:
 def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the mask that covers the prints, from frames in which it is known that nothing touches.
 
-    Those are the untouched frame, examples of the untouched membrane, and what lies outside painted contact.
+    Those are the untouched frame and examples of the untouched membrane; without any, what lies apart from painted
+    contact.
 
     Raises
     ------
     AdviceError
         There is no such frame, no print reflects infrared in it, or prints and bare membrane have the same colour.
     """
-    known = list(_known(evidence))
+    known: list[tuple[SensorFrame, BoolArray | None]] = []
+    if evidence.untouched is not None:
+        known.append((evidence.untouched, None))
+    known += [(example.frame, None) for example in evidence.examples if example.contact is None]
+    if not known:
+        known = [(example.frame, example.contact) for example in evidence.examples]
     if not known:
         raise AdviceError(
             "mask: prints can be told from contact only where nothing touches; capture an untouched frame, or paint "
             "the contact in a frame"
         )
     found = []
-    for number, (frame, free) in enumerate(known):
+    for number, (frame, contact) in enumerate(known):
         progress(number / len(known), "Looking for prints")
-        found.append(_colours(frame, free, evidence.preset, evidence.rig))
+        found.append(_colours(frame, contact, evidence.preset, evidence.rig))
     prints = np.concatenate([colours.of(colours.core) for colours in found])
     if len(prints) < _MIN_PRINT_PIXELS:
         raise AdviceError(
@@ -102,43 +110,46 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found)
 
 
-def _known(evidence: Evidence) -> Iterable[tuple[SensorFrame, BoolArray | None]]:
-    """Yield frames and where nothing touches in them; None for everywhere."""
-    if evidence.untouched is not None:
-        yield evidence.untouched, None
-    for example in evidence.examples:
-        if example.contact is None:
-            yield example.frame, example.known
-        else:
-            yield example.frame, ~example.contact if example.known is None else example.known & ~example.contact
+def _colours(frame: SensorFrame, contact: BoolArray | None, preset: Preset, rig: Rig) -> _Colours:
+    """Tell prints from bare membrane by the depths, and read their colours.
 
-
-def _colours(frame: SensorFrame, free: BoolArray | None, preset: Preset, rig: Rig) -> _Colours:
-    """Tell prints from bare membrane by the depths, and read their colours."""
+    Parameters
+    ----------
+    contact : bool, shape (H, W), or None
+        Where something touches. What is near the membrane and connected with contact is no print.
+    """
     frame.check_against(rig)
     bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
     aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
     difference = aligned.expected_m - aligned.measured_m
-    usable = np.isfinite(difference) if free is None else np.isfinite(difference) & free
-    labels = np.full(difference.shape, MaskLabel.UNKNOWN, np.uint8)
+    usable = np.isfinite(difference)
     with np.errstate(invalid="ignore"):
-        away = difference - _most_frequent_m(difference[usable & (np.abs(difference) < _MAX_BIAS_M)])
-        labels[usable & (away > _THROUGH_M)] = MaskLabel.BARE
+        away = difference - most_frequent_m(difference[usable & (np.abs(difference) < _MAX_BIAS_M)])
+        through = usable & (away > _THROUGH_M)
         on_print = (usable & (np.abs(away) < _ON_PRINT_M)).view(np.uint8)
-    on_print = cv2.morphologyEx(on_print, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
+    if contact is not None:
+        _, groups = cv2.connectedComponents((on_print | contact.view(np.uint8)), connectivity=8)
+        on_print[np.isin(groups, np.unique(groups[contact]))] = 0
+    on_print = cv2.morphologyEx(on_print, cv2.MORPH_OPEN, _THREE)
+    labels = np.full(difference.shape, MaskLabel.UNKNOWN, np.uint8)
+    labels[through] = MaskLabel.BARE
     labels[on_print > 0] = MaskLabel.MISSED
-    core = cv2.erode(on_print, np.ones((3, 3), np.uint8)) > 0
-    return _Colours(labels, _membrane_colours(frame, labels, aligned.measured_m, rig), core)
+    if contact is not None:
+        labels[contact & usable] = MaskLabel.LOST  # for now, to get the colours there
+    rgb = _membrane_colours(frame, labels, aligned.measured_m, rig)
+    if contact is not None:
+        touched = labels == MaskLabel.LOST
+        labels[touched] = MaskLabel.UNKNOWN
+        labels[(labels == MaskLabel.MISSED) & _of_object(rgb, labels == MaskLabel.MISSED, touched)] = MaskLabel.UNKNOWN
+    return _Colours(labels, rgb, cv2.erode((labels == MaskLabel.MISSED).view(np.uint8), _THREE) > 0)
 
 
-def _most_frequent_m(differences: Float32Array) -> float:
-    """Return the most frequent of some differences, 0 without any."""
-    if len(differences) == 0:
-        return 0.0
-    bins = np.floor((differences + _MAX_BIAS_M) / _BIN_M).astype(np.int64)
-    counts = np.bincount(bins, minlength=1).astype(np.float32)
-    smooth = cv2.GaussianBlur(counts[None], (0, 0), _SMOOTH_BINS, borderType=cv2.BORDER_CONSTANT)[0]
-    return float((int(np.argmax(smooth)) + 0.5) * _BIN_M - _MAX_BIAS_M)
+def _of_object(rgb: Uint8Array, prints: BoolArray, touched: BoolArray) -> BoolArray:
+    """Return which pixels have a colour that is as frequent in contact as on prints, so it is that of the object."""
+    hue, saturation, _ = np.moveaxis(cv2.cvtColor(rgb, cv2.COLOR_RGB2HSV), 2, 0).astype(np.intp)
+    colour = hue // _HUE_BIN * 256 + saturation // _SATURATION_BIN
+    there, here = (np.bincount(colour[part], minlength=256 * _HUES) / max(part.sum(), 1) for part in (touched, prints))
+    return np.asarray((there * _TYPICAL > here)[colour])
 
 
 def _membrane_colours(frame: SensorFrame, labels: Uint8Array, membrane_m: Float32Array, rig: Rig) -> Uint8Array:

@@ -6,8 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
+from ..contact.pipeline import ContactPipeline
 from ..errors import AdviceError, FrameError, PresetError, RigMismatchError
 from ..sources.base import Progress
+from .alignment import suggest_alignment
+from .contact_test import suggest_contact_test
+from .fields import suggest_membrane, suggest_outliers, suggest_tolerance
 from .mask import suggest_mask
 from .proposal import Evidence, Proposal
 
@@ -16,6 +20,11 @@ Suggest = Callable[[Evidence, Progress], Proposal]
 
 _SUGGEST: Final[dict[str, Suggest]] = {
     "mask": suggest_mask,
+    "contact_test": suggest_contact_test,
+    "alignment": suggest_alignment,
+    "tolerance": suggest_tolerance,
+    "outliers": suggest_outliers,
+    "membrane": suggest_membrane,
 }
 #: Sections of the preset that can be suggested, in the order in which they depend on each other.
 SECTIONS: Final = tuple(_SUGGEST)
@@ -62,6 +71,8 @@ def suggest(section: str, evidence: Evidence, progress: Progress = lambda share,
         raise AdviceError(f"there are no suggestions for {section!r}; choose one of {', '.join(SECTIONS)}")
     evidence.frame.check_against(evidence.rig)
     proposal = _SUGGEST[section](evidence, progress)
+    if proposal.changes:
+        proposal = replace(proposal, expected=f"{proposal.expected} {_patch_change(evidence, proposal)}")
     progress(1.0, "The suggestion is ready")
     return proposal
 
@@ -88,7 +99,7 @@ def suggest_all(evidence: Evidence, progress: Progress = lambda share, words: No
     merged = Proposal(
         section="all",
         changes=changes,
-        label="All suggestions: " + "; ".join(part.label for part in changed) if changed else "No change",
+        label=changed[0].label if len(changed) == 1 else f"All {len(changed)} suggestions" if changed else "No change",
         evidence=" ".join(part.evidence for part in changed),
         expected=" ".join(part.expected for part in changed),
         weak=any(part.weak for part in changed),
@@ -100,3 +111,12 @@ def suggest_all(evidence: Evidence, progress: Progress = lambda share, words: No
 def _read_sections(evidence: Evidence) -> set[str]:
     """Return the sections that the preset's contact test reads."""
     return set(SECTIONS) - {"tolerance", "outliers", "membrane"} | set(evidence.preset.test.section_names)
+
+
+def _patch_change(evidence: Evidence, proposal: Proposal) -> str:
+    """Return how the patch of the present frame changes, as a sentence."""
+    pipeline = ContactPipeline(evidence.preset, evidence.rig)
+    before = pipeline.process(evidence.frame).area_mm2
+    pipeline.update(proposal.apply(evidence.preset))
+    after = pipeline.process(evidence.frame).area_mm2
+    return f"The patch of the present frame changes from {before / 100:.1f} to {after / 100:.1f} cm2."

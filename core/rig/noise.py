@@ -91,12 +91,25 @@ _DISAGREE: Final = 3.0
 
 @dataclass(frozen=True)
 class MeasuredBias:
-    """The bias between both cameras: value and standard deviation, metres; slope per metre of depth."""
+    """The bias between both cameras.
+
+    Attributes
+    ----------
+    bias_m, sigma_m : float
+        Value and standard deviation, metres.
+    origin : {"prints", "contact", "unknown"}
+    per_m, per_m_sigma : float
+        Slope per metre of depth, 0 if the range of depth is too small to tell, and its standard deviation.
+    depth_m : float
+        Mean depth that a slope refers to.
+    """
 
     bias_m: float
     sigma_m: float
     origin: BiasOrigin
     per_m: float = 0.0
+    per_m_sigma: float = 0.0
+    depth_m: float = 0.0
 
 
 def measure_noise(
@@ -154,19 +167,7 @@ def measure_noise(
             f"all {len(different)} frames have the same depths, so the noise that changes from frame to frame is "
             "unknown; measure more than one image"
         )
-    tactile = _camera_noise(
-        "tactile",
-        [frame.tactile_depth for frame in different],
-        rig.tactile,
-        report=lambda share: report(0.1 + 0.35 * share, "Measuring the tactile noise"),
-    )
-    proximity = _camera_noise(
-        "proximity",
-        [frame.proximity_depth for frame in different],
-        rig.proximity,
-        tactile.distance_m,
-        report=lambda share: report(0.45 + 0.35 * share, "Measuring the proximity noise"),
-    )
+    proximity, tactile = depth_noises(different, rig, lambda share, words: report(0.1 + 0.7 * share, words))
     report(0.8, "Measuring the bias")
     density_m4 = proximity.density_m4(rig.proximity.intrinsics.fx) + tactile.density_m4(rig.tactile.intrinsics.fx)
     found = [
@@ -216,6 +217,37 @@ def describe(noise: RigNoise) -> list[str]:
 
 
 # The noise of one camera
+
+
+def depth_noises(frames: Sequence[SensorFrame], rig: Rig, progress: Progress) -> tuple[CameraNoise, CameraNoise]:
+    """Measure the noise of the proximity and of the tactile camera.
+
+    Parameters
+    ----------
+    frames : sequence of SensorFrame
+        At least two different frames of a scene at rest; few frames tell little about what changes between them.
+    rig : Rig
+    progress : callable
+
+    Raises
+    ------
+    FrameError
+        A camera sees too little depth or no smooth surface.
+    """
+    tactile = _camera_noise(
+        "tactile",
+        [frame.tactile_depth for frame in frames],
+        rig.tactile,
+        report=lambda share: progress(share / 2, "Measuring the tactile noise"),
+    )
+    proximity = _camera_noise(
+        "proximity",
+        [frame.proximity_depth for frame in frames],
+        rig.proximity,
+        tactile.distance_m,
+        report=lambda share: progress((1 + share) / 2, "Measuring the proximity noise"),
+    )
+    return proximity, tactile
 
 
 @dataclass(frozen=True)
@@ -533,14 +565,16 @@ def print_bias(frames: Sequence[SensorFrame], rig: Rig, preset: Preset, density_
     kept = np.abs(bias_m - centre) <= _TRIM * scatter + 2 * _BIAS_FLOOR_M
     bias_m, depth_m, area_m2 = bias_m[kept], depth_m[kept], area_m2[kept]
     per_m, away_m = 0.0, np.zeros_like(bias_m)
+    mean_m, mean_depth_m = (float(np.average(values, weights=area_m2)) for values in (bias_m, depth_m))
+    each_frame = max(len(bias_m) / len(frames), 1.0)
     if np.ptp(depth_m) >= _MIN_RANGE_M:
         per_m = float(np.polyfit(depth_m, bias_m, 1, w=np.sqrt(area_m2))[0])
-        away_m = per_m * (depth_m - np.average(depth_m, weights=area_m2))
-    mean_m = float(np.average(bias_m, weights=area_m2))
-    each_frame = max(len(bias_m) / len(frames), 1.0)
+        away_m = per_m * (depth_m - mean_depth_m)
     between = float(np.std(bias_m - away_m)) / np.sqrt(each_frame)
     noise = np.sqrt(density_m4 / (area_m2.sum() / len(frames)))
-    return MeasuredBias(mean_m, float(np.hypot(max(noise, between), _BIAS_FLOOR_M)), "prints", per_m)
+    sigma_m = float(np.hypot(max(noise, between), _BIAS_FLOOR_M))
+    per_m_sigma = max(noise, between) / float(np.std(depth_m)) if per_m else 0.0
+    return MeasuredBias(mean_m, sigma_m, "prints", per_m, per_m_sigma, mean_depth_m)
 
 
 def _prints(

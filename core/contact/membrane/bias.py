@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 
+from ...model.arrays import Float32Array
 from ...model.frames import Rig
 from ...preset import CameraNoise, Preset
 from ...preset.membrane import LARGEST_BIAS_M
@@ -142,7 +143,8 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
         Twice the mean curvature of the free membrane.
     """
     prior = _with_prints(known, differences, rig)
-    start_m = _most_frequent_m(differences) + _START_ABOVE_M
+    some = slice(None, None, _STRIDE_PX), slice(None, None, _STRIDE_PX)
+    start_m = most_frequent_m(differences.difference_m[some][differences.usable[some]]) + _START_ABOVE_M
     cells, part = _cells_near(differences, start_m, free_per_m, rig)
     if cells is not None:
         bias_m, area_m2 = _joint(cells, start_m, None)
@@ -168,15 +170,14 @@ def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
     return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m)
 
 
-def _most_frequent_m(differences: Differences) -> float:
-    """Return the most frequent difference."""
+def most_frequent_m(differences_m: Float32Array) -> float:
+    """Return the most frequent of some differences, shape (N,), metres; 0 without any."""
     import cv2
 
-    found = differences.difference_m[_SOME][differences.usable[_SOME]]
-    if len(found) == 0:
+    if len(differences_m) == 0:
         return 0.0
-    low = float(found.min()) - _BIN_M
-    counts = np.bincount(((found - low) / _BIN_M).astype(np.int64)).astype(np.float32)
+    low = float(differences_m.min()) - _BIN_M
+    counts = np.bincount(((differences_m - low) / _BIN_M).astype(np.int64)).astype(np.float32)
     smooth = cv2.GaussianBlur(counts[None], (0, 0), _SMOOTH_BINS, borderType=cv2.BORDER_CONSTANT)[0]
     return low + (int(np.argmax(smooth)) + 0.5) * _BIN_M
 

@@ -26,7 +26,7 @@ _MIN_SHARE: Final = np.float32(0.7)
 #: With fewer blocks the usual curvature is assumed, 1/m; other values are limited.
 _MIN_BLOCKS: Final = 100
 USUAL_PER_M: Final = 10.0
-_LIMITS_PER_M: Final = (3.0, 40.0)
+LIMITS_PER_M: Final = (3.0, 40.0)
 
 
 def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
@@ -53,7 +53,7 @@ def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: R
     bulge = bulge[~np.isnan(bulge)]
     if len(bulge) < _MIN_BLOCKS:
         return USUAL_PER_M
-    return float(np.clip(np.median(bulge), *_LIMITS_PER_M))
+    return float(np.clip(np.median(bulge), *LIMITS_PER_M))
 
 
 @lru_cache(maxsize=8)
