@@ -79,7 +79,7 @@ class Context(QObject):
         self.document, self.worker, self.messages, self.dialogs = document, worker, messages, dialogs
         self.settings, self.data_folder, self.window = settings, data_folder, window
         self._cloud_backend = cloud_backend
-        self.comparison = Comparison(self)
+        self.comparison = Comparison(document, self)
         self.result: Result | None = None
         self.playback: PlaybackState | None = None
         self.trim: tuple[int, int] | None = None

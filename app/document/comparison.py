@@ -3,18 +3,54 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.preset import Preset
+from ...core.preset.preset import preset_paths
+from .document import Document
+
+#: Name of the side that is the document's preset and follows its edits.
+PRESENT: Final = "Present"
 
 
 @dataclass(frozen=True)
 class Side:
-    """One of two compared presets and its name on the screen, such as ``"Saved"``."""
+    """One of two compared presets and its name on the screen, such as ``"Saved"``.
+
+    A side named `PRESENT` follows the edits of the document; any other keeps its preset.
+    """
 
     name: str
     preset: Preset
+
+    @property
+    def follows(self) -> bool:
+        """Whether it is the document's preset."""
+        return self.name == PRESENT
+
+
+Sides = tuple[Side, Side]
+
+#: Fields that change with every file; they are no difference.
+_DATES: Final = ("created", "modified")
+#: Fields that stay when a side is taken over: what a preset is called, and the files and cameras that it belongs to.
+_OWN: Final = ("name", "notes", "rig", "untouched")
+
+
+def differing_fields(a: Preset, b: Preset) -> tuple[str, ...]:
+    """Return the dotted paths of the fields in which two presets differ, in the order of the preset."""
+    return tuple(path for path in preset_paths() if path not in _DATES and a.value(path) != b.value(path))
+
+
+def take_over(document: Document, side: Side) -> bool:
+    """Set every value of the document's preset to that of a side, as one undoable step.
+
+    Name, notes, rig and untouched frame stay. Return whether the preset allows it; see `Document.edit_many`.
+    """
+    paths = [path for path in differing_fields(document.preset, side.preset) if path not in _OWN]
+    return not paths or document.edit_many({path: side.preset.value(path) for path in paths}, title=f"Use {side.name}")
 
 
 class Comparison(QObject):
@@ -27,12 +63,13 @@ class Comparison(QObject):
 
     changed = pyqtSignal(object)
 
-    def __init__(self, parent: QObject | None = None) -> None:
+    def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
-        self._sides: tuple[Side, Side] | None = None
+        self._sides: Sides | None = None
+        document.presetChanged.connect(self._follow)
 
     @property
-    def sides(self) -> tuple[Side, Side] | None:
+    def sides(self) -> Sides | None:
         """The compared presets, A (left of the wipe) and B (right of it); None while nothing is compared."""
         return self._sides
 
@@ -44,7 +81,12 @@ class Comparison(QObject):
         """Show the present preset alone again."""
         self._set(None)
 
-    def _set(self, sides: tuple[Side, Side] | None) -> None:
+    def _follow(self, preset: Preset) -> None:
+        if self._sides is not None:
+            a, b = (Side(PRESENT, preset) if side.follows else side for side in self._sides)
+            self._set((a, b))
+
+    def _set(self, sides: Sides | None) -> None:
         if sides != self._sides:
             self._sides = sides
             self.changed.emit(sides)

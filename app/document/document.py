@@ -46,6 +46,7 @@ class Document(QObject):
         super().__init__(parent)
         self._history = History(preset or Preset(), self)
         self._path: Path | None = None
+        self._baseline = self.preset
         #: Keeps untouched frames until the preset has a file.
         self.untouched_store: UntouchedStore | None = None
         self.undo_stack = self._history.undo_stack
@@ -62,6 +63,15 @@ class Document(QObject):
     def path(self) -> Path | None:
         """The preset's file; None for a new preset or a shipped one."""
         return self._path
+
+    @property
+    def baseline(self) -> Preset:
+        """The preset that "reset" returns to: as it was opened or last saved."""
+        return self._baseline
+
+    def history(self) -> list[tuple[str, Preset]]:
+        """Return the preset after every step of the undo history; see `History.states`."""
+        return self._history.states()
 
     @property
     def untouched_home(self) -> Path | None:
@@ -145,8 +155,7 @@ class Document(QObject):
         save_preset(self.preset.model_copy(update={"modified": now()}), path)
         self._path = path
         self.undo_stack.setClean()
-        self.baselineChanged.emit(self.preset)
-        self.fileChanged.emit()
+        self._set_baseline(self.preset)
         if lost:
             self.warned.emit(lost)
 
@@ -164,6 +173,10 @@ class Document(QObject):
     def _replace(self, preset: Preset, path: Path | None) -> None:
         self._path = path
         self._history.start(preset)
+        self._set_baseline(preset)
+
+    def _set_baseline(self, preset: Preset) -> None:
+        self._baseline = preset
         self.baselineChanged.emit(preset)
         self.fileChanged.emit()
 

@@ -57,6 +57,13 @@ class Actions:
     quit: QAction
     undo: QAction
     redo: QAction
+    history: QAction
+    changes_since_save: QAction
+    compare: QAction
+    next_side: QAction
+    patch_difference: QAction
+    wipe_left: QAction
+    wipe_right: QAction
     play: QAction
     previous: QAction
     next: QAction
@@ -131,6 +138,19 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         quit=action("&Quit", shortcut="Ctrl+Q"),
         undo=undo,
         redo=redo,
+        history=action("&History…", "List every step; click one to go back or forward to it", "Ctrl+H"),
+        changes_since_save=action(
+            "&What changed since save", "Compare the preset as it was saved with the present one", "Ctrl+D"
+        ),
+        compare=action(
+            "&Compare presets", "Show two presets side by side, or end the comparison", "Ctrl+B", checkable=True
+        ),
+        next_side=action("&A, B or wipe", "While presets are compared: only A, only B, or both at the wipe", "C"),
+        patch_difference=action(
+            "Patch &difference", "While presets are compared: both patches in one view, by colour", "D"
+        ),
+        wipe_left=action("Wipe to the &left", "Show less of A", "Alt+Left"),
+        wipe_right=action("Wipe to the &right", "Show more of A", "Alt+Right"),
         play=action("&Play\tSpace", icon_name="play"),
         previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
         next=action("&Next frame", "Pause and go one frame forward", ".", "next"),
@@ -203,7 +223,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     file_menu.addSeparator()
     file_menu.addAction(actions.quit)
 
-    _menu(bar, "&Edit").addActions([actions.undo, actions.redo])
+    _fill_edit_menu(_menu(bar, "&Edit"), actions)
 
     view = _menu(bar, "&View")
     view.addActions([actions.reset_view, actions.top_view, actions.side_view])
@@ -227,6 +247,14 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
+
+
+def _fill_edit_menu(menu: QMenu, actions: Actions) -> None:
+    menu.addActions([actions.undo, actions.redo, actions.history])
+    menu.addSeparator()
+    menu.addActions([actions.changes_since_save, actions.compare])
+    menu.addSeparator()
+    menu.addActions([actions.next_side, actions.patch_difference, actions.wipe_left, actions.wipe_right])
 
 
 def _menu(bar: QMenuBar, title: str) -> QMenu:
@@ -258,6 +286,7 @@ _MOUSE = (
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
     ("Double click in a view", "reset the view"),
+    ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),
     ("Drop a file or folder", "open a preset or a recording"),
 )

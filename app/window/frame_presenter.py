@@ -11,6 +11,7 @@ from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.message_bar import Severity
 from ...widgets.basics.theme import theme_name
+from ...widgets.basics.wipe import Wipe
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -131,6 +132,7 @@ class FramePresenter(QObject):
         self._pixel = (-1, -1)
         self._read_s = 0.0
         self._shown_warnings: tuple[str, ...] = ()
+        self._share = 0.5
         self._state = SourceState()
         self._ages = QTimer(self)
         self._ages.setInterval(AGE_INTERVAL_MS)
@@ -164,8 +166,12 @@ class FramePresenter(QObject):
     def show(self, result: Result) -> None:
         """Show a result; widgets for which nothing was drawn stay unchanged."""
         self._context.result = result
-        self._views.show_result(result, theme_name())
-        if result.rendered.strip is not None:
+        wipe, compared = self._wipe(), result.compared
+        self._views.show_result(result, theme_name(), wipe)
+        self._strip.set_wipe(wipe)
+        if compared is not None and compared.a.rendered.strip is not None:
+            self._strip.set_images(compared.a.rendered.strip, compared.b.rendered.strip)
+        elif result.rendered.strip is not None:
             self._strip.set_images(result.rendered.strip)
         runs = result.playback.running
         now = time.perf_counter()
@@ -175,6 +181,19 @@ class FramePresenter(QObject):
         self._transport.show_state(result.playback)
         self._status.show_result(result)
         self._show_warnings(result)
+
+    def set_wipe_share(self, share: float) -> None:
+        """Move the wipe between two compared presets: 1 shows only A, 0 only B."""
+        self._share = share
+        self._views.set_wipe(self._wipe())
+        self._strip.set_wipe(self._wipe())
+
+    def _wipe(self) -> Wipe | None:
+        """Return the wipe over the frame on the screen; None unless it was processed with two presets."""
+        compared = self._context.result.compared if self._context.result is not None else None
+        if compared is None:
+            return None
+        return Wipe(self._share, f"A: {compared.a.side.name}", f"B: {compared.b.side.name}")
 
     def _show_readings(self, result: Result) -> None:
         histogram = result.rendered.histogram

@@ -113,6 +113,11 @@ def _more(painter: QPainter) -> None:
         painter.drawPolyline(QPolygonF([QPointF(left, 5), QPointF(left + 4.5, 8), QPointF(left, 11)]))
 
 
+def _saved(painter: QPainter) -> None:
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    painter.drawPolyline(QPolygonF([QPointF(3, 8.5), QPointF(6.5, 12), QPointF(13, 4.5)]))
+
+
 _DRAWINGS: dict[str, Draw] = {
     "play": _play,
     "pause": _pause,
@@ -124,9 +129,10 @@ _DRAWINGS: dict[str, Draw] = {
     "export": _export,
     "record": _record,
     "more": _more,
+    "saved": _saved,
 }
 
 
 def icon(name: str) -> QIcon:
-    """Return an icon by its name: play, pause, next, previous, loop, freeze, reset, export, record, more."""
+    """Return an icon by its name, such as ``"play"``."""
     return QIcon(_PaletteIcon(_DRAWINGS[name]))

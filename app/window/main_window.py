@@ -33,9 +33,12 @@ from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
 from .actions import THEMES, make_actions, make_menus, show_about, show_shortcuts
+from .comparison_control import ComparisonControl
+from .comparison_panel import ComparisonPanel
 from .eyedropper import Eyedropper
 from .files import FileFlows
 from .frame_presenter import FramePresenter
+from .history_window import HistoryWindow
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus, OpeningBar
 from .toolbar import ToolBar, Transport
@@ -113,6 +116,9 @@ class MainWindow(QMainWindow):
             transport=self.transport,
             status=self.status,
         )
+        self.comparison_panel = ComparisonPanel()
+        self.comparison = ComparisonControl(self.context, self.actions_, self.comparison_panel, self.presenter)
+        self.history = HistoryWindow(self.document, [self.actions_.undo, self.actions_.redo], self)
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingControl(self.context, self.actions_.record, self.recording_bar)
         self.calibration = CalibrationLauncher(self.context)
@@ -154,7 +160,14 @@ class MainWindow(QMainWindow):
         self.left = StripSplitter(self.views, self.strip)
         self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(self.left)
-        self.across.addWidget(self.panel)
+        self.beside = QSplitter(Qt.Orientation.Vertical)
+        self.beside.setChildrenCollapsible(False)
+        self.beside.addWidget(self.comparison_panel)
+        self.beside.addWidget(self.panel)
+        self.beside.setStretchFactor(0, 0)
+        self.beside.setStretchFactor(1, 1)
+        self.comparison_panel.hide()
+        self.across.addWidget(self.beside)
         self.across.setStretchFactor(0, 1)
         self.across.setChildrenCollapsible(False)
         centre = QWidget()
@@ -205,6 +218,10 @@ class MainWindow(QMainWindow):
         transport.held.connect(worker.set_held)
         self.opening.cancelled.connect(worker.cancel_open)
         self.views.wantedChanged.connect(self._send_wanted)
+        self.comparison.wantedChanged.connect(self._send_wanted)
+        self.comparison.runningChanged.connect(self._show_comparison)
+        self.views.wipeDragged.connect(self.comparison.move_wipe)
+        self.strip.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.sections["tolerance"].collapsedChanged.connect(self._send_wanted)
@@ -233,6 +250,8 @@ class MainWindow(QMainWindow):
         actions.show_strip.toggled.connect(self.strip.setVisible)
         actions.show_strip.toggled.connect(self._send_wanted)
         actions.show_panel.toggled.connect(self.panel.setVisible)
+        actions.show_panel.toggled.connect(self._show_beside)
+        actions.history.triggered.connect(self.history.show_steps)
         actions.show_panel.toggled.connect(self._send_wanted)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
@@ -317,8 +336,17 @@ class MainWindow(QMainWindow):
                 strip_width=self.strip.width_hint(),
                 histogram=panel and not self.panel.sections["tolerance"].collapsed,
                 dark=theme_name() == "dark",
+                patch_difference=self.comparison.shows_difference,
             )
         )
+
+    def _show_comparison(self, running: bool) -> None:
+        self.comparison_panel.setVisible(running)
+        self._show_beside()
+
+    def _show_beside(self) -> None:
+        """Give the views the whole width while nothing stands beside them."""
+        self.beside.setHidden(self.panel.isHidden() and self.comparison_panel.isHidden())
 
     def _play_or_pause(self) -> None:
         (self.worker.pause if self.transport.state.running else self.worker.play)()
@@ -391,7 +419,10 @@ class MainWindow(QMainWindow):
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Play or pause when nothing else takes the space bar."""
+        """Play or pause when nothing else takes the space bar; end a comparison when nothing else takes Esc."""
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.context.comparison.end()
+            return
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self.actions_.play.trigger()
             return

@@ -9,12 +9,23 @@ from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
 
+from ...core.model.frames import Rig
 from ...core.model.provenance import Provenance
-from ...widgets.basics.colormaps import Legend, Theme, depth_legend, difference_legend, patch_legend, provenance_legend
+from ...widgets.basics.colormaps import (
+    Legend,
+    Theme,
+    depth_legend,
+    difference_legend,
+    overlap_legend,
+    patch_legend,
+    provenance_legend,
+)
 from ...widgets.basics.controls import caption
+from ...widgets.basics.wipe import Wipe
+from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
-from ..worker.results import CloudName, ColorBy, Rendered, Result
+from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result
 from .actions import Actions
 
 _PANES = 4
@@ -75,6 +86,7 @@ POINT_SIZES = (1, 8)
 _NO_TACTILE_CAMERA = "This recording has no tactile camera"
 _ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
+_NEITHER = "Neither preset finds contact in this frame"
 _NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
@@ -91,9 +103,12 @@ class ViewArea(QWidget):
     -------
     wantedChanged()
         The colours were changed, or a view was shown or hidden.
+    wipeDragged(share: float)
+        The wipe was dragged in one of the views.
     """
 
     wantedChanged = pyqtSignal()
+    wipeDragged = pyqtSignal(float)
 
     def __init__(self, actions: Actions, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -102,10 +117,12 @@ class ViewArea(QWidget):
         self._legends: dict[CloudName, object] = {}
         self._legend_lines = 1
         self._lined_for: tuple[object, ...] = ()
+        self._shows_difference = False
         self.splitter = QSplitter(Qt.Orientation.Horizontal)
         self.splitter.setChildrenCollapsible(False)
         for view in self.views.values():
             self.splitter.addWidget(view)
+            view.wipeDragged.connect(self.wipeDragged)
         self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = QComboBox()
         self.color_by.setAccessibleName("Colour by")
@@ -153,15 +170,35 @@ class ViewArea(QWidget):
         """Return the views that are not hidden."""
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
 
-    def show_result(self, result: Result, theme: Theme) -> None:
-        """Show the clouds of a result with their legends."""
-        clouds = result.rendered.clouds
-        for name, view in self.views.items():
-            if name in clouds:
-                view.set_cloud(clouds[name])
-                self._show_legend(name, result, theme)
-                view.set_message(_why_empty(name, result))
+    def show_result(self, result: Result, theme: Theme, wipe: Wipe | None = None) -> None:
+        """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
+        self._shows_difference = result.compared is not None and result.compared.difference is not None
+        self.set_wipe(wipe)
+        if result.compared is not None:
+            self._show_compared(result.compared, result.source.rig, theme)
+        else:
+            for name in result.rendered.clouds:
+                cloud, message = _shown(name, result, result.source.rig)
+                self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
         self._fit_legends()
+
+    def set_wipe(self, wipe: Wipe | None) -> None:
+        """Divide every view between two compared presets; the view of their difference stays whole."""
+        for name, view in self.views.items():
+            view.set_wipe(None if name is CloudName.PATCH and self._shows_difference else wipe)
+
+    def _show_compared(self, compared: ComparedFrame, rig: Rig, theme: Theme) -> None:
+        """Show A left and B right of the wipe, or in the patch view their difference."""
+        for name in compared.a.rendered.clouds:
+            if name is CloudName.PATCH and compared.difference is not None:
+                self._show_cloud(name, compared.difference, _NEITHER, overlap_legend(theme))
+                continue
+            (left, why_left), (right, why_right) = (_shown(name, side, rig) for side in (compared.a, compared.b))
+            legends = [self._legend_of(name, side.rendered, theme) for side in (compared.a, compared.b)]
+            self._show_cloud(
+                name, left, why_left, legends[0] + [entry for entry in legends[1] if entry not in legends[0]]
+            )
+            self.views[name].set_right(right, why_right)
 
     def show_badges(self, badges: Mapping[CloudName, str]) -> None:
         """Write a text over each view whose frame is old."""
@@ -174,13 +211,16 @@ class ViewArea(QWidget):
             view.set_cloud(None)
             view.set_message(message)
 
-    def _show_legend(self, name: CloudName, result: Result, theme: Theme) -> None:
-        """Update a view's legend if it has changed."""
-        rendered, color_by = result.rendered, self.chosen_colors()
-        legend = legend_of(name, color_by, theme, rendered.accepted, rendered)
+    def _legend_of(self, name: CloudName, rendered: Rendered, theme: Theme) -> Legend:
+        return legend_of(name, self.chosen_colors(), theme, rendered.accepted, rendered)
+
+    def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
+        view = self.views[name]
+        view.set_cloud(cloud)
+        view.set_message(message)
         if self._legends.get(name) != legend:
             self._legends[name] = legend
-            self.views[name].set_legend(legend)
+            view.set_legend(legend)
 
     def _fit_legends(self) -> None:
         """Give all legends the same number of lines, so that all views have the same height.
@@ -263,17 +303,15 @@ def _patch_difference_legend(t: float, theme: Theme) -> Legend:
     return [(text, QColor(*(int(channel) for channel in lut[VALUE_ROWS + row, :3]))) for text, row in places]
 
 
-def _why_empty(name: CloudName, result: Result) -> str:
-    """Return why a view has no points and what to do."""
-    one_camera = result.source.rig.tactile.model == "none"
+def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[DepthCloud | None, str]:
+    """Return the cloud of a view, and why it has no points and what to do."""
+    cloud, one_camera = result.rendered.clouds[name], rig.tactile.model == "none"
     if name is CloudName.TACTILE and one_camera:
-        return _NO_TACTILE_CAMERA
-    if name is CloudName.TACTILE and result.rendered.clouds[name] is None:
-        return _NO_POSE
+        return cloud, _NO_TACTILE_CAMERA
+    if name is CloudName.TACTILE and cloud is None:
+        return cloud, _NO_POSE
     if name is not CloudName.PATCH:
-        return _NO_DEPTH
+        return cloud, _NO_DEPTH
     if one_camera:
-        return _ONE_CAMERA
-    if result.patch is None:
-        return result.problem
-    return result.rendered.no_contact
+        return cloud, _ONE_CAMERA
+    return cloud, result.problem if result.patch is None else result.rendered.no_contact

@@ -1,30 +1,71 @@
-"""Processes one frame: finds the contact patch and draws what is visible."""
+"""Processes one frame: finds the contact patch and draws what is visible, also for two presets that are compared."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
 from ...core.errors import TactuneError
-from ...core.model.frames import SensorFrame
+from ...core.evaluation.metrics import patch_overlap
+from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
+from ..document.comparison import Sides
 from .playback import PlaybackState
 from .rendering import Renderer
-from .results import RateMeter, Result, SourceInfo, Wanted
+from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
+
+
+class PatchFinder:
+    """The pipeline of one preset, made when it is first needed."""
+
+    def __init__(self) -> None:
+        self.preset = Preset()
+        self.warnings: tuple[str, ...] = ()
+        self.patch: ContactPatch | None = None
+        #: Why the preset cannot be used with the rig; empty if it can.
+        self.problem = ""
+        self._pipeline: ContactPipeline | None = None
+        self._frame: SensorFrame | None = None
+        self._step_ms: dict[str, float] = {}
+
+    @property
+    def ms(self) -> float:
+        """Milliseconds of all steps on this frame; a cached step counts as when it was last computed."""
+        return sum(self._step_ms.values())
+
+    def find(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
+        """Find the patch, or say why this preset cannot be used with this rig."""
+        self.preset = preset
+        try:
+            if self._pipeline is None:
+                self._pipeline = ContactPipeline(preset, rig)
+            elif self._pipeline.preset is not preset:
+                self._pipeline.update(preset)
+            self.warnings = tuple(self._pipeline.warnings)
+            self.patch, self.problem = self._pipeline.process(frame), ""
+        except TactuneError as error:
+            self._pipeline, self.patch, self.problem, self.warnings = None, None, str(error), ()
+            return
+        stages = self.patch.stage_ms
+        cached = self._step_ms if frame is self._frame else {}
+        self._step_ms = {step: ms or cached.get(step, 0.0) for step, ms in stages.items()}
+        self._frame = frame
 
 
 class FrameProcessor:
-    """Holds the pipeline of the present source and counts processed frames."""
+    """Holds the pipelines of the present source and counts processed frames."""
 
     def __init__(self) -> None:
         self._renderer = Renderer()
-        self._pipeline: ContactPipeline | None = None
+        self._present = PatchFinder()
+        self._others: list[PatchFinder] = []
         self._processed = 0
         self._rate = RateMeter()
 
     def forget(self) -> None:
-        """Discard the pipeline before another source."""
-        self._pipeline = None
+        """Discard the pipelines before another source."""
+        self._present, self._others = PatchFinder(), []
 
     def process(
         self,
@@ -37,6 +78,7 @@ class FrameProcessor:
         dropped: int = 0,
         unmatched: int = 0,
         read_ms: float = 0.0,
+        compared: Sides | None = None,
     ) -> Result:
         """Return the patch and everything the window shows of a frame.
 
@@ -45,14 +87,22 @@ class FrameProcessor:
         Exception
             Any exception of pipeline or drawing, except that preset and rig do not fit: that is `Result.problem`.
         """
-        patch, problem = self._find_patch(info, frame, preset)
+        self._present.find(frame, preset, info.rig)
+        finders = self._find_compared(frame, info.rig, compared)
         started = time.perf_counter()
-        rendered = self._renderer.render(
-            frame, patch, preset, info.rig, wanted.while_running() if playback.running else wanted
-        )
+        if playback.running:
+            wanted = wanted.while_running()
+        if compared is None:
+            rendered, both = self._render(self._present, frame, info.rig, wanted), None
+        else:
+            both = self._render_compared(compared, finders, frame, info.rig, wanted)
+            hidden = replace(wanted, clouds=frozenset(), strip=False)
+            shown = [side.rendered for side in (both.a, both.b) if side.side.follows]
+            rendered = shown[0] if shown else self._render(self._present, frame, info.rig, hidden)
         render_ms = 1e3 * (time.perf_counter() - started)
         self._processed += 1
         self._rate.tick()
+        patch = self._present.patch
         return Result(
             source=info,
             frame=frame,
@@ -61,24 +111,57 @@ class FrameProcessor:
             area_mm2=patch.area_mm2 if patch is not None else 0.0,
             rendered=rendered,
             playback=playback,
-            problem=problem,
-            warnings=tuple(self._pipeline.warnings) if self._pipeline is not None else (),
+            problem=self._present.problem,
+            warnings=self._present.warnings,
             processed=self._processed,
             dropped=dropped,
             unmatched=unmatched,
             processed_fps=self._rate.rate(),
             read_ms=read_ms,
             render_ms=render_ms,
+            compared=both,
         )
 
-    def _find_patch(self, info: SourceInfo, frame: SensorFrame, preset: Preset) -> tuple[ContactPatch | None, str]:
-        """Return the patch; or None and the reason why this preset cannot be used with this rig."""
-        try:
-            if self._pipeline is None:
-                self._pipeline = ContactPipeline(preset, info.rig)
-            elif self._pipeline.preset is not preset:
-                self._pipeline.update(preset)
-            return self._pipeline.process(frame), ""
-        except TactuneError as error:
-            self._pipeline = None
-            return None, str(error)
+    def _find_compared(self, frame: SensorFrame, rig: Rig, sides: Sides | None) -> list[PatchFinder]:
+        """Find the patches of compared presets; one that does not follow the present preset has its own pipeline.
+
+        A pipeline stays with its preset, also when the sides change places, because its cached steps and averaged
+        frames belong to it.
+        """
+        presets = [side.preset for side in sides or () if not side.follows]
+        kept = [finder for finder in self._others if any(finder.preset is preset for preset in presets)]
+        spare = [finder for finder in self._others if finder not in kept]
+        for preset in presets:
+            if not any(finder.preset is preset for finder in kept):
+                kept.append(spare.pop() if spare else PatchFinder())
+                kept[-1].preset = preset
+        self._others = kept
+        for finder in kept:
+            finder.find(frame, finder.preset, rig)
+        return [
+            self._present if side.follows else next(finder for finder in kept if finder.preset is side.preset)
+            for side in sides or ()
+        ]
+
+    def _render_compared(
+        self, sides: Sides, finders: list[PatchFinder], frame: SensorFrame, rig: Rig, wanted: Wanted
+    ) -> ComparedFrame:
+        for finder in finders:
+            self._renderer.widen_depth_range(frame, finder.preset, rig)
+        a, b = (
+            ComparedSide(
+                replace(side, preset=finder.preset), finder.patch, finder.problem, finder.ms,
+                self._render(finder, frame, rig, wanted),
+            )
+            for side, finder in zip(sides, finders, strict=True)
+        )  # fmt: skip
+        if a.patch is None or b.patch is None:
+            return ComparedFrame(a, b)
+        difference = None
+        if wanted.patch_difference:
+            presets = a.side.preset, b.side.preset
+            difference = self._renderer.render_difference(frame, (a.patch, b.patch), presets, rig, wanted)
+        return ComparedFrame(a, b, patch_overlap(a.patch, b.patch), difference)
+
+    def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
+        return self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)

@@ -24,6 +24,8 @@ from ...widgets.basics.colormaps import (
     depth_lut,
     difference_index,
     difference_lut,
+    overlap_index,
+    overlap_lut,
     patch_index,
     patch_lut,
     provenance_lut,
@@ -147,9 +149,8 @@ class Renderer:
     ) -> Rendered:
         """Return the wanted images; without a patch, only those that need none."""
         sample_m = membrane_sample_m(frame, preset, rig)
-        depth_range_m = self._stable_depth_range(rig, sample_m)
-        theme: Theme = "dark" if wanted.dark else "light"
-        scene = Scene(frame, patch, preset, rig, wanted.color_by, theme, depth_range_m)
+        scene = self._scene(frame, patch, preset, rig, wanted, sample_m)
+        depth_range_m = scene.depth_range_m
         clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
         for cloud in clouds.values():
             if cloud is not None:
@@ -174,6 +175,39 @@ class Renderer:
             if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds
             else "",
         )
+
+    def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
+        """Take a preset's depths into the range of the colours, so that another preset's are drawn alike."""
+        self._stable_depth_range(rig, membrane_sample_m(frame, preset, rig))
+
+    def render_difference(
+        self,
+        frame: SensorFrame,
+        patches: tuple[ContactPatch, ContactPatch],
+        presets: tuple[Preset, Preset],
+        rig: Rig,
+        wanted: Wanted,
+    ) -> DepthCloud:
+        """Return two patches of a frame in one cloud, coloured by which of them a point belongs to."""
+        a, b = (
+            self._scene(frame, patch, preset, rig, wanted, membrane_sample_m(frame, preset, rig))
+            for patch, preset in zip(patches, presets, strict=True)
+        )
+        cloud = patch_difference_view(a, b)
+        _ = cloud.point_count
+        return cloud
+
+    def _scene(
+        self,
+        frame: SensorFrame,
+        patch: ContactPatch | None,
+        preset: Preset,
+        rig: Rig,
+        wanted: Wanted,
+        sample_m: Float32Array,
+    ) -> Scene:
+        theme: Theme = "dark" if wanted.dark else "light"
+        return Scene(frame, patch, preset, rig, wanted.color_by, theme, self._stable_depth_range(rig, sample_m))
 
     def _stable_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
         """Return a depth range that only widens while the source stays the same."""
@@ -254,6 +288,17 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     else:
         index, lut = _over_relief(scene, _depth_rows(scene), patch.mask), patch_depth_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
+
+
+def patch_difference_view(a: Scene, b: Scene) -> DepthCloud:
+    """Return the patches of two presets on one frame over the faint rest of the scene."""
+    assert a.patch is not None and b.patch is not None
+    counts = np.where(b.patch.mask & ~a.patch.mask, _depth_with_patch(b, b.patch), _depth_with_patch(a, a.patch))
+    in_a, in_b = a.patch.mask, b.patch.mask
+    near, far = (limit / a.rig.proximity.depth_unit_m for limit in a.depth_range_m)
+    index = overlap_index(in_a, in_b, a.frame.proximity_depth, near, far)
+    count = int(np.count_nonzero(in_a | in_b))
+    return replace(_proximity_cloud(a, index, overlap_lut(a.theme), count=count), depth=counts)
 
 
 _VIEWS: dict[CloudName, Callable[[Scene], DepthCloud | None]] = {

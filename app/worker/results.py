@@ -12,12 +12,14 @@ from typing import TYPE_CHECKING
 
 from ...core.contact.pipeline import ContactPatch
 from ...core.errors import PresetError, SourceError
+from ...core.evaluation.metrics import PatchOverlap
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched
 from ...core.sources.base import FrameSource, Health, Progress
+from ..document.comparison import Side
 from .playback import PlaybackState
 
 if TYPE_CHECKING:
@@ -103,6 +105,7 @@ class Wanted:
     """What the window shows now; nothing else is drawn.
 
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
+    ``patch_difference`` draws the difference of two compared patches.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
@@ -111,6 +114,7 @@ class Wanted:
     strip_width: int = 0
     histogram: bool = True
     dark: bool = False
+    patch_difference: bool = False
 
     def while_running(self) -> Wanted:
         """Return what is drawn while frames play: the strip a little coarser."""
@@ -194,6 +198,43 @@ class SourceState:
 
 
 @dataclass(frozen=True, eq=False)
+class ComparedSide:
+    """One of two compared presets on one frame.
+
+    Attributes
+    ----------
+    patch, problem
+        As in `Result`.
+    ms : float
+        Time of the contact test on this frame; steps that were cached count as when they were last computed.
+    """
+
+    side: Side
+    patch: ContactPatch | None
+    problem: str
+    ms: float
+    rendered: Rendered
+
+
+@dataclass(frozen=True, eq=False)
+class ComparedFrame:
+    """Two compared presets on one frame.
+
+    Attributes
+    ----------
+    overlap : PatchOverlap or None
+        None if a preset cannot be used with this rig.
+    difference : DepthCloud or None
+        Both patches in one view, if wanted.
+    """
+
+    a: ComparedSide
+    b: ComparedSide
+    overlap: PatchOverlap | None = None
+    difference: DepthCloud | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class Result:
     """One processed frame.
 
@@ -209,6 +250,8 @@ class Result:
         Frames processed since the start, and frames that were replaced by newer ones before they were shown.
     unmatched : int
         Images without a partner from the other camera.
+    compared : ComparedFrame or None
+        The frame with two compared presets. ``rendered`` then holds no clouds and no strip unless one is present.
     """
 
     source: SourceInfo
@@ -226,6 +269,7 @@ class Result:
     processed_fps: float = 0.0
     read_ms: float = 0.0
     render_ms: float = 0.0
+    compared: ComparedFrame | None = None
 
     @property
     def frame_number(self) -> int:

@@ -21,6 +21,7 @@ from PyQt6.QtCore import QObject, QThread, pyqtSignal
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
+from ..document.comparison import Sides
 from .errors import explain, guarded
 from .playback import Playback
 from .processing import FrameProcessor
@@ -84,6 +85,7 @@ class Worker(QThread):
         self._playback = Playback()
         self._preset = preset
         self._wanted = Wanted()
+        self._compared: Sides | None = None
         self._processor = FrameProcessor()
         self._reader: FrameReader | None = None
         self._live: LiveReader | None = None
@@ -116,6 +118,10 @@ class Worker(QThread):
     def set_preset(self, preset: Preset) -> None:
         """Use another preset from the next frame on; a paused frame is processed again."""
         self._orders.put(lambda: self._change("_preset", preset))
+
+    def set_compared(self, sides: Sides | None) -> None:
+        """Process every frame with two presets as well, or with None only with the present one."""
+        self._orders.put(lambda: self._change("_compared", sides))
 
     def set_wanted(self, wanted: Wanted) -> None:
         """Set what is visible; a paused frame is drawn again."""
@@ -377,7 +383,7 @@ class Worker(QThread):
             result = self._processor.process(
                 self._info, frame, self._preset, self._wanted, self._playback.state,
                 dropped=self._mailbox.dropped + not_taken + health.dropped,
-                unmatched=health.unmatched, read_ms=read_ms,
+                unmatched=health.unmatched, read_ms=read_ms, compared=self._compared,
             )  # fmt: skip
         except Exception as error:
             number = self._playback.state.index + 1

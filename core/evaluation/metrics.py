@@ -14,7 +14,7 @@ from scipy.spatial import cKDTree
 from ..contact.pipeline import ContactPatch
 from ..methods.method import MethodPatch
 from ..model.arrays import BoolArray, Float32Array, Float64Array
-from ..model.clouds import PointCloud, ray_table
+from ..model.clouds import PointCloud, pixel_areas_m2, ray_table
 from ..model.frames import GroundTruth, Rig
 
 
@@ -56,6 +56,33 @@ def pixel_scores(mask: BoolArray, truth: BoolArray) -> PixelScores:
     return PixelScores(
         iou=_share(both, claimed + true - both), precision=_share(both, claimed), recall=_share(both, true)
     )
+
+
+@dataclass(frozen=True)
+class PatchOverlap:
+    """How far two patches of one frame agree.
+
+    Attributes
+    ----------
+    iou : float
+        Intersection over union of the pixels; 1 if both patches are empty.
+    only_a_mm2, only_b_mm2 : float
+        Area that only one of them covers, projected on the plane across the optical axis.
+    """
+
+    iou: float
+    only_a_mm2: float
+    only_b_mm2: float
+
+
+def patch_overlap(a: ContactPatch, b: ContactPatch) -> PatchOverlap:
+    """Compare two patches of the same frame."""
+    return PatchOverlap(pixel_scores(a.mask, b.mask).iou, _area_outside_mm2(a, b), _area_outside_mm2(b, a))
+
+
+def _area_outside_mm2(patch: ContactPatch, other: ContactPatch) -> float:
+    depth_m = patch.points[~other.mask[patch.mask], 2]
+    return float(pixel_areas_m2(depth_m, patch.rig.proximity.intrinsics).sum() * 1e6)
 
 
 def symmetric_rmse_m(first: npt.ArrayLike, second: npt.ArrayLike) -> float:

@@ -23,6 +23,10 @@ Legend = list[tuple[str, QColor]]
 CONTACT_RGB: Final = (232, 70, 22)
 CONTACT_COLOR: Final = QColor(*CONTACT_RGB)
 
+#: Two compared patches: only A, only B. Blue and orange of Okabe and Ito, told apart with any colour vision.
+ONLY_A_RGB: Final = (0, 114, 178)
+ONLY_B_RGB: Final = (230, 159, 0)
+
 #: Relative difference at both ends of the colour scale.
 DIFFERENCE_LIMIT: Final = 0.10
 
@@ -31,6 +35,11 @@ UNDEFINED_ROW: Final = 0
 
 #: The row of a patch table that stands for *contact*.
 CONTACT_ROW: Final = 255
+
+#: The rows of two compared patches.
+BOTH_ROW: Final = 253
+ONLY_A_ROW: Final = 254
+ONLY_B_ROW: Final = 255
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 _DIFFERENCE_MAP = "CET-D13"
@@ -63,6 +72,8 @@ _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
 }
 #: Near and far end of the relief around a patch.
 _RELIEF_GRAY: dict[str, tuple[int, int]] = {"light": (226, 168), "dark": (116, 58)}
+#: Where two patches agree: the theme's strongest grey, so that only disagreement is coloured.
+_BOTH_RGB: dict[str, tuple[int, int, int]] = {"light": (52, 56, 62), "dark": (236, 238, 240)}
 _SHORT_NAMES: dict[Provenance, str] = {
     Provenance.CONTACT: "contact",
     Provenance.RIM: "rim",
@@ -192,6 +203,31 @@ def patch_lut(theme: Theme) -> Uint8Array:
     lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
     lut[CONTACT_ROW, :3] = CONTACT_RGB
     return _frozen(lut)
+
+
+def overlap_index(in_a: BoolArray, in_b: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:
+    """Take two contact masks and the depth around them to rows of `overlap_lut`; parameters as of `patch_index`."""
+    rows = np.minimum(_shades(near, far)[depth], np.uint8(BOTH_ROW - 1))
+    rows[in_a & in_b] = BOTH_ROW
+    rows[in_a & ~in_b] = ONLY_A_ROW
+    rows[in_b & ~in_a] = ONLY_B_ROW
+    return rows
+
+
+@cache
+def overlap_lut(theme: Theme) -> Uint8Array:
+    """Return the colours of `overlap_index`: uint8 (256, 4)."""
+    lut = patch_lut(theme).copy()
+    lut[BOTH_ROW:, :3] = _BOTH_RGB[theme], ONLY_A_RGB, ONLY_B_RGB
+    return _frozen(lut)
+
+
+def overlap_legend(theme: Theme) -> Legend:
+    """Return the legend of `overlap_lut`."""
+    lut = overlap_lut(theme)
+    return [
+        (name, _color(lut, row)) for name, row in (("both", BOTH_ROW), ("only A", ONLY_A_ROW), ("only B", ONLY_B_ROW))
+    ]
 
 
 def provenance_legend(theme: Theme, occurring: Container[Provenance] = frozenset(Provenance)) -> Legend:

@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import palette_theme
 from ..basics.stale_badge import paint_badge
+from ..basics.wipe import Wipe, paint_wipe
 from .cloud_data import DepthCloud
 from .view_camera import ViewCamera
 
@@ -29,16 +30,24 @@ class CloudScene:
 
     ``point_size`` is in device-independent pixels; ``message`` is painted when not empty, ``note``
     is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it;
-    ``ornament`` paints what a view adds, such as marks, on the canvas.
+    ``ornament`` paints what a view adds, such as marks, on the canvas. While there is a ``wipe``, ``right`` is
+    drawn right of it instead of ``cloud``.
     """
 
     cloud: DepthCloud | None = None
+    right: DepthCloud | None = None
+    wipe: Wipe | None = None
     camera: ViewCamera = field(default_factory=ViewCamera)
     point_size: float = 2.0
     message: str = ""
     note: str = ""
     badge: str = ""
     ornament: Callable[[QPainter, QWidget], None] | None = None
+
+    def parts(self, width: int) -> tuple[tuple[DepthCloud | None, int, int], tuple[DepthCloud | None, int, int]]:
+        """Return the left and the right cloud with the first column of each and the first one after it."""
+        column = width if self.wipe is None else self.wipe.column(width)
+        return (self.cloud, 0, column), (self.right, column, width)
 
     @staticmethod
     def background(widget: QWidget) -> tuple[int, int, int]:
@@ -48,13 +57,15 @@ class CloudScene:
 
 
 def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None:
-    """Paint the axes, the message, the note and the badge over a drawn cloud."""
+    """Paint the axes, the wipe, the message, the note and the badge over a drawn cloud."""
     if scene.badge:
         paint_badge(painter, QRectF(widget.rect()), widget.palette(), widget.font(), scene.badge)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     _paint_axes(painter, widget, scene.camera)
     if scene.ornament is not None:
         scene.ornament(painter, widget)
+    if scene.wipe is not None:
+        paint_wipe(painter, QRectF(widget.rect()), scene.wipe, _small_font(widget))
     if scene.note:
         _paint_note(painter, widget, scene.note)
     if scene.message:

@@ -21,6 +21,7 @@ from PyQt6.QtGui import (
 )
 from PyQt6.QtWidgets import QVBoxLayout, QWidget
 
+from ..basics.wipe import Wipe
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
 from .cloud_scene import CloudScene
@@ -70,11 +71,13 @@ class CloudView(QWidget):
 
     #: The camera moved (user, call or linked view); carries the `ViewCamera`.
     cameraChanged = pyqtSignal(object)
+    #: The wipe was dragged; carries the share of the width left of it.
+    wipeDragged = pyqtSignal(float)
 
     def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scene = CloudScene()
-        self._message = ""
+        self._message, self._right_message = "", ""
         self._steered = False
         self._companions: list[CloudView] = []
         self._resized = QTimer(self)
@@ -82,6 +85,7 @@ class CloudView(QWidget):
         self._resized.timeout.connect(self._frame_after_resize)
         self._drag_from: QPointF | None = None
         self._drag_pans = False
+        self._drags_wipe = False
         self.backend_name = ""
         self.backend_reason = ""
 
@@ -114,12 +118,40 @@ class CloudView(QWidget):
         self._canvas.update()
 
     def cloud(self) -> DepthCloud | None:
-        """Return the cloud that is shown."""
+        """Return the cloud that is shown, left of the wipe if there is one."""
         return self._scene.cloud
 
+    def right_cloud(self) -> DepthCloud | None:
+        """Return the cloud right of the wipe."""
+        return self._scene.right
+
+    def set_right(self, cloud: DepthCloud | None, message: str = "") -> None:
+        """Show another cloud right of the wipe; ``message`` says why it has no points."""
+        self._scene.right, self._right_message = cloud, message
+        self._show_count()
+        self._canvas.update()
+
+    def set_wipe(self, wipe: Wipe | None) -> None:
+        """Divide the view between two clouds seen by the same camera, or show only one."""
+        if wipe == self._scene.wipe:
+            return
+        self._scene.wipe = wipe
+        if wipe is None:
+            self._scene.right, self._right_message = None, ""
+        for widget in (self, self._canvas):
+            widget.setMouseTracking(wipe is not None)
+        self._show_count()
+        self._canvas.update()
+
+    def wipe(self) -> Wipe | None:
+        """Return where the view is divided; None for one cloud."""
+        return self._scene.wipe
+
     def point_count(self) -> int:
-        """Return the number of points that the view states."""
-        return self._scene.cloud.point_count if self._scene.cloud else 0
+        """Return the number of points that the view states: of the left cloud unless only the right one is seen."""
+        wipe = self._scene.wipe
+        cloud = self._scene.right if wipe is not None and wipe.share <= 0 else self._scene.cloud
+        return cloud.point_count if cloud else 0
 
     def set_point_size(self, size: float) -> None:
         """Draw points as squares of this edge length, in device-independent pixels, at least 1."""
@@ -166,9 +198,14 @@ class CloudView(QWidget):
         return self._scene.badge
 
     def _show_count(self) -> None:
-        count = self.point_count()
-        self._header.set_count(count)
-        self._scene.message = self._message if count == 0 else ""
+        self._header.set_count(self.point_count())
+        wipe = self._scene.wipe
+        share = 1.0 if wipe is None else wipe.share
+        sides = [(self._scene.cloud, self._message)] if share > 0 else []
+        if share < 1:
+            sides.append((self._scene.right, self._right_message))
+        empty = not any(cloud is not None and cloud.point_count for cloud, _ in sides)
+        self._scene.message = sides[0][1] if empty else ""
 
     # Camera
 
@@ -244,6 +281,7 @@ class CloudView(QWidget):
         broken = self._canvas
         self._canvas = self._software_canvas(f"Software view: {reason}")
         self._canvas.setObjectName("canvas")
+        self._canvas.setMouseTracking(self._scene.wipe is not None)
         self._body.replaceWidget(broken, self._canvas)
         broken.setObjectName("")
         broken.hide()
@@ -304,14 +342,25 @@ class CloudView(QWidget):
         if event is None or event.button() not in (Qt.MouseButton.LeftButton, Qt.MouseButton.MiddleButton):
             super().mousePressEvent(event)
             return
+        if event.button() == Qt.MouseButton.LeftButton and self._at_wipe(event):
+            self._drags_wipe = True
+            return
         shift = bool(event.modifiers() & Qt.KeyboardModifier.ShiftModifier)
         self._drag_from = event.position()
         self._drag_pans = shift or event.button() == Qt.MouseButton.MiddleButton
         self._canvas.setCursor(Qt.CursorShape.SizeAllCursor if self._drag_pans else Qt.CursorShape.ClosedHandCursor)
 
     def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
-        """Orbit or pan with the mouse."""
+        """Drag the wipe, orbit or pan with the mouse."""
+        if event is not None and self._drags_wipe:
+            x = self._canvas.mapFrom(self, event.position()).x()
+            self.wipeDragged.emit(min(max(x / max(1, self._canvas.width()), 0.0), 1.0))
+            return
         if event is None or self._drag_from is None:
+            if event is not None and self._scene.wipe is not None:
+                self._canvas.setCursor(
+                    Qt.CursorShape.SplitHCursor if self._at_wipe(event) else Qt.CursorShape.ArrowCursor
+                )
             super().mouseMoveEvent(event)
             return
         moved = event.position() - self._drag_from
@@ -325,9 +374,13 @@ class CloudView(QWidget):
 
     def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
         """End a drag."""
-        self._drag_from = None
+        self._drag_from, self._drags_wipe = None, False
         self._canvas.unsetCursor()
         super().mouseReleaseEvent(event)
+
+    def _at_wipe(self, event: QMouseEvent) -> bool:
+        wipe, at = self._scene.wipe, self._canvas.mapFrom(self, event.position())
+        return wipe is not None and wipe.grabbed(at.x(), self._canvas.width())
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
         """Reset the view."""

@@ -131,8 +131,11 @@ class GLRenderer:
         size: tuple[int, int],
         point_size: int,
         background: tuple[int, int, int],
+        columns: tuple[int, int] | None = None,
     ) -> None:
         """Clear and draw into the current framebuffer; parameters as in `SoftwareRenderer.render`.
+
+        Nothing is drawn outside ``columns``, the first column and the first one after it.
 
         Raises
         ------
@@ -141,6 +144,9 @@ class GLRenderer:
         """
         functions = self._gl
         functions.glViewport(0, 0, *size)
+        if columns is not None:
+            functions.glEnable(gl.SCISSOR_TEST)
+            functions.glScissor(columns[0], 0, columns[1] - columns[0], size[1])
         functions.glClearColor(*(channel / 255 for channel in background), 1.0)
         functions.glDepthMask(True)
         functions.glClear(gl.COLOR_AND_DEPTH)
@@ -151,6 +157,7 @@ class GLRenderer:
             functions.glPointSize(float(point_size))
             self._draw(cloud, camera.clip_matrix(*size) @ cloud.pose, background)
             functions.glDisable(gl.DEPTH_TEST)
+        functions.glDisable(gl.SCISSOR_TEST)
         error = functions.glGetError()
         if error:
             raise GLError(_ERRORS.get(error, f"OpenGL reported error 0x{error:04x}"))
@@ -238,8 +245,11 @@ class GLCanvas(QOpenGLWidget):
         ratio = self.devicePixelRatioF()
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
         points = max(1, round(self._scene.point_size * ratio))
+        background = self._scene.background(self)
         try:
-            self._renderer.render(self._scene.cloud, self._scene.camera, size, points, self._scene.background(self))
+            for cloud, start, stop in self._scene.parts(size[0]):
+                if start < stop:
+                    self._renderer.render(cloud, self._scene.camera, size, points, background, (start, stop))
         except GLError as error:
             self.failed.emit(str(error))
             return

@@ -13,7 +13,7 @@ from typing import Any
 from PyQt6.QtGui import QOpenGLContext
 
 POINTS, LESS = 0x0000, 0x0201
-DEPTH_TEST, BLEND = 0x0B71, 0x0BE2
+DEPTH_TEST, BLEND, SCISSOR_TEST = 0x0B71, 0x0BE2, 0x0C11
 TEXTURE_2D, RGBA, RGBA8, NEAREST = 0x0DE1, 0x1908, 0x8058, 0x2600
 TEXTURE_MAG_FILTER, TEXTURE_MIN_FILTER, TEXTURE0 = 0x2800, 0x2801, 0x84C0
 UNSIGNED_BYTE, UNSIGNED_SHORT, FLOAT = 0x1401, 0x1403, 0x1406
@@ -59,6 +59,7 @@ _SIGNATURES: dict[str, tuple[Any, ...]] = {
     "glGetUniformLocation": (c_int, c_uint, c_char_p),
     "glLinkProgram": (None, c_uint),
     "glPointSize": (None, c_float),
+    "glScissor": (None, c_int, c_int, c_int, c_int),
     "glShaderSource": (None, c_uint, c_int, POINTER(c_char_p), _ints),
     "glTexImage2D": (None, c_uint, c_int, c_int, c_int, c_int, c_int, c_uint, c_uint, c_void_p),
     "glTexParameteri": (None, c_uint, c_uint, c_int),

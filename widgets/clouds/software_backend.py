@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numba import njit, types
+from PyQt6.QtCore import QRectF
 from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QWidget
 
@@ -216,15 +217,38 @@ def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
     return np.where(alpha > 0, alpha << 24 | red << 16 | green << 8 | blue, np.uint32(0))
 
 
+class _Picture:
+    """A cloud as `SoftwareRenderer` drew it last."""
+
+    def __init__(self) -> None:
+        self._renderer = SoftwareRenderer()
+        self._drawn: tuple[object, ...] = ()
+        self._image = QImage()
+
+    def of(
+        self,
+        cloud: DepthCloud | None,
+        camera: ViewCamera,
+        size: tuple[int, int],
+        point_size: int,
+        background: tuple[int, int, int],
+    ) -> QImage:
+        """Return the picture, drawn again only if anything has changed; parameters as of the renderer."""
+        wanted = (cloud, camera, size, point_size, background)
+        if wanted != self._drawn:
+            buffer: Any = self._renderer.render(cloud, camera, size, point_size, background).data
+            self._image = QImage(buffer, *size, size[0] * 4, QImage.Format.Format_RGB32)
+            self._drawn = wanted
+        return self._image
+
+
 class SoftwareCanvas(QWidget):
     """Shows a scene with `SoftwareRenderer`, redrawing only what changed."""
 
     def __init__(self, scene: CloudScene, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._scene = scene
-        self._renderer = SoftwareRenderer()
-        self._picture = QImage()
-        self._drawn: tuple[object, ...] = ()
+        self._pictures = _Picture(), _Picture()
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
         """Draw the cloud and the overlays."""
@@ -232,14 +256,11 @@ class SoftwareCanvas(QWidget):
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
         background = self._scene.background(self)
         points = max(1, round(self._scene.point_size * ratio))
-        wanted = (self._scene.cloud, self._scene.camera, size, points, background)
-        if wanted != self._drawn:
-            pixels = self._renderer.render(self._scene.cloud, self._scene.camera, size, points, background)
-            buffer: Any = pixels.data
-            self._picture = QImage(buffer, *size, size[0] * 4, QImage.Format.Format_RGB32)
-            self._picture.setDevicePixelRatio(ratio)
-            self._drawn = wanted
         painter = QPainter(self)
-        painter.drawImage(0, 0, self._picture)
+        for picture, (cloud, start, stop) in zip(self._pictures, self._scene.parts(size[0]), strict=True):
+            if start < stop:
+                image = picture.of(cloud, self._scene.camera, size, points, background)
+                part = QRectF(start, 0, stop - start, size[1])
+                painter.drawImage(QRectF(start / ratio, 0, part.width() / ratio, size[1] / ratio), image, part)
         paint_overlay(painter, self, self._scene)
         painter.end()

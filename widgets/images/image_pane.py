@@ -15,6 +15,7 @@ from PyQt6.QtWidgets import QLabel, QSizePolicy, QVBoxLayout, QWidget
 from ...core.model.arrays import Uint8Array
 from ..basics.stale_badge import StaleBadge
 from ..basics.theme import theme_colors
+from ..basics.wipe import Wipe
 
 _BAR_WIDTH = 48
 _SHORTEST_BAR = 24
@@ -156,22 +157,29 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
 
     def __init__(self) -> None:
         super().__init__()
-        self._pixels: Uint8Array | None = None
-        self._image = QImage()
+        self._pixels: tuple[Uint8Array | None, Uint8Array | None] = (None, None)
+        self._image, self._right = QImage(), QImage()
+        self._split: float | None = None
         self._rect = QRectF(-0.5, -0.5, 1.0, 1.0)
 
-    def set_pixels(self, pixels: Uint8Array | None, stride: int = 1) -> None:
-        """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``; each covers stride x stride image pixels."""
-        self._pixels = pixels  # the QImage only borrows this memory
-        if pixels is None:
-            self._image = QImage()
-        else:
+    def set_pixels(self, pixels: Uint8Array | None, stride: int = 1, right: Uint8Array | None = None) -> None:
+        """Show uint8 (h, w, 4) as ``QImage.Format_RGB32``; each covers stride x stride image pixels.
+
+        ``right``, of the same size, is shown right of the place given to `set_split`.
+        """
+        self._pixels = pixels, right  # the QImages only borrow this memory
+        self._image, self._right = _image_of(pixels), _image_of(right)
+        if pixels is not None:
             height, width = pixels.shape[:2]
-            self._image = QImage(pixels.data, width, height, 4 * width, QImage.Format.Format_RGB32)  # type: ignore[call-overload]
             rect = QRectF(-0.5, -0.5, width * stride, height * stride)
             if rect != self._rect:
                 self.prepareGeometryChange()
                 self._rect = rect
+        self.update()
+
+    def set_split(self, split: float | None) -> None:
+        """Set the place in image coordinates right of which the right image is shown; None shows none."""
+        self._split = split
         self.update()
 
     def boundingRect(self) -> QRectF:
@@ -182,6 +190,60 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         """Draw the pixels."""
         if not self._image.isNull():
             painter.drawImage(self._rect, self._image)
+        if self._split is not None and not self._right.isNull():
+            painter.save()
+            painter.setClipRect(self._rect.adjusted(self._split - self._rect.left(), 0, 0, 0))
+            painter.drawImage(self._rect, self._right)
+            painter.restore()
+
+
+def _image_of(pixels: Uint8Array | None) -> QImage:
+    if pixels is None:
+        return QImage()
+    height, width = pixels.shape[:2]
+    return QImage(pixels.data, width, height, 4 * width, QImage.Format.Format_RGB32)  # type: ignore[call-overload, no-any-return]
+
+
+class WipeLine(pg.InfiniteLine):  # type: ignore[misc]
+    """The wipe over an image: a line at a share of the visible width, with the letter of each side.
+
+    Signals
+    -------
+    shareDragged(float)
+    """
+
+    shareDragged = pyqtSignal(float)
+
+    def __init__(self, box: pg.ViewBox) -> None:
+        super().__init__(
+            angle=90, movable=True, pen=pg.mkPen("w", width=2), hoverPen=pg.mkPen(theme_colors().accent, width=3)
+        )
+        self._box = box
+        self._share = 0.5
+        self.setZValue(30)
+        self._letters = [self._letter(text, side) for text, side in (("A", 1), ("B", 0))]
+        self.sigDragged.connect(lambda _: self._dragged())
+        self.hide()
+
+    def _letter(self, text: str, side: int) -> pg.InfLineLabel:
+        anchor = (side, 0)
+        return pg.InfLineLabel(self, text, position=0.0, anchors=[anchor, anchor], color="w", fill=(0, 0, 0, 165))
+
+    def set_share(self, share: float) -> None:
+        """Stand at a share of the visible width; at either end only one letter is shown."""
+        self._share = share
+        rect = self._box.viewRect()
+        self.setValue(rect.left() + share * rect.width())
+        for letter, shown in zip(self._letters, (share > 0, share < 1), strict=True):
+            letter.setVisible(shown)
+
+    def follow(self) -> None:
+        """Keep the share after the view was zoomed or panned."""
+        self.set_share(self._share)
+
+    def _dragged(self) -> None:
+        rect = self._box.viewRect()
+        self.shareDragged.emit(min(max((self.value() - rect.left()) / rect.width(), 0.0), 1.0))
 
 
 class _View(pg.GraphicsView):  # type: ignore[misc]
@@ -214,6 +276,8 @@ class ImagePane(QWidget):
     viewMoved()
         Zoomed or panned by a person.
     resized()
+    wipeDragged(share: float)
+        The wipe was dragged to this share of the visible width.
     """
 
     hovered = pyqtSignal(int, int)
@@ -222,6 +286,7 @@ class ImagePane(QWidget):
     viewChanged = pyqtSignal(object)
     viewMoved = pyqtSignal()
     resized = pyqtSignal()
+    wipeDragged = pyqtSignal(float)
 
     def __init__(self, title: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -240,6 +305,8 @@ class ImagePane(QWidget):
         self.cross.setZValue(20)
         self.cross.hide()
         self.box.addItem(self.cross, ignoreBounds=True)
+        self.wipe_line = WipeLine(self.box)
+        self.box.addItem(self.wipe_line, ignoreBounds=True)
         self.empty_label = QLabel("", self.view)
         self.empty_label.setAlignment(Qt.AlignmentFlag.AlignCenter)
         self.empty_label.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
@@ -255,15 +322,27 @@ class ImagePane(QWidget):
         self.view.scene().sigMouseClicked.connect(self._clicked)
         self.view.left.connect(lambda: self.hovered.emit(-1, -1))
         self.view.doubleClicked.connect(self.doubleClicked)
-        self.box.sigRangeChanged.connect(lambda *_: self.viewChanged.emit(self.box.viewRect()))
+        self.box.sigRangeChanged.connect(self._range_changed)
+        self.wipe_line.shareDragged.connect(self.wipeDragged)
         self.box.sigRangeChangedManually.connect(lambda *_: self.viewMoved.emit())
         self.box.sigResized.connect(lambda *_: self.resized.emit())
         self._recolor()
 
-    def set_pixels(self, pixels: Uint8Array | None, size: tuple[int, int], stride: int) -> None:
+    def set_pixels(
+        self, pixels: Uint8Array | None, size: tuple[int, int], stride: int, right: Uint8Array | None = None
+    ) -> None:
         """Show an image of width and height ``size``; see `PixelItem.set_pixels`."""
         self._size = size
-        self._pixels.set_pixels(pixels, stride)
+        self._pixels.set_pixels(pixels, stride, right)
+
+    def set_wipe(self, wipe: Wipe | None) -> None:
+        """Divide the visible width between two images, or show only one."""
+        self.wipe_line.setVisible(wipe is not None)
+        if wipe is None:
+            self._pixels.set_split(None)
+        else:
+            self.wipe_line.set_share(wipe.share)
+            self._pixels.set_split(self.wipe_line.value())
 
     def set_message(self, text: str) -> None:
         """Set the message that is shown while there is no image."""
@@ -310,6 +389,12 @@ class ImagePane(QWidget):
         super().resizeEvent(event)
         self.empty_label.setGeometry(self.view.rect())
         self.badge.setGeometry(self.view.rect())
+
+    def _range_changed(self, *_: object) -> None:
+        if self.wipe_line.isVisible():
+            self.wipe_line.follow()
+            self._pixels.set_split(self.wipe_line.value())
+        self.viewChanged.emit(self.box.viewRect())
 
     def _recolor(self) -> None:
         self.view.setBackground(theme_colors().base)

@@ -9,6 +9,7 @@ from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
 from ..basics.fields import format_number
+from ..basics.wipe import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
 from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip
@@ -47,12 +48,15 @@ class ImageStrip(QWidget):
         The region of interest was dragged: left, top, width, height.
     widthHintChanged(int)
         Another resolution is needed; a paused frame has to be rendered again.
+    wipeDragged(share: float)
+        The wipe was dragged in one of the images.
     """
 
     hovered = pyqtSignal(int, int)
     clicked = pyqtSignal(str, int, int, object)
     regionEdited = pyqtSignal(object, int)
     widthHintChanged = pyqtSignal(int)
+    wipeDragged = pyqtSignal(float)
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -82,12 +86,15 @@ class ImageStrip(QWidget):
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.reset_view()
 
-    def set_images(self, rendered: RenderedStrip | None) -> None:
-        """Show a rendered frame, or with None that there is none."""
+    def set_images(self, rendered: RenderedStrip | None, right: RenderedStrip | None = None) -> None:
+        """Show a rendered frame, or with None that there is none; ``right`` is shown right of the wipe."""
         for index, (name, pane) in enumerate(self.panes.items()):
             pixels = None if rendered is None else rendered.panes[index]
             pane.set_pixels(
-                pixels, self._size if rendered is None else rendered.size, rendered.stride if rendered else 1
+                pixels,
+                self._size if rendered is None else rendered.size,
+                rendered.stride if rendered else 1,
+                None if right is None else right.panes[index],
             )
             pane.set_message(_EMPTY[name] if pixels is None else "")
         if rendered is None:
@@ -96,6 +103,11 @@ class ImageStrip(QWidget):
             self._size = rendered.size
             self.reset_view()
         self._show_legends(rendered)
+
+    def set_wipe(self, wipe: Wipe | None) -> None:
+        """Divide every image between two sides, or show only one."""
+        for pane in self.panes.values():
+            pane.set_wipe(wipe)
 
     def set_badge(self, text: str) -> None:
         """Mark the images as old with this text; an empty text removes the mark."""
@@ -168,6 +180,7 @@ class ImageStrip(QWidget):
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
         pane.viewMoved.connect(self._view_moved)
         pane.resized.connect(self._pane_resized)
+        pane.wipeDragged.connect(self.wipeDragged)
         self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
 
     def _point_at(self, u: int, v: int) -> None:

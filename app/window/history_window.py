@@ -1,0 +1,36 @@
+"""The undo history as a list; a click goes back or forward to a step."""
+
+from __future__ import annotations
+
+from PyQt6.QtGui import QAction
+from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QVBoxLayout, QWidget
+
+from ..document.document import Document
+from .icons import icon
+
+
+class HistoryWindow(QDialog):
+    """Lists every step of the document, undone ones too; the saved state is marked."""
+
+    def __init__(self, document: Document, undo_actions: list[QAction], parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("History")
+        self.addActions(undo_actions)
+        self.view = QUndoView(document.undo_stack)
+        self.view.setEmptyLabel("As opened")
+        self.view.setCleanIcon(icon("saved"))
+        self.view.setAccessibleName("Steps of the undo history")
+        self.view.setToolTip("Click a step to go back or forward to it; the mark shows what is saved")
+        note = QLabel("Click a step to go back or forward to it. The mark shows what is saved.")
+        note.setWordWrap(True)
+        layout = QVBoxLayout(self)
+        layout.addWidget(note)
+        layout.addWidget(self.view)
+        self.resize(320, 420)
+
+    def show_steps(self) -> None:
+        """Show the list beside the other windows."""
+        self.show()
+        self.raise_()
+        self.activateWindow()
+        self.view.setFocus()
