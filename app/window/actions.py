@@ -44,6 +44,8 @@ class Actions:
     save_as: QAction
     details: QAction
     export_patch: QAction
+    export_recording: QAction
+    export_patches: QAction
     calibrate: QAction
     recheck: QAction
     check_cameras: QAction
@@ -70,7 +72,16 @@ class Actions:
     first: QAction
     loop: QAction
     freeze: QAction
+    go_to: QAction
+    mark_in: QAction
+    mark_out: QAction
+    clear_marks: QAction
+    add_marker: QAction
+    next_marker: QAction
+    previous_marker: QAction
+    markers: QAction
     show_strip: QAction
+    show_time: QAction
     show_panel: QAction
     show_proximity: QAction
     show_tactile: QAction
@@ -119,6 +130,12 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
         details=action("Name and no&tes…", "Edit the preset's name and notes", "F2"),
         export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
+        export_recording=action(
+            "Export recordin&g…", "Save the frames between the in and out marks, or all, as a recording", "Ctrl+Shift+E"
+        ),
+        export_patches=action(
+            "Export pa&tches…", "Save the patch of each frame between the in and out marks, or of all, as PLY files"
+        ),
         calibrate=action("&Calibrate…", "Align both cameras: click points, check and save the result", "Ctrl+K"),
         recheck=action("&Re-check calibration", "Check the alignment on this frame", "Ctrl+Shift+K"),
         open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
@@ -157,6 +174,15 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         first=action("&First frame", "Go to the first frame", "Ctrl+Home"),
         loop=action("&Loop", "Repeat a recording when it ends", "L", "loop", checkable=True),
         freeze=action("Free&ze", "Hold this frame while tuning; a live source continues", "F", "freeze", True),
+        go_to=action("&Go to…", "Type a frame number, or a time in seconds such as 12.4 s", "Ctrl+G"),
+        mark_in=action("&In mark", "Start the part to export, tune or record at this frame", "I", "in"),
+        mark_out=action("&Out mark", "End the part to export, tune or record with this frame", "O", "out"),
+        clear_marks=action("&Clear in and out", "Remove the in and out marks", "Shift+I", "clear"),
+        add_marker=action("Add &marker", "Add a marker at this frame", "M", "flag"),
+        next_marker=action("N&ext marker", "Go to the next marker", "N"),
+        previous_marker=action("Previous mar&ker", "Go to the marker before", "Shift+N"),
+        markers=action("M&arkers…", "List the markers: go to, rename, delete", "Ctrl+M", "list"),
+        show_time=action("&Time strip", "Show area, points, time or IoU over time", "Ctrl+Shift+T", checkable=True),
         show_strip=action("&Images", "Show the images below the views", "Ctrl+I", checkable=True),
         show_panel=action("Para&meters", "Show the parameter panel", "Ctrl+P", checkable=True),
         show_proximity=action("&Proximity view", shortcut="Ctrl+1", checkable=True),
@@ -168,7 +194,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
         about=action("&About Tactune"),
     )
-    for checkable in (made.loop, made.show_strip, made.show_panel):
+    for checkable in (made.loop, made.show_strip, made.show_time, made.show_panel):
         checkable.setChecked(True)
     for view in (made.show_proximity, made.show_tactile, made.show_patch):
         view.setChecked(True)
@@ -219,7 +245,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     file_menu.addActions([actions.cameras, actions.camera_settings, actions.open_recording, actions.open_folder])
     file_menu.addMenu(recent_sources)
     file_menu.addSeparator()
-    file_menu.addActions([actions.export_patch])
+    file_menu.addActions([actions.export_patch, actions.export_patches, actions.export_recording])
     file_menu.addSeparator()
     file_menu.addAction(actions.quit)
 
@@ -230,19 +256,11 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     view.addSeparator()
     view.addActions([actions.show_proximity, actions.show_tactile, actions.show_patch])
     view.addSeparator()
-    view.addActions([actions.show_strip, actions.show_panel])
+    view.addActions([actions.show_time, actions.show_strip, actions.show_panel])
     view.addSeparator()
     themes = _choices(_submenu(view, "T&heme"), [(theme.capitalize(), theme) for theme in THEMES])
 
-    playback = _menu(bar, "&Playback")
-    playback.addActions([actions.play, actions.previous, actions.next, actions.first])
-    playback.addSeparator()
-    playback.addActions([actions.loop, actions.freeze])
-    playback.addSeparator()
-    playback.addActions([actions.record, actions.recordings_folder])
-    playback.addSeparator()
-    speeds = _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
-
+    speeds = _fill_playback(_menu(bar, "&Playback"), actions)
     _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
@@ -255,6 +273,21 @@ def _fill_edit_menu(menu: QMenu, actions: Actions) -> None:
     menu.addActions([actions.changes_since_save, actions.compare])
     menu.addSeparator()
     menu.addActions([actions.next_side, actions.patch_difference, actions.wipe_left, actions.wipe_right])
+
+
+def _fill_playback(playback: QMenu, actions: Actions) -> QActionGroup:
+    """Fill the Playback menu; return the choice of speeds."""
+    playback.addActions([actions.play, actions.previous, actions.next, actions.first])
+    playback.addSeparator()
+    playback.addActions([actions.go_to, actions.loop, actions.freeze])
+    playback.addSeparator()
+    playback.addActions([actions.mark_in, actions.mark_out, actions.clear_marks])
+    playback.addSeparator()
+    playback.addActions([actions.add_marker, actions.previous_marker, actions.next_marker, actions.markers])
+    playback.addSeparator()
+    playback.addActions([actions.record, actions.recordings_folder])
+    playback.addSeparator()
+    return _choices(_submenu(playback, "S&peed"), [(f"{speed:g} x", speed) for speed in SPEEDS])
 
 
 def _menu(bar: QMenuBar, title: str) -> QMenu:
@@ -287,6 +320,7 @@ _MOUSE = (
     ("Wheel", "zoom, in views and images"),
     ("Double click in a view", "reset the view"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
+    ("Click or drag in the time strip", "seek"),
     ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),
     ("Drop a file or folder", "open a preset or a recording"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 
 from PyQt6.QtCore import QPointF, QRect, QRectF, QSize, Qt
 from PyQt6.QtGui import QColor, QIcon, QIconEngine, QPainter, QPainterPath, QPalette, QPen, QPixmap, QPolygonF
@@ -118,6 +119,27 @@ def _saved(painter: QPainter) -> None:
     painter.drawPolyline(QPolygonF([QPointF(3, 8.5), QPointF(6.5, 12), QPointF(13, 4.5)]))
 
 
+def _bracket(painter: QPainter, x: float, to: float) -> None:
+    painter.setBrush(Qt.BrushStyle.NoBrush)
+    painter.drawPolyline(QPolygonF([QPointF(x + to, 3), QPointF(x, 3), QPointF(x, 13), QPointF(x + to, 13)]))
+
+
+def _flag(painter: QPainter) -> None:
+    painter.drawLine(QPointF(4.5, 2.5), QPointF(4.5, 13.5))
+    painter.drawPolygon(QPolygonF([QPointF(4.5, 3), QPointF(12.5, 5.7), QPointF(4.5, 8.5)]))
+
+
+def _list(painter: QPainter) -> None:
+    for y in (4.0, 8.0, 12.0):
+        painter.drawEllipse(QPointF(3.5, y), 0.5, 0.5)
+        painter.drawLine(QPointF(6.5, y), QPointF(13, y))
+
+
+def _clear(painter: QPainter) -> None:
+    painter.drawLine(QPointF(4, 4), QPointF(12, 12))
+    painter.drawLine(QPointF(4, 12), QPointF(12, 4))
+
+
 _DRAWINGS: dict[str, Draw] = {
     "play": _play,
     "pause": _pause,
@@ -130,6 +152,11 @@ _DRAWINGS: dict[str, Draw] = {
     "record": _record,
     "more": _more,
     "saved": _saved,
+    "in": partial(_bracket, x=6, to=4),
+    "out": partial(_bracket, x=10, to=-4),
+    "clear": _clear,
+    "flag": _flag,
+    "list": _list,
 }
 
 

@@ -19,6 +19,7 @@ from ...widgets.basics.theme import ThemeChoice, apply_theme, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
+from ...widgets.plots.time_strip import TimeStrip
 from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
 from ..cameras.control import CAMERA_SCHEMES, CameraControl
@@ -28,6 +29,8 @@ from ..document.recovery import Autosave
 from ..rig.check_window import CameraChecks
 from ..rig.untouched_window import UntouchedControls
 from ..settings import Settings
+from ..timeline.control import Timeline
+from ..timeline.export import ExportBar, FrameExport
 from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
@@ -49,7 +52,7 @@ DEFAULT_SIZE = (1280, 800)
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
 #: The actions whose state is remembered between starts.
-_TOGGLES = ("show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
+_TOGGLES = ("show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 _COLLAPSED_AT_FIRST = "range,region"
 
 
@@ -91,8 +94,10 @@ class MainWindow(QMainWindow):
         self.messages = MessageBar()
         self.opening = OpeningBar()
         self.recording_bar = RecordingBar()
+        self.export_bar = ExportBar()
         self.views = ViewArea(self.actions_, backend)
         self.strip = ImageStrip()
+        self.time_strip = TimeStrip()
         self.panel = ParameterPanel()
         self.transport = Transport(self.actions_)
         self.status = FrameStatus()
@@ -121,6 +126,8 @@ class MainWindow(QMainWindow):
         self.history = HistoryWindow(self.document, [self.actions_.undo, self.actions_.redo], self)
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingControl(self.context, self.actions_.record, self.recording_bar)
+        self.timeline = Timeline(self.context, self.time_strip)
+        self.export = FrameExport(self.context, self.export_bar)
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
         self.checks = CameraChecks(self.context)
@@ -174,7 +181,7 @@ class MainWindow(QMainWindow):
         column = QVBoxLayout(centre)
         column.setContentsMargins(2, 2, 2, 0)
         column.setSpacing(2)
-        for bar_above in (self.messages, self.opening, self.recording_bar):
+        for bar_above in (self.time_strip, self.messages, self.opening, self.recording_bar, self.export_bar):
             column.addWidget(bar_above)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
@@ -235,6 +242,7 @@ class MainWindow(QMainWindow):
         actions.loop.triggered.connect(worker.set_loop)
         actions.freeze.triggered.connect(worker.set_frozen)
         flows.connect_actions(actions)
+        self._connect_timeline()
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
         actions.check_cameras.triggered.connect(self.checks.open)
@@ -271,6 +279,27 @@ class MainWindow(QMainWindow):
             recent_sources=lambda: self.settings.recent("sources"),
             open_source=self.open_source,
         )
+
+    def _connect_timeline(self) -> None:
+        actions, timeline = self.actions_, self.timeline
+        marking = (actions.mark_in, actions.mark_out, actions.clear_marks, actions.add_marker, actions.markers)
+        self.time_strip.add_buttons(marking)
+        for action, act in (
+            (actions.mark_in, timeline.mark_in),
+            (actions.mark_out, timeline.mark_out),
+            (actions.clear_marks, timeline.keeper.clear_trim),
+            (actions.add_marker, timeline.add_marker),
+            (actions.next_marker, partial(timeline.go_to_marker, True)),
+            (actions.previous_marker, partial(timeline.go_to_marker, False)),
+            (actions.markers, timeline.open_list),
+            (actions.export_recording, self.export.ask_recording),
+            (actions.export_patches, self.export.ask_patches),
+        ):
+            action.triggered.connect(lambda _, act=act: act())
+            timeline.availableChanged.connect(action.setEnabled)
+            action.setEnabled(False)
+        actions.show_time.toggled.connect(timeline.set_shown)
+        timeline.timesChanged.connect(self.transport.position.set_times)
 
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed."""
@@ -460,7 +489,15 @@ class MainWindow(QMainWindow):
 
     def shut_down(self) -> None:
         """Close the other windows and stop the worker."""
-        for part in (self.checks, self.cameras, self.analysis, self.untouched, self.calibration):
+        for part in (
+            self.timeline,
+            self.export,
+            self.checks,
+            self.cameras,
+            self.analysis,
+            self.untouched,
+            self.calibration,
+        ):
             part.close()
         self.worker.shut_down()
 

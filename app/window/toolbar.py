@@ -8,12 +8,13 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
+from PyQt6.QtWidgets import QHBoxLayout, QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
 
 from ...widgets.parameters.number_slider import JumpSlider
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
 from .icons import icon
+from .position import PositionEntry
 
 
 class Transport(QWidget):
@@ -40,9 +41,9 @@ class Transport(QWidget):
         self.slider.valueChanged.connect(self.seekRequested)
         self.slider.sliderPressed.connect(lambda: self.held.emit(True))
         self.slider.sliderReleased.connect(lambda: self.held.emit(False))
-        self._frame = QLabel()
-        self._frame.setToolTip("Frame shown / number of frames (files, their names and commands count from 0)")
-        self._frame.setMinimumWidth(self._frame.fontMetrics().horizontalAdvance("000 / 000"))
+        self.position = PositionEntry()
+        self.position.sought.connect(self.seekRequested)
+        actions.go_to.triggered.connect(lambda: self.position.setFocus(Qt.FocusReason.ShortcutFocusReason))
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(2)
@@ -56,7 +57,7 @@ class Transport(QWidget):
         layout.addSpacing(4)
         layout.addWidget(self.slider, 1)
         layout.addSpacing(4)
-        layout.addWidget(self._frame)
+        layout.addWidget(self.position)
         self._show_mode()
 
     @property
@@ -70,11 +71,10 @@ class Transport(QWidget):
         self._state = state
         if changed:
             self._show_mode()
+        self.position.show_position(state.index, state.length)
         if state.length is None:
-            self._frame.setText(f"{state.index + 1}" if state.index >= 0 else "")
             return
         last = max(0, state.length - 1)
-        self._frame.setText(f"{max(0, state.index) + 1} / {last + 1}")
         if not self.slider.isSliderDown():
             with QSignalBlocker(self.slider):
                 self.slider.setRange(0, last)
@@ -89,7 +89,7 @@ class Transport(QWidget):
         actions.play.setIcon(icon(word.lower()))
         actions.play.setText(f"&{word}\tSpace")
         actions.play.setToolTip(f"{word} (Space)")
-        for action in (actions.previous, actions.next, actions.first, actions.loop):
+        for action in (actions.previous, actions.next, actions.first, actions.loop, actions.go_to):
             action.setEnabled(state.seekable and several)
         actions.freeze.setEnabled(several)
         actions.freeze.setChecked(state.frozen)

@@ -96,6 +96,7 @@ class Worker(QThread):
         self._failing = False
         self._told = self._playback.state
         self._redo = False
+        self._trim: tuple[int, int] | None = None
 
     # Orders, from any thread
 
@@ -146,6 +147,10 @@ class Worker(QThread):
     def set_loop(self, loop: bool) -> None:
         """Start again at the end of a recording, or stop there."""
         self._orders.put(lambda: setattr(self._playback, "loop", loop))
+
+    def set_trim(self, trim: tuple[int, int] | None) -> None:
+        """Record only these frames of a recording, the first and the one behind the last; None: those that play."""
+        self._orders.put(lambda: setattr(self, "_trim", trim))
 
     def set_speed(self, speed: float) -> None:
         """Play a recording faster or slower than it was taken."""
@@ -327,11 +332,22 @@ class Worker(QThread):
         except Exception as error:
             self.recordingFailed.emit(explain(error, f"{path} cannot be recorded"))
             return
-        if self._live is None and self._frame is not None:
-            self.recorder.put(
-                self._frame, self._playback.state.index + 1, wait=True
-            )  # the recording starts with the frame on the screen
         self.recordingStarted.emit(path)
+        if self._live is None and self._frame is not None:  # a recording starts with the in mark or the present frame
+            index, frame = self._playback.state.index, self._frame
+            if self._trim is not None:
+                index = self._trim[0]
+                frame = self._show(index) or frame
+                self._playback.play()
+            self._record(frame, index)
+
+    def _record(self, frame: SensorFrame, index: int) -> None:
+        """Record a frame of a recording; the last frame before the out mark ends the file."""
+        first, end = self._trim or (0, index + 2)
+        if first <= index < end:
+            self.recorder.put(frame, index + 1, wait=True)
+        if index == end - 1:
+            self.recorder.stop()
 
     def _stand_still(self) -> None:
         self._playback.pause()
@@ -351,7 +367,7 @@ class Worker(QThread):
     def _advance(self) -> None:
         index = self._playback.next_index()
         if index is not None and (frame := self._show(index)) is not None:
-            self.recorder.put(frame, index + 1, wait=True)
+            self._record(frame, index)
 
     def _show(self, index: int) -> SensorFrame | None:
         """Read frame ``index`` of a recording, process and post it; return it."""

@@ -1,9 +1,9 @@
 """A process of low priority that computes time series beside a window: orders on standard input, values on output.
 
-An order is one line of JSON, ``{"id": ..., "source": ..., "preset": "..."}``, with the preset as the text of its file;
-it ends the order before it. Answers are lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}``
-with the fields of `FrameValues`, then ``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process
-ends with its standard input.
+An order is one line of JSON, ``{"id": ..., "source": ..., "preset": "...", "skip": [...]}``: the preset as the text of
+its file, and the frames that are known. It ends the order before it; without a source it does nothing else. Answers are
+lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with the fields of `FrameValues`, then
+``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends with its standard input.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from ..errors import TactuneError
 from ..preset.file import preset_from_text
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from .time_series import FrameValues, time_series
+from .time_series import FrameValues, time_series, visiting_order
 
 #: What a fresh interpreter runs; its argument is the import path as JSON.
 PROGRAM: Final = (
@@ -68,12 +68,16 @@ class _Worker:
 
     def obey(self, order: Order) -> None:
         """Compute the series of an order, unless a newer one comes."""
+        if order["source"] is None:
+            return
         try:
             source = self._open(order["source"])
             preset = preset_from_text(order["preset"], "the preset")
+            skip = set(order["skip"])
+            frames = [index for index in visiting_order(source.length or 0, preset) if index not in skip]
             waiting: list[FrameValues] = []
             told_s = time.monotonic()
-            for values in time_series(source, preset):
+            for values in time_series(source, preset, frames):
                 if not self._orders.empty():
                     return
                 waiting.append(values)

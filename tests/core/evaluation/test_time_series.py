@@ -101,8 +101,8 @@ def test_times_follow_the_stamps_and_increase():
 def test_the_process_gives_the_same_series_and_ends_with_its_input(tmp_path):
     export_folder(TinySource(8), tmp_path / "tiny")
     orders = [
-        {"id": 1, "source": f"folder:{tmp_path / 'no such folder'}", "preset": preset_json(PRESET)},
-        {"id": 2, "source": f"folder:{tmp_path / 'tiny'}", "preset": preset_json(PRESET)},
+        {"id": 1, "source": f"folder:{tmp_path / 'no such folder'}", "preset": preset_json(PRESET), "skip": []},
+        {"id": 2, "source": f"folder:{tmp_path / 'tiny'}", "preset": preset_json(PRESET), "skip": [2, 5]},
     ]
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", PROGRAM, json.dumps(sys.path)],
@@ -122,5 +122,5 @@ def test_the_process_gives_the_same_series_and_ends_with_its_input(tmp_path):
     assert "no such folder" in answers[0]["problem"]
     rows = [row for answer in answers if answer["id"] == 2 for row in answer.get("rows", [])]
     expected = series_of(TinySource(8), PRESET)
-    assert [row[0] for row in rows] == list(range(8))
-    assert [row[2] for row in rows] == expected.values["area_mm2"].tolist()
+    assert [row[0] for row in rows] == [0, 1, 3, 4, 6, 7]
+    assert [row[2] for row in rows] == [expected.values["area_mm2"][row[0]] for row in rows]

@@ -1,0 +1,254 @@
+"""The time strip of the window: its series, cursor and marks, for recordings and live sources."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import numpy as np
+from PyQt6.QtCore import QObject, QTimer, pyqtSignal
+
+from ...core.evaluation.time_series import FrameValues, Series, frame_values
+from ...core.preset import Preset
+from ...widgets.basics.message_bar import Severity
+from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
+from ..context import Context
+from ..worker.results import Result, SourceInfo
+from .marker_list import MarkerList
+from .marks import MarksKeeper
+from .series_job import SeriesJob
+
+#: Rest after a change of the preset before its series is computed, in ms: a drag changes it many times.
+_REST_MS = 500
+#: Interval between updates of a live strip, in ms.
+_LIVE_MS = 200
+#: Series of presets that are remembered for undo.
+_REMEMBERED = 40
+#: Fields of a preset that no patch depends on.
+_WITHOUT_EFFECT = {"name", "notes", "created", "modified", "cameras", "untouched", "rig"}
+
+
+class Timeline(QObject):
+    """Fills the time strip, and keeps the marks of the open source.
+
+    Signals
+    -------
+    timesChanged(seconds: float64 array (N,))
+        The times of a recording's frames since the first one are better known.
+    availableChanged(bool)
+        Whether the source has frames to mark.
+    """
+
+    timesChanged = pyqtSignal(object)
+    availableChanged = pyqtSignal(bool)
+
+    def __init__(self, context: Context, strip: TimeStrip) -> None:
+        super().__init__(context)
+        self._context, self._strip = context, strip
+        self.keeper = MarksKeeper(context.data_folder / "markers", self)
+        self.list: MarkerList | None = None
+        self._job = SeriesJob(self)
+        self._info: SourceInfo | None = None
+        self._shown = True
+        self._series: Series | None = None
+        self._former: Series | None = None
+        self._remembered: dict[str, Series] = {}
+        self._live: deque[tuple[float, FrameValues]] = deque()
+        self._rest = QTimer(self)
+        self._rest.setSingleShot(True)
+        self._rest.setInterval(_REST_MS)
+        self._rest.timeout.connect(self._compute)
+        self._scroll = QTimer(self)
+        self._scroll.setInterval(_LIVE_MS)
+        self._scroll.timeout.connect(self._show_live)
+        strip.choose_curve(context.settings.text("view/time_curve"))
+        strip.curveChosen.connect(lambda key: context.settings.set("view/time_curve", key))
+        strip.hide()
+        worker = context.worker
+        strip.seekRequested.connect(worker.seek)
+        strip.held.connect(worker.set_held)
+        worker.opened.connect(self._opened)
+        context.frameShown.connect(self._frame_shown)
+        context.document.presetChanged.connect(self._preset_changed)
+        context.trimChanged.connect(lambda: worker.set_trim(context.trim))
+        self._job.found.connect(self._found)
+        self._job.ended.connect(self._ended)
+        self.keeper.changed.connect(lambda _: self._show_marks())
+        self.keeper.told.connect(lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence))
+
+    @property
+    def series(self) -> Series | None:
+        """The series of the open recording with the present preset, as far as it is computed."""
+        return self._series
+
+    def set_shown(self, shown: bool) -> None:
+        """Show the strip, or hide it and compute nothing."""
+        self._shown = shown
+        self._show_strip()
+        if shown:
+            self._preset_changed(self._context.document.preset)
+        else:
+            self._job.stop()
+
+    def close(self) -> None:
+        """Stop computing and close the list of markers."""
+        self._job.stop()
+        for timer in (self._rest, self._scroll):
+            timer.stop()
+        if self.list is not None:
+            self.list.close()
+
+    # Marks
+
+    def mark_in(self) -> None:
+        """Set the in mark at the frame on the screen."""
+        if (index := self._index()) is not None:
+            self.keeper.set_in(index)
+
+    def mark_out(self) -> None:
+        """Set the out mark at the frame on the screen."""
+        if (index := self._index()) is not None:
+            self.keeper.set_out(index)
+
+    def add_marker(self) -> None:
+        """Add a marker at the frame on the screen."""
+        index = self._index()
+        if index is not None and self._series is not None:
+            self.keeper.add(index, float(self._series.seconds()[index]))
+
+    def go_to_marker(self, forward: bool) -> None:
+        """Show the next marker's frame, or that of the marker before."""
+        index = self._index()
+        target = None if index is None else self.keeper.beyond(index, forward)
+        if target is not None:
+            self._context.worker.seek(target)
+
+    def open_list(self) -> None:
+        """Open the list of markers."""
+        if self.list is None:
+            self.list = MarkerList(self.keeper, self._context.worker.seek, self._context.window)
+        self.list.show()
+        self.list.raise_()
+        self.list.activateWindow()
+
+    def _index(self) -> int | None:
+        """Return the index of the frame on the screen; None for a source without marks."""
+        result = self._context.result
+        return result.playback.index if result is not None and self._several(result.source) else None
+
+    def _show_marks(self) -> None:
+        self._strip.set_markers([(marker.frame, marker.name) for marker in self.keeper.marks.markers])
+        self._strip.set_trim(self.keeper.trim)
+        if self._context.trim != self.keeper.trim:
+            self._context.trim = self.keeper.trim
+            self._context.trimChanged.emit()
+
+    # Sources and presets
+
+    @staticmethod
+    def _several(info: SourceInfo) -> bool:
+        return info.length is not None and info.length > 1
+
+    def _opened(self, info: SourceInfo) -> None:
+        self._info = info
+        self._job.rest()
+        self._remembered.clear()
+        self._live.clear()
+        self._series = self._former = None
+        several = self._several(info)
+        self.availableChanged.emit(several)
+        self._context.messages.clear("markers")
+        if several and info.length is not None:
+            self._preset_changed(self._context.document.preset)
+        self.keeper.open(info.name, info.length if several and info.length is not None else 0)
+        self._show_strip()
+
+    def _show_strip(self) -> None:
+        info = self._info
+        live = info is not None and info.length is None
+        self._strip.setVisible(self._shown and info is not None and (live or self._several(info)))
+        if live and self._shown:
+            self._strip.set_words("")
+            self._show_live()
+            self._scroll.start()
+        else:
+            self._scroll.stop()
+
+    def _preset_changed(self, preset: Preset) -> None:
+        """Show the series of a preset as far as it is known; compute the rest after a moment."""
+        info = self._info
+        if info is None or info.length is None or not self._several(info):
+            return
+        key = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
+        series = self._remembered.pop(key, None)
+        if series is None:
+            series = Series(info.length, info.frame_rate_hz)
+            if self._series is not None:  # stamps do not depend on the preset
+                series.values["time_s"][:] = self._series.values["time_s"]
+        self._remembered[key] = series
+        while len(self._remembered) > _REMEMBERED:
+            self._remembered.pop(next(iter(self._remembered)))
+        if series is not self._series:
+            if self._series is not None and self._series.complete:
+                self._former = self._series
+            self._series = series
+            self._job.rest()
+            self._show_series()
+        if series.complete:
+            self._rest.stop()
+            self._ended("")
+        elif self._shown:
+            self._rest.start()
+
+    def _compute(self) -> None:
+        if self._info is None or self._series is None or self._series.complete or not self._shown:
+            return
+        preset = self._context.document.preset
+        if preset.averaged_frames > 1:  # such a preset must see all frames in order
+            self._series.computed[:] = False
+        self._strip.set_words("Computing…")
+        self._job.start(self._info.name, preset, np.flatnonzero(self._series.computed).tolist())
+
+    # Values
+
+    def _found(self, values: list[FrameValues]) -> None:
+        if self._series is None:
+            return
+        for each in values:
+            self._series.put(each)
+        self._strip.set_words(f"Computing {self._series.computed.mean():.0%}")
+        self._show_series()
+
+    def _ended(self, problem: str) -> None:
+        self._strip.set_words(problem)
+
+    def _show_series(self) -> None:
+        series, former = self._series, self._former
+        if series is None:
+            return
+        seconds = series.seconds()
+        older = former.values if former is not None and former is not series and not series.complete else None
+        self._strip.set_series(seconds, series.values, series.computed, older)
+        self.timesChanged.emit(seconds)
+
+    def _frame_shown(self) -> None:
+        result = self._context.result
+        if result is None or result.source is not self._info:
+            return
+        if result.source.length is None:
+            self._note_live(result)
+        else:
+            self._strip.set_cursor(result.playback.index)
+
+    def _note_live(self, result: Result) -> None:
+        now_s = time.monotonic()
+        if result.patch is not None and (not self._live or self._live[-1][1].index != result.frame.sequence):
+            self._live.append((now_s, frame_values(result.frame.sequence, result.frame, result.patch)))
+        while self._live and now_s - self._live[0][0] > LIVE_S:
+            self._live.popleft()
+
+    def _show_live(self) -> None:
+        now_s = time.monotonic()
+        seconds = np.array([arrived_s - now_s for arrived_s, _ in self._live])
+        values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live]) for curve in CURVES}
+        self._strip.set_live(seconds, values)

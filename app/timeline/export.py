@@ -1,0 +1,132 @@
+"""Export of many frames: a recording or a patch file for each, of the frames between the in and out marks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from PyQt6.QtCore import QObject
+from PyQt6.QtWidgets import QHBoxLayout, QWidget
+
+from ...core.contact.pipeline import ContactPipeline
+from ...core.errors import SourceError
+from ...core.preset import Preset
+from ...core.recording.cloud_files import patch_cloud, write_cloud
+from ...core.recording.writer import export_mcap
+from ...core.sources.base import FrameSource
+from ...core.sources.registry import open_source
+from ...widgets.basics.controls import ProgressBar, push_button
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
+from ..worker.jobs import Job, Progress
+
+#: Exports the frames of a range from an open source, and returns what was written as a sentence.
+_Export = Callable[[FrameSource, range, Progress], str]
+
+
+class ExportBar(QWidget):
+    """A line with the progress of an export and a Cancel button; hidden while nothing is exported."""
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.progress = ProgressBar("Exporting")
+        self.progress.setAccessibleName("Progress of the export")
+        self.cancel = push_button("Cancel", "Cancel the export")
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(8, 2, 4, 2)
+        layout.addWidget(self.progress, 1)
+        layout.addWidget(self.cancel)
+        self.hide()
+
+
+class FrameExport(QObject):
+    """Exports frames of the open recording, read from the file a second time, on a thread of its own."""
+
+    def __init__(self, context: Context, bar: ExportBar) -> None:
+        super().__init__(context)
+        self._context, self._bar = context, bar
+        self._job = Job(self)
+        self._job.progress.connect(bar.progress.show_share)
+        self._job.busyChanged.connect(bar.setVisible)
+        self._job.done.connect(lambda sentence: context.messages.show_message("export", Severity.INFO, sentence))
+        self._job.failed.connect(self._failed)
+        bar.cancel.clicked.connect(self._job.cancel)
+
+    def ask_recording(self) -> None:
+        """Ask for a file, and export the frames as a recording with the present preset."""
+        preset = self._context.document.preset
+        folder = self._folder()
+
+        def chosen(path: Path) -> None:
+            self._context.settings.set("folder/export", str(path.parent))
+            self._start(lambda source, frames, progress: _write_recording(source, frames, preset, path, progress))
+
+        if self._frames() is not None:
+            self._context.dialogs.save_file("Export recording", folder / "part.mcap", ["Recording (*.mcap)"], chosen)
+
+    def ask_patches(self) -> None:
+        """Ask for a folder, and export the patch of each frame as a PLY file."""
+        preset = self._context.document.preset
+
+        def chosen(folder: Path) -> None:
+            self._context.settings.set("folder/export", str(folder))
+            self._start(lambda source, frames, progress: _write_patches(source, frames, preset, folder, progress))
+
+        if self._frames() is not None:
+            self._context.dialogs.open_folder("Export patches into a folder", self._folder(), chosen)
+
+    def close(self) -> None:
+        """Cancel; a file that is not complete goes."""
+        self._job.stop()
+
+    def _folder(self) -> Path:
+        remembered = Path(self._context.settings.text("folder/export", str(Path.home())))
+        return remembered if remembered.is_dir() else Path.home()
+
+    def _frames(self) -> range | None:
+        """Return the frames between the marks, or all; None if there is nothing to export or an export runs."""
+        result = self._context.result
+        if result is None or result.source.length is None or self._job.busy:
+            return None
+        return range(*(self._context.trim or (0, result.source.length)))
+
+    def _start(self, export: _Export) -> None:
+        result, frames = self._context.result, self._frames()
+        if result is None or frames is None:
+            return
+        name = result.source.name
+
+        def work(progress: Progress) -> str:
+            with open_source(name, progress) as source:
+                source.seek(frames.start)
+                return export(source, frames, progress)
+
+        self._context.messages.clear("export")
+        self._job.start(work)
+
+    def _failed(self, sentence: str) -> None:
+        self._context.messages.show_message(
+            "export", Severity.ERROR if sentence else Severity.INFO, sentence or "The export was cancelled."
+        )
+
+
+def _write_recording(source: FrameSource, frames: range, preset: Preset, path: Path, progress: Progress) -> str:
+    count = export_mcap(source, path, len(frames), preset=preset, progress=progress)
+    return f"{_counted(count, frames)} written to {path}."
+
+
+def _write_patches(source: FrameSource, frames: range, preset: Preset, folder: Path, progress: Progress) -> str:
+    pipeline = ContactPipeline(preset, source.rig)
+    for done, index in enumerate(frames):
+        progress(done / len(frames), f"Patch {done + 1} of {len(frames)}, into {folder}")
+        frame = source.next_frame()
+        if frame is None:
+            raise SourceError(f"{source.name} ends before frame {index + 1}; {done} patches were written to {folder}")
+        cloud = patch_cloud(pipeline.process(frame), frame, source.rig)
+        write_cloud(folder / f"patch_{frame.sequence:06d}.ply", cloud)
+    return f"{_counted(len(frames), frames)} written as patches to {folder}."
+
+
+def _counted(count: int, frames: range) -> str:
+    where = f" {frames.start + 1} to {frames.stop}" if count > 1 else f" {frames.start + 1}"
+    return f"Frame{'s' if count > 1 else ''}{where} ({count})"

@@ -1,0 +1,102 @@
+"""The list of markers: go to one, rename and delete, with undo."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtGui import QKeySequence, QShortcut
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QDialog,
+    QHBoxLayout,
+    QHeaderView,
+    QLabel,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.recording.markers import Marks
+from ...widgets.basics.controls import push_button
+from .marks import MarksKeeper
+
+_EMPTY = "No markers yet: M adds one at the frame on the screen."
+_FULL = "A click goes to the frame, a double click renames."
+
+
+class MarkerList(QDialog):
+    """Shows the markers of the open source. ``seek`` shows a frame."""
+
+    def __init__(self, keeper: MarksKeeper, seek: Callable[[int], object], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Markers – Tactune")
+        self._keeper, self._seek = keeper, seek
+        self.table = QTableWidget(0, 3)
+        self.table.setHorizontalHeaderLabels(["Name", "Time, s", "Frame"])
+        self.table.setAccessibleName("Markers")
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setToolTip("Time in seconds since the first frame; frames count from 1. F2 renames, Del deletes.")
+        header, rows = self.table.horizontalHeader(), self.table.verticalHeader()
+        assert header is not None and rows is not None
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
+        rows.hide()
+        self.table.cellChanged.connect(self._renamed)
+        self.table.currentCellChanged.connect(lambda row, *_: self._show(row))
+        self.hint = QLabel()
+        self.delete = push_button("&Delete", "Delete the selected markers (Del)", "Del")
+        self.delete.clicked.connect(self._delete)
+        stack = keeper.undo_stack
+        self.undo = push_button("&Undo", "Undo the last change of the marks (Ctrl+Z)", "Ctrl+Z")
+        self.redo = push_button("&Redo", "Redo the last change of the marks (Ctrl+Shift+Z)", "Ctrl+Shift+Z")
+        leave = push_button("Close", "Close this window (Esc)")
+        for button, act, can in (
+            (self.undo, stack.undo, stack.canUndoChanged),
+            (self.redo, stack.redo, stack.canRedoChanged),
+        ):
+            button.clicked.connect(act)
+            can.connect(button.setEnabled)
+        self.undo.setEnabled(stack.canUndo())
+        self.redo.setEnabled(stack.canRedo())
+        leave.clicked.connect(self.reject)
+        QShortcut(QKeySequence("Ctrl+Y"), self, self.redo.click)
+        buttons = QHBoxLayout()
+        for button in (self.delete, self.undo, self.redo):
+            buttons.addWidget(button)
+        buttons.addStretch(1)
+        buttons.addWidget(leave)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.table, 1)
+        layout.addWidget(self.hint)
+        layout.addLayout(buttons)
+        self.resize(460, 320)
+        keeper.changed.connect(self._fill)
+        self._fill(keeper.marks)
+
+    def _fill(self, marks: Marks) -> None:
+        with QSignalBlocker(self.table):
+            self.table.setRowCount(len(marks.markers))
+            for row, marker in enumerate(marks.markers):
+                for column, text in enumerate((marker.name, f"{marker.time_s:.2f}", str(marker.frame + 1))):
+                    item = QTableWidgetItem(text)
+                    if column:
+                        item.setFlags(item.flags() & ~Qt.ItemFlag.ItemIsEditable)
+                        item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                    self.table.setItem(row, column, item)
+        self.delete.setEnabled(bool(marks.markers))
+        self.hint.setText(_FULL if marks.markers else _EMPTY)
+
+    def _renamed(self, row: int, column: int) -> None:
+        item = self.table.item(row, column)
+        if item is not None and column == 0:
+            self._keeper.rename(row, item.text())
+            self._fill(self._keeper.marks)  # an empty name changes nothing
+
+    def _delete(self) -> None:
+        self._keeper.delete({index.row() for index in self.table.selectedIndexes()})
+
+    def _show(self, row: int) -> None:
+        if 0 <= row < len(self._keeper.marks.markers):
+            self._seek(self._keeper.marks.markers[row].frame)

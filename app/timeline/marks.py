@@ -1,0 +1,162 @@
+"""The marks of the open recording: in and out, named markers; kept beside the recording, each edit undoable."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+
+from PyQt6.QtCore import QObject, pyqtSignal
+
+from ...core.errors import ExportError, SourceError
+from ...core.recording.markers import MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
+from ..document.history import History
+
+
+class MarksKeeper(QObject):
+    """The marks of one source, saved with every change.
+
+    A recording has them in a file beside it, or inside its folder. Where that cannot be written, and for sources that
+    are no files, such as the simulator, they are kept in a folder of the user's data by the source's name.
+
+    Signals
+    -------
+    changed(Marks)
+    told(sentence: str)
+        Where marks could not be read or written.
+    """
+
+    changed = pyqtSignal(object)
+    told = pyqtSignal(str)
+
+    def __init__(self, folder: Path, parent: QObject | None = None) -> None:
+        super().__init__(parent)
+        self._folder = folder
+        self._history: History[Marks] = History(Marks(), self)
+        self._history.changed.connect(self._changed)
+        self.undo_stack = self._history.undo_stack
+        self._length = 0
+        self._beside: Path | None = None
+        self._own: Path | None = None
+        self._damaged: Path | None = None
+        self._loading = False
+
+    @property
+    def marks(self) -> Marks:
+        """The present marks."""
+        return self._history.state
+
+    @property
+    def trim(self) -> tuple[int, int] | None:
+        """The marked frames that the source has: the first, and the one behind the last; None: all."""
+        if self.marks.trim is None:
+            return None
+        first, end = self.marks.trim[0], min(self.marks.trim[1], self._length)
+        return (first, end) if first < end else None
+
+    def open(self, source: str, length: int) -> None:
+        """Read the marks of a source with this number of frames; 0: a source that has none."""
+        self._length = length
+        self._beside = markers_file(source)
+        digest = hashlib.blake2b(source.encode(), digest_size=4).hexdigest()
+        letters = "".join(letter if letter.isalnum() else "_" for letter in source[-40:])
+        self._own = self._folder / f"{letters}-{digest}.json"
+        self._damaged = None
+        marks = self._read() if length else Marks()
+        self._loading = True
+        self._history.start(marks)
+        self._loading = False
+
+    # Edits
+
+    def set_in(self, frame: int) -> None:
+        """Mark the first frame of a part; an out mark before it goes."""
+        _, end = self.trim or (0, self._length)
+        self._set_trim("Set in mark", frame, end if end > frame else self._length)
+
+    def set_out(self, frame: int) -> None:
+        """Mark the last frame of a part; an in mark behind it goes."""
+        first, _ = self.trim or (0, self._length)
+        self._set_trim("Set out mark", first if first <= frame else 0, frame + 1)
+
+    def clear_trim(self) -> None:
+        """Remove the in and out marks."""
+        self._set_trim("Clear in and out marks", 0, self._length)
+
+    def add(self, frame: int, time_s: float) -> None:
+        """Add a marker with a new name, unless the frame has one."""
+        markers = self.marks.markers
+        if any(marker.frame == frame for marker in markers):
+            return
+        taken = {marker.name for marker in markers}
+        number = next(number for number in range(1, len(markers) + 2) if f"Marker {number}" not in taken)
+        self._edit("Add marker", (*markers, Marker(frame=frame, name=f"Marker {number}", time_s=round(time_s, 6))))
+
+    def rename(self, place: int, name: str) -> None:
+        """Rename the marker at a place in `Marks.markers`; an empty name changes nothing."""
+        markers = list(self.marks.markers)
+        if name := name.strip()[:MAX_NAME]:
+            markers[place] = markers[place].model_copy(update={"name": name})
+            self._edit("Rename marker", tuple(markers))
+
+    def delete(self, places: set[int]) -> None:
+        """Delete the markers at these places in `Marks.markers`."""
+        kept = tuple(marker for place, marker in enumerate(self.marks.markers) if place not in places)
+        self._edit("Delete marker", kept)
+
+    def beyond(self, frame: int, forward: bool) -> int | None:
+        """Return the frame of the next marker after ``frame``, or of the last one before it; None if there is none."""
+        frames = [marker.frame for marker in self.marks.markers]
+        if forward:
+            return min((other for other in frames if other > frame), default=None)
+        return max((other for other in frames if other < frame), default=None)
+
+    # Steps
+
+    def _set_trim(self, text: str, first: int, end: int) -> None:
+        trim = None if (first, end) == (0, self._length) else (first, end)
+        self._history.edit(text, self.marks.model_copy(update={"trim": trim}))
+
+    def _edit(self, text: str, markers: tuple[Marker, ...]) -> None:
+        self._history.edit(text, Marks(markers=markers, trim=self.marks.trim))
+
+    def _changed(self, marks: Marks) -> None:
+        if not self._loading:
+            self._write(marks)
+        self.changed.emit(marks)
+
+    def _read(self) -> Marks:
+        """Return the marks of the first file that there is."""
+        for file in (self._own, self._beside):
+            if file is not None and file.exists():
+                try:
+                    return load_marks(file)
+                except SourceError as error:
+                    self._damaged = file
+                    self.told.emit(f"{error}. The file stays; with the next mark it becomes {_aside(file).name}.")
+        return Marks()
+
+    def _write(self, marks: Marks) -> None:
+        assert self._own is not None
+        if self._damaged is not None:
+            with suppress(OSError):
+                self._damaged.rename(_aside(self._damaged))
+            self._damaged = None
+        if self._beside is not None:
+            try:
+                save_marks(self._beside, marks)
+            except ExportError:
+                self.told.emit(
+                    f"{self._beside} cannot be written, so the markers are kept in {self._own} on this computer."
+                )
+            else:
+                self._own.unlink(missing_ok=True)
+                return
+        try:
+            save_marks(self._own, marks)
+        except ExportError as error:
+            self.told.emit(f"The markers are not kept: {error}.")
+
+
+def _aside(file: Path) -> Path:
+    return file.with_name(f"{file.name}.damaged")

@@ -1,0 +1,407 @@
+"""A value of each frame over time, with a cursor to seek, in and out marks, and named markers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pyqtgraph as pg
+from PyQt6.QtCore import QEvent, QPointF, Qt, pyqtSignal
+from PyQt6.QtGui import QAction, QColor, QMouseEvent
+from PyQt6.QtWidgets import QComboBox, QGridLayout, QHBoxLayout, QToolButton, QVBoxLayout, QWidget
+
+from ...core.model.arrays import BoolArray, Float64Array
+from ..basics.fields import format_number
+from ..basics.theme import theme_colors
+
+
+@dataclass(frozen=True)
+class Curve:
+    """One value over time: its key in the series, title, unit, factor from the series to the unit, and tooltip."""
+
+    key: str
+    title: str
+    unit: str
+    factor: float
+    tip: str
+
+
+CURVES: Final = (
+    Curve("area_mm2", "Area", "cm²", 0.01, "Area of the patch in cm², projected along the optical axis"),
+    Curve("points", "Points", "points", 1.0, "Number of points of the patch"),
+    Curve("ms", "Time", "ms", 1.0, "Time of the contact test in milliseconds, computed in the background on one core"),
+    Curve("iou", "IoU", "", 1.0, "Overlap of patch and true contact, 0 to 1; only for sources that know the truth"),
+)
+#: Time that a live source shows, seconds.
+LIVE_S: Final = 60.0
+_HEIGHT = 84
+#: Resolution of the shading of frames that are not computed yet, columns.
+_COLUMNS = 1000
+#: The smallest part of a recording that zooming shows, frames.
+_MIN_FRAMES = 10
+
+
+class _SecondsAxis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
+    def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
+        return [f"{value:.{0 if spacing >= 1 else 1 if spacing >= 0.1 else 2}f} s" for value in values]
+
+
+class _Plot(pg.PlotWidget):  # type: ignore[misc]  # pyqtgraph has no types
+    """The left button seeks, wheel and middle button zoom and pan along the time."""
+
+    sought = pyqtSignal(float)
+    held = pyqtSignal(bool)
+    hovered = pyqtSignal(float)
+    left = pyqtSignal()
+    opened = pyqtSignal(float)
+
+    def time_at(self, position: QPointF) -> float:
+        return float(self.getPlotItem().getViewBox().mapSceneToView(self.mapToScene(position.toPoint())).x())
+
+    def mousePressEvent(self, event: QMouseEvent) -> None:
+        if event.button() != Qt.MouseButton.LeftButton:
+            super().mousePressEvent(event)
+            return
+        self.held.emit(True)
+        self.sought.emit(self.time_at(event.position()))
+
+    def mouseMoveEvent(self, event: QMouseEvent) -> None:
+        self.hovered.emit(self.time_at(event.position()))
+        if event.buttons() & Qt.MouseButton.LeftButton:
+            self.sought.emit(self.time_at(event.position()))
+        else:
+            super().mouseMoveEvent(event)
+
+    def mouseReleaseEvent(self, event: QMouseEvent) -> None:
+        if event.button() == Qt.MouseButton.LeftButton:
+            self.held.emit(False)
+        else:
+            super().mouseReleaseEvent(event)
+
+    def mouseDoubleClickEvent(self, event: QMouseEvent) -> None:
+        self.opened.emit(self.time_at(event.position()))
+
+    def leaveEvent(self, event: QEvent) -> None:
+        super().leaveEvent(event)
+        self.left.emit()
+
+
+class TimeStrip(QWidget):
+    """One curve over the time of a recording, or over the last minute of a live source.
+
+    Signals
+    -------
+    seekRequested(index: int)
+        A person clicked or dragged.
+    held(bool)
+        The mouse button is down; playback should wait.
+    curveChosen(key: str)
+    """
+
+    seekRequested = pyqtSignal(int)
+    held = pyqtSignal(bool)
+    curveChosen = pyqtSignal(str)
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setFixedHeight(_HEIGHT)
+        self._seconds: Float64Array = np.zeros(0)
+        self._values: Mapping[str, Float64Array] = {}
+        self._computed: BoolArray = np.zeros(0, np.bool_)
+        self._former: Mapping[str, Float64Array] | None = None
+        self._live = False
+        self._index = -1
+        self._trim: tuple[int, int] | None = None
+        self._markers: tuple[tuple[int, str], ...] = ()
+        self._words = ""
+        self.curve_box = self._make_curve_box()
+        self.plot_widget = _Plot(axisItems={"bottom": _SecondsAxis("bottom")})
+        self._make_plot()
+        self._buttons = QHBoxLayout()
+        self._buttons.setSpacing(0)
+        self._buttons.addStretch(1)
+        side = QVBoxLayout()
+        side.setSpacing(2)
+        side.addWidget(self.curve_box)
+        side.addLayout(self._buttons)
+        side.addStretch(1)
+        layout = QGridLayout(self)
+        layout.setContentsMargins(4, 0, 2, 0)
+        layout.setHorizontalSpacing(4)
+        layout.addLayout(side, 0, 0)
+        layout.addWidget(self.plot_widget, 0, 1)
+        layout.setColumnStretch(1, 1)
+        self._recolor()
+
+    # Building
+
+    def _make_curve_box(self) -> QComboBox:
+        box = QComboBox()
+        box.setAccessibleName("Curve of the time strip")
+        box.setToolTip("What the time strip shows")
+        for number, curve in enumerate(CURVES):
+            box.addItem(f"{curve.title}, {curve.unit}" if curve.unit else curve.title, curve.key)
+            box.setItemData(number, curve.tip, Qt.ItemDataRole.ToolTipRole)
+        box.currentIndexChanged.connect(lambda _: self._choose())
+        return box
+
+    def _make_plot(self) -> None:
+        view = self.plot_widget
+        view.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        view.setMouseTracking(True)
+        view.setAccessibleName("Time strip")
+        view.setToolTip(
+            "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
+            "Shaded: not computed yet. Grey line: the preset before."
+        )
+        view.sought.connect(self._seek)
+        view.held.connect(lambda held: self.held.emit(held) if not self._live else None)
+        view.hovered.connect(self._hover)
+        view.left.connect(self._show_words)
+        view.opened.connect(lambda _: self.show_all())
+        plot = self._plot = view.getPlotItem()
+        plot.setMenuEnabled(False)
+        plot.hideButtons()
+        plot.setMouseEnabled(x=True, y=False)
+        plot.setContentsMargins(0, 2, 6, 0)
+        plot.getAxis("left").setWidth(44)
+        plot.getAxis("left").setTickDensity(0.5)
+        plot.getAxis("bottom").setHeight(17)
+        self._box = plot.getViewBox()
+        self._shade = pg.ImageItem(axisOrder="col-major")
+        self._outside = [pg.LinearRegionItem(movable=False) for _ in range(2)]
+        self._old_line = pg.PlotCurveItem(connect="finite")
+        self._line = pg.PlotCurveItem(connect="finite")
+        self._cursor = pg.InfiniteLine(angle=90)
+        self._text = pg.TextItem(anchor=(1, 0))
+        self._text.setParentItem(self._box)
+        self._flags: list[Any] = []
+        for item in (self._shade, *self._outside, self._old_line, self._line, self._cursor):
+            plot.addItem(item, ignoreBounds=True)
+        self._box.sigResized.connect(lambda: self._text.setPos(self._box.width() - 2, -3))
+
+    def add_buttons(self, actions: Sequence[QAction]) -> None:
+        """Put buttons for actions below the choice of the curve."""
+        for action in actions:
+            button = QToolButton()
+            button.setDefaultAction(action)
+            button.setAutoRaise(True)
+            button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonIconOnly)
+            button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+            self._buttons.insertWidget(self._buttons.count() - 1, button)
+
+    # What is shown
+
+    @property
+    def curve(self) -> Curve:
+        """The curve that is shown."""
+        return CURVES[self.curve_box.currentIndex()]
+
+    def choose_curve(self, key: str) -> None:
+        """Show another curve; an unknown key changes nothing."""
+        self.curve_box.setCurrentIndex(max(0, self.curve_box.findData(key)))
+
+    def set_series(
+        self,
+        seconds: Float64Array,
+        values: Mapping[str, Float64Array],
+        computed: BoolArray,
+        former: Mapping[str, Float64Array] | None = None,
+    ) -> None:
+        """Show the frames of a recording.
+
+        Parameters
+        ----------
+        seconds : float64, shape (N,)
+            Time of each frame since the first one, increasing.
+        values : dict of str to float64, shape (N,)
+            By the keys of `CURVES`; nan where unknown.
+        computed : bool, shape (N,)
+        former : as ``values``, optional
+            An older series, drawn behind in grey.
+        """
+        other = self._live or len(seconds) != len(self._seconds)
+        self._live = False
+        self._seconds, self._values, self._computed, self._former = seconds, values, computed, former
+        self._draw()
+        if other:
+            self._limit()
+            self.show_all()
+        self._place_marks()
+
+    def set_live(self, seconds: Float64Array, values: Mapping[str, Float64Array]) -> None:
+        """Show the last minute of a live source; ``seconds`` are at most 0, which is now."""
+        if not self._live:
+            self._live, self._trim, self._markers, self._former = True, None, (), None
+            self._place_marks()
+            self._box.setLimits(xMin=-LIVE_S, xMax=0.0, minXRange=1.0, maxXRange=LIVE_S)
+            self._box.setXRange(-LIVE_S, 0.0, padding=0)
+        self._seconds, self._values, self._computed = seconds, values, np.ones(len(seconds), np.bool_)
+        self._draw()
+
+    def set_cursor(self, index: int) -> None:
+        """Show which frame is on the screen; if the strip is zoomed in, it follows."""
+        if index == self._index:
+            return
+        self._index = index
+        self._place_cursor()
+
+    def set_trim(self, trim: tuple[int, int] | None) -> None:
+        """Shade what lies outside the in and out marks: the first frame, and the one behind the last."""
+        self._trim = trim
+        self._place_marks()
+
+    def set_markers(self, markers: Sequence[tuple[int, str]]) -> None:
+        """Show markers: frame and name of each."""
+        self._markers = tuple(markers)
+        self._place_marks()
+
+    def set_words(self, words: str) -> None:
+        """Show progress or a problem while nothing is hovered."""
+        self._words = words
+        self._show_words()
+
+    @property
+    def words(self) -> str:
+        """The text in the strip's corner."""
+        return str(self._text.toPlainText())
+
+    def show_all(self) -> None:
+        """Zoom out to the whole recording."""
+        if len(self._seconds) and not self._live:
+            self._box.setXRange(0.0, self._end_s(), padding=0)
+
+    def position_of(self, index: int) -> QPointF:
+        """Return where a frame's time is drawn, in coordinates of `plot_widget`."""
+        scene = self._box.mapViewToScene(QPointF(float(self._seconds[index]), 0.0))
+        return QPointF(self.plot_widget.mapFromScene(scene))
+
+    # Steps
+
+    def _end_s(self) -> float:
+        return max(float(self._seconds[-1]), 1e-3)
+
+    def _limit(self) -> None:
+        end_s = self._end_s()
+        shortest_s = end_s * min(1.0, _MIN_FRAMES / len(self._seconds))
+        self._box.setLimits(xMin=0.0, xMax=end_s, minXRange=shortest_s, maxXRange=end_s)
+
+    def _choose(self) -> None:
+        self._draw()
+        self.curveChosen.emit(self.curve.key)
+
+    def _draw(self) -> None:
+        curve = self.curve
+        shown = self._values.get(curve.key, np.full(len(self._seconds), math.nan)) * curve.factor
+        known = np.flatnonzero(self._computed)
+        self._line.setData(self._seconds[known], shown[known])
+        former = self._former
+        old = former[curve.key] * curve.factor if former is not None else np.zeros(0)
+        there = np.flatnonzero(np.isfinite(old))
+        self._old_line.setData(self._seconds[there], old[there])
+        finite = np.concatenate([shown[np.isfinite(shown)], old[there]])
+        top = float(finite.max(initial=0.0)) or 1.0
+        self._box.setYRange(0.0, 1.0 if curve.key == "iou" else 1.08 * top, padding=0)
+        self._shade_unknown(1.08 * top)
+
+    def _shade_unknown(self, top: float) -> None:
+        """Shade the columns in which no frame is computed."""
+        complete = self._live or not len(self._seconds) or bool(self._computed.all())
+        self._shade.setVisible(not complete)
+        if complete:
+            return
+        columns = min(_COLUMNS, len(self._seconds))
+        end_s = self._end_s()
+        column = np.minimum((self._seconds / end_s * columns).astype(np.intp), columns - 1)
+        missing = np.bincount(column[~self._computed], minlength=columns) > 0
+        color = QColor(theme_colors().border)
+        image = np.zeros((columns, 1, 4), np.uint8)
+        image[missing] = (color.red(), color.green(), color.blue(), 140)
+        self._shade.setImage(image, autoLevels=False)
+        self._shade.setRect(0.0, 0.0, end_s, max(top, 1.08))
+
+    def _place_cursor(self) -> None:
+        there = 0 <= self._index < len(self._seconds) and not self._live
+        self._cursor.setVisible(there)
+        if not there:
+            return
+        now_s = float(self._seconds[self._index])
+        self._cursor.setValue(now_s)
+        (first_s, last_s), _ = self._box.viewRange()
+        if not first_s <= now_s <= last_s:
+            self._box.setXRange(now_s, now_s + last_s - first_s, padding=0)
+
+    def _place_marks(self) -> None:
+        colors = theme_colors()
+        for flag in self._flags:
+            self._plot.removeItem(flag)
+        self._flags = []
+        length = len(self._seconds)
+        for frame, name in self._markers:
+            if frame < length and not self._live:
+                flag = pg.InfiniteLine(
+                    float(self._seconds[frame]), angle=90, pen=pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine),
+                    label=name, labelOpts={"position": 0.86, "anchors": [(0, 0.5), (1, 0.5)], "color": colors.text,
+                               "fill": colors.alternate},
+                )  # fmt: skip
+                self._plot.addItem(flag, ignoreBounds=True)
+                self._flags.append(flag)
+        marked = self._trim is not None and length > 0 and not self._live
+        for part in self._outside:
+            part.setVisible(marked)
+        if self._trim is not None and marked:
+            first, last = (min(max(index, 0), length - 1) for index in (self._trim[0], self._trim[1] - 1))
+            self._outside[0].setRegion((0.0, float(self._seconds[first])))
+            self._outside[1].setRegion((float(self._seconds[last]), self._end_s()))
+        self._place_cursor()
+
+    def _frame_at(self, time_s: float) -> int:
+        return int(np.abs(self._seconds - time_s).argmin())
+
+    def _seek(self, time_s: float) -> None:
+        if len(self._seconds) and not self._live:
+            index = self._frame_at(time_s)
+            self.set_cursor(index)
+            self.seekRequested.emit(index)
+
+    def _hover(self, time_s: float) -> None:
+        if not len(self._seconds):
+            return
+        index, curve = self._frame_at(time_s), self.curve
+        value = self._values[curve.key][index] * curve.factor
+        known = f"{format_number(float(value), 3)} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
+        names = [name for frame, name in self._markers if frame == index]
+        place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
+        self._text.setText("  ".join([*names, f"{place}: {known}"]))
+
+    def _show_words(self) -> None:
+        self._text.setText(self._words)
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            self._recolor()
+
+    def _recolor(self) -> None:
+        colors = theme_colors()
+        self.plot_widget.setBackground(colors.base)
+        for side in ("left", "bottom"):
+            axis = self._plot.getAxis(side)
+            axis.setPen(colors.border)
+            axis.setTextPen(colors.text)
+        self._line.setPen(pg.mkPen(colors.accent_text))
+        self._old_line.setPen(pg.mkPen(colors.outside))
+        self._cursor.setPen(pg.mkPen(colors.text, width=2))
+        self._text.setColor(colors.text)
+        veil = QColor(colors.outside)
+        veil.setAlpha(110)
+        for part, edge in zip(self._outside, (1, 0), strict=True):
+            part.setBrush(veil)
+            part.lines[edge].setPen(pg.mkPen(colors.error, width=2))
+            part.lines[1 - edge].setPen(None)
+        self._draw()
+        self._place_marks()
