@@ -28,6 +28,7 @@ from .record import convert, record
 from .run import export_folder, run
 from .scan import export_scan
 from .strain import strain
+from .suggest import suggest
 from .sweep import sweep
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
@@ -46,6 +47,7 @@ commands = typer.Typer(
     pretty_exceptions_enable=False,
     add_completion=False,
 )
+preset_commands.command()(suggest)
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")

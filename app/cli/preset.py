@@ -177,7 +177,7 @@ def measure_rig(
     origin = preset or default_preset(source)
     target = out or (None if preset is None else Path(preset))
     if target is not None:
-        _check_target(target, preset, force=force)
+        check_target(target, preset, force=force)
     chosen = load_preset(origin)
     with open_with_progress(source, chosen.cameras) as opened:
         for sentence in check_rig(chosen, opened.rig):
@@ -272,7 +272,7 @@ def _earlier(preset: Preset, path: Path) -> SensorFrame | None:
         return None
 
 
-def _check_target(target: Path, preset: str | None, *, force: bool) -> None:
+def check_target(target: Path, preset: str | None, *, force: bool) -> None:
     """Raise unless the preset can be written there: not over a shipped one, and over another file with ``force`` only.
 
     Raises

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
 from typing import Final
 
 from ..contact.pipeline import ContactPipeline
 from ..errors import AdviceError, FrameError, PresetError, RigMismatchError
+from ..preset import Preset
+from ..preset.preset import CONTACT_TESTS
 from ..sources.base import Progress
 from .alignment import suggest_alignment
 from .contact_test import suggest_contact_test
@@ -63,32 +65,53 @@ def suggest(section: str, evidence: Evidence, progress: Progress = lambda share,
     Raises
     ------
     AdviceError
-        The evidence does not support a proposal; the message says why and what to do.
+        The section is unknown, or the evidence does not support a proposal; the message says why and what to do.
     FrameError, RigMismatchError
         A frame has another size than the rig's, or neither preset nor rig has a pose.
     """
-    if section not in _SUGGEST:
-        raise AdviceError(f"there are no suggestions for {section!r}; choose one of {', '.join(SECTIONS)}")
-    evidence.frame.check_against(evidence.rig)
-    proposal = _SUGGEST[section](evidence, progress)
-    if proposal.changes:
-        proposal = replace(proposal, expected=f"{proposal.expected} {_patch_change(evidence, proposal)}")
+    _check(evidence, (section,))
+    proposal = _suggest(section, evidence, progress)
     progress(1.0, "The suggestion is ready")
     return proposal
 
 
-def suggest_all(evidence: Evidence, progress: Progress = lambda share, words: None) -> AllProposals:
-    """Propose new values for every section that the contact test reads, each with the earlier ones applied."""
+def suggest_all(
+    evidence: Evidence,
+    progress: Progress = lambda share, words: None,
+    sections: Collection[str] | None = None,
+) -> AllProposals:
+    """Propose new values for several sections, each with the earlier ones applied.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    progress : callable, optional
+        As for `suggest`.
+    sections : collection of str, optional
+        Some of `SECTIONS`; default: all that the contact test reads, which may itself be proposed.
+
+    Raises
+    ------
+    AdviceError
+        A section is unknown.
+    FrameError
+        The present frame has another size than the rig's.
+    """
+    evidence.frame.check_against(evidence.rig)
+    if unknown := set(sections or ()) - set(SECTIONS):
+        raise AdviceError(
+            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
+        )
     present, parts, refusals = evidence.preset, [], {}
     for number, section in enumerate(SECTIONS):
-        if section not in _read_sections(evidence):
+        if section not in (_read_sections(evidence.preset) if sections is None else sections):
             continue
 
         def part_of(share: float, words: str, number: int = number) -> None:
             progress((number + share) / len(SECTIONS), words)
 
         try:
-            proposal = suggest(section, evidence, part_of)
+            proposal = _suggest(section, evidence, part_of)
             evidence = replace(evidence, preset=proposal.apply(evidence.preset))
         except (AdviceError, FrameError, PresetError, RigMismatchError) as error:
             refusals[section] = str(error)
@@ -108,9 +131,25 @@ def suggest_all(evidence: Evidence, progress: Progress = lambda share, words: No
     return AllProposals(tuple(parts), refusals, merged)
 
 
-def _read_sections(evidence: Evidence) -> set[str]:
+def _check(evidence: Evidence, sections: Collection[str]) -> None:
+    evidence.frame.check_against(evidence.rig)
+    if unknown := set(sections) - set(SECTIONS):
+        raise AdviceError(
+            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
+        )
+
+
+def _suggest(section: str, evidence: Evidence, progress: Progress) -> Proposal:
+    proposal = _SUGGEST[section](evidence, progress)
+    if not proposal.changes:
+        return proposal
+    return replace(proposal, expected=f"{proposal.expected} {_patch_change(evidence, proposal)}")
+
+
+def _read_sections(preset: Preset) -> set[str]:
     """Return the sections that the preset's contact test reads."""
-    return set(SECTIONS) - {"tolerance", "outliers", "membrane"} | set(evidence.preset.test.section_names)
+    of_tests = {name for test in CONTACT_TESTS.values() for name in test.section_names}
+    return set(SECTIONS) - of_tests | set(preset.test.section_names)
 
 
 def _patch_change(evidence: Evidence, proposal: Proposal) -> str:

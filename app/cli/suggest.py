@@ -1,0 +1,142 @@
+"""The command ``tactune preset suggest``: proposals for a preset's sections, with their evidence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from ...core.errors import AdviceError
+from .common import (
+    CliProgress,
+    PresetOption,
+    SourceOption,
+    average_frames,
+    default_preset,
+    open_with_progress,
+    warn,
+)
+from .preset import check_target
+
+if TYPE_CHECKING:
+    from ...core.advice.suggest import AllProposals
+    from ...core.model.frames import SensorFrame
+    from ...core.preset import Preset
+    from ...core.sources import FrameSource
+
+#: Number of frames up to the present one, and of those averaged to an untouched frame.
+_RECENT, _AVERAGED = 4, 15
+
+
+def suggest(
+    *,
+    source: SourceOption,
+    preset: PresetOption = None,
+    section: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SECTION",
+            help="mask, contact_test, alignment, tolerance, outliers or membrane; may be repeated. Default: all that "
+            "the contact test reads.",
+        ),
+    ] = None,
+    frame: Annotated[
+        int | None, typer.Option(min=0, metavar="N", help="The present frame, from 0; default: the fourth.")
+    ] = None,
+    untouched: Annotated[
+        str | None,
+        typer.Option(
+            metavar="SOURCE", help="Frames of the untouched membrane; default: the preset's own or that of --source."
+        ),
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write, with all suggestions.")
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace a file of --out that is already there.")] = False,
+) -> None:
+    """Suggest values for a preset, with the evidence for each; later ones are computed with the earlier ones applied.
+
+    The evidence is the present frame, the three before it, and an untouched frame. Nothing is written without --out.
+    """
+    from ...core.advice.proposal import Evidence
+    from ...core.advice.suggest import suggest_all
+    from ...core.contact.warmup import warm_up_if_needed
+    from ...core.preset.checks import check_rig
+    from ...core.sources.presets import load_preset
+
+    origin = preset or default_preset(source)
+    if out is not None:
+        check_target(out, preset, force=force)
+    chosen = load_preset(origin)
+    with open_with_progress(source, chosen.cameras) as opened:
+        for sentence in check_rig(chosen, opened.rig):
+            warn(sentence)
+        frames = _recent(opened, frame)
+        free = _untouched(opened, chosen, origin, untouched)
+        evidence = Evidence(chosen, opened.rig, frames, free)
+    with CliProgress() as progress:
+        warm_up_if_needed(progress.preparing)
+        proposals = suggest_all(evidence, progress.preparing, section)
+    if not proposals.parts:
+        raise AdviceError("; ".join(proposals.refusals.values()))
+    _print(proposals)
+    if out is not None:
+        _write(proposals.merged.apply(chosen), origin, out)
+
+
+def _recent(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
+    """Return the frames up to the present one, which is the last.
+
+    Raises
+    ------
+    AdviceError
+        The source has no such frame.
+    """
+    first = 0 if last is None else max(last - _RECENT + 1, 0)
+    count = _RECENT if last is None else last - first + 1
+    if first > 0:
+        source.seek(first)
+    frames = tuple(frame for _, frame in zip(range(count), source, strict=False))
+    if not frames or (last is not None and len(frames) < count):
+        raise AdviceError(f"{source.name}: there is no frame {last or 0}; choose another --frame or source")
+    return frames
+
+
+def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | None) -> SensorFrame | None:
+    """Return the untouched frame: averaged from a source of its own, the preset's, or the source's."""
+    from ...core.rig.untouched import find_untouched
+
+    if name is not None:
+        with open_with_progress(name) as opened:
+            return average_frames(opened, _AVERAGED).frame
+    with CliProgress() as progress:
+        found = find_untouched(preset, origin, source, progress.preparing)
+    for sentence in found.warnings:
+        warn(sentence)
+    return found.frame
+
+
+def _print(proposals: AllProposals) -> None:
+    for part in proposals.parts:
+        typer.echo(f"{part.section}: {part.label}{' (weak)' if part.weak else ''}")
+        typer.echo(f"  {part.evidence}")
+        typer.echo(f"  {part.expected}")
+        for path, value in part.changes.items():
+            typer.echo(f"  --set {path}={json.dumps(value, separators=(',', ':'))}")
+    for sentence in proposals.refusals.values():
+        warn(sentence)
+
+
+def _write(preset: Preset, origin: str, out: Path) -> None:
+    """Write the preset, and its untouched frame beside it."""
+    from ...core.preset import now
+    from ...core.preset.file import save_preset, shipped_presets
+    from ...core.rig.untouched import copy_untouched
+
+    if preset.untouched is not None:
+        copy_untouched(preset.untouched, Path(origin), out)
+    name = out.stem if origin in shipped_presets() else preset.name
+    save_preset(preset.model_copy(update={"name": name, "modified": now()}), out)
+    typer.echo(f"wrote {out}")
