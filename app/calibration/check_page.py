@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.model.frames import SensorFrame
-from ...core.preset import Preset
+from ...core.preset import AlignmentSection, Preset
 from ...widgets.basics.controls import AccentButton
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
@@ -55,6 +55,7 @@ class CheckPage(QWidget):
         super().__init__(parent)
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
+        self._kept: AlignmentSection | None = None
         self._overlay: Overlay | None = None
         self._drawn: tuple[object, ...] = ()
         self._blinked = False
@@ -147,6 +148,7 @@ class CheckPage(QWidget):
         self._patch_job.done.connect(self._show_patches)
         self._session.changed.connect(lambda _: self._draw())
         self._document.presetChanged.connect(self._preset_changed)
+        self._document.baselineChanged.connect(self._file_changed)
         self._feed.frameArrived.connect(lambda _: self._find_patches())
 
     # Display
@@ -184,6 +186,16 @@ class CheckPage(QWidget):
         report = self._outcome.report
         return None if report is None else report.apply_to(self._document.preset)
 
+    def keep_present(self) -> None:
+        """Keep showing the present alignment as "Present" after it is replaced, until the preset's file is saved."""
+        if self._kept is None:
+            self._kept = self._document.preset.alignment
+
+    def present_preset(self) -> Preset:
+        """Return the document's preset with the alignment that "Present" shows."""
+        preset = self._document.preset
+        return preset if self._kept is None else preset.model_copy(update={"alignment": self._kept})
+
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
         used = "tolerance" in preset.test.section_names
@@ -213,7 +225,7 @@ class CheckPage(QWidget):
         if image == "color" and frame.tactile_color is None:
             self.image.set_image(None, "The tactile camera has no colour image; choose Depth")
             return
-        preset = new if which == "new" and new is not None else self._document.preset
+        preset = new if which == "new" and new is not None else self.present_preset()
         wanted = (frame, preset.alignment.geometry, image)
         if wanted != self._drawn:
             self._drawn = wanted
@@ -225,7 +237,7 @@ class CheckPage(QWidget):
         frame = self._feed.frame or self._frame()
         if not self.isVisible() or frame is None or (self._patch_job.busy and self._feed.playback.playing):
             return
-        presets = {"present": self._document.preset, "new": self.new_preset()}
+        presets = {"present": self.present_preset(), "new": self.new_preset()}
         rig, theme, finders = self._session.rig, theme_name(), self._finders
         self._patch_job.start(
             lambda _: {
@@ -234,7 +246,13 @@ class CheckPage(QWidget):
             }
         )
 
-    def _preset_changed(self, _: Preset) -> None:
+    def _file_changed(self, _: Preset) -> None:
+        self._kept = None
+        self._draw()
+
+    def _preset_changed(self, preset: Preset) -> None:
+        if preset.alignment == self._kept:  # saving was undone
+            self._kept = None
         self._show_tolerance()
         self._draw()
 

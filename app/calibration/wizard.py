@@ -13,9 +13,11 @@ from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
 from PyQt6.QtWidgets import QButtonGroup, QDialog, QFileDialog, QHBoxLayout, QStackedWidget, QVBoxLayout, QWidget
 
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
+from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
+from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import Context
@@ -83,6 +85,7 @@ class CalibrationWizard(QDialog):
         self.setWindowTitle("Calibrate – Tactune")
         self.setWindowFlag(Qt.WindowType.WindowMaximizeButtonHint)
         self._feed, self._document, self._native = feed, document, native_dialogs
+        self._dialogs = Dialogs(self, native_dialogs)
         self.outcome = Outcome()
         rig = feed.rig
         self.session = Session(rig, lambda snapshot, u, v: tactile_depth_at(snapshot.frame, rig, u, v), self)
@@ -271,12 +274,27 @@ class CalibrationWizard(QDialog):
         return QFileDialog.Option(0) if self._native else QFileDialog.Option.DontUseNativeDialog
 
     def save_into_preset(self) -> None:
-        """Save the alignment and its record in the document, as one undoable step."""
+        """Save the alignment in the document; ask first if it is worse than the present one."""
         report = self.outcome.report
         if report is None:
             return
+        errors = replacement(report, self._document.preset)
+        if errors is not None and errors.worse:
+            self._dialogs.ask(
+                "Replace the alignment",
+                "The new calibration is worse than the present alignment.",
+                f"{_both_errors(errors)}. Click the pairs with the largest residuals again, or add pairs.",
+                "Replace anyway",
+                partial(self._save, report),
+            )
+        else:
+            self._save(report)
+
+    def _save(self, report: CalibrationReport) -> None:
+        """Save the alignment and its record in the document, as one undoable step."""
         set_tolerance = self.check.set_tolerance.isChecked()
         values = preset_values(report, self._document.preset, self.session.state, set_tolerance)
+        self.check.keep_present()
         if self._document.edit_many(values):
             self.messages.show_message(
                 "saved",
@@ -315,6 +333,11 @@ def _short(report: CalibrationReport) -> str:
     word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
     return f"{word}, {report.model}: {errors}. {next_step}"
+
+
+def _both_errors(errors: Replacement) -> str:
+    """Return the errors of both alignments at the same pairs."""
+    return f"Error at the pairs: {errors.new_px:.2f} px new, {errors.present_px:.2f} px present"
 
 
 _NO_FRAME = "There is no frame to calibrate on yet: open a source first."

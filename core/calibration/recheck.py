@@ -1,4 +1,4 @@
-"""Recheck of a calibration: its points are located again in a current frame."""
+"""Recheck of a calibration: its points are located again in a current frame, or judged against a new calibration."""
 
 from __future__ import annotations
 
@@ -7,17 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..contact.alignment import tactile_homography, tactile_pose
-from ..errors import CalibrationError
+from ..errors import CalibrationError, RigMismatchError
 from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
+from .calibrate import rigid_points
 from .quality import millimetres_per_pixel
+from .report import CalibrationReport
 from .rigid import Pose, RigidPoints, color_pose, color_to_depth_pixels, ray_seen
 from .texture import measure_pairs
 
 #: Drift above which to calibrate again, pixels; or the calibration's own 95 % bound, if larger.
 RECALIBRATE_PX = 1.0
 _MIN_FOUND = 4
+#: A new calibration is worse if its error exceeds the present one's by this factor, and by this many pixels.
+_WORSE_FACTOR, _WORSE_PX = 1.2, 0.1
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,6 +113,55 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     )
 
 
+@dataclass(frozen=True)
+class Replacement:
+    """The errors of a new calibration and of the present alignment at the new calibration's pairs.
+
+    Attributes
+    ----------
+    new_px : float
+        Root mean square error at pairs that were left out of the fit, or the expected alignment error if that is
+        larger, proximity pixels. If the present alignment was fitted to some of the pairs, none is left out, so that
+        both are judged alike.
+    present_px : float
+        Root mean square distance of the pairs from the present alignment, proximity pixels.
+    """
+
+    new_px: float
+    present_px: float
+
+    @property
+    def worse(self) -> bool:
+        """Whether the new calibration is clearly worse than the present alignment."""
+        return self.new_px > max(_WORSE_FACTOR * self.present_px, self.present_px + _WORSE_PX)
+
+
+def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None:
+    """Compare a new calibration with a preset's alignment; None without a present alignment or pairs with depth."""
+    rig, chosen = report.rig, report.chosen
+    used = {pair.id for pair in chosen.pairs if pair.used}
+    pairs = [pair for pair in report.pairs if pair.id in used and pair.tactile_depth_m is not None]
+    section = preset.alignment
+    try:
+        T_p_t = tactile_pose(section, rig)
+    except RigMismatchError:
+        return None
+    if not pairs:
+        return None
+    pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
+    found, predicted = _found_and_predicted(rigid_points(pairs), preset, rig, pose)
+    present_px = float(np.sqrt(np.mean(((found - predicted) ** 2).sum(axis=1))))
+    record = section.calibration
+    stored = (
+        {(point.proximity_u, point.proximity_v, point.tactile_u, point.tactile_v) for point in record.points}
+        if (record is not None)
+        else set()
+    )
+    shared = any((*pair.proximity, *pair.tactile) in stored for pair in pairs)
+    residual_px = chosen.rms_px if shared else chosen.cross_validated_px
+    return Replacement(max(residual_px or 0.0, chosen.alignment_px), present_px)
+
+
 def _found_and_predicted(
     points: RigidPoints, preset: Preset, rig: Rig, pose: Pose
 ) -> tuple[Float64Array, Float64Array]:
@@ -118,7 +171,8 @@ def _found_and_predicted(
     space = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
     T_color_depth = color_pose(rig)
     distance = space @ T_color_depth[2, :3] + T_color_depth[2, 3]
-    found = color_to_depth_pixels(rig, points.proximity, distance)
+    from_color = color_to_depth_pixels(rig, points.proximity, distance)
+    found = np.where(points.in_color[:, None], from_color, points.proximity)
     if preset.alignment.model == "rigid":
         return found, rig.proximity.intrinsics.project(space)
     x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([points.tactile, np.ones(len(space))]).T

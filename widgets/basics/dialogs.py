@@ -58,6 +58,24 @@ class Dialogs:
         box.finished.connect(answered)
         box.open()
 
+    def ask(self, title: str, question: str, details: str, yes: str, use: Callable[[], object]) -> None:
+        """Ask before something is replaced or removed; the button ``yes`` calls ``use``, Cancel nothing."""
+        box = QMessageBox(QMessageBox.Icon.Warning, title, question, parent=self._parent)
+        box.setInformativeText(details)
+        agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
+        cancel = box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(cancel)
+        box.setEscapeButton(cancel)
+
+        def answered(_: int) -> None:
+            agreed = box.clickedButton() is agree
+            box.deleteLater()
+            if agreed:
+                use()
+
+        box.finished.connect(answered)
+        box.open()
+
     def ask_details(self, name: str, notes: str, use: Callable[[str, str], object]) -> None:
         """Ask for the name and the notes of a preset."""
         dialog = QDialog(self._parent)

@@ -11,6 +11,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from pairs import snapshot_of, with_pairs
 from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.helpers_page import Helper, HelperOptions, find_proposals
 from tactune.app.calibration.keeping import Keeper
@@ -18,38 +19,13 @@ from tactune.app.calibration.overlay import OverlayMode, make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
 from tactune.app.calibration.prediction import Alignment, proximity_partner, tactile_partner
 from tactune.app.calibration.recheck_window import RecheckWindow
-from tactune.app.calibration.session import Choices, PointPair, Session, SessionState, Snapshot
-from tactune.app.calibration.snapshots import take_snapshot
+from tactune.app.calibration.session import Choices, Session, Snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.errors import CalibrationError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
 LEFT = Qt.MouseButton.LeftButton
-
-
-def snapshot_of(frame, feed):
-    return take_snapshot([frame], frame.sequence + 1, feed.info, lambda share, words: None)
-
-
-def with_pairs(scene, frames, feed, dots=range(0, 63, 5)):
-    """A state with exact pairs on both levels."""
-    snapshots = tuple(snapshot_of(frames[level], feed) for level in (0.2, 1.0))
-    pairs = []
-    for snapshot, level in zip(snapshots, (0.2, 1.0), strict=True):
-        T = np.linalg.inv(scene.T_p_t)
-        depths = (scene.points(level) @ T[:3, :3].T + T[:3, 3])[:, 2]
-        for dot in dots:
-            pairs.append(
-                PointPair(
-                    key=len(pairs) + 1,
-                    proximity=tuple(scene.proximity_pixels(level)[dot].tolist()),
-                    tactile=tuple(scene.tactile_pixels(level)[dot].tolist()),
-                    tactile_depth_m=float(depths[dot]),
-                    snapshot=snapshot.digest,
-                )
-            )
-    return SessionState(snapshots, tuple(pairs)).with_choices(snapshot=snapshots[1].digest)
 
 
 # Frames
