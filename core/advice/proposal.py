@@ -84,6 +84,8 @@ class Finding:
         The change that mends it.
     action : str
         Name of the window's action that helps if there is no proposal, such as ``"check_cameras"``; empty for none.
+    explains_empty : bool
+        Whether it explains why no contact is found.
     """
 
     name: str
@@ -91,6 +93,7 @@ class Finding:
     sentence: str
     proposal: Proposal | None = None
     action: str = ""
+    explains_empty: bool = False
 
 
 @dataclass(frozen=True, eq=False)

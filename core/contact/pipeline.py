@@ -134,6 +134,7 @@ class ContactPipeline:
             found.skipped,
             mask=Lazy(lambda: found.contact.mask(self.rig.proximity.intrinsics.shape)),
             averaged_frames=self._average.count if self._average is not None else 1,
+            membrane=found.membrane,
         )
         return memory.patch
 

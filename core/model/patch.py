@@ -85,6 +85,34 @@ NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.floa
 
 
 @dataclass(frozen=True, eq=False)
+class MembraneFacts:
+    """What the membrane test measured in a frame besides contact.
+
+    Attributes
+    ----------
+    bias_m : float
+        Proximity less tactile depth on the same surface, as the test subtracted it, metres.
+    firm_m2 : float
+        Area of firm contact that proves the bias; 0 if it follows from the rig or from prints.
+    bias_known : bool
+        Whether firm contact, the measured rig or prints tell the bias; without them it is assumed.
+    curvature_per_m : float
+        Twice the mean curvature of the free membrane as measured; nan if it cannot be measured.
+    used_curvature_per_m : float
+        The one that the test used.
+    gap_m : float32, shape (H, W)
+        The membrane's gap to the object in equilibrium, along the normal; nan where it is not computed.
+    """
+
+    bias_m: float
+    firm_m2: float
+    bias_known: bool
+    curvature_per_m: float
+    used_curvature_per_m: float
+    gap_m: Lazy[Float32Array]
+
+
+@dataclass(frozen=True, eq=False)
 class Found:
     """What a contact test found in a frame.
 
@@ -94,12 +122,14 @@ class Found:
     make_provenance : callable
         Computes the verdict on each pixel, uint8 (H, W), when it is read.
     skipped : tuple of str
-        As in `ContactPatch`.
+    membrane : MembraneFacts or None
+        Both as in `ContactPatch`.
     """
 
     contact: Candidates
     make_provenance: Callable[[], Uint8Array]
     skipped: tuple[str, ...] = ()
+    membrane: MembraneFacts | None = None
 
 
 class ContactPatch:
@@ -121,6 +151,8 @@ class ContactPatch:
         What this frame did not need, in words, such as "no candidates".
     averaged_frames : int
         Number of frames over which depth was averaged, this one included.
+    membrane : MembraneFacts or None
+        None for another contact test, and where both depths are nowhere near each other.
     """
 
     def __init__(
@@ -134,12 +166,14 @@ class ContactPatch:
         skipped: tuple[str, ...] = (),
         mask: Lazy[BoolArray] | None = None,
         averaged_frames: int = 1,
+        membrane: MembraneFacts | None = None,
     ) -> None:
         self.sequence = sequence
         self.rig = rig
         self.stage_ms = dict(stage_ms)
         self.skipped = skipped
         self.averaged_frames = averaged_frames
+        self.membrane = membrane
         self._points = points
         self._provenance = provenance
         self._aligned = aligned
@@ -149,7 +183,7 @@ class ContactPatch:
         """Return the same patch as the result of another call."""
         return ContactPatch(
             sequence, self._points, self._provenance, self._aligned, self.rig, stage_ms, skipped, self._mask,
-            self.averaged_frames,
+            self.averaged_frames, self.membrane,
         )  # fmt: skip
 
     @property

@@ -593,13 +593,15 @@ def _prints(
     marked[pixels] = seen & in_hsv_range(colors, mask)
     image = cv2.medianBlur(marked.reshape(height, width), 5)  # closes pixels without depth
     inner = cv2.erode(image, np.ones((_PRINT_RIM_PX, _PRINT_RIM_PX), np.uint8))
-    count, labels = cv2.connectedComponents(inner)
+    _, labels, stats, _ = cv2.connectedComponentsWithStats(inner)
     depth_m = frame.proximity_depth * np.float32(camera.depth_unit_m)
     areas = pixel_areas_m2(depth_m, camera.intrinsics)
-    for label in range(1, count):
-        inside = (labels == label) & near
+    for label, (left, top, wide, high, _) in enumerate(stats[1:], start=1):
+        box = slice(top, top + high), slice(left, left + wide)
+        inside = (labels[box] == label) & near[box]
         if inside.sum() >= _PRINT_PIXELS:
-            yield float(np.median(difference[inside])), float(np.median(depth_m[inside])), float(areas[inside].sum())
+            found = difference[box][inside], depth_m[box][inside], areas[box][inside]
+            yield float(np.median(found[0])), float(np.median(found[1])), float(found[2].sum())
 
 
 def pressed_bias(frames: Sequence[SensorFrame], contact_bias: ContactBias, density_m4: float) -> MeasuredBias | None:

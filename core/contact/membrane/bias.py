@@ -99,12 +99,15 @@ class FrameBias:
         Bias of the differences, beyond the `Differences.bias_m` that was subtracted.
     firm_m2 : float
         Area of the firm contact that it was measured in; 0 if it follows from the rig's bias.
+    known : bool
+        Whether firm contact, the measured rig or prints tell it.
     part : tuple of slice
         Rows and columns of the differences that hold all pixels near the bias.
     """
 
     bias_m: float = 0.0
     firm_m2: float = 0.0
+    known: bool = True
     part: tuple[slice, slice] = (slice(None), slice(None))
 
 
@@ -154,20 +157,24 @@ def frame_bias(differences: Differences, known: RigBias, free_per_m: float, rig:
             if agrees:
                 variance = _variance_m2(known, area_m2)
                 bias_m = (bias_m / variance + prior.mean_m / prior.sigma_m**2) / (1 / variance + 1 / prior.sigma_m**2)
-            return FrameBias(bias_m, area_m2, part)
+            return FrameBias(bias_m, area_m2, part=part)
     cells, part = _cells_near(differences, prior.mean_m, free_per_m, rig)
-    return FrameBias(prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0], 0.0, part)
+    bias_m = prior.mean_m if cells is None else _joint(cells, prior.mean_m, prior)[0]
+    return FrameBias(bias_m, known=prior.measured, part=part)
 
 
 def _with_prints(known: RigBias, differences: Differences, rig: Rig) -> RigBias:
-    """Return the bias relative to that of the differences, from prints if the rig was not measured."""
+    """Return the bias relative to that of the differences, from prints if the rig was not measured.
+
+    Then it counts as measured too.
+    """
     prints = differences.on_prints_m
     if known.measured or len(prints) < _MIN_PRINT_PIXELS:
         return replace(known, mean_m=known.mean_m - differences.bias_m)
     some = differences.depth_m[_SOME]
     pixel_m = float(np.median(some[some > 0])) / rig.proximity.intrinsics.fx
     sigma_m = math.sqrt(known.noise_m4 / (len(prints) * pixel_m**2)) + _PRINT_SIGMA_M
-    return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m)
+    return replace(known, mean_m=float(np.median(prints)), sigma_m=sigma_m, measured=True)
 
 
 def most_frequent_m(differences_m: Float32Array) -> float:

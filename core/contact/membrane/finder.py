@@ -10,7 +10,7 @@ import numpy as np
 
 from ...model.arrays import BoolArray, Float32Array, Uint8Array
 from ...model.frames import Rig, SensorFrame
-from ...model.patch import NO_CANDIDATES, Candidates, Found
+from ...model.patch import NO_CANDIDATES, Candidates, Found, Lazy, MembraneFacts
 from ...model.provenance import Provenance
 from ...preset import MembraneSection, Preset
 from ...preset.membrane import LARGEST_BIAS_M, NEAR_GAP_M
@@ -23,7 +23,7 @@ from ..kernels.threads import by_rows
 from .bias import COARSE_CELL_PX, FrameBias, frame_bias, rig_bias
 from .differences import Differences, large_contacts, surface_points
 from .equilibrium import CELL_PX, FAR_M, Cells, Equilibrium, cells_of, settle, to_pixels
-from .tension import free_curvature_per_m
+from .tension import measured_curvature_per_m, usable_curvature_per_m
 
 #: Largest difference that takes part in the search for the bias, and in the equilibrium, metres.
 _WIDE_M: Final = np.float32(LARGEST_BIAS_M + 0.015)
@@ -48,6 +48,7 @@ class MembraneFinder(ContactFinder):
 
     bias: FrameBias
     _differences: Differences | None
+    _measured_per_m: float
     _free_per_m: float
     _cells: Cells | None
     _solution: Equilibrium
@@ -77,6 +78,7 @@ class MembraneFinder(ContactFinder):
                 self._solution = settle(self._cells, self.bias.bias_m, section.trust_m)
         if (cells := self._cells) is None:
             return Found(NO_CANDIDATES, lambda: self.classify(frame), ("no candidates",))
+        facts = self._facts(differences, cells)
         if due("edge"):
             self._touching = self._within_edge(cells, section.gap_m, differences)
         if due("clusters"):
@@ -87,7 +89,7 @@ class MembraneFinder(ContactFinder):
                 self._large, differences, self.bias.bias_m, weight, rig, self._workspace.buffers
             )
         found = cells, self._solution, self._touching, self._large, self._contact
-        return Found(self._contact, lambda: full_provenance(self.classify(frame), differences, *found))
+        return Found(self._contact, lambda: full_provenance(self.classify(frame), differences, *found), membrane=facts)
 
     def differences(self, frame: SensorFrame, preset: Preset) -> Differences | None:
         """Return the differences of both depths, and find the bias; None if too few pixels are usable for contact."""
@@ -97,19 +99,32 @@ class MembraneFinder(ContactFinder):
         found = self._differences_at(frame, bias_m, _WIDE_M if section.bias else np.float32(_NEAR_M), section)
         if found is None:
             return None
-        self._free_per_m = free_curvature_per_m(frame, preset.alignment, self._rig)
+        self._measured_per_m = measured_curvature_per_m(frame, preset.alignment, self._rig)
+        self._free_per_m = usable_curvature_per_m(self._measured_per_m)
         if not section.bias:
             return found
         self.bias = frame_bias(found, self._known, self._free_per_m, self._rig)
         if abs(self.bias.bias_m) <= _ALIGN_ANEW_M:
             return found.cut(self.bias.part)
         found = self._differences_at(frame, bias_m + self.bias.bias_m, _WIDE_M, section)
-        firm, self.bias = self.bias.firm_m2 > 0, FrameBias()
+        firm, self.bias = self.bias.firm_m2 > 0, FrameBias(known=self.bias.known)
         if found is None:
             return None
         if firm and (refined := frame_bias(found, self._known, self._free_per_m, self._rig)).firm_m2 > 0:
             self.bias = refined
         return found.cut(self.bias.part)
+
+    def _facts(self, differences: Differences, cells: Cells) -> MembraneFacts:
+        """Return what was measured besides contact, for messages."""
+        bias, solution, shape = self.bias, self._solution, self._rig.proximity.intrinsics.shape
+        return MembraneFacts(
+            bias_m=differences.bias_m + bias.bias_m,
+            firm_m2=bias.firm_m2,
+            bias_known=bias.known,
+            curvature_per_m=self._measured_per_m,
+            used_curvature_per_m=self._free_per_m,
+            gap_m=Lazy(lambda: gap_image(differences, cells, solution, shape)),
+        )
 
     def _within_edge(self, cells: Cells, gap_m: float, differences: Differences) -> BoolArray:
         """Return the pixels whose gap in equilibrium is small, unless the measured one is certainly larger.
@@ -227,6 +242,14 @@ def full_provenance(
     part[usable & large] = Provenance.OUTLIER
     verdicts.reshape(-1)[contact.pixels] = Provenance.CONTACT
     return verdicts
+
+
+def gap_image(differences: Differences, cells: Cells, solution: Equilibrium, shape: tuple[int, int]) -> Float32Array:
+    """Return the gap in equilibrium at each pixel of an image of this shape; nan where it is not computed."""
+    gap = np.full(shape, np.nan, np.float32)
+    within = to_pixels(cells, solution.gap_m, differences.usable.shape)[0]
+    gap[differences.place] = np.where(within < FAR_M, within, np.float32(np.nan))
+    return gap
 
 
 def firm_contact_bias(preset: Preset, rig: Rig) -> Callable[[SensorFrame], tuple[float, float] | None]:

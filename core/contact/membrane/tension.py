@@ -6,6 +6,7 @@ Only the tactile camera is used, so a bias between the cameras has no effect.
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 from typing import Final
 
@@ -30,7 +31,17 @@ LIMITS_PER_M: Final = (3.0, 40.0)
 
 
 def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
-    """Return twice the mean curvature of the free membrane, 1/m.
+    """Return twice the mean curvature of the free membrane, 1/m: as measured, within limits, or else a usual one."""
+    return usable_curvature_per_m(measured_curvature_per_m(frame, alignment, rig))
+
+
+def usable_curvature_per_m(measured_per_m: float) -> float:
+    """Return a measured curvature within limits; the usual one for nan."""
+    return USUAL_PER_M if math.isnan(measured_per_m) else float(np.clip(measured_per_m, *LIMITS_PER_M))
+
+
+def measured_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: Rig) -> float:
+    """Measure twice the mean curvature of the free membrane, 1/m; nan without enough tactile depth.
 
     It is the median over the tactile image: contact is flatter or dented, but covers less than half of what the camera
     sees, and noise has no mean.
@@ -40,7 +51,7 @@ def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: R
     camera = rig.tactile.intrinsics
     shape = camera.height // _BLOCK_PX, camera.width // _BLOCK_PX
     if min(shape) < 3:
-        return USUAL_PER_M
+        return math.nan
     counts, shares = np.empty(shape, np.float32), np.empty(shape, np.float32)
     kernels.block_means(frame.tactile_depth, _BLOCK_PX, counts, shares)
     unit_m, offset_m = rig.tactile.depth_unit_m * alignment.depth_scale, alignment.depth_offset_m
@@ -51,9 +62,7 @@ def free_curvature_per_m(frame: SensorFrame, alignment: AlignmentSection, rig: R
     bulge = np.empty(shape, np.float32)
     kernels.bulges(np.stack([x, y, z]) / np.maximum(known, np.float32(1e-6)), known, _MIN_SHARE, bulge)
     bulge = bulge[~np.isnan(bulge)]
-    if len(bulge) < _MIN_BLOCKS:
-        return USUAL_PER_M
-    return float(np.clip(np.median(bulge), *LIMITS_PER_M))
+    return float(np.median(bulge)) if len(bulge) >= _MIN_BLOCKS else math.nan
 
 
 @lru_cache(maxsize=8)

@@ -1,0 +1,43 @@
+"""A tolerance that is smaller than the noise of both cameras supports."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from ..proposal import Finding, Proposal
+from .situation import Situation
+
+#: Least share of the pixels in contact that should pass the tolerance.
+_MIN_PASSING: Final = 0.8
+#: Standard deviations of the noise that the proposed tolerance allows: 95 % of the pixels in contact pass.
+_ALLOWED_SIGMAS: Final = 2.0
+
+
+def find(situation: Situation) -> Finding | None:
+    """Return a finding if noise alone makes many pixels in contact fail the tolerance test."""
+    preset, distance_m = situation.preset, situation.distance_m
+    noise, t = preset.noise, preset.tolerance.t
+    if preset.contact_test != "tolerance" or noise is None or not distance_m > 0:
+        return None
+    sigma_m = math.hypot(noise.proximity.total_m, noise.tactile.total_m)
+    if sigma_m == 0:
+        return None
+    passing = math.erf(t * distance_m / (sigma_m * math.sqrt(2)))
+    if passing >= _MIN_PASSING:
+        return None
+    better = math.ceil(1e3 * _ALLOWED_SIGMAS * sigma_m / distance_m) / 1e3
+    measured = f"the noise of both cameras is {1e3 * sigma_m:.1f} mm"
+    return Finding(
+        name="small_tolerance",
+        field="tolerance.t",
+        sentence=f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: only {passing:.0%} of contact passes.",
+        proposal=Proposal(
+            section="tolerance",
+            changes={"tolerance.t": min(better, 1.0)},
+            label=f"t = {better:.3f}",
+            evidence=f"Measured with the rig: {measured}, one standard deviation.",
+            expected="95 % of the pixels in contact pass.",
+            weak=True,
+        ),
+    )
