@@ -13,6 +13,9 @@ from .document import Document
 
 #: Name of the side that is the document's preset and follows its edits.
 PRESENT: Final = "Present"
+#: Names of the side that was last saved, or without a file opened; it follows the next save.
+SAVED: Final = "Saved"
+OPENED: Final = "As opened"
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,20 @@ class Comparison(QObject):
 
     def __init__(self, document: Document, parent: QObject | None = None) -> None:
         super().__init__(parent)
+        self._document = document
         self._sides: Sides | None = None
         document.presetChanged.connect(self._follow)
+        document.baselineChanged.connect(self._follow)
+
+    @property
+    def present(self) -> Side:
+        """The document's preset."""
+        return Side(PRESENT, self._document.preset)
+
+    @property
+    def saved(self) -> Side:
+        """The preset as it is in the document's file; without a file, as it was opened."""
+        return Side(OPENED if self._document.path is None else SAVED, self._document.baseline)
 
     @property
     def sides(self) -> Sides | None:
@@ -81,9 +96,15 @@ class Comparison(QObject):
         """Show the present preset alone again."""
         self._set(None)
 
-    def _follow(self, preset: Preset) -> None:
+    def up_to_date(self, side: Side) -> Side:
+        """Return a side after edits and saves of the document."""
+        if side.follows:
+            return self.present
+        return self.saved if side.name in (SAVED, OPENED) else side
+
+    def _follow(self, _: Preset) -> None:
         if self._sides is not None:
-            a, b = (Side(PRESENT, preset) if side.follows else side for side in self._sides)
+            a, b = map(self.up_to_date, self._sides)
             self._set((a, b))
 
     def _set(self, sides: Sides | None) -> None:

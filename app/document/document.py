@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.advice.proposal import Proposal
-from ...core.errors import PresetError
+from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
@@ -140,6 +141,9 @@ class Document(QObject):
     def restore(self, preset: Preset, path: Path | None) -> None:
         """Restore unsaved work after a crash. It counts as unsaved."""
         self._replace(preset, path)
+        if path is not None:
+            with suppress(TactuneError):
+                self._set_baseline(load_preset(path))
         self.undo_stack.resetClean()
         self.fileChanged.emit()
 

@@ -70,9 +70,7 @@ class ComparisonControl(QObject):
 
     def show_changes(self) -> None:
         """Compare the preset as it was saved with the present one."""
-        saved = self._saved()
-        if saved is not None:
-            self._comparison.show(saved, self._present())
+        self._comparison.show(self._comparison.saved, self._comparison.present)
 
     def move_wipe(self, share: float) -> None:
         """Put the wipe at a share of the width, 0 to 1."""
@@ -122,10 +120,9 @@ class ComparisonControl(QObject):
         """Compare the same sides as last time; at first the saved preset with the present one."""
         if self._last is None:
             self.show_changes()
-            self._enable(self._running)
-            return
-        a, b = (self._present() if side.follows else side for side in self._last)
-        self._comparison.show(a, b)
+        else:
+            a, b = map(self._comparison.up_to_date, self._last)
+            self._comparison.show(a, b)
 
     def _changed(self, sides: Sides | None) -> None:
         self._context.worker.set_compared(sides)
@@ -133,13 +130,15 @@ class ComparisonControl(QObject):
             self._last = sides
             self._panel.show_sides(sides)
             for index in (0, 1):
-                self._offer(index)
+                if self._panel.boxes[index].currentText() != sides[index].name:
+                    self._offer(index)
         if (sides is not None) == self._running:
             return
         self._running = sides is not None
         self._enable(self._running)
         if self._running:
-            self.show_mode(self._mode)
+            self._share = 0.5
+            self.show_mode(Shown.WIPE)
         self.wantedChanged.emit()
         self.runningChanged.emit(self._running)
 
@@ -169,8 +168,11 @@ class ComparisonControl(QObject):
         sides = self._comparison.sides
         if sides is None:
             return
-        own: list[Offer] = [(PRESENT, lambda: self._choose(index, self._present()))]
-        own.append((self._saved_name(), lambda: self._choose(index, self._saved())))
+        comparison = self._comparison
+        own: list[Offer] = [
+            (PRESENT, lambda: self._choose(index, comparison.present)),
+            (comparison.saved.name, lambda: self._choose(index, comparison.saved)),
+        ]
         history = [
             Side(f"Step {number}: {text}" if number else "Step 0: as opened", preset)
             for number, (text, preset) in enumerate(self._document.history())
@@ -184,38 +186,21 @@ class ComparisonControl(QObject):
         others.append(("File…", partial(self._ask_file, index)))
         self._panel.boxes[index].offer([own, steps if len(history) > 1 else [], others], sides[index])
 
-    def _choose(self, index: int, side: Side | None) -> None:
-        """Compare with another side; without one, show the former one in the list again."""
-        sides = self._comparison.sides
-        if sides is None:
-            return
-        if side is not None:
-            a, b = (side if place == index else other for place, other in enumerate(sides))
+    def _choose(self, index: int, side: Side) -> None:
+        """Compare with another side."""
+        if self._comparison.sides is not None:
+            a, b = (side if place == index else other for place, other in enumerate(self._comparison.sides))
             self._comparison.show(a, b)
-        self._offer(index)
-
-    def _present(self) -> Side:
-        return Side(PRESENT, self._document.preset)
-
-    def _saved_name(self) -> str:
-        return "As opened" if self._document.path is None else "Saved"
-
-    def _saved(self) -> Side | None:
-        """Return the preset in the document's file, or as it was opened; None if the file cannot be read."""
-        path = self._document.path
-        if path is None:
-            return Side(self._saved_name(), self._document.baseline)
-        return self._read(self._saved_name(), path)
+            self._offer(index)
 
     def _load(self, index: int, name: str, place: Path | str) -> None:
-        self._choose(index, self._read(name, place))
-
-    def _read(self, name: str, place: Path | str) -> Side | None:
         try:
-            return Side(name, load_preset(place))
+            side = Side(name, load_preset(place))
         except TactuneError as error:
-            self._context.messages.show_message("comparison", Severity.ERROR, f"Nothing was compared. {error}")
-            return None
+            self._context.messages.show_message("comparison", Severity.ERROR, str(error))
+            self._offer(index)
+        else:
+            self._choose(index, side)
 
     def _ask_file(self, index: int) -> None:
         folder = Path(self._context.settings.text("folder/preset", str(Path.home())))

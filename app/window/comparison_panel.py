@@ -130,6 +130,10 @@ class ComparisonPanel(QWidget):
         self.numbers: dict[tuple[str, int], QLabel] = {}
         self.agreement = QLabel()
         self.heading = QLabel()
+        self.problem = QLabel()
+        self.problem.setTextFormat(Qt.TextFormat.PlainText)
+        self.problem.setWordWrap(True)
+        self.problem.hide()
         self.table = self._make_table()
         layout = QVBoxLayout(self)
         layout.setContentsMargins(4, 4, 4, 4)
@@ -138,6 +142,7 @@ class ComparisonPanel(QWidget):
         layout.addLayout(self._side_rows())
         layout.addLayout(self._mode_row())
         layout.addLayout(self._number_rows())
+        layout.addWidget(self.problem)
         layout.addWidget(self.heading)
         layout.addWidget(self.table, 1)
         self.setAccessibleName("Comparison of two presets")
@@ -174,6 +179,10 @@ class ComparisonPanel(QWidget):
                 self.numbers[name, column].setText(text)
                 self.numbers[name, column].setToolTip(side.problem or _NUMBERS[name])
         self.agreement.setText("–" if overlap is None else f"{overlap.iou:.3f}")
+        sides = (("A", compared.a), ("B", compared.b))
+        problems = [f"{letter}: {side.problem}" for letter, side in sides if side.problem]
+        self.problem.setText("\n".join(problems))
+        self.problem.setVisible(bool(problems))
 
     # Building
 
@@ -271,7 +280,7 @@ def _numbers_of(side: ComparedSide) -> tuple[str, str, str]:
     """Return area, points and time of a side."""
     if side.patch is None:
         return "–", "–", "–"
-    return _square_cm(side.patch.area_mm2), f"{len(side.patch.points):,}", f"{side.ms:.1f} ms"
+    return _square_cm(side.area_mm2), f"{len(side.patch.points):,}", f"{side.ms:.1f} ms"
 
 
 def _square_cm(area_mm2: float | None) -> str:

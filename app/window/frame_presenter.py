@@ -7,6 +7,7 @@ import time
 
 from PyQt6.QtCore import QObject, QTimer
 
+from ...core.contact.pipeline import ContactPatch
 from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
 from ...widgets.basics.message_bar import Severity
@@ -80,11 +81,12 @@ def source_sentence(state: SourceState) -> str:
     return "" if sentence and sentence.rstrip(".") in said else sentence
 
 
-def readout(result: Result, u: int, v: int) -> str:
+def readout(patch: ContactPatch | None, u: int, v: int) -> str:
     """Return both distances at a proximity pixel, their difference, and why it was kept or dropped."""
-    patch = result.patch
-    height, width = result.frame.proximity_depth.shape
-    if patch is None or not (0 <= u < width and 0 <= v < height):
+    if patch is None:
+        return ""
+    height, width = patch.rig.proximity.intrinsics.shape
+    if not (0 <= u < width and 0 <= v < height):
         return ""
     expected, measured = float(patch.aligned.expected_m[v, u]), float(patch.aligned.measured_m[v, u])
     relative = float(patch.relative_difference[v, u])
@@ -187,6 +189,7 @@ class FramePresenter(QObject):
         self._share = share
         self._views.set_wipe(self._wipe())
         self._strip.set_wipe(self._wipe())
+        self._show_readout()
 
     def _wipe(self) -> Wipe | None:
         """Return the wipe over the frame on the screen; None unless it was processed with two presets."""
@@ -216,4 +219,13 @@ class FramePresenter(QObject):
         self._show_readout()
 
     def _show_readout(self) -> None:
-        self._strip.set_readout(readout(self._context.result, *self._pixel) if self._context.result is not None else "")
+        result = self._context.result
+        if result is None:
+            self._strip.set_readout("")
+        elif result.compared is None:
+            self._strip.set_readout(readout(result.patch, *self._pixel))
+        else:
+            right = self._strip.right_of_wipe(self._pixel[0])
+            letter, side = ("B", result.compared.b) if right else ("A", result.compared.a)
+            text = readout(side.patch, *self._pixel)
+            self._strip.set_readout(text and f"{letter}   {text}")

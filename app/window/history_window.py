@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QVBoxLayout, QWidget
 
@@ -19,6 +20,7 @@ class HistoryWindow(QDialog):
         self.view = QUndoView(document.undo_stack)
         self.view.setEmptyLabel("As opened")
         self.view.setCleanIcon(icon("saved"))
+        self.view.setIconSize(QSize(12, 12))
         self.view.setAccessibleName("Steps of the undo history")
         self.view.setToolTip("Click a step to go back or forward to it; the mark shows what is saved")
         note = QLabel("Click a step to go back or forward to it. The mark shows what is saved.")

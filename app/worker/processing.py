@@ -150,8 +150,9 @@ class FrameProcessor:
             self._renderer.widen_depth_range(frame, finder.preset, rig)
         a, b = (
             ComparedSide(
-                replace(side, preset=finder.preset), finder.patch, finder.problem, finder.ms,
-                self._render(finder, frame, rig, wanted),
+                replace(side, preset=finder.preset), finder.patch, finder.problem,
+                finder.patch.area_mm2 if finder.patch is not None else 0.0, finder.ms,
+                self._render(finder, frame, rig, wanted if side.follows else replace(wanted, histogram=False)),
             )
             for side, finder in zip(sides, finders, strict=True)
         )  # fmt: skip

@@ -203,7 +203,7 @@ class ComparedSide:
 
     Attributes
     ----------
-    patch, problem
+    patch, area_mm2, problem
         As in `Result`.
     ms : float
         Time of the contact test on this frame; steps that were cached count as when they were last computed.
@@ -212,6 +212,7 @@ class ComparedSide:
     side: Side
     patch: ContactPatch | None
     problem: str
+    area_mm2: float
     ms: float
     rendered: Rendered
 

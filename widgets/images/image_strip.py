@@ -109,6 +109,11 @@ class ImageStrip(QWidget):
         for pane in self.panes.values():
             pane.set_wipe(wipe)
 
+    def right_of_wipe(self, u: int) -> bool:
+        """Whether a pixel column shows the right side."""
+        line = self.panes["color"].wipe_line
+        return bool(line.isVisible() and u > line.value())
+
     def set_badge(self, text: str) -> None:
         """Mark the images as old with this text; an empty text removes the mark."""
         for pane in self.panes.values():

@@ -1,0 +1,297 @@
+"""Two presets compared: their patches, and everything that a person does with mouse and keys."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+
+from hands import CONTROL, LEFT, drag_slider, shows_preset_of_document, tolerance_slider, type_path
+from tactune.app.document.comparison import Side
+from tactune.app.worker.playback import PlaybackState
+from tactune.app.worker.processing import FrameProcessor
+from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.clouds import pixel_areas_m2
+from tactune.core.preset import Preset
+from tactune.core.preset.file import save_preset
+from tactune.widgets.basics.colormaps import BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW
+from tiny_sensor import tiny_frame, tiny_rig
+
+ALT = Qt.KeyboardModifier.AltModifier
+RIG = tiny_rig()
+INFO = SourceInfo("tiny", RIG, 8, 30.0)
+
+
+def assert_same(patch, expected):
+    assert patch.points.tobytes() == expected.points.tobytes()
+    assert (patch.provenance == expected.provenance).all()
+    assert (patch.mask == expected.mask).all()
+    assert patch.averaged_frames == expected.averaged_frames
+
+
+# The worker's part
+
+
+def test_both_sides_are_bit_identical_with_a_pipeline_of_their_own(preset):
+    """Presets that average frames get every frame once and in order, whichever side they are on."""
+    averaging = Preset().with_values({"membrane.frames": 4, "membrane.bias": False})
+    shorter = averaging.with_value("membrane.frames", 2)
+    a, b = Side("A", averaging), Side("B", shorter)
+    alone = [ContactPipeline(averaging, RIG), ContactPipeline(shorter, RIG)]
+    processor = FrameProcessor()
+    for index in range(6):
+        frame = tiny_frame(index, RIG)
+        sides = (a, b) if index != 3 else (b, a)
+        result = processor.process(INFO, frame, preset, Wanted(), PlaybackState(index), compared=sides)
+        again = processor.process(INFO, frame, preset, Wanted(), PlaybackState(index), compared=sides)
+        patches = [pipeline.process(frame) for pipeline in alone]
+        by_name = {side.side.name: side for side in (result.compared.a, result.compared.b)}
+        assert_same(by_name["A"].patch, patches[0])
+        assert_same(by_name["B"].patch, patches[1])
+        assert_same(result.patch, ContactPipeline(preset, RIG).process(frame))
+        assert again.compared.a.ms == result.compared.a.ms > 0, "a cached step counts as when it was computed"
+    assert by_name["A"].patch.averaged_frames == 4
+    assert processor.process(INFO, frame, preset, Wanted(), PlaybackState()).compared is None
+
+
+def test_a_side_that_does_not_fit_the_rig_says_why_and_the_other_one_is_shown(preset):
+    wrong = preset.model_copy(update={"rig": tiny_rig(width=32)})
+    sides = Side("Present", preset), Side("Wrong", wrong)
+    compared = FrameProcessor().process(INFO, tiny_frame(3, RIG), preset, Wanted(), PlaybackState(), compared=sides)
+    compared = compared.compared
+    assert len(compared.a.patch.points) > 0
+    assert compared.b.patch is None
+    assert "32" in compared.b.problem
+    assert compared.overlap is None
+
+
+# The window
+
+
+@pytest.fixture
+def edited(window, qtbot):
+    """A window whose t was raised from 0.03 to 0.1, so that more is in contact than was saved."""
+    window.document.edit("tolerance.t", 0.1)
+    qtbot.waitUntil(lambda: shows_preset_of_document(window))
+    return window
+
+
+@pytest.fixture
+def compared(edited, qtbot):
+    """The same window while it compares the preset as opened (A) with the present one (B)."""
+    QTest.keyClick(edited, Qt.Key.Key_D, CONTROL)
+    qtbot.waitUntil(lambda: edited.result.compared is not None)
+    return edited
+
+
+def choose_in_menu(window, title, action):
+    """Open a menu of the menu bar with the mouse, and click an entry."""
+    bar = window.menuBar()
+    [entry] = [entry for entry in bar.actions() if entry.text() == title]
+    QTest.mouseClick(bar, LEFT, pos=bar.actionGeometry(entry).center())
+    menu = entry.menu()
+    QTest.mouseClick(menu, LEFT, pos=menu.actionGeometry(action).center())
+
+
+def test_what_changed_since_save_from_the_menu(edited, qtbot):
+    choose_in_menu(edited, "&Edit", edited.actions_.changes_since_save)
+    qtbot.waitUntil(lambda: edited.result.compared is not None)
+    shown, panel = edited.result.compared, edited.comparison_panel
+    assert (shown.a.side.name, shown.b.side.name) == ("As opened", "Present")
+    for side in (shown.a, shown.b):
+        assert_same(side.patch, ContactPipeline(side.side.preset, RIG).process(edited.result.frame))
+    assert len(shown.b.patch.points) > len(shown.a.patch.points)
+    assert panel.isVisible()
+    assert [panel.table.item(0, column).text() for column in range(3)] == ["Tolerance t", "0.03", "0.1"]
+    assert panel.table.rowCount() == 1
+    only_b = shown.b.patch.mask & ~shown.a.patch.mask
+    depth_m = shown.b.patch.points[only_b[shown.b.patch.mask], 2]
+    area_cm2 = 1e4 * pixel_areas_m2(depth_m, RIG.proximity.intrinsics).sum()
+    assert panel.numbers["Not in the other", 1].text() == f"{area_cm2:.2f} cm²"
+    assert panel.numbers["Not in the other", 0].text() == "0.00 cm²"
+    assert panel.numbers["Points", 0].text() == f"{len(shown.a.patch.points):,}"
+    share = len(shown.a.patch.points) / len(shown.b.patch.points)
+    assert panel.agreement.text() == f"{share:.3f}"
+    assert edited.result.patch is shown.b.patch, "other windows go on with the present preset"
+
+
+def test_drag_the_wipe_in_a_view_and_all_views_and_images_follow(compared, qtbot):
+    views = compared.views.views
+    canvas = views["tactile"].findChild(object, "canvas")
+    width, height = canvas.width(), canvas.height()
+    QTest.mousePress(canvas, LEFT, pos=QPoint(width // 2, height // 3))
+    QTest.mouseMove(canvas, QPoint(width // 4, height // 3))
+    QTest.mouseRelease(canvas, LEFT, pos=QPoint(width // 4, height // 3))
+    for view in views.values():
+        assert view.wipe().share == pytest.approx(0.25, abs=0.02)
+    for pane in compared.strip.panes.values():
+        rect = pane.box.viewRect()
+        assert (pane.wipe_line.value() - rect.left()) / rect.width() == pytest.approx(0.25, abs=0.02)
+    QTest.keyClick(compared, Qt.Key.Key_Right, ALT)
+    assert views["patch"].wipe().share == pytest.approx(0.3, abs=0.02)
+    QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
+    QTest.keyClick(compared, Qt.Key.Key_Left, ALT)
+    assert views["patch"].wipe().share == pytest.approx(0.2, abs=0.02)
+    patches = compared.result.compared
+    assert views["patch"].cloud() is patches.a.rendered.clouds["patch"]
+    assert views["patch"].right_cloud() is patches.b.rendered.clouds["patch"]
+
+
+def test_one_key_shows_a_then_b_then_the_wipe_again(compared):
+    view, modes = compared.views.views["patch"], compared.comparison_panel.modes
+    points = [len(side.patch.points) for side in (compared.result.compared.a, compared.result.compared.b)]
+    assert modes["wipe"].isChecked()
+    for mode, share, count in (("A", 1.0, points[0]), ("B", 0.0, points[1]), ("wipe", 0.5, points[0])):
+        QTest.keyClick(compared, Qt.Key.Key_C)
+        assert modes[mode].isChecked()
+        assert view.wipe().share == share
+        assert view.point_count() == count
+
+
+def test_the_difference_of_both_patches_has_three_colours_and_a_legend(compared, qtbot):
+    QTest.mouseClick(compared.comparison_panel.modes["difference"], LEFT)
+    qtbot.waitUntil(lambda: compared.result.compared.difference is not None)
+    view, shown = compared.views.views["patch"], compared.result.compared
+    a, b = shown.a.patch.mask, shown.b.patch.mask
+    index = view.cloud().index
+    for row, where in ((BOTH_ROW, a & b), (ONLY_A_ROW, a & ~b), (ONLY_B_ROW, b & ~a)):
+        assert ((index == row) == where).all()
+    assert [text for text, _ in view.legend()] == ["both", "only A", "only B"]
+    assert view.wipe() is None
+    assert compared.views.views["proximity"].wipe() is not None
+    QTest.keyClick(compared, Qt.Key.Key_D)
+    qtbot.waitUntil(lambda: compared.result.compared.difference is None)
+    assert view.wipe().share == 0.5
+    assert [text for text, _ in view.legend()] == ["contact", "not touching"]
+
+
+def test_the_present_side_follows_a_slider(compared, qtbot):
+    drag_slider(tolerance_slider(compared), 0.8, 0.7, 0.5)
+    qtbot.waitUntil(lambda: shows_preset_of_document(compared))
+    shown, present = compared.result.compared, compared.document.preset
+    assert shown.b.side.preset is present
+    assert_same(shown.b.patch, ContactPipeline(present, RIG).process(compared.result.frame))
+    assert compared.context.comparison.sides[1].preset is present
+    assert shown.a.side.preset.tolerance.t == 0.03
+    assert compared.comparison_panel.table.item(0, 2).text() == f"{present.tolerance.t:g}"
+
+
+def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):
+    before = compared.document.preset
+    assert not compared.comparison_panel.use[1].isEnabled(), "B is the present preset already"
+    QTest.mouseClick(compared.comparison_panel.use[0], LEFT)
+    assert compared.document.preset.tolerance.t == 0.03
+    assert compared.document.undo_stack.undoText() == "Use As opened"
+    qtbot.waitUntil(lambda: shows_preset_of_document(compared) and compared.result.compared is None)
+    assert not compared.comparison_panel.isVisible()
+    assert compared.views.views["patch"].wipe() is None
+    QTest.keyClick(compared, Qt.Key.Key_Z, CONTROL)
+    assert compared.document.preset == before
+
+
+def test_escape_ends_it_and_the_menu_takes_it_up_again(compared, qtbot):
+    QTest.mouseClick(compared.comparison_panel.swap, LEFT)
+    QTest.keyClick(compared.comparison_panel.table, Qt.Key.Key_Escape)
+    assert compared.context.comparison.sides is None
+    qtbot.waitUntil(lambda: compared.result.compared is None)
+    assert not compared.actions_.compare.isChecked()
+    choose_in_menu(compared, "&Edit", compared.actions_.compare)
+    qtbot.waitUntil(lambda: compared.result.compared is not None)
+    assert [side.name for side in compared.context.comparison.sides] == ["Present", "As opened"]
+    QTest.mouseClick(compared.comparison_panel.close_button, LEFT)
+    assert compared.context.comparison.sides is None
+
+
+def test_a_step_of_the_history_a_shipped_preset_and_a_file_can_be_compared(compared, qtbot, tmp_path):
+    document, box = compared.document, compared.comparison_panel.boxes[0]
+    document.edit("outliers.enabled", True)
+
+    def choose(name):
+        box.setFocus()
+        QTest.keyClick(box, Qt.Key.Key_Space)
+        qtbot.waitUntil(box.view().isVisible)
+        row = box.findText(name)
+        assert row >= 0, f"{name} is among {[box.itemText(index) for index in range(box.count())]}"
+        box.view().setCurrentIndex(box.model().index(row, 0))
+        QTest.keyClick(box.view(), Qt.Key.Key_Return)
+
+    def side():
+        return compared.result.compared.a.side
+
+    choose("Step 1: Tolerance t 0.1")
+    qtbot.waitUntil(lambda: side().name == "Step 1: Tolerance t 0.1")
+    assert side().preset == document.history()[1][1]
+    assert compared.comparison_panel.table.rowCount() == 1, "only the outliers differ"
+    choose("Shipped: default")
+    qtbot.waitUntil(lambda: side().name == "Shipped: default")
+    assert side().preset.contact_test == "membrane"
+    file = tmp_path / "other.json"
+    save_preset(document.preset.with_value("tolerance.t", 0.07), file)
+    choose("File…")
+    type_path(qtbot, file)
+    qtbot.waitUntil(lambda: side().name == "other.json")
+    assert side().preset.tolerance.t == 0.07
+    assert box.currentText() == "other.json"
+
+
+def test_a_file_that_is_no_preset_is_refused_in_one_sentence(compared, qtbot, tmp_path):
+    broken = tmp_path / "broken.json"
+    broken.write_text("{}")
+    before = compared.context.comparison.sides
+    box = compared.comparison_panel.boxes[0]
+    box.setCurrentIndex(box.findText("File…"))
+    box.activated.emit(box.currentIndex())
+    type_path(qtbot, broken)
+    qtbot.waitUntil(lambda: any("broken.json" in sentence for sentence in compared.messages.sentences()))
+    assert compared.context.comparison.sides == before
+    assert box.currentText() == "As opened"
+
+
+def test_after_saving_nothing_has_changed(compared, qtbot, tmp_path):
+    compared.document.save(tmp_path / "kept.json")
+    assert [side.name for side in compared.context.comparison.sides] == ["Saved", "Present"]
+    assert compared.comparison_panel.heading.text() == "No field differs"
+    assert compared.comparison_panel.boxes[0].currentText() == "Saved"
+
+
+def test_a_click_in_the_history_goes_back_to_a_step(edited, qtbot):
+    document = edited.document
+    document.edit("outliers.enabled", True)
+    choose_in_menu(edited, "&Edit", edited.actions_.history)
+    history = edited.history
+    qtbot.waitUntil(history.isVisible)
+    view = history.view
+    assert [view.model().index(row, 0).data() for row in range(3)] == [
+        "As opened", "Tolerance t 0.1", document.undo_stack.text(1),
+    ]  # fmt: skip
+    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(1, 0)).center())
+    assert document.preset.tolerance.t == 0.1
+    assert not document.preset.outliers.enabled
+    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(0, 0)).center())
+    assert not document.dirty
+    QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(2, 0)).center())
+    assert document.preset.outliers.enabled
+    QTest.keyClick(history, Qt.Key.Key_Z, CONTROL)
+    assert not document.preset.outliers.enabled, "undo works in the list too"
+
+
+def test_the_panel_stays_when_the_parameters_are_hidden(compared):
+    QTest.keyClick(compared, Qt.Key.Key_P, CONTROL)
+    assert not compared.panel.isVisible()
+    assert compared.comparison_panel.isVisible()
+    QTest.keyClick(compared, Qt.Key.Key_Escape)
+    assert not compared.beside.isVisible()
+
+
+def test_pointing_at_an_image_reads_the_side_under_the_mouse(compared, qtbot):
+    strip = compared.strip
+    shown = compared.result.compared
+    v, u = np.argwhere(shown.b.patch.mask & ~shown.a.patch.mask)[0]
+    strip.setFocus()
+    strip.panes["color"].hovered.emit(int(u), int(v))
+    for share, letter, verdict in ((1.0, "A", "Dropped"), (0.0, "B", "Kept")):
+        compared.comparison.move_wipe(share)
+        assert strip.readout.text().startswith(letter)
+        assert verdict in strip.readout.text()

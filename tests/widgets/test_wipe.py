@@ -1,0 +1,132 @@
+"""The wipe: two sides in one view, the same in both back ends, and dragged with the mouse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QImage
+from PyQt6.QtTest import QTest
+from pytestqt.qtbot import QtBot
+
+from seen_clouds import FRONT, GREEN, RED, canvas_of, cloud_of, colored, drag, picture, red_wall, shown, wall
+from tactune.widgets.basics.wipe import Wipe
+from tactune.widgets.clouds.cloud_data import DepthCloud
+from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
+from tactune.widgets.images.image_strip import ImageStrip, RenderedStrip
+
+LEFT = Qt.MouseButton.LeftButton
+#: Width of what the wipe paints beside its line, in pixels, and height of the names above.
+GRIP, NAMES = 10, 40
+
+
+def green_wall() -> DepthCloud:
+    return cloud_of(wall(), index=np.zeros((48, 64), np.uint8), lut=colored(GREEN))
+
+
+@pytest.fixture
+def view(backend: BackendChoice, qtbot: QtBot) -> CloudView:
+    made = shown(qtbot, CloudView("Patch", backend))
+    made.set_camera(FRONT)
+    made.set_cloud(red_wall())
+    return made
+
+
+@pytest.mark.parametrize("share", [0.0, 0.35, 0.8, 1.0])
+def test_each_side_is_what_its_cloud_alone_shows(view: CloudView, share: float) -> None:
+    red = picture(view)
+    view.set_cloud(green_wall())
+    green = picture(view)
+    view.set_cloud(red_wall())
+    view.set_wipe(Wipe(share, "A", "B"))
+    view.set_right(green_wall())
+    both = picture(view)
+    line = round(share * both.shape[1])
+    left, right = np.s_[NAMES:, : max(line - GRIP, 0)], np.s_[NAMES:, line + GRIP :]
+    assert (both[left] == red[left]).all()
+    assert (both[right] == green[right]).all()
+    assert (both[NAMES:] == RED).all(axis=2).any() == (share > 0)
+    assert (both[NAMES:] == GREEN).all(axis=2).any() == (share < 1)
+    view.set_wipe(None)
+    assert (picture(view) == red).all()
+    assert view.right_cloud() is None
+
+
+def test_the_line_is_dragged_and_the_camera_stays(view: CloudView) -> None:
+    shares: list[float] = []
+    view.set_wipe(Wipe(0.5, "A", "B"))
+    view.wipeDragged.connect(shares.append)
+    width = canvas_of(view).width()
+    before = view.camera()
+    drag(view, (width // 2, 150), (width // 4, 150), LEFT)
+    assert shares[-1] == pytest.approx(0.25, abs=0.01)
+    assert view.camera() == before
+    drag(view, (width // 8, 150), (width // 8 + 40, 150), LEFT)
+    assert view.camera() != before, "beside the line a drag orbits"
+
+
+def test_a_side_without_points_says_why_while_it_is_alone(view: CloudView) -> None:
+    empty = cloud_of(wall(0), index=np.zeros((48, 64), np.uint8), lut=colored(RED))
+    view.set_wipe(Wipe(0.5, "A", "B"))
+    view.set_right(empty, "Nothing in contact")
+    assert view.message() == ""
+    view.set_wipe(Wipe(0.0, "A", "B"))
+    assert view.message() == "Nothing in contact"
+    assert view.point_count() == 0
+
+
+def flat(rgb: tuple[int, int, int]) -> RenderedStrip:
+    red, green, blue = rgb
+    pixels = np.full((48, 64, 4), (blue, green, red, 255), np.uint8)
+    return RenderedStrip((pixels,) * 4, (64, 48), 1, (0.2, 0.3), 0.02, 0.1)
+
+
+def rgb_at(pane: object, place: QPoint) -> tuple[int, int, int]:
+    image = pane.view.viewport().grab().toImage().convertToFormat(QImage.Format.Format_RGB888)  # type: ignore[attr-defined]
+    color = image.pixelColor(place)
+    return color.red(), color.green(), color.blue()
+
+
+def test_all_images_are_divided_at_the_same_share_also_when_zoomed(qtbot: QtBot) -> None:
+    strip = ImageStrip()
+    strip.resize(1000, 260)
+    qtbot.addWidget(strip)
+    with qtbot.waitExposed(strip):
+        strip.show()
+    strip.set_images(flat(RED), flat(GREEN))
+    strip.set_wipe(Wipe(0.25, "A", "B"))
+    for zoomed in (False, True):
+        if zoomed:
+            strip.setFocus()
+            QTest.keyClick(strip, Qt.Key.Key_Plus)
+        for pane in strip.panes.values():
+            viewport = pane.view.viewport()
+            middle = viewport.height() // 2
+            assert rgb_at(pane, QPoint(viewport.width() // 4 - 8, middle)) == RED
+            assert rgb_at(pane, QPoint(viewport.width() // 4 + 8, middle)) == GREEN
+    assert strip.right_of_wipe(40)
+    assert not strip.right_of_wipe(2)
+    strip.set_wipe(None)
+    assert rgb_at(pane, QPoint(viewport.width() // 2 + 8, middle)) == RED
+
+
+def test_the_line_is_dragged_in_an_image(qtbot: QtBot) -> None:
+    strip = ImageStrip()
+    strip.resize(1000, 260)
+    qtbot.addWidget(strip)
+    with qtbot.waitExposed(strip):
+        strip.show()
+    strip.set_images(flat(RED), flat(GREEN))
+    strip.set_wipe(Wipe(0.5, "A", "B"))
+    shares: list[float] = []
+    strip.wipeDragged.connect(shares.append)
+    viewport = strip.panes["tactile"].view.viewport()
+    middle = viewport.height() // 2
+    start = QPoint(viewport.width() // 2, middle)
+    QTest.mouseMove(viewport, start)
+    QTest.mousePress(viewport, LEFT, pos=start)
+    for step in range(1, 6):
+        QTest.mouseMove(viewport, start + QPoint(step * viewport.width() // 20, 0))
+    QTest.mouseRelease(viewport, LEFT, pos=start + QPoint(viewport.width() // 4, 0))
+    assert shares
+    assert shares[-1] == pytest.approx(0.75, abs=0.03)
