@@ -19,7 +19,7 @@ from ...widgets.images.marks import Mark, MarkKind
 from ..worker.jobs import Job
 from .pictures import membrane_grid, tactile_depth_at
 from .prediction import Alignment
-from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot
+from .session import ImageChoice, PointPair, Session, SessionState, Side, Snapshot, count_pairs
 
 if TYPE_CHECKING:
     from ...core.calibration import CalibrationReport
@@ -241,7 +241,9 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
     pairs = state.complete_pairs
     enabled = sum(pair.enabled for pair in pairs)
     if enabled < MIN_PAIRS:
-        return Outcome(pairs, sentence=f"{_pairs(enabled)}; {_pairs(MIN_PAIRS - enabled)} more for a first fit.")
+        return Outcome(
+            pairs, sentence=f"{count_pairs(enabled)}; {count_pairs(MIN_PAIRS - enabled)} more for a first fit."
+        )
     report = calibrate(
         correspondences(state, rig),
         rig,
@@ -354,7 +356,7 @@ def _line(report: CalibrationReport) -> str:
     """Summarise the fit in one line."""
     chosen = report.chosen
     used = sum(pair.used for pair in chosen.pairs)
-    parts = [f"{report.model}, {_pairs(used)}"]
+    parts = [f"{report.model}, {count_pairs(used)}"]
     if chosen.rms_px is None:
         parts.append("an exact fit says nothing about quality: click at least six pairs")
     else:
@@ -365,7 +367,3 @@ def _line(report: CalibrationReport) -> str:
     if chosen.excluded:
         parts.append(f"{len(chosen.excluded)} excluded")
     return ", ".join(parts)
-
-
-def _pairs(number: int) -> str:
-    return "1 pair" if number == 1 else f"{number} pairs"

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from math import nan
 
-from PyQt6.QtCore import QSignalBlocker, Qt
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
@@ -169,8 +169,8 @@ _SIZES = {
 }
 _DICTIONARIES = ("DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_ARUCO_ORIGINAL")
 _ADVICE = (
-    "Click a green ring, or its check mark in the table, to refuse a proposal or restore it. Proposals are used "
-    "only after you accept them."
+    "Click a green ring, or its check mark in the table, to refuse a proposal or restore it. Accept, or the next "
+    "page, adds the green ones as pairs."
 )
 _INTRO = "Press Find; what is found is drawn in green. " + _ADVICE
 #: Above this number of rings, their numbers are hidden.
@@ -178,7 +178,15 @@ _MAX_LABELS = 120
 
 
 class HelpersPage(QWidget):
-    """Choice of helper at the left, proposals over both images at the right."""
+    """Choice of helper at the left, proposals over both images at the right.
+
+    Signals
+    -------
+    accepted(keys: tuple of int)
+        Proposals were added to the session as these pairs.
+    """
+
+    accepted = pyqtSignal(object)
 
     def __init__(self, session: Session, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -308,7 +316,7 @@ class HelpersPage(QWidget):
         self.table.selectionEdited.connect(lambda _: self._show_proposals())
         session.changed.connect(self._show_state)
         self._job.progress.connect(self._show_progress)
-        self._job.done.connect(self._take)
+        self._job.done.connect(self._found)
         self._job.failed.connect(self._failed)
         self._job.busyChanged.connect(lambda _: self._show_busy())
         self._show_busy()
@@ -333,6 +341,7 @@ class HelpersPage(QWidget):
         if accepted:
             self._session.add_pairs(accepted, f"Accept {len(accepted)} proposals")
             self._take(Proposals((), f"{len(accepted)} pairs were added; undo removes them."))
+            self.accepted.emit(self._session.selected)
 
     # Display
 
@@ -396,6 +405,17 @@ class HelpersPage(QWidget):
         self.progress.setVisible(busy)
         self.cancel.setVisible(busy)
         self.search.setEnabled(not busy and bool(self._session.state.snapshots))
+
+    def _found(self, proposals: Proposals) -> None:
+        """Propose what the session does not have yet. On another page the proposals are accepted at once."""
+        have = {(pair.snapshot, pair.proximity, pair.tactile) for pair in self._session.state.pairs}
+        new = tuple(pair for pair in proposals.pairs if (pair.snapshot, pair.proximity, pair.tactile) not in have)
+        known = len(proposals.pairs) - len(new)
+        self._take(
+            Proposals(new, f"{proposals.words} {known} of them are pairs already." if known else proposals.words)
+        )
+        if not self.isVisible():
+            self.accept_proposals()
 
     def _take(self, proposals: Proposals) -> None:
         self._pairs, self._refused = proposals.pairs, frozenset()

@@ -78,8 +78,6 @@ class PointsPage(QWidget):
         self.arrows.setToolTip(
             "Arrows in the left image point from each click to its fitted position, enlarged by this factor"
         )
-        self.undo = _button("Undo", "Undo (Ctrl+Z)")
-        self.redo = _button("Redo", "Redo (Ctrl+Shift+Z)")
         self.whole = _button("Whole", "Fit both images into view (0)")
         self.load = _button("Import…", "Read pairs from a CSV or a QGIS .points file")
         self.store = _button("Export…", "Write the pairs to a CSV or a QGIS .points file")
@@ -93,7 +91,7 @@ class PointsPage(QWidget):
         for widget in (self.stretch, self.snap, self.link, self.loupe, self.arrows, self.whole):
             tools.addWidget(widget)
         tools.addStretch(1)
-        for button in (self.undo, self.redo, self.load, self.store):
+        for button in (self.load, self.store):
             tools.addWidget(button)
         self.split = QSplitter(Qt.Orientation.Vertical)
         self.split.addWidget(self.view)
@@ -140,14 +138,6 @@ class PointsPage(QWidget):
         self.whole.clicked.connect(view.show_all)
         self.load.clicked.connect(self.importRequested)
         self.store.clicked.connect(self.exportRequested)
-        stack = session.undo_stack
-        self.undo.clicked.connect(stack.undo)
-        self.redo.clicked.connect(stack.redo)
-        stack.canUndoChanged.connect(self.undo.setEnabled)
-        stack.canRedoChanged.connect(self.redo.setEnabled)
-        stack.undoTextChanged.connect(lambda text: self.undo.setToolTip(f"Undo: {text} (Ctrl+Z)"))
-        self.undo.setEnabled(False)
-        self.redo.setEnabled(False)
         self._show_arrows(self.arrows.currentText())
         accept = QShortcut(QKeySequence("Ctrl+Return"), self)
         accept.activated.connect(self.accept_ghost)

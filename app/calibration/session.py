@@ -238,7 +238,7 @@ class Session(History[SessionState]):
         """Delete pairs."""
         gone = set(keys)
         kept = tuple(pair for pair in self._state.pairs if pair.key not in gone)
-        self.edit(f"Delete {_count(len(self._state.pairs) - len(kept))}", replace(self._state, pairs=kept))
+        self.edit(f"Delete {count_pairs(len(self._state.pairs) - len(kept))}", replace(self._state, pairs=kept))
 
     def enable(self, keys: Iterable[int], enabled: bool) -> None:
         """Switch pairs on or off."""
@@ -246,7 +246,7 @@ class Session(History[SessionState]):
         pairs = tuple(
             pair.model_copy(update={"enabled": enabled}) if pair.key in chosen else pair for pair in self._state.pairs
         )
-        self.edit(f"Switch {_count(len(chosen))} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs))
+        self.edit(f"Switch {count_pairs(len(chosen))} {'on' if enabled else 'off'}", replace(self._state, pairs=pairs))
 
     def add_pairs(self, pairs: Iterable[PointPair], text: str) -> None:
         """Add complete pairs under new numbers, as one step."""
@@ -265,5 +265,6 @@ class Session(History[SessionState]):
         return pair.model_copy(update=values)
 
 
-def _count(number: int) -> str:
+def count_pairs(number: int) -> str:
+    """Return a number of pairs in words."""
     return "1 pair" if number == 1 else f"{number} pairs"

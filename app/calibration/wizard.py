@@ -33,7 +33,7 @@ from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
-from .session import ProximityImage, Session, SessionState
+from .session import ProximityImage, Session, SessionState, count_pairs
 from .snapshots import Collector
 
 STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
@@ -127,7 +127,9 @@ class CalibrationWizard(QDialog):
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = ElidedLabel()
-        self.over = push_button("Start over", "Clear the wizard; undo restores everything")
+        self.over = push_button("Start over", "Clear the wizard, after a question; undo restores everything")
+        self.undo = push_button("Undo", "")
+        self.redo = push_button("Redo", "")
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
@@ -136,7 +138,8 @@ class CalibrationWizard(QDialog):
         self.save.setEnabled(False)
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
         footer = QHBoxLayout()
-        footer.addWidget(self.over)
+        for push in (self.over, self.undo, self.redo):
+            footer.addWidget(push)
         footer.addWidget(self.verdict, 1)
         for push in (self.back, self.next, self.save, self.leave):
             footer.addWidget(push)
@@ -149,25 +152,35 @@ class CalibrationWizard(QDialog):
         layout.addLayout(footer)
 
     def _connect(self) -> None:
-        session = self.session
+        session, stack = self.session, self.session.undo_stack
         self.steps.idClicked.connect(self.go_to)
         self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
         self.next.clicked.connect(lambda: self.go_to(self.stack.currentIndex() + 1))
-        self.over.clicked.connect(self.start_over)
+        self.over.clicked.connect(self.ask_start_over)
+        for push, name, keys, changed, can in (
+            (self.undo, "Undo", "Ctrl+Z", stack.undoTextChanged, stack.canUndoChanged),
+            (self.redo, "Redo", "Ctrl+Shift+Z", stack.redoTextChanged, stack.canRedoChanged),
+        ):
+            changed.connect(lambda text, push=push, name=name, keys=keys: push.setToolTip(f"{name}: {text} ({keys})"))
+            can.connect(push.setEnabled)
+            push.setEnabled(False)
+        self.undo.clicked.connect(stack.undo)
+        self.redo.clicked.connect(stack.redo)
         self.save.clicked.connect(self.save_into_preset)
         self.leave.clicked.connect(self.close)
         self.points.importRequested.connect(self._import_dialog)
         self.points.exportRequested.connect(self._export_dialog)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
+        self.helpers.accepted.connect(self._accepted)
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
         session.changed.connect(self._show_state)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
             ("Ctrl+PgDown", lambda: self.go_to(self.stack.currentIndex() + 1)),
-            ("Ctrl+Z", session.undo_stack.undo),
-            ("Ctrl+Shift+Z", session.undo_stack.redo),
-            ("Ctrl+Y", session.undo_stack.redo),
+            ("Ctrl+Z", stack.undo),
+            ("Ctrl+Shift+Z", stack.redo),
+            ("Ctrl+Y", stack.redo),
             ("Ctrl+S", self.save_into_preset),
             *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),
         )
@@ -177,8 +190,10 @@ class CalibrationWizard(QDialog):
     # Steps
 
     def go_to(self, number: int) -> None:
-        """Show a step."""
+        """Show a step. Leaving the page Helpers accepts its proposals, so that nothing found is lost."""
         number = max(0, min(number, len(STEPS) - 1))
+        if self.pages[number] is not self.helpers:
+            self.helpers.accept_proposals()
         self.stack.setCurrentIndex(number)
         button = self.steps.button(number)
         assert button is not None
@@ -187,11 +202,24 @@ class CalibrationWizard(QDialog):
         self.back.setEnabled(number > 0)
         self.next.setEnabled(number < len(STEPS) - 1)
 
+    def ask_start_over(self) -> None:
+        """Clear the session after a question."""
+        state = self.session.state
+        snapshots = "1 snapshot" if len(state.snapshots) == 1 else f"{len(state.snapshots)} snapshots"
+        self._dialogs.ask(
+            "Start over",
+            f"Clear {count_pairs(len(state.pairs))} and {snapshots}?",
+            "Undo restores them until the wizard is closed.",
+            "Clear",
+            self.start_over,
+        )
+
     def start_over(self) -> None:
         """Clear the session, as one undoable step."""
         kept_choices = SessionState().with_choices(average=self.session.state.choices.average)
         self.session.edit("Start over", kept_choices)
-        self.messages.clear("kept")
+        for key in ("kept", "accepted"):
+            self.messages.clear(key)
         self.go_to(0)
 
     def _offer(self, kept_at: datetime | None) -> None:
@@ -203,7 +231,15 @@ class CalibrationWizard(QDialog):
             Severity.INFO,
             f"Restored from {kept_at.astimezone():%d %B, %H:%M}: {len(state.complete_pairs)} pairs and "
             f"{len(state.snapshots)} snapshots. Continue, or start over.",
-            offers=[("Start over", self.start_over)],
+            offers=[("Start over", self.ask_start_over)],
+        )
+
+    def _accepted(self, keys: tuple[int, ...]) -> None:
+        self.messages.show_message(
+            "accepted",
+            Severity.INFO,
+            f"{count_pairs(len(keys))} found on the page Helpers {'was' if len(keys) == 1 else 'were'} added.",
+            offers=[("Remove again", lambda: self.session.remove(keys))],
         )
 
     def _offer_stored(self) -> None:

@@ -140,7 +140,7 @@ def test_drop_a_folder_that_is_no_recording(window, qtbot, tmp_path):
 def test_closing_asks_and_cancel_keeps_the_window(window, qtbot):
     window.document.edit("tolerance.t", 0.02)
     window.close()
-    answer_question(qtbot, "cancel")
+    answer_question(qtbot, "escape")
     assert window.isVisible()
     assert window.worker.isRunning()
     assert window.document.dirty

@@ -64,18 +64,17 @@ def shows_preset_of_document(window):
     return window.result is not None and window.result.preset is window.document.preset
 
 
-def answer_question(qtbot, key):
-    """Answer the question that is open, by its keyboard shortcut."""
+def answer_question(qtbot, answer):
+    """Press a button of the question that is open, by its text, or Escape; return what the question says."""
     qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QMessageBox))
     box = QApplication.activeModalWidget()
-    button = {
-        "save": QMessageBox.StandardButton.Save,
-        "discard": QMessageBox.StandardButton.Discard,
-    }.get(key)
-    if button is None:
+    words = f"{box.text()} {box.informativeText()}"
+    if answer == "escape":
         QTest.keyClick(box, Qt.Key.Key_Escape)
     else:
-        QTest.mouseClick(box.button(button), LEFT)
+        [button] = [button for button in box.buttons() if button.text().replace("&", "").lower() == answer.lower()]
+        QTest.mouseClick(button, LEFT)
+    return words
 
 
 def type_path(qtbot, path):

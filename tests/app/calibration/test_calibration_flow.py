@@ -10,6 +10,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import answer_question
 from tactune.app.calibration.snapshots import take_snapshot
 from tactune.app.worker.playback import PlaybackState
 from tactune.core.contact.alignment import tactile_pose
@@ -174,6 +175,10 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert any("Restored from" in sentence for sentence in again.messages.sentences())
 
     press_button(again.over)
+    assert "1 pair and 1 snapshot" in answer_question(qtbot, "Cancel")
+    assert again.session.state.pairs == kept.pairs
+    press_button(again.over)
+    answer_question(qtbot, "Clear")
     assert again.session.state.empty
     QTest.keyClick(again, Qt.Key.Key_Z, CONTROL)
     assert again.session.state.pairs == kept.pairs

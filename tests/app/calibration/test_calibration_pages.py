@@ -11,6 +11,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
+from hands import press
 from pairs import snapshot_of, with_pairs
 from tactune.app.calibration.fitting import fit
 from tactune.app.calibration.helpers_page import Helper, HelperOptions, find_proposals
@@ -167,39 +168,64 @@ def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
 # Helpers
 
 
-def test_a_chessboard_is_found_refused_in_part_and_accepted(open_wizard, feed, scene, frames, qtbot):
+def chessboard_snapshot(frames, feed):
+    """A snapshot of a board with 10 x 7 inner corners, 8 px farther left in the tactile image."""
     squares = (np.indices((8, 11)).sum(axis=0) % 2 * 255).astype(np.uint8)
     board = np.full((240, 320), 255, np.uint8)
     board[30 : 30 + 8 * 20, 40 : 40 + 11 * 20] = cv2.resize(squares, (220, 160), interpolation=cv2.INTER_NEAREST)
     color = np.repeat(board[:, :, None], 3, axis=2)
-    frame = SensorFrame(
-        sequence=0,
-        proximity_depth=frames[0.2].proximity_depth,
-        tactile_depth=frames[0.2].tactile_depth,
-        proximity_color=color,
-        tactile_color=np.roll(color, -8, axis=1),
-    )
-    wizard = open_wizard()
-    wizard.session.add_snapshot(snapshot_of(frame, feed))
+    frame = replace(frames[0.2], sequence=0, proximity_color=color, tactile_color=np.roll(color, -8, axis=1))
+    return snapshot_of(frame, feed)
+
+
+def find_chessboard(wizard):
     page = wizard.helpers
     wizard.go_to(2)
     QTest.mouseClick(page.radios[Helper.CHESSBOARD], LEFT, pos=page.radios[Helper.CHESSBOARD].rect().center() * 0.2)
     page.columns.setValue(10)
     page.rows.setValue(7)
     QTest.mouseClick(page.search, LEFT)
+    return page
+
+
+def test_a_chessboard_is_found_refused_in_part_and_accepted(open_wizard, feed, frames, qtbot):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
+    page = find_chessboard(wizard)
     qtbot.waitUntil(lambda: len(page.proposals) == 70)
     first = page.proposals[0]
     assert first.tactile == pytest.approx((first.proximity[0] - 8, first.proximity[1]), abs=0.05)
     page.toggle(first.key)
     QTest.mouseClick(page.accept, LEFT)
     assert len(wizard.session.state.pairs) == 69
-    wizard.session.undo_stack.undo()
+    QTest.mouseClick(wizard.undo, LEFT)
     assert not wizard.session.state.pairs
 
     QTest.mouseClick(page.radios[Helper.CIRCLES], LEFT, pos=page.radios[Helper.CIRCLES].rect().center() * 0.2)
     QTest.mouseClick(page.search, LEFT)
     qtbot.waitUntil(lambda: "circles is seen" in page.words.text())
     assert not page.proposals
+
+
+@pytest.mark.parametrize("soon", [False, True])
+def test_next_takes_the_pairs_that_were_found(open_wizard, feed, frames, qtbot, soon):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
+    page = find_chessboard(wizard)
+    if not soon:
+        qtbot.waitUntil(lambda: len(page.proposals) == 70)
+    QTest.mouseClick(wizard.next, LEFT)
+    qtbot.waitUntil(lambda: len(wizard.outcome.pairs) == 70 and wizard.outcome.report is not None)
+    assert wizard.stack.currentIndex() == 3
+    assert any("70 pairs found" in sentence for sentence in wizard.messages.sentences())
+
+    wizard.go_to(2)
+    QTest.mouseClick(page.search, LEFT)
+    qtbot.waitUntil(lambda: "70 of them are pairs already" in page.words.text())
+    QTest.mouseClick(wizard.next, LEFT)
+    assert len(wizard.session.state.pairs) == 70
+    press(wizard.messages.message("accepted"), "Remove again")
+    assert not wizard.session.state.pairs
 
 
 # Check

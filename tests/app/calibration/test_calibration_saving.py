@@ -5,23 +5,13 @@ from __future__ import annotations
 import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QMessageBox, QPushButton
 
+from hands import answer_question
 from pairs import with_pairs
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
 GEOMETRY = "alignment.rigid.T_proximity_tactile"
-
-
-def answer(qtbot, text):
-    """Press a button of the question that is open; return what it says."""
-    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QMessageBox))
-    box = QApplication.activeModalWidget()
-    words = f"{box.text()} {box.informativeText()}"
-    [button] = [button for button in box.findChildren(QPushButton) if button.text().replace("&", "") == text]
-    QTest.mouseClick(button, LEFT)
-    return words
 
 
 def fitted(qtbot, wizard, state):
@@ -44,11 +34,11 @@ def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, s
     wizard = open_wizard()
     fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
     QTest.mouseClick(wizard.save, LEFT)
-    words = answer(qtbot, "Cancel")
+    words = answer_question(qtbot, "Cancel")
     assert "worse than the present" in words and "px new" in words and "px present" in words
     assert document.preset.alignment == before
     QTest.keyClick(wizard, Qt.Key.Key_S, CONTROL)
-    answer(qtbot, "Replace anyway")
+    answer_question(qtbot, "Replace anyway")
     qtbot.waitUntil(lambda: document.preset.alignment != before)
 
 
@@ -62,7 +52,7 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     fewer = state.__class__(state.snapshots, state.pairs[:4]).with_choices(snapshot=state.choices.snapshot)
     fitted(qtbot, wizard, fewer)
     QTest.mouseClick(wizard.save, LEFT)
-    assert "worse" in answer(qtbot, "Cancel"), "four pairs do not replace what 26 gave"
+    assert "worse" in answer_question(qtbot, "Cancel"), "four pairs do not replace what 26 gave"
 
 
 def test_present_stays_the_old_alignment_until_the_file_is_saved(
