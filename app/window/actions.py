@@ -66,6 +66,7 @@ class Actions:
     patch_difference: QAction
     wipe_left: QAction
     wipe_right: QAction
+    suggest_all: QAction
     play: QAction
     previous: QAction
     next: QAction
@@ -168,6 +169,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         ),
         wipe_left=action("Wipe to the &left", "Show less of A", "Alt+Left"),
         wipe_right=action("Wipe to the &right", "Show more of A", "Alt+Right"),
+        suggest_all=action("&Suggest all…", "Propose values for all sections, each with its evidence", "Ctrl+G"),
         play=action("&Play\tSpace", icon_name="play"),
         previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
         next=action("&Next frame", "Pause and go one frame forward", ".", "next"),
@@ -269,6 +271,8 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
 
 def _fill_edit_menu(menu: QMenu, actions: Actions) -> None:
     menu.addActions([actions.undo, actions.redo, actions.history])
+    menu.addSeparator()
+    menu.addActions([actions.suggest_all])
     menu.addSeparator()
     menu.addActions([actions.changes_since_save, actions.compare])
     menu.addSeparator()

@@ -10,6 +10,7 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
 
+from ...core.advice.suggest import SECTIONS
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
@@ -20,6 +21,7 @@ from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ...widgets.plots.time_strip import TimeStrip
+from ..advice.window import ALL, SuggestControl
 from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
 from ..cameras.control import CAMERA_SCHEMES, CameraControl
@@ -98,7 +100,7 @@ class MainWindow(QMainWindow):
         self.views = ViewArea(self.actions_, backend)
         self.strip = ImageStrip()
         self.time_strip = TimeStrip()
-        self.panel = ParameterPanel()
+        self.panel = ParameterPanel(suggestible=SECTIONS)
         self.transport = Transport(self.actions_)
         self.status = FrameStatus()
         self.dialogs = Dialogs(self, native_dialogs)
@@ -132,6 +134,7 @@ class MainWindow(QMainWindow):
         self.cameras = CameraControl(self.context)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
+        self.suggest = SuggestControl(self.context)
         self.analysis = self._make_analysis()
         self._closing = False
         self._lay_out()
@@ -207,6 +210,7 @@ class MainWindow(QMainWindow):
         document.refused.connect(self._refused)
         panel.valueEdited.connect(document.edit)
         panel.valuesEdited.connect(document.edit_many)
+        panel.suggestRequested.connect(self.suggest.open)
         self.autosave.failed.connect(
             lambda sentence: self.messages.show_message("autosave", Severity.WARNING, sentence)
         )
@@ -249,6 +253,7 @@ class MainWindow(QMainWindow):
         actions.cameras.triggered.connect(self.cameras.choose)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
         actions.capture_untouched.triggered.connect(self.untouched.open)
+        actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
         actions.recordings_folder.triggered.connect(
             lambda: flows.recordings_folder_dialog(self.recording.folder, self.recording.use_folder)
         )
@@ -490,6 +495,7 @@ class MainWindow(QMainWindow):
     def shut_down(self) -> None:
         """Close the other windows and stop the worker."""
         for part in (
+            self.suggest,
             self.timeline,
             self.export,
             self.checks,

@@ -120,6 +120,11 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
         )
     if enough_mm2 == shipped:
         reasons.append(f"{shipped:g} mm2 is the shipped value.")
+    if enough_mm2 > values[-1]:
+        raise AdviceError(
+            f"{section}: noise would make groups of {enough_mm2:.0f} mm2, which is more than contact; hold the scene "
+            "still, or measure the rig's noise (Check cameras)"
+        )
     proposed = present if present >= enough_mm2 else float(values[values >= enough_mm2].min())
     return _proposal(
         evidence,

@@ -1,0 +1,366 @@
+"""The window that shows suggestions for the preset, and the object that opens it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtWidgets import QDialog, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
+
+from ...core.advice.examples import ErrorCurve, error_curve, known_examples
+from ...core.advice.proposal import Evidence, Proposal
+from ...core.advice.suggest import suggest, suggest_all
+from ...core.errors import AdviceError, PresetError
+from ...core.preset import Preset
+from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
+from ..document.comparison import PRESENT, Side
+from ..worker.jobs import Job, Progress
+from .card import ProposalCard, section_title
+from .evidence import FrameRing, Gathered
+
+#: Returns the present evidence; None without a frame.
+Gather = Callable[[], Gathered | None]
+#: The values besides its own that decide a card's curve: field of the curve, preset.
+Bases = dict[ProposalCard, tuple[str, Preset]]
+#: Stands for every section, as in `Proposal.section`.
+ALL: Final = "all"
+_NO_FRAME: Final = "There is no frame to measure yet: open a source first."
+
+
+@dataclass(frozen=True, eq=False)
+class Suggestions:
+    """What a job found: proposals, why others were refused, by section, and the evidence of both."""
+
+    parts: tuple[Proposal, ...]
+    refusals: dict[str, str]
+    evidence: Evidence
+
+
+def find_suggestions(section: str, gathered: Gathered, progress: Progress) -> Suggestions:
+    """Make the proposals of one section or of all; takes long."""
+    evidence = gathered.evidence(progress)
+
+    def report(share: float, words: str) -> None:
+        progress(0.3 + 0.7 * share, words)
+
+    if section == ALL:
+        every = suggest_all(evidence, report)
+        return Suggestions(every.parts, dict(every.refusals), evidence)
+    try:
+        return Suggestions((suggest(section, evidence, report),), {}, evidence)
+    except AdviceError as error:
+        return Suggestions((), {section: str(error)}, evidence)
+
+
+class SuggestWindow(QDialog):
+    """Shows suggestions, compares them with the present preset in the views, and applies them as one undo step."""
+
+    def __init__(
+        self, context: Context, gather: Callable[[], Gathered | None], open_examples: Callable[[], None]
+    ) -> None:
+        super().__init__(context.window)
+        self.setWindowTitle("Suggestions – Tactune")
+        self._context, self._document, self._gather = context, context.document, gather
+        self._section = ALL
+        self._found: Suggestions | None = None
+        self._shown: Side | None = None
+        self._job, self._curves = Job(self), Job(self)
+        self._bases: Bases = {}
+        self.cards: list[ProposalCard] = []
+        self.progress = ProgressBar()
+        self.sentence = QLabel()
+        self.sentence.setWordWrap(True)
+        self.sentence.hide()
+        self.cancel = push_button("Cance&l", "Stop measuring; nothing is changed")
+        self.again = push_button("&Measure again", "Make new suggestions from the present frame, preset and examples")
+        self.examples = push_button("&Examples…", "Mark untouched frames and paint contact, for better suggestions")
+        self.compare = AccentButton("&Compare", "Compare the present preset with the suggested one in the views")
+        self.apply = push_button("&Apply", "Put the ticked suggestions into the preset, as one undo step (Ctrl+Return)")
+        self.apply.setShortcut("Ctrl+Return")
+        self.undo = push_button("&Undo", "Undo the last change of the preset (Ctrl+Z)")
+        self.undo.setShortcut("Ctrl+Z")
+        self.leave = push_button("Close", "Close this window; the preset stays as it is (Esc)")
+        self._lay_out()
+        self._connect(open_examples)
+
+    def _lay_out(self) -> None:
+        self._content = QWidget()
+        self._column = QVBoxLayout(self._content)
+        self._column.setContentsMargins(0, 0, 0, 0)
+        self._column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(self._content)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        measuring = QHBoxLayout()
+        measuring.addWidget(self.progress, 1)
+        measuring.addWidget(self.cancel)
+        tools = QHBoxLayout()
+        for widget in (self.again, self.examples):
+            tools.addWidget(widget)
+        tools.addStretch(1)
+        row = QHBoxLayout()
+        for widget in (self.compare, self.undo):
+            row.addWidget(widget)
+        row.addStretch(1)
+        for widget in (self.apply, self.leave):
+            row.addWidget(widget)
+        layout = QVBoxLayout(self)
+        layout.addLayout(measuring)
+        layout.addWidget(self.sentence)
+        layout.addWidget(scroll, 1)
+        layout.addLayout(tools)
+        layout.addLayout(row)
+        self.resize(500, 640)
+
+    def _connect(self, open_examples: Callable[[], None]) -> None:
+        self._job.progress.connect(self.progress.show_share)
+        self._job.done.connect(self._show_found)
+        self._job.failed.connect(self._show_failure)
+        self._job.busyChanged.connect(self._show_busy)
+        self._curves.done.connect(self._show_curves)
+        self._curves.failed.connect(self._show_failure)
+        self.cancel.clicked.connect(self._cancel)
+        self.again.clicked.connect(lambda: self.ask(self._section))
+        self.examples.clicked.connect(open_examples)
+        self.compare.toggled.connect(self._show_comparison)
+        self.apply.clicked.connect(self._apply)
+        self.undo.clicked.connect(self._document.undo_stack.undo)
+        self.leave.clicked.connect(self.reject)
+        self._document.presetChanged.connect(self._preset_changed)
+        self._document.undo_stack.indexChanged.connect(self._show_state)
+        self._context.comparison.changed.connect(self._comparison_changed)
+
+    def ask(self, section: str) -> None:
+        """Make suggestions for a section, or for `ALL`."""
+        gathered = self._gather()
+        if gathered is None:
+            self._say(_NO_FRAME)
+            return
+        self._section = section
+        self._found = None
+        self._clear()
+        self.progress.show_share(0.0, "Gathering evidence")
+        self._say("")
+        self._job.cancel()
+        self._job.start(lambda progress: find_suggestions(section, gathered, progress))
+        self._show_busy(True)
+
+    @property
+    def busy(self) -> bool:
+        """Whether suggestions or curves are being computed."""
+        return self._job.busy or self._curves.busy
+
+    @property
+    def proposal(self) -> Proposal:
+        """The ticked suggestions as one proposal; without changes if nothing is ticked."""
+        taken = [card for card in self.cards if card.changes]
+        changes = {path: value for card in taken for path, value in card.changes.items()}
+        if len(taken) == 1:
+            return replace(taken[0].proposal, changes=changes)
+        names = ", ".join(section_title(card.proposal.section).lower() for card in taken)
+        return Proposal(ALL, changes, f"Suggested {names}", "", "")
+
+    def done(self, result: int) -> None:
+        """Stop measuring and end the comparison."""
+        self._job.cancel()
+        self._curves.cancel()
+        self.compare.setChecked(False)
+        super().done(result)
+
+    def close_down(self) -> None:
+        """Close the window; its jobs emit nothing any more."""
+        self._document.undo_stack.indexChanged.disconnect(self._show_state)
+        self.reject()
+        self._job.stop()
+        self._curves.stop()
+
+    # What was found
+
+    def _show_found(self, found: Suggestions) -> None:
+        self._found = found
+        self._clear()
+        preset = self._document.preset
+        for part in found.parts:
+            card = ProposalCard(part, preset, tickable=self._section == ALL)
+            card.changed.connect(self._choice_changed)
+            card.curveWanted.connect(self._request_curves)
+            if known_examples(found.evidence):
+                card.offer_curve()
+            self.cards.append(card)
+            self._add(card)
+        for section, sentence in found.refusals.items():
+            self._add(_refusal(section, sentence))
+        if not any(card.changes for card in self.cards):
+            self._say("The present values already follow from the evidence." if found.parts else "")
+        self.compare.setChecked(bool(self.proposal.changes))
+        self._choice_changed()
+
+    def _show_failure(self, sentence: str) -> None:
+        if sentence:
+            self._say(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+
+    def _cancel(self) -> None:
+        self._job.cancel()
+        self._say("Cancelled; nothing was changed.")
+
+    def _show_busy(self, busy: bool) -> None:
+        self.progress.setVisible(busy)
+        self.cancel.setVisible(busy)
+        self.again.setEnabled(not busy)
+        self._show_state()
+
+    def _say(self, sentence: str) -> None:
+        self.sentence.setText(sentence)
+        self.sentence.setVisible(bool(sentence))
+
+    def _add(self, widget: QWidget) -> None:
+        self._column.insertWidget(self._column.count() - 1, widget)
+
+    def _clear(self) -> None:
+        self.cards.clear()
+        self._bases.clear()
+        self.compare.setChecked(False)
+        while self._column.count() > 1:
+            item = self._column.takeAt(0)
+            widget = item.widget() if item is not None else None
+            if widget is not None:
+                widget.hide()
+                widget.deleteLater()
+
+    # Choices
+
+    def _preset_changed(self, preset: Preset) -> None:
+        for card in self.cards:
+            card.show_preset(preset)
+        self._choice_changed()
+
+    def _choice_changed(self) -> None:
+        self._show_state()
+        self._show_comparison(self.compare.isChecked())
+        self._request_curves()
+
+    def _show_state(self) -> None:
+        changes = bool(self.proposal.changes)
+        self.apply.setEnabled(changes)
+        self.compare.setEnabled(changes)
+        self.undo.setEnabled(self._document.undo_stack.canUndo())
+
+    def _apply(self) -> None:
+        proposal = self.proposal
+        self.compare.setChecked(False)
+        if self._document.apply(proposal):
+            self._say(f"Applied: {proposal.label}. Undo takes it back (Ctrl+Z).")
+
+    # Comparison in the views
+
+    def _show_comparison(self, wanted: bool) -> None:
+        comparison, proposal = self._context.comparison, self.proposal
+        if wanted and proposal.changes:
+            present = self._document.preset
+            try:
+                suggested = proposal.apply(present)
+            except PresetError as error:
+                self._say(f"The suggested values do not fit together: {error}")
+                return
+            self._shown = Side("Suggested", suggested)
+            comparison.show(Side(PRESENT, present), self._shown)
+        elif self._shown is not None:
+            mine, self._shown = self._is_mine(comparison.sides), None
+            if mine:
+                comparison.end()
+        if not proposal.changes:
+            self.compare.setChecked(False)
+
+    def _comparison_changed(self, sides: tuple[Side, Side] | None) -> None:
+        """Note that someone else ended or replaced the comparison."""
+        if self._shown is not None and not self._is_mine(sides):
+            self._shown = None
+            self.compare.setChecked(False)
+
+    def _is_mine(self, sides: tuple[Side, Side] | None) -> bool:
+        return sides is not None and sides[1] == self._shown
+
+    # Curves
+
+    def _request_curves(self) -> None:
+        """Compute the curves of all cards for which another value has changed."""
+        if self._found is None or not known_examples(self._found.evidence) or not self.isVisible():
+            return
+        try:
+            suggested = self.proposal.apply(self._document.preset)
+        except PresetError:
+            return
+        evidence, wanted = replace(self._found.evidence, preset=suggested), {}
+        for card in self.cards:
+            path = card.curve_path
+            if path:  # its own value does not change a curve
+                wanted[card] = path, suggested.with_value(path, Preset().value(path))
+        if wanted != self._bases:
+            due = [(card, path) for card, (path, base) in wanted.items() if self._bases.get(card) != (path, base)]
+            self._curves.cancel()
+            self._curves.start(lambda progress: (wanted, _curves_of(due, evidence, progress)))
+
+    def _show_curves(self, found: tuple[Bases, dict[ProposalCard, ErrorCurve]]) -> None:
+        self._bases, curves = found
+        for card, curve in curves.items():
+            if card in self.cards:
+                card.show_curve(curve)
+
+
+def _curves_of(
+    due: list[tuple[ProposalCard, str]], evidence: Evidence, progress: Progress
+) -> dict[ProposalCard, ErrorCurve]:
+    return {card: error_curve(path, evidence, progress) for card, path in due}
+
+
+def _refusal(section: str, sentence: str) -> QWidget:
+    frame = QFrame()
+    frame.setFrameShape(QFrame.Shape.StyledPanel)
+    label = QLabel(f"{section_title(section)}: no suggestion. {sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+    label.setWordWrap(True)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    QVBoxLayout(frame).addWidget(label)
+    return frame
+
+
+class SuggestControl(QObject):
+    """Opens at most one window with suggestions."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__(context)
+        self._context = context
+        self._ring = FrameRing(context)
+        self.window: SuggestWindow | None = None
+
+    def open(self, section: str) -> None:
+        """Make suggestions for a section, or for all, and show them."""
+        context = self._context
+        if context.result is None:
+            context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME)
+            return
+        if self.window is None:
+            self.window = SuggestWindow(context, self.gather, self.open_examples)
+            corner = context.window.mapToGlobal(context.window.rect().topLeft())
+            self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
+        self.window.show()
+        self.window.raise_()
+        self.window.activateWindow()
+        self.window.ask(section)
+
+    def open_examples(self) -> None:
+        """Open the examples."""
+
+    def gather(self) -> Gathered | None:
+        """Return the present evidence; None without a frame."""
+        return self._ring.gather(())
+
+    def close(self) -> None:
+        """Close the window and stop measuring."""
+        if self.window is not None:
+            self.window.close_down()

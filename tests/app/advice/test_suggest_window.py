@@ -1,0 +1,141 @@
+"""Suggestions in the window, by mouse and keys."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from hands import CONTROL, LEFT, show_source, text_of
+from printed_source import PrintedSource
+from tactune.app.advice import window as suggest_window
+from tactune.core.errors import AdviceError
+
+
+@pytest.fixture
+def main(make_window, qtbot):
+    """A window at frame 6 of the printed membrane, its mask off."""
+    made = make_window()
+    show_source(qtbot, made, PrintedSource(), 6)
+    return made
+
+
+def ask(qtbot, main, section="mask"):
+    """Press a button Suggest and wait for the suggestions."""
+    button = main.panel.suggests[section]
+    main.panel.ensureWidgetVisible(button)
+    QTest.mouseClick(button, LEFT)
+    qtbot.waitUntil(lambda: main.suggest.window is not None and main.suggest.window.isActiveWindow())
+    qtbot.waitUntil(lambda: not main.suggest.window.busy)
+    return main.suggest.window
+
+
+def test_a_suggested_mask_is_compared_applied_as_one_step_and_undone(main, qtbot):
+    before = main.document.preset
+    window = ask(qtbot, main)
+    [card] = window.cards
+    assert "prints" in card.evidence.text()
+    low, high = card.changes["mask.hue"]
+    assert low <= 159 <= high, "the hue of the prints"
+    present, suggested = main.context.comparison.sides
+    assert present.preset is before
+    assert suggested.preset.mask.enabled
+
+    QTest.mouseClick(window.apply, LEFT)
+    after = main.document.preset
+    assert after.mask.enabled
+    assert after.mask.hue == (low, high)
+    assert main.context.comparison.sides is None
+    assert main.document.undo_stack.count() == 1
+    assert main.document.undo_stack.undoText() == card.proposal.label
+    assert not window.apply.isEnabled()
+    assert window.sentence.text().startswith("Applied: ")
+
+    QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
+    qtbot.waitUntil(lambda: main.document.preset is before)
+    assert window.apply.isEnabled(), "it can be applied again"
+
+
+def test_values_and_refusals_are_written_down(main, qtbot):
+    window = ask(qtbot, main)
+    text = text_of(window)
+    assert "Use the mask off → on" in text
+    assert "Hue 0 to 179 →" in text
+    show_source(qtbot, main, PrintedSource(with_untouched=False), 6)
+    QTest.mouseClick(window.again, LEFT)
+    qtbot.waitUntil(lambda: not window.busy)
+    assert "Mask: no suggestion." in text_of(window)
+    assert "capture an untouched frame" in text_of(window)
+    assert not window.apply.isEnabled()
+
+
+def test_suggest_all_by_keys_takes_only_what_is_ticked(main, qtbot):
+    QTest.keyClick(main, Qt.Key.Key_G, CONTROL)
+    qtbot.waitUntil(lambda: main.suggest.window is not None and not main.suggest.window.busy)
+    window = main.suggest.window
+    qtbot.waitUntil(lambda: len(window.cards) > 0)
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    ticked = [card for card in window.cards if card.take.isChecked()]
+    assert any(card.proposal.section == "mask" for card in ticked)
+    for card in ticked:
+        QTest.mouseClick(card.take, LEFT, pos=QPoint(8, card.take.height() // 2))
+    assert not window.apply.isEnabled()
+    assert main.context.comparison.sides is None
+    mask = next(card for card in ticked if card.proposal.section == "mask")
+    QTest.mouseClick(mask.take, LEFT, pos=QPoint(8, mask.take.height() // 2))
+    before = main.document.preset
+    QTest.keyClick(window, Qt.Key.Key_Return, CONTROL)
+    qtbot.waitUntil(lambda: main.document.preset is not before)
+    assert main.document.preset.mask.enabled
+    assert main.document.preset.alignment == before.alignment
+    assert main.document.undo_stack.count() == 1
+
+
+def test_closing_ends_the_comparison_and_changes_nothing(main, qtbot):
+    before = main.document.preset
+    window = ask(qtbot, main)
+    assert main.context.comparison.sides is not None
+    QTest.keyClick(window, Qt.Key.Key_Escape)
+    assert not window.isVisible()
+    assert main.context.comparison.sides is None
+    assert main.document.preset is before
+
+
+def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
+    def endless(section, evidence, progress):
+        while True:
+            time.sleep(0.005)
+            progress(0.5, "Measuring")
+
+    monkeypatch.setattr(suggest_window, "suggest", endless)
+    QTest.mouseClick(main.panel.suggests["mask"], LEFT)
+    window = main.suggest.window
+    qtbot.waitUntil(lambda: window.progress.text() == "Measuring")
+    QTest.mouseClick(window.cancel, LEFT)
+    qtbot.waitUntil(lambda: not window.busy)
+    assert window.sentence.text() == "Cancelled; nothing was changed."
+    assert not window.cancel.isVisible()
+
+
+def test_without_a_frame_a_message_says_so(make_window):
+    main = make_window()
+    QTest.mouseClick(main.panel.suggests["all"], LEFT)
+    assert "open a source first" in text_of(main.messages)
+    assert main.suggest.window is None
+
+
+def test_a_part_that_fails_leaves_the_window_usable(main, qtbot, monkeypatch):
+    def refuse(section, evidence, progress):
+        raise AdviceError("mask: nothing is known; mark a frame")
+
+    monkeypatch.setattr(suggest_window, "suggest", refuse)
+    window = ask(qtbot, main)
+    assert "Mask: no suggestion. Mask: nothing is known; mark a frame." in text_of(window)
+    QApplication.processEvents()
+    monkeypatch.undo()
+    QTest.mouseClick(window.again, LEFT)
+    qtbot.waitUntil(lambda: not window.busy and len(window.cards) == 1)
