@@ -169,7 +169,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         ),
         wipe_left=action("Wipe to the &left", "Show less of A", "Alt+Left"),
         wipe_right=action("Wipe to the &right", "Show more of A", "Alt+Right"),
-        suggest_all=action("&Suggest all…", "Propose values for all sections, each with its evidence", "F7"),
+        suggest_all=action("&Suggest all…", "Propose values for all sections, each with its evidence", "Ctrl+J"),
         play=action("&Play\tSpace", icon_name="play"),
         previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
         next=action("&Next frame", "Pause and go one frame forward", ".", "next"),

@@ -73,7 +73,7 @@ def test_values_and_refusals_are_written_down(main, qtbot):
 
 
 def test_suggest_all_by_keys_takes_only_what_is_ticked(main, qtbot):
-    QTest.keyClick(main, Qt.Key.Key_F7)
+    QTest.keyClick(main, Qt.Key.Key_J, CONTROL)
     qtbot.waitUntil(lambda: main.suggest.window is not None and not main.suggest.window.busy)
     window = main.suggest.window
     qtbot.waitUntil(lambda: len(window.cards) > 0)
