@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -31,14 +32,17 @@ def suggest_alignment(evidence: Evidence, progress: Progress) -> Proposal:
     AdviceError
         Contact can't be told from bias.
     """
-    section = evidence.preset.alignment
-    best, contradicting = measure_disagreement(evidence, progress)
-    bias = best.bias
+    return propose_alignment(evidence, *measure_disagreement(evidence, progress))
+
+
+def propose_alignment(evidence: Evidence, best: Disagreement, contradicting: Sequence[Disagreement] = ()) -> Proposal:
+    """Return the proposal that follows from a measured disagreement, and mention those that contradict it."""
+    section, bias = evidence.preset.alignment, best.bias
     without_m = bias.bias_m + section.depth_offset_m + (section.depth_scale - 1) * _raw_depth_m(evidence)
     sentence = _sentence(best, contradicting)
     if abs(bias.bias_m) <= max(_CERTAIN * bias.sigma_m, _SMALLEST_M):
         return _keep(sentence, "The cameras agree within the uncertainty; nothing changes.")
-    if _test_corrects(evidence, without_m):
+    if _test_corrects(evidence, without_m) and not best.same_scene:
         words = f"the membrane test corrects the remaining {_mm(without_m)} by itself."
         if section.depth_offset_m == 0 and section.depth_scale == 1:
             return _keep(sentence, f"Nothing changes: {words}")
@@ -74,7 +78,7 @@ def _raw_depth_m(evidence: Evidence) -> float:
     return float(np.median(valid)) * evidence.rig.tactile.depth_unit_m if len(valid) else 0.0
 
 
-def _sentence(best: Disagreement, contradicting: list[Disagreement]) -> str:
+def _sentence(best: Disagreement, contradicting: Sequence[Disagreement]) -> str:
     bias = best.bias
     words = (
         f"The proximity camera reads {_mm(bias.bias_m)} +- {1e3 * bias.sigma_m:.1f} mm against the tactile camera, "
@@ -102,12 +106,18 @@ def _proposal(evidence: Evidence, changes: dict[str, Any], sentence: str, expect
     """Round the values to 0.1 mm and four digits, and name those that change."""
     present = evidence.preset
     rounded = {path: round(float(value), 4) for path, value in changes.items()}
-    changed = {path: value for path, value in rounded.items() if value != present.value(path)}
+    changed: dict[str, Any] = {path: value for path, value in rounded.items() if value != present.value(path)}
     parts = []
     if (offset_m := changed.get("alignment.depth_offset_m")) is not None:
         parts.append(f"Depth offset {_mm(offset_m)}")
     if (scale := changed.get("alignment.depth_scale")) is not None:
         parts.append(f"Depth scale {scale:.4f}")
+    if changed and (noise := present.noise) is not None and noise.bias_from != "unknown":
+        # the bias that was measured with the rig holds after offset and scale, so it changes with them
+        after = present.with_values(changed).alignment
+        change_m = after.depth_offset_m - present.alignment.depth_offset_m
+        change_m += (after.depth_scale - present.alignment.depth_scale) * _raw_depth_m(evidence)
+        changed["noise"] = noise.model_dump() | {"bias_m": noise.bias_m - change_m}
     return Proposal("alignment", changed, ", ".join(parts), sentence, expected)
 
 

@@ -22,10 +22,10 @@ from ..sources.base import Progress
 from .proposal import Evidence
 
 #: Differences within this share of the distance belong to the peak.
-_PEAK_SHARE: Final = 0.02
+PEAK_SHARE: Final = 0.02
 #: Both cameras see the same scene if this share of the pixels with both depths lies in the peak. Behind an inflated
 #: membrane no object is everywhere at one distance from it.
-_SAME_SCENE: Final = 0.5
+SAME_SCENE: Final = 0.5
 #: Side of the blocks that count as independent, pixels, and fewest pixels of one.
 _BLOCK_PX, _BLOCK_PIXELS = 40, 200
 #: Fewest pixels with both depths.
@@ -57,7 +57,7 @@ class DepthPeak:
     @property
     def same_scene(self) -> bool:
         """Whether both cameras see the same scene, without a membrane between them."""
-        return self.share >= _SAME_SCENE
+        return self.share >= SAME_SCENE
 
 
 @dataclass(frozen=True)
@@ -67,6 +67,21 @@ class Disagreement:
     bias: MeasuredBias
     place: str
     same_scene: bool = False
+
+    @classmethod
+    def in_peak(cls, peak: DepthPeak) -> Disagreement:
+        """Both cameras see the same scene."""
+        return cls(peak.bias, f"in {100 * peak.share:.0f} % of the pixels that both cameras measure", same_scene=True)
+
+    @classmethod
+    def on_prints(cls, bias: MeasuredBias) -> Disagreement:
+        """The proximity camera sees the membrane on prints."""
+        return cls(bias, "on the prints of the mask's colour")
+
+    @classmethod
+    def in_firm_contact(cls, bias: MeasuredBias) -> Disagreement:
+        """The membrane lies on an object."""
+        return cls(bias, "in firm contact")
 
 
 def depth_differences(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
@@ -84,7 +99,11 @@ def difference_peak(frame: SensorFrame, preset: Preset, rig: Rig) -> DepthPeak |
     RigMismatchError
         Neither preset nor rig has the pose between the cameras.
     """
-    expected, difference = depth_differences(frame, preset, rig)
+    return peak_of(*depth_differences(frame, preset, rig))
+
+
+def peak_of(expected: Float32Array, difference: Float32Array) -> DepthPeak | None:
+    """Return the peak of `depth_differences`; None if too few pixels have both depths."""
     known = np.isfinite(difference)
     if np.count_nonzero(known) < _MIN_PIXELS:
         return None
@@ -92,11 +111,11 @@ def difference_peak(frame: SensorFrame, preset: Preset, rig: Rig) -> DepthPeak |
     peak = known
     for _ in range(2):
         with np.errstate(invalid="ignore"):
-            peak = known & (np.abs(difference - centre) < _PEAK_SHARE * expected)
+            peak = known & (np.abs(difference - centre) < PEAK_SHARE * expected)
         centre = float(np.median(difference[peak]))
     share = np.count_nonzero(peak) / np.count_nonzero(known)
     blocks = np.array(list(_blocks(np.where(peak, difference, np.nan), expected)))
-    bias = _fit(blocks, centre) if len(blocks) > 1 else MeasuredBias(centre, _PEAK_SHARE * centre, "unknown")
+    bias = _fit(blocks, centre) if len(blocks) > 1 else MeasuredBias(centre, PEAK_SHARE * centre, "unknown")
     return DepthPeak(bias, share, float(np.median(expected[peak])))
 
 
@@ -120,17 +139,16 @@ def measure_disagreement(evidence: Evidence, progress: Progress) -> tuple[Disagr
     progress(0.1, "Comparing both depths")
     peak = difference_peak(evidence.frame, preset, rig)
     if peak is not None and peak.same_scene:
-        place = f"in {100 * peak.share:.0f} % of the pixels that both cameras measure"
-        found.append(Disagreement(peak.bias, place, same_scene=True))
+        found.append(Disagreement.in_peak(peak))
     else:
         power_m4 = rig_bias(preset, rig).noise_m4
         free = [frame for frame in (evidence.untouched, *evidence.frames) if frame is not None]
         progress(0.3, "Measuring the bias on prints")
         if (bias := print_bias(free, rig, preset, power_m4)) is not None:
-            found.append(Disagreement(bias, "on the prints of the mask's colour"))
+            found.append(Disagreement.on_prints(bias))
         progress(0.6, "Measuring the bias in firm contact")
         if (bias := pressed_bias(evidence.frames, firm_contact_bias(preset, rig), power_m4)) is not None:
-            found.append(Disagreement(bias, "in firm contact"))
+            found.append(Disagreement.in_firm_contact(bias))
         if (bias := _painted_bias(evidence, power_m4)) is not None:
             found.append(Disagreement(bias, "in painted contact"))
     if not found:

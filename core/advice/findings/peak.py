@@ -6,8 +6,9 @@ from typing import Final
 
 from ...preset import Preset
 from ...rig.noise import UNKNOWN_BIAS_M
-from ..bias import bias_in_frame, offset_proposal
-from ..proposal import Finding
+from ..alignment import propose_alignment
+from ..proposal import Evidence, Finding
+from ..quick_bias import quick_disagreement
 from .situation import Situation
 
 #: A bias of less than this number of standard deviations is not certain.
@@ -23,16 +24,19 @@ def find(situation: Situation) -> Finding | None:
         return None
     largest_m, expected_m = _largest_m(preset, distance_m), _corrected_m(preset)
     above_m = max(largest_m - abs(expected_m), 0.0)
-    bias = bias_in_frame(situation.frame, situation.patch, preset, situation.rig, above_m)
-    if bias is None or abs(bias.bias_m - expected_m) <= max(largest_m, _CERTAIN * bias.sigma_m):
+    found = quick_disagreement(situation.frame, situation.patch, preset, situation.rig, above_m)
+    if found is None or abs(found.bias.bias_m - expected_m) <= max(largest_m, _CERTAIN * found.bias.sigma_m):
         return None
-    proposal = offset_proposal(bias, preset)
+    evidence = Evidence(preset, situation.rig, (situation.frame,), situation.untouched)
+    proposal = propose_alignment(evidence, found)
+    bias_m = found.bias.bias_m
+    place = f"{bias_m / distance_m:+.1%}, {1e3 * bias_m:+.1f} mm"
     return Finding(
         name="peak",
         field="alignment.depth_offset_m",
-        sentence=f"Peak of the differences at {bias.relative:+.1%}, {1e3 * bias.bias_m:+.1f} mm: the cameras disagree.",
-        proposal=proposal,
-        action="" if proposal else "check_cameras",
+        sentence=f"Peak of the differences at {place}: the cameras disagree.",
+        proposal=proposal if proposal.changes else None,
+        action="" if proposal.changes else "measure_noise",
         explains_empty=True,
     )
 
