@@ -42,6 +42,7 @@ _ADVICE = (
     "Hold the membrane still and take a snapshot. Then change the inflation, or press deeper, and take another: "
     "two or three levels span depth, which a rigid alignment needs."
 )
+_NEXT = "Add another inflation level, or continue with the points."
 
 
 class FramesPage(QWidget):
@@ -233,7 +234,12 @@ class FramesPage(QWidget):
                 "averaged, so dots are blurred. Hold it still and take the snapshot again, or average fewer frames."
             )
         else:
-            self.note.setText(f"Snapshot taken. {_ADVICE}" if not self._session.state.snapshots else _next_words())
+            words = "Snapshot taken."
+            if snapshot.averaged < self._collector.asked:
+                words = f"{snapshot.averaged} of {self._collector.asked} frames: the source has no more."
+                if self._feed.info.length != 1:
+                    words += " For more, go back in the recording and take the snapshot again."
+            self.note.setText(f"{words} {_NEXT if self._session.state.snapshots else _ADVICE}")
         self._session.add_snapshot(snapshot)
         self._show_busy()
 
@@ -282,7 +288,3 @@ def span_words(state: SessionState, rig: Rig) -> str:
     if len(depths) == 1:
         return "One snapshot. Another inflation level would span depth."
     return f"{len(depths)} snapshots; the membrane's centre spans {span:.0f} mm of depth."
-
-
-def _next_words() -> str:
-    return "Snapshot taken. Add another inflation level, or continue with the points."

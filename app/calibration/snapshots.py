@@ -44,7 +44,12 @@ _WAITING_SHARE = 0.5
 
 
 class Collector(QObject):
-    """Averages the next frames of a feed into one snapshot.
+    """Averages the next frames of a feed into one snapshot: fewer where a recording ends.
+
+    Attributes
+    ----------
+    asked : int
+        Number of frames that were asked for.
 
     Signals
     -------
@@ -63,7 +68,9 @@ class Collector(QObject):
         self._feed = feed
         self._frames: list[SensorFrame] = []
         self._number = 0
+        self._index = -1
         self._wanted = 0
+        self.asked = 0
         self._return_to: int | None = None
         self._job = Job(self)
         self._job.progress.connect(
@@ -79,12 +86,13 @@ class Collector(QObject):
         return self._wanted > 0 or self._job.busy
 
     def start(self, count: int) -> None:
-        """Use the current frame and the following ones, ``count`` in total."""
+        """Use the current frame and the following ones, ``count`` in total, or as many as there are."""
         frame, playback = self._feed.frame, self._feed.playback
         if self.busy or frame is None:
             return
         self._frames, self._wanted = [], max(1, min(count, MAX_FRAMES))
-        self._number = playback.index + 1
+        self.asked = self._wanted
+        self._number, self._index = playback.index + 1, -1
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None
         self._take(frame)
@@ -106,14 +114,22 @@ class Collector(QObject):
     def _take(self, frame: SensorFrame) -> None:
         if not self._wanted or any(frame is old for old in self._frames):
             return
+        playback = self._feed.playback
+        if playback.seekable and playback.index < self._index:  # a loop began again, and its last frame was dropped
+            self._average()
+            return
+        self._index = playback.index
         self._frames.append(frame)
         self.progress.emit(
             _WAITING_SHARE * len(self._frames) / self._wanted, f"Frame {len(self._frames)} of {self._wanted}"
         )
-        if len(self._frames) == self._wanted:
-            frames, number = tuple(self._frames), self._number
-            self._end_gathering()
-            self._job.start(lambda progress: take_snapshot(frames, number, self._feed.info, progress))
+        if len(self._frames) == self._wanted or playback.at_end:
+            self._average()
+
+    def _average(self) -> None:
+        frames, number = tuple(self._frames), self._number
+        self._end_gathering()
+        self._job.start(lambda progress: take_snapshot(frames, number, self._feed.info, progress))
 
     def _end_gathering(self) -> None:
         self._wanted, self._frames = 0, []

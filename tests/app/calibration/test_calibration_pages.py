@@ -55,6 +55,39 @@ def test_several_frames_are_averaged_and_movement_is_told(open_wizard, feed, fra
     assert "moved by" in page.note.text()
 
 
+def recorded(frames, length, *indices):
+    """Frames of a looped recording, and where they lie in it."""
+    for index in indices:
+        yield replace(frames[0.2], sequence=index), PlaybackState(index=index, length=length, playing=True)
+
+
+def test_a_source_of_one_frame_gives_a_snapshot_of_one(open_wizard, feed, frames, qtbot):
+    feed.info = replace(feed.info, length=1)
+    feed.deliver(*next(recorded(frames, 1, 0)))
+    wizard = open_wizard()
+    assert wizard.frames.average.value() == 10
+    QTest.mouseClick(wizard.frames.take, LEFT)
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    assert wizard.session.state.snapshots[0].averaged == 1
+    assert wizard.frames.note.text().startswith("1 of 10 frames: the source has no more.")
+    assert wizard.frames.take.isEnabled()
+
+
+@pytest.mark.parametrize("shown", [(6, 7, 8, 0, 1), (6, 7, 0, 1)])
+def test_a_snapshot_ends_where_a_recording_begins_again(open_wizard, feed, frames, qtbot, shown):
+    wizard = open_wizard()
+    first, *others = recorded(frames, 9, *shown)
+    feed.deliver(*first)
+    QTest.mouseClick(wizard.frames.take, LEFT)
+    for frame, playback in others:
+        feed.deliver(frame, playback)
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    taken = wizard.session.state.snapshots[0]
+    last = max(shown)
+    assert (taken.name, taken.averaged) == (f"Frames 7 to {last + 1}", last - 5)
+    assert f"{last - 5} of 10 frames" in wizard.frames.note.text()
+
+
 def test_taking_a_snapshot_can_be_cancelled(open_wizard, feed, qtbot):
     wizard = open_wizard()
     wizard.frames.average.setValue(5)
