@@ -10,6 +10,7 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 
 from ...core.evaluation.time_series import FrameValues, Series, frame_values
 from ...core.preset import Preset
+from ...core.sources.registry import opens_by_name
 from ...widgets.basics.message_bar import Severity
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
 from ..context import Context
@@ -202,6 +203,9 @@ class Timeline(QObject):
 
     def _compute(self) -> None:
         if self._info is None or self._series is None or self._series.complete or not self._shown:
+            return
+        if not opens_by_name(self._info.name):
+            self._strip.set_words("This source cannot be opened a second time, so nothing is computed.")
             return
         preset = self._context.document.preset
         if preset.averaged_frames > 1:  # such a preset must see all frames in order

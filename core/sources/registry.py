@@ -114,6 +114,11 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
         raise SourceError(f"cannot open {name}: {error.strerror or error}; check the path") from error
 
 
+def opens_by_name(name: str) -> bool:
+    """Return whether `open_source` knows the kind of a source's name; a program may make sources of its own."""
+    return name.partition(":")[0] in plugin_names(GROUP)
+
+
 def _load(scheme: str) -> SourceKind:
     kind = load_plugin(GROUP, scheme, SourceKind)
     if kind.scheme != scheme:

@@ -171,7 +171,7 @@ class TimeStrip(QWidget):
         plot.getAxis("left").setTickDensity(0.5)
         plot.getAxis("bottom").setHeight(17)
         self._box = plot.getViewBox()
-        self._shade = pg.ImageItem(axisOrder="col-major")
+        self._shade = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
         self._outside = [pg.LinearRegionItem(movable=False) for _ in range(2)]
         self._old_line = pg.PlotCurveItem(connect="finite")
         self._line = pg.PlotCurveItem(connect="finite")
@@ -317,11 +317,7 @@ class TimeStrip(QWidget):
         end_s = self._end_s()
         column = np.minimum((self._seconds / end_s * columns).astype(np.intp), columns - 1)
         missing = np.bincount(column[~self._computed], minlength=columns) > 0
-        color = QColor(theme_colors().border)
-        image = np.zeros((columns, 1, 4), np.uint8)
-        image[missing] = (color.red(), color.green(), color.blue(), 140)
-        self._shade.setImage(image, autoLevels=False)
-        self._shade.setRect(0.0, 0.0, end_s, max(top, 1.08))
+        self._shade.setData(np.linspace(0.0, end_s, columns + 1), missing * max(top, 1.08))
 
     def _place_cursor(self) -> None:
         there = 0 <= self._index < len(self._seconds) and not self._live
@@ -397,6 +393,9 @@ class TimeStrip(QWidget):
         self._old_line.setPen(pg.mkPen(colors.outside))
         self._cursor.setPen(pg.mkPen(colors.text, width=2))
         self._text.setColor(colors.text)
+        self._text.fill = pg.mkBrush(colors.base)
+        self._shade.setPen(None)
+        self._shade.setBrush(QColor(colors.alternate))
         veil = QColor(colors.outside)
         veil.setAlpha(110)
         for part, edge in zip(self._outside, (1, 0), strict=True):

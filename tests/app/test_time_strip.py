@@ -1,0 +1,307 @@
+"""The time strip by mouse and keys: seek, in and out marks, markers, export and recording of a part."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
+
+from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into, type_path
+from tactune.app.timeline import marks as marks_module
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import ExportError
+from tactune.core.recording.markers import load_marks
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.mcap.source import McapSource
+from tiny_sensor import LiveSource, TinySource, at_rest
+
+LENGTH = 24
+
+
+@pytest.fixture
+def scene(tmp_path) -> Path:
+    folder = tmp_path / "scene"
+    export_folder(TinySource(LENGTH), folder)
+    return folder
+
+
+def show_scene(qtbot, window, scene, index):
+    window.open_source(f"folder:{scene}")
+    qtbot.waitUntil(lambda: window.result is not None and window.result.source.name == f"folder:{scene}")
+    window.worker.pause()
+    go_to(qtbot, window, index)
+
+
+def go_to(qtbot, window, index):
+    window.worker.seek(index)
+    qtbot.waitUntil(lambda: at_rest(window, index) and window.result.playback.index == index)
+
+
+@pytest.fixture
+def strip_window(qtbot, make_window, scene):
+    """A window that stands still at frame 3 of a recording of 24."""
+    window = make_window()
+    show_scene(qtbot, window, scene, 3)
+    return window
+
+
+def mark(qtbot, window, first, last):
+    """Set the in and out marks with the keys."""
+    for index, key in ((first, Qt.Key.Key_I), (last, Qt.Key.Key_O)):
+        go_to(qtbot, window, index)
+        QTest.keyClick(window, key)
+
+
+def computed(window):
+    return window.timeline.series is not None and window.timeline.series.complete
+
+
+def test_the_series_is_the_pipelines_and_follows_the_preset_and_undo(strip_window, qtbot):
+    window = strip_window
+    qtbot.waitUntil(lambda: computed(window))
+    first = window.timeline.series
+    source = TinySource(LENGTH)
+    pipeline = ContactPipeline(window.document.preset, source.rig)
+    areas = [pipeline.process(source.read(index)).area_mm2 for index in range(LENGTH)]
+    assert first.values["area_mm2"].tolist() == areas
+
+    window.document.edit("tolerance.t", 0.001)
+    qtbot.waitUntil(lambda: computed(window) and window.timeline.series is not first)
+    assert np.all(window.timeline.series.values["area_mm2"] == 0)
+    window.document.undo_stack.undo()
+    assert window.timeline.series is first
+    assert computed(window)
+
+
+def test_a_click_and_a_drag_seek(strip_window, qtbot):
+    window = strip_window
+    plot, strip = window.time_strip.plot_widget, window.time_strip
+    assert strip.isVisible()
+    QTest.mouseClick(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
+    qtbot.waitUntil(lambda: at_rest(window, 17))
+    QTest.mousePress(plot.viewport(), LEFT, pos=strip.position_of(17).toPoint())
+    for index in (12, 8, 5):
+        QTest.mouseMove(plot.viewport(), strip.position_of(index).toPoint())
+    QTest.mouseRelease(plot.viewport(), LEFT, pos=strip.position_of(5).toPoint())
+    qtbot.waitUntil(lambda: at_rest(window, 5))
+
+
+def test_the_pointer_reads_the_value(strip_window, qtbot):
+    window = strip_window
+    strip = window.time_strip
+    qtbot.waitUntil(lambda: computed(window))
+    strip.curve_box.setFocus()
+    QTest.keyClick(strip.curve_box, Qt.Key.Key_Down)
+    assert strip.curve.key == "points"
+    QTest.mouseMove(strip.plot_widget.viewport(), strip.position_of(9).toPoint() + QPoint(0, 10))
+    points = int(window.timeline.series.values["points"][9])
+    qtbot.waitUntil(lambda: strip.words == f"0.3 s, frame 10: {points} points")
+
+
+def test_an_export_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path):
+    window = strip_window
+    mark(qtbot, window, 6, 10)
+    assert window.context.trim == (6, 11)
+    QTest.keyClick(window, Qt.Key.Key_E, CONTROL_SHIFT)
+    type_path(qtbot, tmp_path / "part.mcap")
+    qtbot.waitUntil(lambda: window.messages.message("export") is not None)
+    assert "Frames 7 to 11 (5) written to" in window.messages.message("export").sentence
+    with McapSource(tmp_path / "part.mcap") as written:
+        assert [frame.sequence for frame in written] == [6, 7, 8, 9, 10]
+
+    window.activateWindow()
+    qtbot.waitUntil(window.isActiveWindow)
+    QTest.keyClick(window, Qt.Key.Key_I, Qt.KeyboardModifier.ShiftModifier)
+    assert window.context.trim is None
+
+
+def test_patches_are_exported_for_the_marked_frames(strip_window, qtbot, tmp_path):
+    window = strip_window
+    mark(qtbot, window, 20, 22)
+    folder = tmp_path / "patches"
+    folder.mkdir()
+    window.actions_.export_patches.trigger()
+    qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
+    dialog = QApplication.activeModalWidget()
+    entry = dialog.findChild(QLineEdit, "fileNameEdit")
+    entry.setText(str(folder))
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    if dialog.isVisible():
+        dialog.accept()
+    qtbot.waitUntil(lambda: window.messages.message("export") is not None)
+    assert sorted(path.name for path in folder.iterdir()) == [f"patch_{index:06d}.ply" for index in (20, 21, 22)]
+
+
+def test_a_recording_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path):
+    window = strip_window
+    window.settings.set("folder/recordings", str(tmp_path))
+    mark(qtbot, window, 9, 14)
+    go_to(qtbot, window, 2)
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
+    [file] = tmp_path.glob("session_*.mcap")
+    with McapSource(file) as written:
+        assert [frame.sequence for frame in written] == [9, 10, 11, 12, 13, 14]
+
+
+def test_an_out_mark_before_the_in_mark_removes_it(strip_window, qtbot):
+    window = strip_window
+    mark(qtbot, window, 15, 8)
+    assert window.context.trim == (0, 9)
+    mark(qtbot, window, 12, LENGTH - 1)
+    assert window.context.trim == (12, LENGTH)
+
+
+def test_a_marker_is_added_renamed_undone_and_survives_a_restart(strip_window, qtbot, make_window, scene):
+    window = strip_window
+    go_to(qtbot, window, 7)
+    QTest.keyClick(window, Qt.Key.Key_M)
+    go_to(qtbot, window, 18)
+    QTest.keyClick(window, Qt.Key.Key_M)
+    assert [marker.name for marker in load_marks(scene / "markers.json").markers] == ["Marker 1", "Marker 2"]
+
+    QTest.keyClick(window, Qt.Key.Key_M, CONTROL)
+    listed = window.timeline.list
+    qtbot.waitUntil(listed.isActiveWindow)
+    table = listed.table
+    QTest.mouseClick(table.viewport(), LEFT, pos=table.visualItemRect(table.item(0, 0)).center())
+    qtbot.waitUntil(lambda: at_rest(window, 7))  # a click goes there
+    QTest.keyClick(table, Qt.Key.Key_F2)
+    entry = table.findChild(QLineEdit)
+    QTest.keyClicks(entry, "first touch")
+    QTest.keyClick(entry, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: load_marks(scene / "markers.json").markers[0].name == "first touch")
+
+    QTest.mouseClick(table.viewport(), LEFT, pos=table.visualItemRect(table.item(1, 0)).center())
+    QTest.keyClick(table, Qt.Key.Key_Delete)
+    qtbot.waitUntil(lambda: table.rowCount() == 1)
+    QTest.keyClick(table, Qt.Key.Key_Z, CONTROL)
+    qtbot.waitUntil(lambda: table.rowCount() == 2)
+    QTest.keyClick(listed, Qt.Key.Key_Escape)
+    window.close_without_asking()
+
+    again = make_window()
+    show_scene(qtbot, again, scene, 0)
+    assert [marker.name for marker in again.timeline.keeper.marks.markers] == ["first touch", "Marker 2"]
+    for key, index in ((Qt.KeyboardModifier.NoModifier, 7), (Qt.KeyboardModifier.NoModifier, 18),
+                       (Qt.KeyboardModifier.ShiftModifier, 7)):  # fmt: skip
+        QTest.keyClick(again, Qt.Key.Key_N, key)
+        qtbot.waitUntil(lambda index=index: at_rest(again, index))
+
+
+def test_a_damaged_file_is_explained_and_kept(make_window, qtbot, scene):
+    (scene / "markers.json").write_text("{")
+    window = make_window()
+    show_scene(qtbot, window, scene, 2)
+    assert "markers.json are damaged" in window.messages.message("markers").sentence
+    assert (scene / "markers.json").read_text() == "{"
+    QTest.keyClick(window, Qt.Key.Key_M)
+    assert (scene / "markers.json.damaged").read_text() == "{"
+    assert [marker.frame for marker in load_marks(scene / "markers.json").markers] == [2]
+
+
+def test_markers_of_a_place_that_cannot_be_written_are_kept_elsewhere(
+    strip_window, qtbot, make_window, scene, monkeypatch
+):
+    save = marks_module.save_marks
+
+    def refuse(path, marks):
+        if path.parent == scene:
+            raise ExportError(f"cannot write {path}: Read-only file system; choose another place")
+        save(path, marks)
+
+    monkeypatch.setattr(marks_module, "save_marks", refuse)
+    QTest.keyClick(strip_window, Qt.Key.Key_M)
+    assert "cannot be written, so the markers are kept in" in strip_window.messages.message("markers").sentence
+    strip_window.close_without_asking()
+    again = make_window()
+    show_scene(qtbot, again, scene, 0)
+    assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
+
+
+def test_letters_typed_into_a_field_set_no_marks(strip_window):
+    window = strip_window
+    for entry in (window.panel.rows["tolerance.t"].widget.entry, window.transport.position):
+        entry.setFocus()
+        QTest.keyClicks(entry, "iom")
+        QTest.keyClick(entry, Qt.Key.Key_Escape)
+    assert window.timeline.keeper.marks.trim is None
+    assert window.timeline.keeper.marks.markers == ()
+
+
+@pytest.mark.parametrize(
+    ("text", "index"), [("12", 11), ("frame 5", 4), ("0.5 s", 15), ("0:00.3", 9), ("99", LENGTH - 1), ("99 s", 23)]
+)
+def test_a_frame_or_a_time_can_be_typed(strip_window, qtbot, text, index):
+    window = strip_window
+    QTest.keyClick(window, Qt.Key.Key_G, CONTROL)
+    entry = window.transport.position
+    qtbot.waitUntil(entry.hasFocus)
+    type_into(entry, text)
+    qtbot.waitUntil(lambda: at_rest(window, index))
+    assert entry.text() == f"{index / 30:.1f} s, frame {index + 1} of {LENGTH}"
+    assert not entry.hasFocus()
+
+
+def test_what_means_no_frame_changes_nothing(strip_window):
+    entry = strip_window.transport.position
+    type_into(entry, "soon")
+    assert entry.hasFocus()
+    QTest.keyClick(entry, Qt.Key.Key_Escape)
+    assert entry.text() == f"0.1 s, frame 4 of {LENGTH}"
+
+
+def test_hiding_the_strip_is_remembered(strip_window, make_window, qtbot, scene):
+    window = strip_window
+    QTest.keyClick(window, Qt.Key.Key_T, CONTROL_SHIFT)
+    assert window.time_strip.isHidden()
+    window.close_without_asking()
+    again = make_window()
+    show_scene(qtbot, again, scene, 0)
+    assert again.time_strip.isHidden()
+    again.actions_.show_time.trigger()
+    qtbot.waitUntil(lambda: computed(again))
+
+
+def test_a_single_frame_has_no_strip_and_a_live_source_scrolls(make_window, qtbot):
+    window = make_window()
+    show_source(qtbot, window, TinySource(1))
+    assert window.time_strip.isHidden()
+    assert not window.actions_.mark_in.isEnabled()
+    live = LiveSource()
+    show_live(qtbot, window, live)
+    assert window.time_strip.isVisible()
+    assert not window.actions_.mark_in.isEnabled()
+    live.stopped.set()
+
+
+def show_live(qtbot, window, live):
+    """Let three frames come and wait until the strip has them."""
+    live.more.set()
+    show_source(qtbot, window, live)
+    for count in (2, 3):
+        live.more.set()
+        qtbot.waitUntil(lambda count=count: window.result.frame.sequence == count - 1)
+    area = window.result.area_mm2
+
+    def hovered():
+        plot = window.time_strip.plot_widget
+        QTest.mouseMove(plot.viewport(), QPoint(plot.width() // 2, 30))
+        QTest.mouseMove(plot.viewport(), QPoint(plot.width() - 12, 30))
+        return f"{area / 100:.3g} cm²" in window.time_strip.words
+
+    qtbot.waitUntil(hovered)
+
+
+def test_marks_of_a_source_that_is_no_file_are_kept_by_its_name(window, qtbot, make_window):
+    QTest.keyClick(window, Qt.Key.Key_M)
+    window.close_without_asking()
+    again = make_window()
+    show_source(qtbot, again, TinySource(), 0)
+    assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
+    assert json.loads(next((again.context.data_folder / "markers").glob("tiny-*.json")).read_text())["trim"] is None
