@@ -14,7 +14,7 @@ from ..contact.finder import region_bounds
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..errors import AdviceError
-from ..model.arrays import BoolArray, Float32Array, Uint8Array
+from ..model.arrays import BoolArray, Float32Array, Float64Array, Uint8Array
 from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..preset import MaskSection, Preset
@@ -36,6 +36,9 @@ _TAIL: Final = 0.01
 #: light that changes where the membrane is pressed. It is narrowed until it costs at most this share of bare membrane.
 _HUE_MARGIN, _SATURATION_MARGIN, _VALUE_MARGIN, _MAX_LOST = 14, 60, 0.5, 0.005
 _NARROWER: Final = (1.0, 0.75, 0.5, 0.25, 0.1, 0.0)
+#: Without an untouched frame: fewest groups that may be prints, fewest pixels of one, a larger group than most by this
+#: factor may be contact, and the prints' hues and saturations are this near each other.
+_MIN_GROUPS, _MIN_GROUP_PIXELS, _LARGE, _ONE_HUE, _ONE_SATURATION = 4, 30, 3.0, 20.0, 60.0
 #: The present mask is as good if it covers at most this share less.
 _AS_GOOD: Final = 0.02
 #: Prints whose colour tells them from bare membrane by less cannot be masked.
@@ -63,21 +66,22 @@ class _Colours:
     rgb: Uint8Array
     core: BoolArray
 
-    def of(self, pixels: BoolArray) -> Uint8Array:
-        """Return the colours at some pixels, RGB, shape (N, 3)."""
-        return self.rgb[pixels]
+    @property
+    def prints(self) -> Uint8Array:
+        """The colours of the prints, RGB, shape (N, 3)."""
+        return self.rgb[self.core]
 
 
 def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
-    """Propose the mask that covers the prints, from frames in which it is known that nothing touches.
+    """Propose the mask that covers the prints.
 
-    Those are the untouched frame and examples of the untouched membrane; without any, what lies apart from painted
-    contact.
+    They are found in the untouched frame and in examples of the untouched membrane; without any, apart from painted
+    contact; without that, among small groups of the present frame that are near the membrane, if they have one colour.
 
     Raises
     ------
     AdviceError
-        There is no such frame, no print reflects infrared in it, or prints and bare membrane have the same colour.
+        No print reflects infrared, prints can't be told from contact, or they have the colour of the bare membrane.
     """
     known: list[tuple[SensorFrame, BoolArray | None]] = []
     if evidence.untouched is not None:
@@ -85,19 +89,21 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
     known += [(example.frame, None) for example in evidence.examples if example.contact is None]
     if not known:
         known = [(example.frame, example.contact) for example in evidence.examples]
-    if not known:
-        raise AdviceError(
-            "mask: prints can be told from contact only where nothing touches; capture an untouched frame, or paint "
-            "the contact in a frame"
-        )
+    if weak := not known:
+        known = [(evidence.frame, _large_groups(evidence))]
     found = []
     for number, (frame, contact) in enumerate(known):
         progress(number / len(known), "Looking for prints")
         found.append(_colours(frame, contact, evidence.preset, evidence.rig))
-    prints = np.concatenate([colours.of(colours.core) for colours in found])
+    if weak and not _one_colour(found[0].prints):
+        raise AdviceError(
+            "mask: in this frame prints can't be told from contact; capture an untouched frame, or paint the contact "
+            "in a frame"
+        )
+    prints = np.concatenate([colours.prints for colours in found])
     if len(prints) < _MIN_PRINT_PIXELS:
         raise AdviceError(
-            f"mask: only {len(prints)} pixels of the untouched membrane have a proximity depth on the membrane, so no "
+            f"mask: only {len(prints)} pixels outside contact have a proximity depth on the membrane, so no "
             "print reflects infrared; leave the mask off, or check the alignment if you see false contact on prints"
         )
     section = _narrowest_within(prints, found)
@@ -107,7 +113,47 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
             f"mask: the prints have the colour of the rest of the membrane: a mask that covers {100 * covered:.0f} % "
             f"of them drops {100 * lost:.0f} % of the rest; no mask tells them apart"
         )
-    return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found)
+    return _proposal(evidence.preset, section, _labelled(found[0], section), covered, lost, found, weak)
+
+
+def _difference(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
+    """Return the tactile depth of each proximity pixel, and how far it sees behind the prints, metres."""
+    frame.check_against(rig)
+    bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
+    aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
+    difference = aligned.expected_m - aligned.measured_m
+    with np.errstate(invalid="ignore"):
+        return aligned.measured_m, difference - most_frequent_m(difference[np.abs(difference) < _MAX_BIAS_M])
+
+
+def _near(behind_m: Float32Array) -> Uint8Array:
+    """Return where the proximity camera measures the membrane, or something at it, without single pixels."""
+    with np.errstate(invalid="ignore"):
+        near = (np.abs(behind_m) < _ON_PRINT_M).view(np.uint8)
+    return np.asarray(cv2.morphologyEx(near, cv2.MORPH_OPEN, _THREE))
+
+
+def _large_groups(evidence: Evidence) -> BoolArray:
+    """Return what may be contact in the present frame: groups near the membrane that are much larger than most."""
+    near = _near(_difference(evidence.frame, evidence.preset, evidence.rig)[1])
+    _, groups, stats, _ = cv2.connectedComponentsWithStats(near, connectivity=8)
+    areas = stats[:, cv2.CC_STAT_AREA]
+    prints = np.flatnonzero(areas[1:] >= _MIN_GROUP_PIXELS) + 1
+    if len(prints) < _MIN_GROUPS:
+        return near > 0
+    large = areas > _LARGE * np.median(areas[prints])
+    large[0] = False
+    return np.asarray(large[groups])
+
+
+def _one_colour(rgb: Uint8Array) -> bool:
+    """Return whether colours have nearly one hue and saturation, as prints have."""
+    if len(rgb) == 0:
+        return False
+    hue, saturation, _ = cv2.cvtColor(rgb[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
+    ends = (2 * _TAIL, 1 - 2 * _TAIL)
+    hues, saturations = (np.ptp(np.quantile(part, ends)) for part in (_hues_around_mean(hue)[1], saturation))
+    return bool(hues <= _ONE_HUE and saturations <= _ONE_SATURATION)
 
 
 def _colours(frame: SensorFrame, contact: BoolArray | None, preset: Preset, rig: Rig) -> _Colours:
@@ -118,25 +164,18 @@ def _colours(frame: SensorFrame, contact: BoolArray | None, preset: Preset, rig:
     contact : bool, shape (H, W), or None
         Where something touches. What is near the membrane and connected with contact is no print.
     """
-    frame.check_against(rig)
-    bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
-    aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
-    difference = aligned.expected_m - aligned.measured_m
-    usable = np.isfinite(difference)
-    with np.errstate(invalid="ignore"):
-        away = difference - most_frequent_m(difference[usable & (np.abs(difference) < _MAX_BIAS_M)])
-        through = usable & (away > _THROUGH_M)
-        on_print = (usable & (np.abs(away) < _ON_PRINT_M)).view(np.uint8)
+    membrane_m, behind_m = _difference(frame, preset, rig)
+    on_print = _near(behind_m)
     if contact is not None:
-        _, groups = cv2.connectedComponents((on_print | contact.view(np.uint8)), connectivity=8)
+        _, groups = cv2.connectedComponents(on_print | contact.view(np.uint8), connectivity=8)
         on_print[np.isin(groups, np.unique(groups[contact]))] = 0
-    on_print = cv2.morphologyEx(on_print, cv2.MORPH_OPEN, _THREE)
-    labels = np.full(difference.shape, MaskLabel.UNKNOWN, np.uint8)
-    labels[through] = MaskLabel.BARE
+    labels = np.full(behind_m.shape, MaskLabel.UNKNOWN, np.uint8)
+    with np.errstate(invalid="ignore"):
+        labels[behind_m > _THROUGH_M] = MaskLabel.BARE
     labels[on_print > 0] = MaskLabel.MISSED
     if contact is not None:
-        labels[contact & usable] = MaskLabel.LOST  # for now, to get the colours there
-    rgb = _membrane_colours(frame, labels, aligned.measured_m, rig)
+        labels[contact & np.isfinite(behind_m)] = MaskLabel.LOST  # for now, to get the colours there
+    rgb = _membrane_colours(frame, labels, membrane_m, rig)
     if contact is not None:
         touched = labels == MaskLabel.LOST
         labels[touched] = MaskLabel.UNKNOWN
@@ -164,12 +203,16 @@ def _membrane_colours(frame: SensorFrame, labels: Uint8Array, membrane_m: Float3
     return image
 
 
+def _hues_around_mean(hue: Float64Array) -> tuple[float, Float64Array]:
+    """Return the mean of some hues, 0 to 180 around a circle, and how far each is from it, -90 to 90."""
+    centre = float(np.angle(np.exp(2j * np.pi / _HUES * hue).mean())) * _HUES / (2 * np.pi)
+    return centre, (hue - centre + _HUES / 2) % _HUES - _HUES / 2
+
+
 def _narrowest_within(prints: Uint8Array, found: Sequence[_Colours]) -> MaskSection:
     """Return the mask of the prints' colours with the widest margins that cost hardly any bare membrane."""
     hue, saturation, value = cv2.cvtColor(prints[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
-    angles = hue * (2 * np.pi / _HUES)
-    centre = float(np.angle(np.exp(1j * angles).mean())) * _HUES / (2 * np.pi)
-    around = (hue - centre + _HUES / 2) % _HUES - _HUES / 2
+    centre, around = _hues_around_mean(hue)
     hue_low, hue_high = np.quantile(around, (_TAIL, 1 - _TAIL))
     saturation_low, value_low = np.quantile(saturation, _TAIL), np.quantile(value, _TAIL)
     sections = [
@@ -208,7 +251,13 @@ def _labelled(colours: _Colours, section: MaskSection) -> Uint8Array:
 
 
 def _proposal(
-    preset: Preset, section: MaskSection, picture: Uint8Array, covered: float, lost: float, found: Sequence[_Colours]
+    preset: Preset,
+    section: MaskSection,
+    picture: Uint8Array,
+    covered: float,
+    lost: float,
+    found: Sequence[_Colours],
+    weak: bool,
 ) -> Proposal:
     """Return the proposal of a mask, or that of no change if the present mask does as well."""
     changes = {
@@ -224,16 +273,22 @@ def _proposal(
         )
         if now_covered >= covered - _AS_GOOD and now_lost <= lost + _MAX_LOST:
             changes, label, picture = {}, "Keep the mask", _labelled(found[0], preset.mask)
+    where, doubt = "outside contact", ""
+    if weak:
+        where, doubt = (
+            "in small groups of one colour",
+            " An untouched frame would tell prints from contact for certain.",
+        )
     pixels = sum(int(np.count_nonzero(colours.core)) for colours in found)
     return Proposal(
         section="mask",
         changes=changes,
         label=label,
         evidence=(
-            f"On {pixels:,} pixels of the untouched membrane the proximity camera measures the membrane itself; a mask "
-            f"of their colours covers {100 * covered:.0f} % of the prints and drops {100 * lost:.1f} % of the bare "
-            "membrane."
+            f"On {pixels:,} pixels {where} the proximity camera measures the membrane itself; a mask of their colours "
+            f"covers {100 * covered:.0f} % of the prints and drops {100 * lost:.1f} % of the bare membrane.{doubt}"
         ),
         expected=present,
+        weak=weak,
         picture=picture,
     )
