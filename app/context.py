@@ -56,12 +56,15 @@ class Context(QObject):
         `result` is on the screen.
     trimChanged()
         The in or out mark was set, moved or cleared, or another source was opened.
+    saveRequested()
+        Emit it to save the preset to its file, after asking for one if it has none.
     sourceRequested(name: str)
         Emit it to open another source, named as `tactune.core.sources.registry.open_source` takes it.
     """
 
     frameShown = pyqtSignal()
     trimChanged = pyqtSignal()
+    saveRequested = pyqtSignal()
     sourceRequested = pyqtSignal(str)
 
     def __init__(

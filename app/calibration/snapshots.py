@@ -46,6 +46,8 @@ _WAITING_SHARE = 0.5
 class Collector(QObject):
     """Averages the next frames of a feed into one snapshot: fewer where a recording ends.
 
+    A recording is read frame by frame, because frames that play may be dropped.
+
     Attributes
     ----------
     asked : int
@@ -72,6 +74,7 @@ class Collector(QObject):
         self._wanted = 0
         self.asked = 0
         self._return_to: int | None = None
+        self._goes_on = False
         self._job = Job(self)
         self._job.progress.connect(
             lambda share, words: self.progress.emit(_WAITING_SHARE + (1 - _WAITING_SHARE) * share, words)
@@ -95,8 +98,11 @@ class Collector(QObject):
         self._number, self._index = playback.index + 1, -1
         still = not playback.playing or playback.frozen
         self._return_to = playback.index if still and playback.seekable else None
+        self._goes_on = playback.seekable and not still
+        if self._goes_on:
+            self._feed.pause()
         self._take(frame)
-        if self._wanted:
+        if self._wanted and not playback.seekable:
             self._feed.play()
 
     def cancel(self) -> None:
@@ -108,15 +114,15 @@ class Collector(QObject):
 
     def close(self) -> None:
         """Stop permanently."""
-        self._wanted = 0
+        if self._wanted:
+            self._end_gathering()
         self._job.stop()
 
     def _take(self, frame: SensorFrame) -> None:
         if not self._wanted or any(frame is old for old in self._frames):
             return
         playback = self._feed.playback
-        if playback.seekable and playback.index < self._index:  # a loop began again, and its last frame was dropped
-            self._average()
+        if playback.seekable and playback.index <= self._index:  # from the next round of a loop
             return
         self._index = playback.index
         self._frames.append(frame)
@@ -125,6 +131,8 @@ class Collector(QObject):
         )
         if len(self._frames) == self._wanted or playback.at_end:
             self._average()
+        elif playback.seekable:
+            self._feed.seek(playback.index + 1)
 
     def _average(self) -> None:
         frames, number = tuple(self._frames), self._number
@@ -137,6 +145,9 @@ class Collector(QObject):
             self._feed.pause()
             self._feed.seek(self._return_to)
             self._return_to = None
+        if self._goes_on:
+            self._feed.play()
+            self._goes_on = False
 
     def _done(self, snapshot: Snapshot) -> None:
         self.taken.emit(snapshot)

@@ -24,7 +24,7 @@ from ..context import Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed, WorkerFeed
 from .check_page import CheckPage
-from .fitting import Fitter, Outcome, at_least, correspondences, pairs_of
+from .fitting import MIN_PAIRS, Fitter, Outcome, at_least, correspondences, pairs_of
 from .frames_page import FramesPage
 from .helpers_page import HelpersPage
 from .keeping import Keeper, preset_values
@@ -45,6 +45,7 @@ _TIPS = (
     "Quality of the calibration and the next step",
     "Compare images and patch with the new and the old alignment",
 )
+_NO_PAIRS = f"0 pairs; {MIN_PAIRS} are needed for a first fit."
 _FILTERS = "Points (*.csv *.points);;All files (*)"
 
 
@@ -68,9 +69,12 @@ class CalibrationWizard(QDialog):
     -------
     saved()
         The alignment is in the document.
+    fileSaveRequested()
+        The document is to be saved to its file.
     """
 
     saved = pyqtSignal()
+    fileSaveRequested = pyqtSignal()
 
     def __init__(
         self,
@@ -87,6 +91,7 @@ class CalibrationWizard(QDialog):
         self._feed, self._document, self._native = feed, document, native_dialogs
         self._dialogs = Dialogs(self, native_dialogs)
         self.outcome = Outcome()
+        self._saved = False
         rig = feed.rig
         self.session = Session(rig, lambda snapshot, u, v: tactile_depth_at(snapshot.frame, rig, u, v), self)
         self.keeper = Keeper(self.session, folder, self)
@@ -108,6 +113,7 @@ class CalibrationWizard(QDialog):
         self._offer(self.keeper.restore())
         self._offer_stored()
         self._show_state(self.session.state)
+        self._allow_saving(_NO_PAIRS)
         self.go_to(1 if self.session.state.snapshots else 0)
 
     # Building
@@ -132,10 +138,7 @@ class CalibrationWizard(QDialog):
         self.redo = push_button("Redo", "")
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
-        self.save = push_button(
-            "Save into preset", "Put the alignment into the preset, with its points and quality (Ctrl+S)"
-        )
-        self.save.setEnabled(False)
+        self.save = push_button("Save into preset", "")
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
         footer = QHBoxLayout()
         for push in (self.over, self.undo, self.redo):
@@ -174,6 +177,7 @@ class CalibrationWizard(QDialog):
         self.helpers.accepted.connect(self._accepted)
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
+        self._document.fileChanged.connect(self._file_changed)
         session.changed.connect(self._show_state)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
@@ -260,10 +264,19 @@ class CalibrationWizard(QDialog):
     def _show_state(self, state: SessionState) -> None:
         self.over.setEnabled(not state.empty)
 
+    def _allow_saving(self, missing: str) -> None:
+        """Enable saving, or say what is missing."""
+        self.save.setEnabled(not missing)
+        self.save.setToolTip(
+            f"Nothing to save yet: {missing}"
+            if missing
+            else "Put the alignment into the preset, with its points and quality (Ctrl+S)"
+        )
+
     def _show_outcome(self, outcome: Outcome) -> None:
         self.outcome = outcome
         report = outcome.report
-        self.save.setEnabled(report is not None)
+        self._allow_saving("" if report is not None else outcome.sentence)
         self.verdict.setText(outcome.sentence if report is None else _short(report))
         self.verdict.setToolTip(outcome.sentence if report is None else report.verdict)
         for page in (self.points, self.helpers, self.model, self.quality, self.check):
@@ -332,12 +345,29 @@ class CalibrationWizard(QDialog):
         values = preset_values(report, self._document.preset, self.session.state, set_tolerance)
         self.check.keep_present()
         if self._document.edit_many(values):
-            self.messages.show_message(
-                "saved",
-                Severity.INFO,
-                "The alignment is in the preset now; undo in the main window removes it.",
-            )
+            self._saved = True
+            self._offer_file()
             self.saved.emit()
+
+    def _offer_file(self) -> None:
+        self.messages.show_message(
+            "saved",
+            Severity.WARNING,
+            "The alignment is in the preset, but the preset's file is not saved yet. Undo in the main window removes "
+            "the alignment.",
+            offers=[("Save preset", self._save_file)],
+        )
+
+    def _save_file(self) -> None:
+        self.fileSaveRequested.emit()
+        if self._document.dirty:  # a new preset needs a file name first
+            self._offer_file()
+
+    def _file_changed(self) -> None:
+        """Say that the alignment is in the file now."""
+        if self._saved and not self._document.dirty:
+            self._saved = False
+            self.messages.show_message("saved", Severity.INFO, f"The preset was saved in {self._document.path}.")
 
     def _refused(self, _: str, words: str) -> None:
         if self.isVisible():
@@ -406,6 +436,7 @@ class CalibrationLauncher(QObject):
                 context.cloud_backend,
                 context.window,
             )
+            self.wizard.fileSaveRequested.connect(context.saveRequested)
             self.wizard.finished.connect(self._wizard_closed)
         self.wizard.show()
         self.wizard.raise_()

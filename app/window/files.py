@@ -41,6 +41,7 @@ class FileFlows(QObject):
     def __init__(self, context: Context, autosave: Autosave) -> None:
         super().__init__(context)
         self._context, self._autosave = context, autosave
+        context.saveRequested.connect(self.save)
         self._document, self._dialogs = context.document, context.dialogs
         self._settings, self._messages = context.settings, context.messages
 

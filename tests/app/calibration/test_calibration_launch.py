@@ -7,11 +7,14 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
+from hands import press, type_path
+from pairs import with_pairs
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.preset import Preset
 from tactune.core.sources.base import SeekableSource
+from tactune.core.sources.presets import load_preset
 
 CONTROL = Qt.KeyboardModifier.ControlModifier
 
@@ -92,3 +95,37 @@ def test_the_recheck_opens_on_the_present_frame(window, scene, frames, qtbot):
     qtbot.waitUntil(lambda: check.drift is not None, timeout=15000)
     assert check.drift.recalibrate
     assert "calibrate again" in check.sentence.text()
+
+
+def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, frames, qtbot):
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    window.worker.pause()
+    window.worker.seek(0)
+    qtbot.waitUntil(lambda: window.result.frame.sequence == 0 and not window.transport.state.playing)
+    window.actions_.calibrate.trigger()
+    wizard = window.calibration.wizard
+    wizard.frames.start()
+    qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots))
+    assert wizard.session.state.snapshots[0].name == "Frames 1 to 6"
+    assert wizard.session.state.snapshots[0].averaged == 6
+    window.worker.play()
+    qtbot.waitUntil(lambda: window.transport.state.playing)
+    wizard.frames.average.setValue(2)
+    wizard.frames.start()
+    qtbot.waitUntil(lambda: not wizard.collector.busy)
+    qtbot.waitUntil(lambda: window.transport.state.playing)
+
+
+def test_the_wizard_saves_the_preset_through_the_window(window, scene, frames, feed, qtbot, tmp_path):
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    window.actions_.calibrate.trigger()
+    wizard = window.calibration.wizard
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(wizard.save.isEnabled)
+    wizard.save_into_preset()
+    press(wizard.messages.message("saved"), "Save preset")
+    type_path(qtbot, tmp_path / "new.json")
+    qtbot.waitUntil(lambda: not window.document.dirty)
+    assert load_preset(tmp_path / "new.json").alignment.calibration is not None

@@ -6,8 +6,9 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from hands import answer_question
+from hands import answer_question, press
 from pairs import with_pairs
+from tactune.core.sources.presets import load_preset
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
@@ -73,3 +74,30 @@ def test_present_stays_the_old_alignment_until_the_file_is_saved(
     qtbot.waitUntil(lambda: page.image.grab().toImage() != new)
     document.save(tmp_path / "saved.json")
     assert page.present_preset().alignment == document.preset.alignment
+
+
+def test_a_fresh_wizard_has_nothing_to_save_and_says_why(open_wizard, scene, frames, feed, qtbot):
+    wizard = open_wizard()
+    assert not wizard.save.isEnabled()
+    assert "0 pairs; 4 are needed" in wizard.save.toolTip()
+    wizard.session.click("proximity", 100.0, 100.0)
+    wizard.session.click("tactile", 80.0, 100.0)
+    qtbot.waitUntil(lambda: "1 pair; 3 pairs more" in wizard.save.toolTip())
+    fitted(qtbot, wizard, with_pairs(scene, frames, feed))
+    assert wizard.save.isEnabled() and "Ctrl+S" in wizard.save.toolTip()
+
+
+def test_after_saving_into_the_preset_its_file_can_be_saved(
+    open_wizard, scene, frames, feed, document, qtbot, tmp_path
+):
+    document.save(tmp_path / "tiny.json")
+    wizard = open_wizard()
+    wizard.fileSaveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
+    fitted(qtbot, wizard, with_pairs(scene, frames, feed))
+    QTest.mouseClick(wizard.save, LEFT)
+    qtbot.waitUntil(lambda: wizard.messages.message("saved") is not None)
+    assert "file is not saved yet" in wizard.messages.message("saved").sentence
+    press(wizard.messages.message("saved"), "Save preset")
+    assert not document.dirty
+    assert load_preset(tmp_path / "tiny.json").alignment.calibration is not None
+    assert "tiny.json" in wizard.messages.message("saved").sentence
