@@ -118,6 +118,8 @@ class Meter(QObject):
             if result.patch is not None:
                 for stage, ms in result.patch.stage_ms.items():
                     stages[stage].append(ms)
+        series = self._window.timeline.series
+        share = 100 * series.computed.mean() if series is not None else 0
         points = [len(result.patch.points) for _, result in self.results if result.patch is not None]
         size = self._window.size()
         view = self._window.views.views["patch"]
@@ -128,6 +130,7 @@ class Meter(QObject):
             f"frames processed  {processed / seconds:.1f} per second",
             f"frames dropped    {last[1].dropped - first[1].dropped}",
             f"processor time    {1e3 * self._cpu_s / processed:.1f} ms per frame, all threads",
+            f"time strip        {share:.0f} % of the frames computed",
             f"points            median {np.median(points):.0f}, most {max(points)}",
             f"heartbeat gap     {_spread(self.gaps_ms)} ms ({HEARTBEAT_MS} ms timer)",
             "milliseconds per frame:",
@@ -223,12 +226,14 @@ def main() -> int:
     parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
     parser.add_argument("--compare", type=int, default=0, metavar="ROUNDS", help="measure the cost of the Compare tab")
     parser.add_argument("--methods", default=",".join(method_names()), help="the methods that are compared")
+    parser.add_argument("--no-strip", action="store_true", help="hide the time strip; nothing is computed for it")
     options = parser.parse_args()
     preset, _ = start_with(options.preset or default_preset(options.source))
     application = make_application()
     with tempfile.TemporaryDirectory(prefix="tactune-") as folder:
         settings = Settings(Path(folder) / "window.ini")
         settings.set("compare/methods", options.methods)
+        settings.set("window/hidden", "show_time" if options.no_strip else "")
         window = MainWindow(preset, settings, Path(folder), backend=options.backend)
         window.set_theme(cast(ThemeChoice, options.theme), remember=False)
         width, height = (int(part) for part in options.size.split("x"))

@@ -159,7 +159,8 @@ class Timeline(QObject):
         several = self._several(info)
         self.availableChanged.emit(several)
         self._context.messages.clear("markers")
-        if several and info.length is not None:
+        self._strip.set_words("")
+        if several:
             self._preset_changed(self._context.document.preset)
         self.keeper.open(info.name, info.length if several and info.length is not None else 0)
         self._show_strip()

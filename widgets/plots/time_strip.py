@@ -40,6 +40,7 @@ LIVE_S: Final = 60.0
 _HEIGHT = 84
 #: Resolution of the shading of frames that are not computed yet, columns.
 _COLUMNS = 1000
+_NO_TRUTH = "This source does not know the true contact"
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
 
@@ -117,6 +118,7 @@ class TimeStrip(QWidget):
         self._trim: tuple[int, int] | None = None
         self._markers: tuple[tuple[int, str], ...] = ()
         self._words = ""
+        self._dragging = False
         self.curve_box = self._make_curve_box()
         self.plot_widget = _Plot(axisItems={"bottom": _SecondsAxis("bottom")})
         self._make_plot()
@@ -155,10 +157,10 @@ class TimeStrip(QWidget):
         view.setAccessibleName("Time strip")
         view.setToolTip(
             "Click or drag to seek, wheel to zoom, middle button to pan, double click to see everything. "
-            "Shaded: not computed yet. Grey line: the preset before."
+            "Shaded: not computed yet. Grey line meanwhile: the preset before."
         )
         view.sought.connect(self._seek)
-        view.held.connect(lambda held: self.held.emit(held) if not self._live else None)
+        view.held.connect(self._hold)
         view.hovered.connect(self._hover)
         view.left.connect(self._show_words)
         view.opened.connect(lambda _: self.show_all())
@@ -243,11 +245,10 @@ class TimeStrip(QWidget):
         self._draw()
 
     def set_cursor(self, index: int) -> None:
-        """Show which frame is on the screen; if the strip is zoomed in, it follows."""
-        if index == self._index:
-            return
-        self._index = index
-        self._place_cursor()
+        """Show which frame is on the screen; if the strip is zoomed in, it follows. While dragged it stays."""
+        if index != self._index and not self._dragging:
+            self._index = index
+            self._place_cursor()
 
     def set_trim(self, trim: tuple[int, int] | None) -> None:
         """Shade what lies outside the in and out marks: the first frame, and the one behind the last."""
@@ -291,6 +292,7 @@ class TimeStrip(QWidget):
 
     def _choose(self) -> None:
         self._draw()
+        self._show_words()
         self.curveChosen.emit(self.curve.key)
 
     def _draw(self) -> None:
@@ -357,10 +359,18 @@ class TimeStrip(QWidget):
     def _frame_at(self, time_s: float) -> int:
         return int(np.abs(self._seconds - time_s).argmin())
 
+    def _hold(self, held: bool) -> None:
+        if not self._live:
+            self._dragging = held
+            self.held.emit(held)
+
     def _seek(self, time_s: float) -> None:
-        if len(self._seconds) and not self._live:
-            index = self._frame_at(time_s)
-            self.set_cursor(index)
+        if not len(self._seconds) or self._live:
+            return
+        index = self._frame_at(time_s)
+        if index != self._index:
+            self._index = index
+            self._place_cursor()
             self.seekRequested.emit(index)
 
     def _hover(self, time_s: float) -> None:
@@ -374,7 +384,9 @@ class TimeStrip(QWidget):
         self._text.setText("  ".join([*names, f"{place}: {known}"]))
 
     def _show_words(self) -> None:
-        self._text.setText(self._words)
+        known = self._values.get(self.curve.key)
+        empty = known is not None and bool(self._computed.any()) and not np.isfinite(known).any()
+        self._text.setText(self._words or (_NO_TRUTH if empty and self.curve.key == "iou" else ""))
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
