@@ -1,7 +1,8 @@
 """Measure the real window on a source: frames shown, heartbeat of the GUI thread, time per stage.
 
 With ``--compare N``, measure instead how much an open Compare tab slows the window down. Both states alternate N times,
-so that other load affects both equally. Run it on an idle machine::
+so that other load affects both equally. With ``--against PRESET``, the window compares its preset with another one at
+the wipe. Run it on an idle machine::
 
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --seconds 15
     QT_QPA_PLATFORM=offscreen python scripts/measure_gui.py --compare 6 --source 'sim:cup?press=medium&sensor=datasheet'
@@ -27,11 +28,13 @@ from PyQt6.QtWidgets import QWidget
 
 from tactune.app.analysis.compare_tab import CompareTab
 from tactune.app.cli.common import default_preset
+from tactune.app.document.comparison import Side
 from tactune.app.gui import make_application, start_with
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import Result
 from tactune.core.methods.registry import method_names
+from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 
 HEARTBEAT_MS = 5
@@ -224,6 +227,7 @@ def main() -> int:
     parser.add_argument("--size", default="1280x800")
     parser.add_argument("--theme", choices=("light", "dark"), default="light")
     parser.add_argument("--backend", choices=("auto", "opengl", "software"), default="auto")
+    parser.add_argument("--against", default=None, metavar="PRESET", help="compare with this preset at the wipe")
     parser.add_argument("--compare", type=int, default=0, metavar="ROUNDS", help="measure the cost of the Compare tab")
     parser.add_argument("--methods", default=",".join(method_names()), help="the methods that are compared")
     parser.add_argument("--no-strip", action="store_true", help="hide the time strip; nothing is computed for it")
@@ -242,6 +246,9 @@ def main() -> int:
         meter = Meter(window, options.seconds) if not options.compare else None
         window.show()
         window.open_source(options.source)
+        if options.against:
+            other = Side(options.against, load_preset(options.against))
+            window.context.comparison.show(window.context.comparison.present, other)
         measured = meter or Rounds(window, options.compare, options.seconds)
         application.exec()
     sys.stdout.write(
