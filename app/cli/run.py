@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -43,6 +43,7 @@ if TYPE_CHECKING:
     from ...core.preset import Preset
     from ...core.sources import FrameSource
     from .methods import Step
+    from .watching import Watching
 
     SavePatch = Callable[[ContactPatch | MethodPatch, SensorFrame], None]
 
@@ -87,6 +88,7 @@ class RunOptions:
     method: str = FUSION
     untouched: str | None = None
     settings: tuple[str, ...] = ()
+    watch: bool = False
 
 
 def run(
@@ -128,16 +130,24 @@ def run(
             help="Change a preset field for this run, as in tactune preset new; may be repeated.",
         ),
     ] = None,
+    watch: Annotated[
+        bool,
+        typer.Option(
+            "--watch",
+            help="Look once in ten seconds whether a camera moved, the pressure changed or a lens is dirty, and warn.",
+        ),
+    ] = False,
 ) -> None:
     """Compute contact patches without a window."""
-    if out is None and not json_lines and not truth:
+    if out is None and not json_lines and not truth and not watch:
         raise typer.BadParameter(
-            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, or --truth for a comparison"
+            "give --out DIR or FILE.mcap for the patches, --json for one line per frame, --truth for a comparison, or "
+            "--watch for the drift watchdog"
         )
     preset = preset or default_preset(source)
     changed = tuple(settings or ())
     run_frames(
-        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, untouched, changed)
+        RunOptions(source, preset, frames, out, file_format.value, json_lines, truth, method, untouched, changed, watch)
     )
 
 
@@ -174,8 +184,12 @@ def run_frames(options: RunOptions) -> None:
         for sentence in check_rig(preset, source.rig):
             warn(sentence)
         lost_before = source.health().dropped
-        with stop_on_signals() as stopped, patch_output(options, source, preset) as save:
-            records = process_frames(source, step, options, save, stopped)
+        with (
+            _watching(options, preset, source) as look,
+            stop_on_signals() as stopped,
+            patch_output(options, source, preset) as save,
+        ):
+            records = process_frames(source, step, options, save, stopped, look)
         if not records and not stopped.is_set():
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
@@ -185,6 +199,17 @@ def run_frames(options: RunOptions) -> None:
             typer.echo(summary(records, source.name, preset.name, options, stopped=stopped.is_set()))
         if stopped.is_set():
             tell_of_stop(source, len(records), options.frames)
+
+
+@contextmanager
+def _watching(options: RunOptions, preset: Preset, source: FrameSource) -> Iterator[Watching | None]:
+    if not options.watch:
+        yield None
+        return
+    from .watching import Watching
+
+    with closing(Watching(preset, options.preset, source)) as watching:
+        yield watching
 
 
 @contextmanager
@@ -229,7 +254,12 @@ def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
 
 
 def process_frames(
-    source: FrameSource, step: Step, options: RunOptions, save: SavePatch, stopped: Event
+    source: FrameSource,
+    step: Step,
+    options: RunOptions,
+    save: SavePatch,
+    stopped: Event,
+    look: Watching | None = None,
 ) -> list[Record]:
     """Process and save each frame until ``stopped`` is set; return the records."""
     records: list[Record] = []
@@ -244,6 +274,8 @@ def process_frames(
             record, patch = step(frame)
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
+            if look is not None:
+                record["watch"] = look(frame)
             save(patch, frame)
             if options.json_lines:
                 typer.echo(json.dumps(record, allow_nan=False))

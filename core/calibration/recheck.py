@@ -86,14 +86,15 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
     pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
     record = section.calibration
     stored = np.array([[p.tactile_u, p.tactile_v] for p in record.points if p.enabled] if record else []).reshape(-1, 2)
-    again, _ = measure_pairs(frame, rig, pose, stored)
-    elsewhere, _ = measure_pairs(frame, rig, pose)
-    if len(again.tactile) + len(elsewhere.tactile) < _MIN_FOUND:
+    points, found_again = measure_pairs(frame, rig, pose)[0], 0
+    if len(stored):
+        again, _ = measure_pairs(frame, rig, pose, stored)
+        points, found_again = _both(again, points), len(again.tactile)
+    if len(points.tactile) < _MIN_FOUND:
         raise CalibrationError(
-            f"only {len(again.tactile) + len(elsewhere.tactile)} places look alike in both colour images; "
+            f"only {len(points.tactile)} places look alike in both colour images; "
             "light the membrane evenly and check that both cameras see it, then calibrate again if that does not help"
         )
-    points = _both(again, elsewhere)
     found, predicted = _found_and_predicted(points, preset, rig, pose)
     offsets = found - predicted
     lengths = np.hypot(*offsets.T)
@@ -105,7 +106,7 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
         drift_mm=drift_mm,
         worst_px=float(np.percentile(lengths, 95)),
         stored=len(stored),
-        found=len(again.tactile),
+        found=found_again,
         recalibrate=drift > limit,
         sentence=_sentence(drift, drift_mm, limit, len(points.tactile)),
         tactile=points.tactile,

@@ -177,10 +177,14 @@ class SimulatorSource(SeekableSource):
         progress(1.0, f"The {_title(scene)} scene is ready")
         return solved
 
+    def _press(self, scene: Scene) -> Press:
+        """Return the press that is solved and drawn."""
+        return Press(scene, Membrane(scene.design), self.rig)
+
     def _compute(self, scene: Scene, progress: Progress) -> SolvedScene:
         """Solve the states in turn while a second thread draws the solved ones."""
         progress(0.0, "Inflating the simulated membrane; the very first time its solver is compiled, too")
-        press = Press(scene, Membrane(scene.design), self.rig)
+        press = self._press(scene)
         drawn: list[Future[CleanState]] = []
         facts: list[PressFacts] = []
         pool = ThreadPoolExecutor(1)

@@ -1,0 +1,128 @@
+"""The simulator after a mishap: a camera has moved, the pressure has changed or a lens is dirty."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import cv2
+import numpy as np
+
+from ...model.arrays import Float64Array, Uint8Array
+from ...model.frames import Rig, SensorFrame
+from ..base import CameraRole, Progress
+from .membrane import Membrane
+from .render import Camera
+from .scene import Press, cameras
+from .scenes import Scene
+from .source import SimulatorSource, SolvedScene
+
+#: What a smear does: it blurs and adds a veil, over an ellipse in the image; shares of the image and 8-bit levels.
+_SMEAR_BLUR_PX: Final = 3.0
+_SMEAR_VEIL: Final = 0.35
+_SMEAR_LEVELS: Final = 140.0
+
+
+@dataclass(frozen=True)
+class Drift:
+    """What has happened since calibration.
+
+    Attributes
+    ----------
+    camera : "proximity" or "tactile"
+        Which camera moved or is dirty.
+    shift_m : tuple of float
+        Its translation along its own x, y and z.
+    turn_deg : tuple of float
+        Its rotation about its own x, y and z.
+    apex_m : float
+        Growth of the untouched apex's height above the rim.
+    blur_px : float
+        Sigma of a blur of its whole colour image, as from a film of grease.
+    smear : float
+        Share of the image's width that a smear covers, from the centre.
+    """
+
+    camera: CameraRole = "tactile"
+    shift_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    turn_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    apex_m: float = 0.0
+    blur_px: float = 0.0
+    smear: float = 0.0
+
+    @property
+    def motion(self) -> Float64Array:
+        """How points move in the camera's frame, 4 x 4: opposite to the camera."""
+        moved = np.eye(4)
+        moved[:3, :3] = cv2.Rodrigues(np.radians(self.turn_deg))[0]
+        moved[:3, 3] = self.shift_m
+        return np.asarray(np.linalg.inv(moved))
+
+
+class _DriftedPress(Press):
+    """A press seen by cameras of which one has moved."""
+
+    def __init__(self, scene: Scene, membrane: Membrane, rig: Rig, drift: Drift) -> None:
+        super().__init__(scene, membrane, rig)
+        near, tactile, color = cameras(rig, membrane.design)
+        if drift.camera == "tactile":
+            tactile = _moved(tactile, drift.motion)
+        else:
+            assert rig.proximity_color is not None
+            T_color_depth = np.array(rig.proximity_color.T_color_depth)
+            near = _moved(near, drift.motion)
+            color = _moved(color, T_color_depth @ drift.motion @ np.linalg.inv(T_color_depth))
+        self._cameras = near, tactile, color
+
+
+def _moved(camera: Camera, motion: Float64Array) -> Camera:
+    pose = motion @ np.vstack([camera.pose, (0.0, 0.0, 0.0, 1.0)])
+    return replace(camera, pose=np.ascontiguousarray(pose[:3]))
+
+
+class DriftedSimulator(SimulatorSource):
+    """The simulated sensor after a `Drift`; its rig is still the one from before.
+
+    Parameters
+    ----------
+    drift : Drift
+    options
+        Those of `SimulatorSource`.
+    """
+
+    def __init__(self, drift: Drift, **options: Any) -> None:
+        self.drift = drift
+        super().__init__(**options)
+
+    def read(self, index: int) -> SensorFrame:
+        """Return frame ``index`` with the dirt on the lens."""
+        frame = super().read(index)
+        assert frame.tactile_color is not None
+        if self.drift.camera == "tactile":
+            return replace(frame, tactile_color=self._dirty(frame.tactile_color))
+        return replace(frame, proximity_color=self._dirty(frame.proximity_color))
+
+    def _dirty(self, image: Uint8Array) -> Uint8Array:
+        if self.drift.blur_px > 0.0:
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self.drift.blur_px), np.uint8)
+        if self.drift.smear == 0.0:
+            return image
+        height, width = image.shape[:2]
+        cover = np.zeros((height, width), np.float32)
+        axes = (round(self.drift.smear * width / 2), round(self.drift.smear * height / 2))
+        cv2.ellipse(cover, (width // 2, height // 2), axes, 0, 0, 360, 1.0, -1)
+        soft = np.asarray(cv2.GaussianBlur(cover, (0, 0), 2 * _SMEAR_BLUR_PX), np.float32)[..., None]
+        behind = cv2.GaussianBlur(image, (0, 0), _SMEAR_BLUR_PX).astype(np.float32)
+        veiled = (1 - _SMEAR_VEIL) * behind + _SMEAR_VEIL * _SMEAR_LEVELS
+        return np.asarray(np.rint(soft * veiled + (1 - soft) * image), np.uint8)
+
+    def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
+        drift = self.drift
+        moved = "_".join(f"{number:g}" for number in (*drift.shift_m, *drift.turn_deg))
+        design = replace(scene.design, apex_m=scene.design.apex_m + drift.apex_m)
+        return super()._solve(
+            replace(scene, name=f"{scene.name}-{drift.camera}_{moved}-drifted", design=design), progress
+        )
+
+    def _press(self, scene: Scene) -> Press:
+        return _DriftedPress(scene, Membrane(scene.design), self.rig, self.drift)

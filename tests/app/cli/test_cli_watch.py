@@ -1,0 +1,45 @@
+"""``tactune run --watch``: the drift watchdog without a window."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from drifting import drifted, record_looks
+from tactune.core.sources.simulator.drifted import Drift
+
+Tactune = Callable[..., Any]
+
+
+@pytest.fixture(scope="module")
+def moved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A recording with a frame in ten seconds; after 40 s the tactile camera stands 2 mm beside its place."""
+    path = tmp_path_factory.mktemp("moved") / "moved.mcap"
+    record_looks(path, [drifted()] * 4 + [drifted(Drift("tactile", (0.002, 0.0, 0.0)))] * 4)
+    return path
+
+
+def test_a_moved_camera_is_logged_once_with_its_number_and_the_re_check(tactune: Tactune, moved: Path) -> None:
+    finished = tactune("run", "--source", moved, "--watch")
+    assert finished.status == 0
+    [line] = [line for line in finished.err.splitlines() if "moved" in line and "has moved" in line]
+    assert "The tactile camera has moved by 2.0 mm" in line
+    assert f"tactune recheck --preset {moved}" in line
+
+
+def test_json_lines_hold_what_each_look_measured(tactune: Tactune, moved: Path) -> None:
+    lines = [json.loads(line) for line in tactune("run", "--source", moved, "--watch", "--json").out.splitlines()]
+    looks = [line["watch"] for line in lines]
+    assert [round(look["measured"]["tactile_mm"]) for look in looks] == [0] * 4 + [2] * 4
+    assert [look["told"] for look in looks] == [[]] * 5 + [["tactile"]] * 3
+    assert [look["state"] for look in looks] == [None] * 5 + ["told"] + [None] * 2
+
+
+def test_without_a_reference_it_says_what_to_do(tactune: Tactune, recording: Path) -> None:
+    finished = tactune("run", "--source", recording, "--watch")
+    assert finished.status == 2
+    assert "capture an untouched frame, or calibrate" in finished.err
