@@ -29,7 +29,7 @@ from .run import export_folder, run
 from .scan import export_scan
 from .strain import strain
 from .suggest import suggest
-from .sweep import sweep
+from .tune import tune
 
 #: Exit status of errors that the person can correct: a wrong option, a wrong file.
 USAGE_STATUS = 2
@@ -61,7 +61,7 @@ commands.command()(recheck)
 commands.command()(record)
 commands.command()(convert)
 commands.command()(strain)
-commands.command()(sweep)
+commands.command()(tune)
 commands.command()(warmup)
 
 

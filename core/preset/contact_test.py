@@ -1,7 +1,7 @@
-"""The description of a contact test for presets, the panel, sweeps, messages and the Compare tab.
+"""The description of a contact test for presets, the panel, the search, messages and the Compare tab.
 
 To add a test, write one file like `tolerance` with a subclass of `ContactTest`, and add one line to `_TESTS` in
-`preset`. Preset files, their schema, the panel, sweeps, Compare and all messages read the object.
+`preset`. Preset files, their schema, the panel, the search, Compare and all messages read the object.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class DropReason:
 
 @dataclass(frozen=True)
 class FusionVariant:
-    """A choice of preset fields that Compare, tables and sweeps offer as a method of its own.
+    """A choice of preset fields that Compare and tables offer as a method of its own.
 
     Attributes
     ----------

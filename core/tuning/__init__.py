@@ -1,1 +1,1 @@
-"""Parameter sweeps: run many presets on many recordings and scenes, and rank them."""
+"""The search for good preset values: space, measurement of trials, workers, and the study that keeps all trials."""

@@ -15,10 +15,9 @@ from ..model.files import recording_files, user_path
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from ..preset.checks import check_rig
-from ..rig.untouched import untouched_frame
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
-from .values import SweepError
+from .space import TuneError
 
 #: Opens a source by its name.
 OpenSource = Callable[[str], FrameSource]
@@ -42,33 +41,31 @@ class FrameRange:
         return f"{self.first}:{'' if self.last is None else self.last}" + (f":{self.step}" if self.step > 1 else "")
 
 
+ALL_FRAMES: Final = FrameRange()
+
+
 @dataclass(frozen=True)
 class Clip:
-    """Frames of one source with one seed.
+    """Frames of one source.
 
     Attributes
     ----------
     source : str
         As the user wrote it.
     name : str
-        Name that every process can open: with the seed and absolute paths.
-    seed : int
+        Name that every process can open, with absolute paths.
     frames : range
         Indices.
     identity : str
         Hash of the rig and of the frames' images and truth.
-    untouched : str
-        Hash of the untouched frame; empty if no method needs it.
     has_truth : bool
         Whether at least one frame has ground truth.
     """
 
     source: str
     name: str
-    seed: int
     frames: range
     identity: str
-    untouched: str
     has_truth: bool
 
 
@@ -77,75 +74,44 @@ def parse_frames(text: str) -> FrameRange:
 
     Raises
     ------
-    SweepError
+    TuneError
         The text has another form, or the range is empty.
     """
     found = _FRAMES.fullmatch(text)
     if found is None:
-        raise SweepError(f"--frames is {text!r}; write a number of frames, or FIRST:END or FIRST:END:STEP")
+        raise TuneError(f"--frames is {text!r}; write a number of frames, or FIRST:END or FIRST:END:STEP")
     first, last, step, count = found.groups()
     frames = FrameRange(0, int(count)) if count else FrameRange(int(first or 0), int(last) if last else None,
                                                                 int(step or 1))  # fmt: skip
     if frames.step == 0 or (frames.last is not None and frames.last <= frames.first):
-        raise SweepError(f"--frames {text} holds no frame; the end must lie behind the first frame")
+        raise TuneError(f"--frames {text} holds no frame; the end must lie behind the first frame")
     return frames
-
-
-def seeded(source: str, seeds: int) -> list[tuple[str, int]]:
-    """Return one name of the source for each seed; sources other than the simulator have one name only.
-
-    Raises
-    ------
-    SweepError
-        The source is live, or its name contains a seed although several seeds are requested.
-    """
-    scheme = source.partition(":")[0]
-    if scheme in ("live", "realsense"):
-        raise SweepError(f"{source} is live, so its frames are never the same; record it first with tactune record")
-    if scheme != "sim":
-        return [(_absolute(source), 0)]
-    if "seed=" in source:
-        if seeds > 1:
-            raise SweepError(f"{source} names its seed; leave that out, or --seeds")
-        return [(source, int(found[1]) if (found := re.search(r"seed=([0-9]{1,10})", source)) else 0)]
-    name = source if ":" in source else f"{source}:"
-    return [(f"{name}{'&' if '?' in name else '?'}seed={seed}", seed) for seed in range(seeds)]
 
 
 def inspect_clips(
     sources: Sequence[str],
-    seeds: int,
     frames: FrameRange,
     preset: Preset,
-    with_untouched: bool,
-    untouched: SensorFrame | None = None,
     opener: OpenSource = open_source,
     progress: Callable[[str], None] = lambda source: None,
 ) -> list[Clip]:
-    """Open each source once and return its clips, with the hash of their frames.
+    """Open each source once and return its clip, with the hash of its frames.
 
     Raises
     ------
     TactuneError
         A source cannot be read, is live, lacks the requested frames, or does not fit the preset.
     """
-    clips: list[Clip] = []
+    clips = []
     for source in dict.fromkeys(sources):
-        held: FrameSource | None = None  # seeds share a solved scene as long as one of its sources is open
-        try:
-            for name, seed in seeded(source, seeds):
-                progress(name)
-                opened = opener(name)
-                if held is not None:
-                    held.close()
-                held = opened
-                check_rig(preset, opened.rig)
-                images, has_truth, chosen = _read_frames(source, opened, frames)
-                of_untouched = _untouched_identity(opened, untouched) if with_untouched else ""
-                clips.append(Clip(source, name, seed, chosen, images, of_untouched, has_truth))
-        finally:
-            if held is not None:
-                held.close()
+        if source.partition(":")[0] in ("live", "realsense", "cameras"):
+            raise TuneError(f"{source} is live, so its frames are never the same; record it first with tactune record")
+        progress(source)
+        name = _absolute(source)
+        with opener(name) as opened:
+            check_rig(preset, opened.rig)
+            identity, has_truth, chosen = _read_frames(source, opened, frames)
+        clips.append(Clip(source, name, chosen, identity, has_truth))
     return clips
 
 
@@ -169,28 +135,19 @@ def add_frame(digest: hashlib.blake2b, frame: SensorFrame) -> None:
 def _read_frames(source: str, opened: FrameSource, frames: FrameRange) -> tuple[str, bool, range]:
     """Return the hash of the frames, whether one of them has ground truth, and their indices."""
     if opened.length is None:
-        raise SweepError(f"{source} has no end; record it first with tactune record")
+        raise TuneError(f"{source} has no end; record it first with tactune record")
     chosen = frames.indices(opened.length)
     if not chosen:
-        raise SweepError(f"{source} has {opened.length} frames, none of them in {frames}; choose others with --frames")
+        raise TuneError(f"{source} has {opened.length} frames, none of them in {frames}; choose others with --frames")
     digest, has_truth = frames_identity(opened.rig), False
     for index in chosen:
         opened.seek(index)
         frame = opened.next_frame()
         if frame is None:
-            raise SweepError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
+            raise TuneError(f"{source} ends before its frame {index}; check the recording or choose fewer frames")
         add_frame(digest, frame)
         has_truth = has_truth or frame.truth is not None
     return digest.hexdigest(), has_truth, chosen
-
-
-def _untouched_identity(opened: FrameSource, untouched: SensorFrame | None) -> str:
-    untouched = untouched_frame(opened) if untouched is None else untouched
-    if untouched is None:
-        return ""
-    digest = frames_identity(opened.rig)
-    add_frame(digest, untouched)
-    return digest.hexdigest()
 
 
 def _absolute(source: str) -> str:
@@ -198,5 +155,7 @@ def _absolute(source: str) -> str:
     scheme, colon, rest = source.partition(":")
     if not colon or scheme not in ("folder", "bag", "mcap"):
         scheme, rest = "", source
+        if not (recording_files(source) or user_path(source).exists()):
+            return source
     files = recording_files(rest) or (user_path(rest),)
     return (f"{scheme}:" if scheme else "") + ",".join(str(file.absolute()) for file in files)

@@ -101,10 +101,10 @@ def test_a_third_contact_test_is_one_file_and_one_line(program: Path, recording:
     assert max(frame["points"] for frame in frames) > 0
 
     words = ("--set", "toy.limit_m=0.01,0.02", "--set", "toy.left_px=0,5", "--frames", "2", "--jobs", "1", "--json")
-    swept = python(
-        program, *tactune, "sweep", "-s", str(recording), "-p", str(preset), *words, "-o", str(tmp_path / "toy.parquet")
+    tuned = python(
+        program, *tactune, "tune", "-s", str(recording), "-p", str(preset), *words, "--study", str(tmp_path / "toy.log")
     )
-    assert "toy.left_px" in swept
+    assert tuned.count("toy.left_px") == 4
     one = python(program, *tactune, "run", "-s", str(recording), "-p", "default", "--method", "fusion-toy", "--json")
     assert len(one.splitlines()) == len(frames)
 

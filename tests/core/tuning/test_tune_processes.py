@@ -1,0 +1,161 @@
+"""Searches in processes that are killed, that share a file, or that run on a cluster: each trial counts once."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from long_search import LIMIT_S, front_of
+
+
+def test_killed_and_begun_again_with_two_processes_it_gives_the_front_of_one(long_search):
+    process = long_search.start("--jobs", "2")
+    process.kill()
+    process.communicate(timeout=LIMIT_S)
+    assert 10 <= long_search.measured() < 80
+    out = long_search.finish("--jobs", "2")
+    wait_for_the_end_of(process.pid)
+    long_search.file.unlink()
+    assert front_of(out) == front_of(long_search.finish("--jobs", "1"))
+
+
+def test_two_searches_on_one_file_share_the_trials_and_one_that_dies_is_replaced(long_search):
+    first = long_search.start("--jobs", "1")
+    second = subprocess.Popen([*long_search.command, "--jobs", "1"], stdout=subprocess.PIPE, text=True)
+    for _ in range(20 * LIMIT_S):
+        if len(list(long_search.file.parent.glob("*.alive"))) == 2:
+            break
+        time.sleep(0.05)
+    first.kill()
+    first.communicate(timeout=LIMIT_S)
+    out, _ = second.communicate(timeout=LIMIT_S)
+    assert second.returncode == 0
+    long_search.check(out)
+
+
+def test_ctrl_c_in_a_terminal_keeps_what_is_done_and_the_same_command_goes_on(long_search):
+    process = long_search.start("--jobs", "2")
+    os.killpg(process.pid, signal.SIGINT)  # a terminal sends it to all processes
+    _, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 130
+    assert "Traceback" not in err
+    assert f"{long_search.measured()} of 80 trials are kept in {long_search.file}; the same command continues" in err
+    long_search.finish("--jobs", "2")
+
+
+def test_a_line_that_a_crash_cut_off_is_dropped(long_search):
+    long_search.finish("--jobs", "2")
+    with long_search.file.open("a") as file:
+        file.write('{"op_code":4,"worker')
+    long_search.finish("--jobs", "1")
+
+
+def wait_for_the_end_of(session: int) -> None:
+    for _ in range(300):
+        if not living(session):
+            return
+        time.sleep(0.1)
+    raise AssertionError(f"processes are left: {living(session)}")
+
+
+def living(session: int) -> list[str]:
+    """Return the processes of a session that have not ended."""
+    found = []
+    for folder in Path("/proc").glob("[0-9]*"):
+        try:
+            fields = (folder / "stat").read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        if int(fields[3]) == session and fields[0] != "Z":
+            found.append(folder.name)
+    return found
+
+
+class DaskCluster:
+    """A scheduler and its workers, each a process."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self.scheduler = self._start(
+            "scheduler", "--host", "127.0.0.1", "--port", "0", "--scheduler-file", "about.json"
+        )
+        about = folder / "about.json"
+        for _ in range(20 * LIMIT_S):
+            if about.exists() and about.read_text().rstrip().endswith("}"):
+                break
+            time.sleep(0.05)
+        self.address = json.loads(about.read_text())["address"]
+        self.workers: list[subprocess.Popen[bytes]] = []
+
+    def add_worker(self) -> None:
+        """Start one more, with one thread."""
+        name = f"worker{len(self.workers)}"
+        words = ("worker", self.address, "--nthreads", "1", "--no-nanny", "--name", name, "--local-directory", name)
+        self.workers.append(self._start(*words))
+
+    def _start(self, *words: str) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", "dask", *words, "--no-dashboard"]
+        return subprocess.Popen(command, cwd=self._folder, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+    def close(self) -> None:
+        """End all processes."""
+        for process in (*self.workers, self.scheduler):
+            process.kill()
+            process.wait()
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[DaskCluster]:
+    (tmp_path / "dask").mkdir()
+    running = DaskCluster(tmp_path / "dask")
+    try:
+        yield running
+    finally:
+        running.close()
+
+
+def test_a_dask_worker_killed_midway_loses_no_trial_and_doubles_none(long_search, cluster):
+    cluster.add_worker()
+    cluster.add_worker()
+    process = long_search.start("--scheduler", cluster.address)
+    cluster.workers[0].kill()
+    at_the_kill = long_search.measured()
+    out, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, err
+    assert at_the_kill < 80
+    assert "Traceback" not in err
+    long_search.check(out)
+
+
+@pytest.mark.long
+def test_a_scheduler_that_ends_is_said_in_a_sentence(long_search, cluster):
+    cluster.add_worker()
+    process = long_search.start("--scheduler", cluster.address)
+    cluster.scheduler.kill()
+    _, err = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 2, err
+    assert err.splitlines()[-1].startswith("tactune: the Dask scheduler is gone")
+    assert "Traceback" not in err
+
+
+def test_no_scheduler_and_no_worker_are_said_in_a_sentence(long_search, cluster):
+    expected = {"tcp://127.0.0.1:1": "no Dask scheduler answers", cluster.address: "has no worker"}
+    commands = {
+        address: subprocess.Popen(
+            [*long_search.command, "--scheduler", address], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+        )
+        for address in expected
+    }
+    for address, process in commands.items():
+        out, err = process.communicate(timeout=LIMIT_S)
+        assert (process.returncode, out) == (2, "")
+        assert err.startswith("tactune: ") and expected[address] in err, err
+        assert err.count("\n") == 1

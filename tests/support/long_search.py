@@ -1,0 +1,74 @@
+"""What ``tactune tune --json`` prints, and a search that takes long enough to be killed."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+LIMIT_S = 240
+
+
+def lines_of(text: str) -> list[dict[str, Any]]:
+    """Return the lines of ``--json``."""
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def trials_of(text: str) -> dict[int, dict[str, Any]]:
+    """Return the trials of ``--json`` by number; each is told once."""
+    trials = [line for line in lines_of(text) if "number" in line]
+    numbers = [trial["number"] for trial in trials]
+    assert len(numbers) == len(set(numbers)), "a trial was told twice"
+    return dict(zip(numbers, trials, strict=True))
+
+
+def front_of(text: str) -> list[dict[str, Any]]:
+    """Return the values of the last front."""
+    trials = trials_of(text)
+    last = [line for line in lines_of(text) if "front" in line][-1]
+    return [trials[number]["values"] for number in last["front"]]
+
+
+class LongSearch:
+    """A grid of 80 points as a command of its own; its objectives do not depend on the time."""
+
+    def __init__(self, recording: str, folder: Path, preset: Path) -> None:
+        self.file = folder / "long.log"
+        grid = ("--set", "tolerance.t=0.004:0.02:10", "--set", "outliers.k=5:24:8", "--objective", "iou,area_error")
+        self.command = [sys.executable, "-m", "tactune.app", "tune", "-s", recording, *grid]
+        self.command += ["-p", str(preset), "--study", str(self.file), "--json"]
+
+    def start(self, *words: str) -> subprocess.Popen[str]:
+        """Start it in a session of its own, and wait until some trials are measured."""
+        process = subprocess.Popen(
+            [*self.command, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+        for _ in range(20 * LIMIT_S):
+            if self.measured() > 10:
+                return process
+            assert process.poll() is None, process.communicate()
+            time.sleep(0.05)
+        raise AssertionError("no trial was measured")
+
+    def measured(self) -> int:
+        """Return the number of trials that were measured, told twice or not."""
+        return self.file.read_text().count('{"measured":') if self.file.exists() else 0
+
+    def finish(self, *words: str) -> str:
+        """Give the command again, to its end; return what it printed."""
+        done = subprocess.run([*self.command, *words], check=False, capture_output=True, text=True, timeout=LIMIT_S)
+        assert done.returncode == 0, done.stderr
+        self.check(done.stdout)
+        return done.stdout
+
+    def check(self, out: str) -> None:
+        """All 80 points were measured, and each was counted once."""
+        trials = trials_of(out).values()
+        assert all(trial["failure"] == "" for trial in trials)
+        points = [(trial["values"]["tolerance.t"], trial["values"]["outliers.k"]) for trial in trials]
+        assert len(points) == len(set(points)) == 80
+        assert self.measured() == 80, "a trial was measured twice"
+        assert not list(self.file.parent.glob("*.alive"))
