@@ -25,12 +25,13 @@ from ..calibration.pictures import pack_rgb
 _TITLES = dict(SECTIONS)
 #: Legend and colour of each pixel of a mask's picture; the same in both themes.
 _LABELS: dict[int, tuple[str, tuple[int, int, int]]] = {
-    MaskLabel.COVERED: ("print, covered", (26, 114, 224)),
-    MaskLabel.MISSED: ("print, missed", (255, 214, 10)),
-    MaskLabel.LOST: ("bare, lost", (214, 40, 57)),
-    MaskLabel.BARE: ("bare, kept", (196, 200, 206)),
+    MaskLabel.COVERED: ("print covered", (26, 114, 224)),
+    MaskLabel.MISSED: ("print missed", (255, 214, 10)),
+    MaskLabel.LOST: ("bare lost", (214, 40, 57)),
+    MaskLabel.BARE: ("bare kept", (196, 200, 206)),
     MaskLabel.UNKNOWN: ("unknown", (104, 104, 110)),
 }
+_IN_LEGEND = (MaskLabel.BARE, MaskLabel.LOST, MaskLabel.MISSED, MaskLabel.COVERED)
 
 
 def section_title(section: str) -> str:
@@ -196,9 +197,9 @@ def _mask_picture(labels: Uint8Array) -> QWidget:
     pane = ImagePane("Mask on the untouched frame")
     height, width = labels.shape
     pane.set_pixels(pack_rgb(colors[labels]), (width, height), 1)
-    pane.header.set_legend(None, tuple(Swatch(*entry) for entry in reversed(_LABELS.values())))
+    pane.header.set_legend(None, tuple(Swatch(*_LABELS[label]) for label in _IN_LEGEND))
     pane.header.set_lines(2)
-    pane.setFixedHeight(250)
+    pane.setFixedHeight(220)
     pane.resized.connect(lambda: pane.show_rect(pane.image_rect()))
     return pane
 

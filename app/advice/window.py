@@ -21,6 +21,8 @@ from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
 from .card import ProposalCard, section_title
 from .evidence import FrameRing, Gathered
+from .examples import ExampleHistory, ExampleKeeper
+from .examples_window import ExamplesWindow
 
 #: Returns the present evidence; None without a frame.
 Gather = Callable[[], Gathered | None]
@@ -322,7 +324,8 @@ def _curves_of(
 def _refusal(section: str, sentence: str) -> QWidget:
     frame = QFrame()
     frame.setFrameShape(QFrame.Shape.StyledPanel)
-    label = QLabel(f"{section_title(section)}: no suggestion. {sentence[0].upper()}{sentence[1:].rstrip('.')}.")
+    why = sentence.removeprefix(f"{section}: ").rstrip(".")
+    label = QLabel(f"{section_title(section)}: no suggestion. {why[0].upper()}{why[1:]}.")
     label.setWordWrap(True)
     label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
     QVBoxLayout(frame).addWidget(label)
@@ -330,13 +333,20 @@ def _refusal(section: str, sentence: str) -> QWidget:
 
 
 class SuggestControl(QObject):
-    """Opens at most one window with suggestions."""
+    """Opens at most one window with suggestions and one with examples, and keeps the examples of each rig."""
 
     def __init__(self, context: Context) -> None:
         super().__init__(context)
         self._context = context
         self._ring = FrameRing(context)
+        self.examples = ExampleHistory(self)
+        self._keeper = ExampleKeeper(self.examples, context.data_folder / "examples", self)
+        self._keeper.failed.connect(
+            lambda sentence: context.messages.show_message("examples", Severity.WARNING, sentence)
+        )
         self.window: SuggestWindow | None = None
+        self.examples_window: ExamplesWindow | None = None
+        context.worker.opened.connect(lambda info: self._keeper.switch_to(info.rig))
 
     def open(self, section: str) -> None:
         """Make suggestions for a section, or for all, and show them."""
@@ -348,19 +358,29 @@ class SuggestControl(QObject):
             self.window = SuggestWindow(context, self.gather, self.open_examples)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
-        self.window.show()
-        self.window.raise_()
-        self.window.activateWindow()
+        _bring_up(self.window)
         self.window.ask(section)
 
     def open_examples(self) -> None:
-        """Open the examples."""
+        """Show the examples of the present rig."""
+        if self.examples_window is None:
+            self.examples_window = ExamplesWindow(self._context, self.examples)
+        _bring_up(self.examples_window)
 
     def gather(self) -> Gathered | None:
         """Return the present evidence; None without a frame."""
-        return self._ring.gather(())
+        return self._ring.gather(self.examples.examples)
 
     def close(self) -> None:
-        """Close the window and stop measuring."""
+        """Close the windows, stop measuring and save the examples."""
         if self.window is not None:
             self.window.close_down()
+        if self.examples_window is not None:
+            self.examples_window.close_down()
+        self._keeper.close()
+
+
+def _bring_up(window: QDialog) -> None:
+    window.show()
+    window.raise_()
+    window.activateWindow()

@@ -67,6 +67,7 @@ class Actions:
     wipe_left: QAction
     wipe_right: QAction
     suggest_all: QAction
+    examples: QAction
     play: QAction
     previous: QAction
     next: QAction
@@ -169,6 +170,9 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         ),
         wipe_left=action("Wipe to the &left", "Show less of A", "Alt+Left"),
         wipe_right=action("Wipe to the &right", "Show more of A", "Alt+Right"),
+        examples=action(
+            "&Examples of contact…", "Mark untouched frames and paint contact, for better suggestions", "Ctrl+L"
+        ),
         suggest_all=action("&Suggest all…", "Propose values for all sections, each with its evidence", "Ctrl+J"),
         play=action("&Play\tSpace", icon_name="play"),
         previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
@@ -272,7 +276,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
 def _fill_edit_menu(menu: QMenu, actions: Actions) -> None:
     menu.addActions([actions.undo, actions.redo, actions.history])
     menu.addSeparator()
-    menu.addActions([actions.suggest_all])
+    menu.addActions([actions.suggest_all, actions.examples])
     menu.addSeparator()
     menu.addActions([actions.changes_since_save, actions.compare])
     menu.addSeparator()

@@ -8,6 +8,7 @@ import threading
 import tokenize
 import zipfile
 import zlib
+from typing import Any
 
 import numpy as np
 
@@ -28,13 +29,18 @@ _MAX_UNPACKED_BYTES = 200_000_000
 _parsing = threading.Lock()
 
 
-def untouched_bytes(frame: SensorFrame) -> bytes:
-    """Return a frame as the bytes of an ``.npz``."""
+def frame_arrays(frame: SensorFrame) -> dict[str, Any]:
+    """Return what an ``.npz`` of a frame holds, by name; `frame_from_bytes` reads it and ignores other names."""
     arrays = {name: getattr(frame, name) for name in (*_ARRAYS, *_NUMBERS)}
     if frame.truth is not None:
         arrays |= {"truth_contact": frame.truth.contact, "truth_depth_m": frame.truth.depth_m}
+    return {name: it for name, it in arrays.items() if it is not None}
+
+
+def untouched_bytes(frame: SensorFrame) -> bytes:
+    """Return a frame as the bytes of an ``.npz``."""
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, allow_pickle=False, **{name: it for name, it in arrays.items() if it is not None})
+    np.savez_compressed(buffer, allow_pickle=False, **frame_arrays(frame))
     return buffer.getvalue()
 
 

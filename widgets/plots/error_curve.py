@@ -42,6 +42,7 @@ class ErrorCurvePlot(QWidget):
         item.setMenuEnabled(False)
         item.hideButtons()
         item.setMouseEnabled(x=False, y=False)
+        item.setContentsMargins(0, 8, 8, 0)
         item.setLabel("bottom", "False area (cm²)")
         item.setLabel("left", "Missed area (cm²)")
         self._line = pg.PlotDataItem(symbol="o", symbolSize=4, symbolPen=None)

@@ -4,23 +4,14 @@ from __future__ import annotations
 
 import time
 
-import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import CONTROL, LEFT, show_source, text_of
+from hands import CONTROL, LEFT, drag_slider, show_source, text_of, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
 from tactune.core.errors import AdviceError
-
-
-@pytest.fixture
-def main(make_window, qtbot):
-    """A window at frame 6 of the printed membrane, its mask off."""
-    made = make_window()
-    show_source(qtbot, made, PrintedSource(), 6)
-    return made
 
 
 def ask(qtbot, main, section="mask"):
@@ -134,8 +125,35 @@ def test_a_part_that_fails_leaves_the_window_usable(main, qtbot, monkeypatch):
 
     monkeypatch.setattr(suggest_window, "suggest", refuse)
     window = ask(qtbot, main)
-    assert "Mask: no suggestion. Mask: nothing is known; mark a frame." in text_of(window)
+    assert "Mask: no suggestion. Nothing is known; mark a frame." in text_of(window)
     QApplication.processEvents()
     monkeypatch.undo()
     QTest.mouseClick(window.again, LEFT)
     qtbot.waitUntil(lambda: not window.busy and len(window.cards) == 1)
+
+
+def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
+    """The untouched frame of the source is an example: what is found there is false."""
+    window = ask(qtbot, main, "tolerance")
+    [card] = window.cards
+    plot = card.curve
+    qtbot.waitUntil(plot.isVisible)
+    assert "Present 0.03: missed" in plot.readout.text()
+
+    viewport = plot.plot.viewport()
+    QTest.mousePress(viewport, LEFT, pos=plot.point_at(0.03).toPoint())
+    QTest.mouseRelease(viewport, LEFT, pos=plot.point_at(0.03).toPoint())
+    plot.setFocus()
+    before = card.proposal.changes["tolerance.t"]
+    QTest.keyClick(plot, Qt.Key.Key_Right)
+    chosen = card.proposal.changes["tolerance.t"]
+    assert chosen > before
+    assert f"Suggested {chosen:g}" in plot.readout.text()
+    assert main.context.comparison.sides[1].preset.tolerance.t == chosen
+
+    drag_slider(tolerance_slider(main), 0.3, 0.5)
+    present = main.document.preset.tolerance.t
+    assert present != 0.03
+    assert f"Present {present:g}" in plot.readout.text()
+    QTest.mouseClick(window.apply, LEFT)
+    assert main.document.preset.tolerance.t == chosen

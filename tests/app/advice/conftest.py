@@ -1,0 +1,16 @@
+"""A window at a frame of the printed membrane."""
+
+from __future__ import annotations
+
+import pytest
+
+from hands import show_source
+from printed_source import PrintedSource
+
+
+@pytest.fixture
+def main(make_window, qtbot):
+    """A window at frame 6 of the printed membrane, its mask off."""
+    made = make_window()
+    show_source(qtbot, made, PrintedSource(), 6)
+    return made
