@@ -9,12 +9,13 @@ from math import isfinite
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 
+from ...core.calibration.detect import Snapped
 from ...core.errors import TactuneError
 from ...widgets.images.point_image import PointImage
-from .pictures import Picture
+from .pictures import Picture, landing
 from .session import SIDES, Place, Side
 
-Snapper = Callable[[Picture, Place], Place | None]
+Snapper = Callable[[Picture, Place], Snapped | None]
 Partner = Callable[[Side, Place], Place | None]
 
 TITLES: dict[Side, str] = {"proximity": "Proximity camera (left)", "tactile": "Tactile camera (right)"}
@@ -30,11 +31,12 @@ class PairView(QWidget):
 
     Signals
     -------
-    placed(side: str, u: float, v: float)
-        A click where there is no mark yet, snapped unless snapping is off or Ctrl is held.
+    placed(side: str, u: float, v: float, landing: str)
+        A click where there is no mark yet, snapped unless snapping is off or Ctrl is held, and what it snapped to;
+        empty if it was not to snap.
     """
 
-    placed = pyqtSignal(str, float, float)
+    placed = pyqtSignal(str, float, float, str)
 
     def __init__(self, snapper: Snapper, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -92,26 +94,28 @@ class PairView(QWidget):
             rect.moveCenter(rect.center().__class__(*place))
             image.show_rect(rect)
 
-    def snapped(self, side: Side, place: Place) -> Place:
-        """Return the feature near a pixel, or the pixel itself."""
+    def snapped(self, side: Side, place: Place) -> tuple[Place, str]:
+        """Return the feature near a pixel, or the pixel itself, and what it is; empty if snapping is off."""
         picture = self._pictures[side]
         if not self._snaps or picture is None:
-            return place
+            return place, ""
         try:
-            return self._snapper(picture, place) or place
+            found = self._snapper(picture, place)
         except TactuneError:
-            return place
+            found = None
+        return place if found is None else (found.u, found.v), landing(place, found)
 
     def _placed(self, side: Side, u: float, v: float, modifiers: Qt.KeyboardModifier) -> None:
-        place = (u, v) if modifiers & Qt.KeyboardModifier.ControlModifier else self.snapped(side, (u, v))
-        self.placed.emit(side, *place)
+        free = bool(modifiers & Qt.KeyboardModifier.ControlModifier)
+        place, words = ((u, v), "") if free else self.snapped(side, (u, v))
+        self.placed.emit(side, *place, words)
 
     def _pointed(self, side: Side, u: float, v: float) -> None:
         inside = isfinite(u)
         loupe = self.images[side].loupe
         if inside and loupe.isVisible():
-            place = self.snapped(side, (u, v))
-            loupe.set_snapped(place if place != (u, v) else None)
+            place, words = self.snapped(side, (u, v))
+            loupe.set_snapped(place if place != (u, v) else None, words)
         other = self.images[_other(side)]
         other.layer.set_partner(self._partner(side, (u, v)) if inside else None)
 

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import hypot
 
 import cv2
 import numpy as np
 
-from ...core.calibration.detect import snap_to_feature
+from ...core.calibration.detect import Snapped, snap_to_feature
 from ...core.calibration.snapshots import depth_under
 from ...core.model.arrays import AnyArray, Float32Array, Float64Array, Uint8Array
 from ...core.model.clouds import valid_depth
@@ -122,7 +123,14 @@ def _mapped(values: Float32Array, lut: AnyArray, low: float, high: float) -> Pic
 REACH_PX = 6.0
 
 
-def snap(picture: Picture, place: Place) -> Place | None:
-    """Return the sub-pixel corner or blob centre near a pixel, or None."""
-    found = snap_to_feature(picture.gray, *place, radius=REACH_PX)
-    return None if found is None else (found.u, found.v)
+def snap(picture: Picture, place: Place) -> Snapped | None:
+    """Return the centre of the dot or the crossing near a pixel, or None."""
+    return snap_to_feature(picture.gray, *place, radius=REACH_PX)
+
+
+def landing(place: Place, found: Snapped | None) -> str:
+    """Say what a click snapped to."""
+    if found is None:
+        return "nothing to snap to"
+    name = "dot centre" if found.kind == "blob" else "crossing"
+    return f"{name}, {hypot(found.u - place[0], found.v - place[1]):.1f} px away"

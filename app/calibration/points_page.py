@@ -42,6 +42,8 @@ class PointsPage(QWidget):
         self._nudges = GestureClock()
         self._nominal = nominal_alignment(session.rig)
         self._ghost: tuple[Side, Place] | None = None
+        #: What the last click snapped to, and the state that the click led to.
+        self._landing: tuple[SessionState, str] = (session.state, "")
         self.view = PairView(snapper)
         self.table = PointTable()
         self.hint = ElidedLabel()
@@ -65,7 +67,8 @@ class PointsPage(QWidget):
             box.setToolTip(f"{name}: colour shows the membrane's dots, depth the edges of a pressed object")
         self.stretch = _check("Contrast", "Stretch the contrast of both images")
         self.snap = _check(
-            "Snap", "Move clicks to the nearest corner or dot, with sub-pixel accuracy; Ctrl + click does not snap"
+            "Snap",
+            "Move clicks to the centre of the nearest dot or to a crossing within 6 px; Ctrl + click does not snap",
         )
         self.link = _check("Link zoom", "Zoom and pan both images together")
         self.link.setChecked(True)
@@ -114,7 +117,7 @@ class PointsPage(QWidget):
         session, view = self._session, self.view
         session.changed.connect(self._show_state)
         session.selectionChanged.connect(self._show_selection)
-        view.placed.connect(session.click)
+        view.placed.connect(self._clicked)
         view.set_partner(self.partner)
         for side in SIDES:
             image = view.images[side]
@@ -213,7 +216,7 @@ class PointsPage(QWidget):
         self.table.set_rows(table_rows(state, self._outcome))
         self.table.select(selected)
         self._show_ghost()
-        self.hint.setText(self._words())
+        self._show_hint()
 
     def _show_selection(self, keys: tuple[int, ...]) -> None:
         self._show_points()
@@ -230,7 +233,7 @@ class PointsPage(QWidget):
             if side == "proximity" or same_pixels(pending, state.choices.proximity_image, self._session.rig):
                 expected = self._expected(alignment, snapshot, "tactile" if side == "proximity" else "proximity", place)
             if expected is not None:
-                self._ghost = side, self.view.snapped(side, expected)
+                self._ghost = side, self.view.snapped(side, expected)[0]
         for side in SIDES:
             ghost = self._ghost[1] if self._ghost is not None and self._ghost[0] == side else None
             self.view.images[side].layer.set_ghost(ghost)
@@ -243,6 +246,12 @@ class PointsPage(QWidget):
     def _show_arrows(self, text: str) -> None:
         for image in self.view.images.values():
             image.layer.set_arrow_factor(ARROWS[text])
+
+    def _show_hint(self) -> None:
+        """Say what the last click snapped to and what to do next."""
+        state, landing = self._landing
+        words = f"{landing[0].upper()}{landing[1:]}. " if landing and state is self._session.state else ""
+        self.hint.setText(words + self._words())
 
     def _words(self) -> str:
         """Say what to do next."""
@@ -274,6 +283,14 @@ class PointsPage(QWidget):
 
     # Actions
 
+    def _clicked(self, side: Side, u: float, v: float, landing: str) -> None:
+        self._session.click(side, u, v)
+        self._landed(landing)
+
+    def _landed(self, landing: str) -> None:
+        self._landing = self._session.state, landing
+        self._show_hint()
+
     def _pressed(self, key: int, modifiers: Qt.KeyboardModifier) -> None:
         selected = self._session.selected
         if modifiers & Qt.KeyboardModifier.ControlModifier:
@@ -285,10 +302,11 @@ class PointsPage(QWidget):
     def _dragged(self, side: Side, key: int, u: float, v: float, done: bool) -> None:
         if not self._clock.held:
             self._clock.hold()
-        place = self.view.snapped(side, (u, v)) if done else (u, v)
+        place, landing = self.view.snapped(side, (u, v)) if done else ((u, v), "")
         self._session.move(key, side, *place, gesture=self._clock.number())
         if done:
             self._clock.release()
+            self._landed(landing)
 
     def _nudged(self, side: Side, du: float, dv: float) -> None:
         gesture = self._nudges.number()

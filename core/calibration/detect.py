@@ -20,21 +20,31 @@ _MIN_CONTRAST = 12.0
 #: Minimum response of a corner, as a share of the strongest in the window.
 _STRONG_SHARE = 0.2
 _MIN_BLOB_AREA, _MIN_ROUNDNESS = 6, 0.55
+#: Minimum contrast of a blob, standard deviations of the noise from pixel to pixel.
+_MIN_BLOB_SIGMAS = 5.0
+#: Radii of the circles on which a crossing alternates between dark and bright, pixels, and number of samples.
+_CIRCLES_PX, _SAMPLES = (3.0, 4.5), 48
+#: Minimum correlation of a circle with itself turned by half, and share of its dark part where two edges cross.
+_MIN_SYMMETRY, _DARK_SHARE = 0.7, (0.25, 0.75)
 
 
 class Snapped(NamedTuple):
-    """A feature near a click: sub-pixel position and kind."""
+    """A feature near a click: sub-pixel position and kind.
+
+    A blob is the centre of a spot; a crossing is where two edges cross, as on a chessboard, or two lines.
+    """
 
     u: float
     v: float
-    kind: Literal["corner", "blob"]
+    kind: Literal["crossing", "blob"]
 
 
 def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) -> Snapped | None:
-    """Return the blob centre or corner nearest to a click.
+    """Return the blob centre or crossing nearest to a click.
 
-    A closed dark or bright spot within reach is a blob; its contrast-weighted centroid is returned. Otherwise the
-    nearest strong corner is refined (Foerstner's gradient condition, as in OpenCV's ``cornerSubPix``).
+    A closed dark or bright spot whose centre is within reach, or that was clicked, is a blob; its contrast-weighted
+    centroid is returned. Otherwise the nearest crossing of two edges or lines is refined (Foerstner's gradient
+    condition, as in OpenCV's ``cornerSubPix``). Other corners, such as places on the rim of a spot, are no features.
 
     Parameters
     ----------
@@ -56,7 +66,12 @@ def snap_to_feature(image: AnyArray, u: float, v: float, radius: float = 6.0) ->
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     gray = to_gray(image[top : round(v) + reach + 1, left : round(u) + reach + 1], tails=0.0)
     u, v = u - left, v - top
-    found = _blob_near(gray, u, v, radius) or _corner_near(gray, u, v, radius)
+    near = int(np.ceil(2 * radius)) + 2
+    found = (
+        _blob_near(gray, u, v, radius, near)
+        or _crossing_near(gray, u, v, radius)
+        or _blob_near(gray, u, v, radius, 2 * near)
+    )
     return None if found is None else Snapped(found.u + left, found.v + top, found.kind)
 
 
@@ -74,8 +89,8 @@ def to_gray(image: AnyArray, tails: float = 1.0) -> Uint8Array:
     return stretched_gray
 
 
-def _blob_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped | None:
-    reach = int(np.ceil(2 * radius)) + 2
+def _blob_near(gray: Uint8Array, u: float, v: float, radius: float, reach: int) -> Snapped | None:
+    """Return the nearest spot of a window of half side ``reach``."""
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     window = gray[top : round(v) + reach + 1, left : round(u) + reach + 1]
     low, high = np.percentile(window, [10, 90])
@@ -83,18 +98,21 @@ def _blob_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped |
     if max(high - low, float(window.max()) - float(window.min())) < _MIN_CONTRAST:
         return None
     best: tuple[float, Snapped] | None = None
+    clicked = round(v) - top, round(u) - left
     for inverted in (True, False):
         inside = (window <= threshold) if inverted else (window > threshold)
-        for center in _round_components(window, inside, threshold):
+        for center, spot in _round_components(window, inside, threshold):
             place = Snapped(center[0] + left, center[1] + top, "blob")
             gap = float(np.hypot(place.u - u, place.v - v))
-            if gap <= radius and (best is None or gap < best[0]):
+            if (gap <= radius or spot[clicked]) and (best is None or gap < best[0]):
                 best = (gap, place)
     return best[1] if best else None
 
 
-def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -> list[Float64Array]:
-    """Return the weighted centroids of round regions that do not touch the window's border."""
+def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -> list[tuple[Float64Array, BoolArray]]:
+    """Return weighted centroid and pixels of each round region that does not touch the window's border."""
+    flat = cv2.medianBlur(window, 5)
+    noise = 1.4826 * float(np.median(np.abs(window.astype(np.float64) - flat)))
     count, labels, stats, _ = cv2.connectedComponentsWithStats(inside.astype(np.uint8), connectivity=4)
     height, width = window.shape
     centers = []
@@ -107,15 +125,18 @@ def _round_components(window: Uint8Array, inside: BoolArray, threshold: float) -
         region = cv2.dilate((labels[box] == label).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
         values = window[box].astype(np.float64)
         outside = np.median(values[~region]) if (~region).any() else float(threshold)
+        spot = labels == label
+        if abs(np.median(window[spot]) - outside) < max(_MIN_CONTRAST, _MIN_BLOB_SIGMAS * noise):
+            continue
         weights = np.where(region, np.abs(values - outside), 0.0)
         rows, columns = np.indices(weights.shape)
         total = weights.sum()
         center = (columns * weights).sum() / total + box[1].start, (rows * weights).sum() / total + box[0].start
-        centers.append(np.array(center))
+        centers.append((np.array(center), spot))
     return centers
 
 
-def _corner_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped | None:
+def _crossing_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped | None:
     reach = int(np.ceil(radius)) + _CORNER_WINDOW + 6
     left, top = max(round(u) - reach, 0), max(round(v) - reach, 0)
     window = np.ascontiguousarray(gray[top : round(v) + reach + 1, left : round(u) + reach + 1])
@@ -134,12 +155,42 @@ def _corner_near(gray: Uint8Array, u: float, v: float, radius: float) -> Snapped
         place = float(refined[0]) + left, float(refined[1]) + top
         gap = float(np.hypot(place[0] - u, place[1] - v))
         moved = float(np.hypot(refined[0] - column, refined[1] - row))
-        if gap <= radius + 0.5 and moved <= _CORNER_WINDOW:
+        if gap <= radius + 0.5 and moved <= _CORNER_WINDOW and _is_crossing(window, refined[0], refined[1]):
             found.append((gap, place))
     if not found:
         return None
     _, (x, y) = min(found)
-    return Snapped(x, y, "corner")
+    return Snapped(x, y, "crossing")
+
+
+def _is_crossing(gray: Uint8Array, u: float, v: float) -> bool:
+    """Tell whether two edges or two lines cross at a place.
+
+    Circles around it alternate between dark and bright: twice where edges cross, four times where lines do. They look
+    the same turned by half, unlike those around the corner of an area or a place on its rim. Where edges cross, the
+    place itself is as bright as the mean, unlike the gap between two spots.
+    """
+    angles = 2 * np.pi * np.arange(_SAMPLES) / _SAMPLES
+    radii = np.array([[0.0], *([radius] for radius in _CIRCLES_PX)])
+    columns, rows = u + radii * np.cos(angles), v + radii * np.sin(angles)
+    smooth = cv2.GaussianBlur(gray, (0, 0), 0.8)
+    samples = cv2.remap(smooth, columns.astype(np.float32), rows.astype(np.float32), cv2.INTER_LINEAR).astype(
+        np.float64
+    )
+    for circle in samples[:0:-1]:
+        low, high = np.percentile(circle, [10, 90])
+        contrast, mean = high - low, (high + low) / 2
+        if contrast < _MIN_CONTRAST or np.corrcoef(circle, np.roll(circle, _SAMPLES // 2))[0, 1] < _MIN_SYMMETRY:
+            return False
+        dark = circle < mean
+        changes = int((dark != np.roll(dark, 1)).sum())
+        if changes == 8:  # on smaller circles the lines merge
+            return True
+        if changes != 4 or not _DARK_SHARE[0] < dark.mean() < _DARK_SHARE[1]:
+            return False
+        if abs(samples[0, 0] - mean) > 0.4 * contrast:
+            return False
+    return True
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,6 +30,8 @@ ADVISED_POINTS = 6
 ADVISED_SPAN_MM = 20.0
 _FAR_PX = 80.0
 _SUSPICIOUS = 3.0
+#: Smallest residual for which a pair is to be clicked again, pixels.
+_CLICK_AGAIN_PX = 1.0
 
 
 @dataclass(frozen=True)
@@ -397,13 +399,34 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
     missing = ADVISED_POINTS - used
     if missing > 0:
         return f"Add {missing} more point{'s' if missing > 1 else ''}: with six the quality can be estimated."
-    found = _weakest_place(quality, proximity, rig) or _shallow_points(quality, coverage) or _suspicious_pair(quality)
+    found = (
+        _large_residuals(quality)
+        or _weakest_place(quality, proximity, rig)
+        or _shallow_points(quality, coverage)
+        or _suspicious_pair(quality)
+    )
     if found:
         return found
     if quality.alignment_px > GOOD_PX:
         wanted = int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2))
         return f"Add points to lower the error; about {min(wanted, 60)} in all, clicked with the same care."
     return "Nothing more is needed: check it on the live image and save it."
+
+
+def _large_residuals(quality: ModelQuality) -> str:
+    """Return advice on pairs whose residual is much larger than the median: their clicks, not their places, are bad."""
+    if quality.degrees <= 0:
+        return ""
+    kept = sorted((pair for pair in quality.pairs if pair.used), key=lambda pair: -pair.residual_px)
+    usual = float(np.median([pair.residual_px for pair in kept]))
+    bad = [pair for pair in kept if pair.residual_px > max(_SUSPICIOUS * usual, _CLICK_AGAIN_PX)][:3]
+    if not bad:
+        return ""
+    ids, errors = " and ".join(pair.id for pair in bad), " and ".join(f"{pair.residual_px:.1f}" for pair in bad)
+    return (
+        f"Click pair{'s' if len(bad) > 1 else ''} {ids} again: {errors} px from the fit, half of all pairs are within "
+        f"{usual:.1f} px."
+    )
 
 
 def _weakest_place(quality: ModelQuality, proximity: Float64Array, rig: Rig) -> str:

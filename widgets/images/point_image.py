@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from math import ceil, floor, hypot
+from math import ceil, floor
 from typing import Any, Final
 
 import numpy as np
@@ -26,7 +26,7 @@ _DISTANCE = 26
 class Loupe(QWidget):
     """Shows the surroundings of a place in an image, enlarged, with a crosshair.
 
-    Where a snapped place is given, a ring marks it and the line below tells how far it lies.
+    A ring marks the snapped place; the line below tells the cursor's pixel, or what a click snaps to.
     """
 
     def __init__(self, parent: QWidget) -> None:
@@ -34,6 +34,7 @@ class Loupe(QWidget):
         self._pixels: Uint8Array | None = None
         self._place = (0.0, 0.0)
         self._snapped: tuple[float, float] | None = None
+        self._words = ""
         self.setAttribute(Qt.WidgetAttribute.WA_TransparentForMouseEvents)
         self.setFixedSize(self.sizeHint())
         self.hide()
@@ -49,7 +50,7 @@ class Loupe(QWidget):
 
     def show_at(self, cursor: QPointF, place: tuple[float, float]) -> None:
         """Magnify an image place and move beside the cursor (parent coordinates), inside the parent."""
-        self._place, self._snapped = place, None
+        self._place, self._snapped, self._words = place, None, ""
         parent = self.parentWidget()
         assert parent is not None
         x = cursor.x() + _DISTANCE
@@ -64,18 +65,14 @@ class Loupe(QWidget):
         self.raise_()
         self.update()
 
-    def set_snapped(self, place: tuple[float, float] | None) -> None:
-        """Mark the position that a click would set."""
-        self._snapped = place
+    def set_snapped(self, place: tuple[float, float] | None, words: str) -> None:
+        """Mark the position that a click would set, and say in words what is there."""
+        self._snapped, self._words = place, words
         self.update()
 
     def text(self) -> str:
         """Return the line below the image."""
-        u, v = self._place
-        if self._snapped is None:
-            return f"{u:.1f}  {v:.1f}"
-        distance = hypot(self._snapped[0] - u, self._snapped[1] - v)
-        return f"{self._snapped[0]:.2f}  {self._snapped[1]:.2f}   snap {distance:.1f} px"
+        return self._words or f"{self._place[0]:.1f}  {self._place[1]:.1f}"
 
     def paintEvent(self, _: QPaintEvent | None) -> None:
         """Paint the enlarged pixels, the crosshair, the ring and the text."""

@@ -184,6 +184,35 @@ def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, fram
     assert "pair 5" in wizard.quality.step.text()
 
 
+def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, frames, feed):
+    state = with_pairs(scene, frames, feed, dots=(0, 1, 2, 9, 10, 11, 18, 19, 20, 27, 28, 29))  # none at the right
+    assert "Add points" in fit(state, scene.rig).report.verdict
+    for key, (u, v) in ((7, (2.2, -2.0)), (18, (-2.1, 2.0))):
+        pair = state.pairs[key - 1]
+        state = state.with_pair(pair.model_copy(update={"proximity": (pair.proximity[0] + u, pair.proximity[1] + v)}))
+    report = fit(state, scene.rig).report
+    assert not report.chosen.excluded
+    assert "Click pairs" in report.verdict
+    assert {"7", "18"} == set(report.verdict.split("Click pairs ")[1].split(" again")[0].split(" and "))
+
+
+def test_the_page_says_what_a_click_snapped_to(open_wizard, hand, scene, frames, feed):
+    wizard = open_wizard()
+    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
+    wizard.go_to(1)
+    page = wizard.points
+    left, right = page.view.images["proximity"], page.view.images["tactile"]
+    dots = scene.proximity_pixels(0.2)
+    hand.click(left, dots[30] + np.array((2.0, 0.0)))
+    assert page.hint.text().startswith("Dot centre, ") and "right image" in page.hint.text()
+    bare = (scene.tactile_pixels(0.2)[30] + scene.tactile_pixels(0.2)[40]) / 2
+    hand.click(right, bare)
+    assert page.hint.text().startswith("Nothing to snap to.")
+    assert wizard.session.state.pairs[0].tactile == pytest.approx(tuple(bare), abs=0.6)
+    QTest.mouseClick(wizard.undo, LEFT)
+    assert "snap to" not in page.hint.text()
+
+
 def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
     wizard = open_wizard()
     wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))

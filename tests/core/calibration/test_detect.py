@@ -133,6 +133,33 @@ def test_nothing_to_snap_to_is_none():
     assert snap_to_feature(far, 0, 0) is None
 
 
+def test_beside_dots_and_on_bare_membrane_nothing_snaps_but_a_clicked_dot_does():
+    rng = np.random.default_rng(0)
+    image = 150 + 4 * rng.standard_normal((240, 320))
+    places = [(40 + 40 * column, 40 + 40 * row) for row in range(5) for column in range(7)]
+    for place in places:
+        cv2.circle(image, place, 9, 50.0, -1, cv2.LINE_AA)
+    image = cv2.GaussianBlur(image, (0, 0), 0.8).clip(0, 255).astype(np.uint8)
+    for place in places:
+        angle = rng.uniform(0, 2 * np.pi)
+        for distance in (7.5, 11.0, 14.0, 20.0):
+            found = snap_to_feature(image, *(place + distance * np.array([np.cos(angle), np.sin(angle)])))
+            if distance < 9:  # the dot itself was clicked, although its centre is beyond reach
+                assert np.hypot(found.u - place[0], found.v - place[1]) < 0.2
+            else:
+                assert found is None, f"{distance} px from a dot of 9 px"
+
+
+def test_crossing_lines_snap_and_their_ends_do_not():
+    image = np.full((120, 160), 200, np.uint8)
+    cv2.line(image, (20, 30), (140, 90), 40, 2, cv2.LINE_AA)
+    cv2.line(image, (30, 95), (130, 25), 40, 2, cv2.LINE_AA)
+    found = snap_to_feature(image, 83, 57)
+    assert found.kind == "crossing"
+    assert (found.u, found.v) == pytest.approx((80, 60), abs=0.5)
+    assert snap_to_feature(image, 22, 29) is None
+
+
 @pytest.mark.parametrize("number", range(1, 7))
 def test_real_boards_as_well_as_opencv(number, shared_data):
     files = [shared_data / "stereo_boards" / f"{side}0{number}.jpg" for side in ("left", "right")]
@@ -147,5 +174,5 @@ def test_real_boards_as_well_as_opencv(number, shared_data):
     for u, v in a:
         angle, radius = rng.uniform(0, 2 * np.pi), 6 * np.sqrt(rng.uniform())
         snapped = snap_to_feature(left, u + radius * np.cos(angle), v + radius * np.sin(angle))
-        assert snapped.kind == "corner"
+        assert snapped.kind == "crossing"
         assert np.hypot(snapped.u - u, snapped.v - v) < 0.1
