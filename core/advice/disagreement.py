@@ -146,11 +146,11 @@ def measure_disagreement(evidence: Evidence, progress: Progress) -> tuple[Disagr
         progress(0.3, "Measuring the bias on prints")
         if (bias := print_bias(free, rig, preset, power_m4)) is not None:
             found.append(Disagreement.on_prints(bias))
-        progress(0.6, "Measuring the bias in firm contact")
-        if (bias := pressed_bias(evidence.frames, firm_contact_bias(preset, rig), power_m4)) is not None:
-            found.append(Disagreement.in_firm_contact(bias))
+        progress(0.6, "Measuring the bias in contact")
         if (bias := _painted_bias(evidence, power_m4)) is not None:
             found.append(Disagreement(bias, "in painted contact"))
+        elif (bias := pressed_bias(evidence.frames, firm_contact_bias(preset, rig), power_m4)) is not None:
+            found.append(Disagreement.in_firm_contact(bias))
     if not found:
         raise AdviceError(
             "alignment: a bias between the cameras can't be told from a gap here; set the mask to the colour of prints "

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 import numpy as np
 
 from ..errors import AdviceError, FrameError
+from ..model.frames import SensorFrame
 from ..preset import CameraNoise, Preset
 from ..rig.noise import depth_noises
+from ..rig.untouched import tile_medians
 from ..sources.base import Progress
 from .examples import CURVES, Judge, curve_of, known_examples
 from .proposal import Evidence, Proposal
@@ -19,6 +21,10 @@ from .proposal import Evidence, Proposal
 _T_SIGMAS: Final = 2.0
 #: Fewest frames from which noise is measured, and the number of the newest ones that are used.
 _MIN_FRAMES, _FRAMES = 2, 4
+
+#: The scene moves if more than the second share of the image tiles changes by more than the first number of standard
+#: deviations; standard deviation over median absolute deviation.
+_MOVED_SIGMAS, _MOVED_TILES, _NORMAL = 5.0, 0.03, 1.4826
 
 _NAMES: Final = {
     "tolerance.t": "tolerance t",
@@ -105,12 +111,13 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
     examples = known_examples(evidence)
     reasons, enough_mm2 = [], shipped
     if section == "outliers":
-        noise_mm2, sentence = _noise_group_mm2(evidence, progress)
+        noise_mm2, sentence = _noise_group_mm2(evidence, lambda share, words: progress(share / 2, words))
         enough_mm2 = max(enough_mm2, noise_mm2)
         reasons.append(sentence)
     values = np.unique([*CURVES[section][path], shipped, present])
     if examples:
-        curve = curve_of(path, evidence.preset, Judge(evidence.preset, evidence.rig, examples), progress)
+        judge = Judge(evidence.preset, evidence.rig, examples)
+        curve = curve_of(path, evidence.preset, judge, lambda share, words: progress((1 + share) / 2, words))
         clean = curve.values[curve.false_mm2 <= curve.false_mm2.min() + 1e-9]
         enough_mm2 = max(enough_mm2, float(clean.min()))
         false_mm2, left_mm2 = curve.at(present)[1], curve.at(enough_mm2)[1]
@@ -158,12 +165,37 @@ def _noises(evidence: Evidence, section: str, progress: Progress) -> tuple[Camer
     remedy = "measure the rig's noise (Check cameras), or paint the contact in a frame"
     if len(frames) < _MIN_FRAMES:
         raise AdviceError(f"{section}: one frame does not tell the noise; let the source play, {remedy}")
+    if _moves(frames):
+        raise AdviceError(
+            f"{section}: the scene moves, so noise can't be told from movement; hold it still, or {remedy}"
+        )
     try:
         return depth_noises(frames, evidence.rig, progress)
     except FrameError as error:
         raise AdviceError(
             f"{section}: the noise cannot be measured in the newest frames: {error}; or {remedy}"
         ) from error
+
+
+def _moves(frames: Sequence[SensorFrame]) -> bool:
+    """Return whether a depth changes steadily over the frames, three or more, by more than its noise.
+
+    The second difference of three frames is free of steady movement. Its standard deviation is sqrt(6) times that of
+    one frame, and that of the change from the first to the last frame sqrt(2) times.
+    """
+    if len(frames) < 3:
+        return False
+    for images in ([frame.tactile_depth for frame in frames], [frame.proximity_depth for frame in frames]):
+        first, second, *_, last = (tile_medians(image) for image in images)
+        third = tile_medians(images[2])
+        known = np.isfinite(first + second + third + last)
+        if not known.any():
+            continue
+        noise = _NORMAL * np.median(np.abs((first - 2 * second + third)[known])) / math.sqrt(6)
+        moved = np.abs((last - first)[known]) > _MOVED_SIGMAS * math.sqrt(2) * noise
+        if moved.mean() > _MOVED_TILES:
+            return True
+    return False
 
 
 def _proposal(
