@@ -181,15 +181,11 @@ class Timeline(QObject):
         info = self._info
         if info is None or info.length is None or not self._several(info):
             return
-        key = preset.model_dump_json(exclude=_WITHOUT_EFFECT)
-        series = self._remembered.pop(key, None)
+        series = self._remembered.get(_key(preset))
         if series is None:
             series = Series(info.length, info.frame_rate_hz)
             if self._series is not None:  # stamps do not depend on the preset
                 series.values["time_s"][:] = self._series.values["time_s"]
-        self._remembered[key] = series
-        while len(self._remembered) > _REMEMBERED:
-            self._remembered.pop(next(iter(self._remembered)))
         if series is not self._series:
             if self._series is not None and self._series.complete:
                 self._former = self._series
@@ -211,6 +207,9 @@ class Timeline(QObject):
         preset = self._context.document.preset
         if preset.averaged_frames > 1:  # such a preset must see all frames in order
             self._series.computed[:] = False
+        self._remembered[_key(preset)] = self._series
+        while len(self._remembered) > _REMEMBERED:
+            self._remembered.pop(next(iter(self._remembered)))
         self._strip.set_words("Computing…")
         self._job.start(self._info.name, preset, np.flatnonzero(self._series.computed).tolist())
 
@@ -257,3 +256,8 @@ class Timeline(QObject):
         seconds = np.array([arrived_s - now_s for arrived_s, _ in self._live])
         values = {curve.key: np.array([getattr(each, curve.key) for _, each in self._live]) for curve in CURVES}
         self._strip.set_live(seconds, values)
+
+
+def _key(preset: Preset) -> str:
+    """Return what a preset's patches depend on."""
+    return preset.model_dump_json(exclude=_WITHOUT_EFFECT)

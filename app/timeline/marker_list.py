@@ -44,7 +44,7 @@ class MarkerList(QDialog):
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         rows.hide()
         self.table.cellChanged.connect(self._renamed)
-        self.table.currentCellChanged.connect(lambda row, *_: self._show(row))
+        self.table.itemSelectionChanged.connect(self._show_selected)
         self.hint = QLabel()
         self.delete = push_button("&Delete", "Delete the selected markers (Del)", "Del")
         self.delete.clicked.connect(self._delete)
@@ -95,8 +95,12 @@ class MarkerList(QDialog):
             self._fill(self._keeper.marks)  # an empty name changes nothing
 
     def _delete(self) -> None:
-        self._keeper.delete({index.row() for index in self.table.selectedIndexes()})
+        self._keeper.delete(self._selected())
 
-    def _show(self, row: int) -> None:
-        if 0 <= row < len(self._keeper.marks.markers):
-            self._seek(self._keeper.marks.markers[row].frame)
+    def _show_selected(self) -> None:
+        rows = self._selected()
+        if len(rows) == 1:
+            self._seek(self._keeper.marks.markers[rows.pop()].frame)
+
+    def _selected(self) -> set[int]:
+        return {index.row() for index in self.table.selectedIndexes()}

@@ -13,6 +13,8 @@ from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
 from hands import CONTROL, CONTROL_SHIFT, LEFT, show_source, type_into, type_path
 from tactune.app.timeline import marks as marks_module
+from tactune.app.timeline.marker_list import MarkerList
+from tactune.app.timeline.marks import MarksKeeper
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
 from tactune.core.recording.markers import load_marks
@@ -169,6 +171,7 @@ def test_a_marker_is_added_renamed_undone_and_survives_a_restart(strip_window, q
     listed = window.timeline.list
     qtbot.waitUntil(listed.isActiveWindow)
     table = listed.table
+    assert at_rest(window, 18)
     QTest.mouseClick(table.viewport(), LEFT, pos=table.visualItemRect(table.item(0, 0)).center())
     qtbot.waitUntil(lambda: at_rest(window, 7))  # a click goes there
     QTest.keyClick(table, Qt.Key.Key_F2)
@@ -305,3 +308,22 @@ def test_marks_of_a_source_that_is_no_file_are_kept_by_its_name(window, qtbot, m
     show_source(qtbot, again, TinySource(), 0)
     assert [marker.frame for marker in again.timeline.keeper.marks.markers] == [3]
     assert json.loads(next((again.context.data_folder / "markers").glob("tiny-*.json")).read_text())["trim"] is None
+
+
+def test_opening_the_list_goes_nowhere_and_an_empty_name_is_refused(qtbot, tmp_path):
+    keeper, sought = MarksKeeper(tmp_path), []
+    keeper.open("tiny", LENGTH)
+    for frame in (4, 9):
+        keeper.add(frame, frame / 30)
+    listed = MarkerList(keeper, sought.append)
+    qtbot.addWidget(listed)
+    listed.show()
+    qtbot.waitExposed(listed)
+    listed.table.setFocus()
+    assert sought == []
+    for _ in range(2):
+        QTest.keyClick(listed.table, Qt.Key.Key_Down)
+    assert sought[-1] == 9
+    QTest.keyClick(listed.table, Qt.Key.Key_F2)
+    type_into(listed.table.findChild(QLineEdit), " ")
+    assert [listed.table.item(row, 0).text() for row in (0, 1)] == ["Marker 1", "Marker 2"]
