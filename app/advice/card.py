@@ -69,7 +69,7 @@ class ProposalCard(QFrame):
         self.label = _text(proposal.label)
         self.evidence = _text(proposal.evidence)
         self.expected = _text(proposal.expected)
-        self.weak = _text("Weaker: it follows from the rig's noise alone. Mark or paint examples for a better one.")
+        self.weak = _text("Weaker than with examples: mark untouched frames or paint contact (Examples…).")
         self.weak.setVisible(proposal.weak)
         self.weak.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         self._values = QGridLayout()
@@ -194,7 +194,7 @@ def _mask_picture(labels: Uint8Array) -> QWidget:
     colors = np.zeros((256, 3), np.uint8)
     for label, (_, rgb) in _LABELS.items():
         colors[label] = rgb
-    pane = ImagePane("Mask on the untouched frame")
+    pane = ImagePane("Prints under this mask")
     height, width = labels.shape
     pane.set_pixels(pack_rgb(colors[labels]), (width, height), 1)
     pane.header.set_legend(None, tuple(Swatch(*_LABELS[label]) for label in _IN_LEGEND))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import ceil, hypot
+from math import ceil, floor, hypot
 from typing import Any, Final, Literal
 
 import cv2
@@ -234,14 +234,20 @@ def _grid(shape: tuple[int, ...]) -> tuple[Int64Array, Int64Array]:
 
 def brushed(labels: Uint8Array, start: Place, end: Place, radius: int, value: int) -> Uint8Array:
     """Return labels with a straight stroke of a round brush: all pixels within ``radius`` of it get ``value``."""
-    u, v = _grid(labels.shape)
+    us, vs = (
+        slice(max(0, floor(min(pair)) - radius), ceil(max(pair)) + radius + 1) for pair in zip(start, end, strict=True)
+    )
+    columns, rows = _grid(labels.shape)
+    u, v = columns[us], rows[vs]
     du, dv = end[0] - start[0], end[1] - start[1]
     length2 = du * du + dv * dv
     along: Float64Array | float = 0.0
     if length2 > 0:
         along = np.clip(((u - start[0]) * du + (v - start[1]) * dv) / length2, 0.0, 1.0)
     inside = (u - start[0] - along * du) ** 2 + (v - start[1] - along * dv) ** 2 <= radius**2
-    return np.where(inside, np.uint8(value), labels)
+    after = labels.copy()
+    after[vs, us][inside] = value
+    return after
 
 
 def known_object(labels: Uint8Array, area: BoolArray, erases: bool) -> Uint8Array:

@@ -43,6 +43,8 @@ class ErrorCurvePlot(QWidget):
         item.hideButtons()
         item.setMouseEnabled(x=False, y=False)
         item.setContentsMargins(0, 8, 8, 0)
+        for axis in ("bottom", "left"):
+            item.getAxis(axis).enableAutoSIPrefix(False)
         item.setLabel("bottom", "False area (cm²)")
         item.setLabel("left", "Missed area (cm²)")
         self._line = pg.PlotDataItem(symbol="o", symbolSize=4, symbolPen=None)
@@ -79,7 +81,7 @@ class ErrorCurvePlot(QWidget):
         self._values, self._missed, self._false = values, _CM2 * missed_mm2, _CM2 * false_mm2
         self._line.setData(self._false, self._missed)
         for axis, areas in (("setXRange", self._false), ("setYRange", self._missed)):
-            getattr(self.plot, axis)(0.0, max(0.1, float(areas.max())), padding=0.08)
+            getattr(self.plot, axis)(0.0, max(1.0, float(areas.max())), padding=0.08)
         self._show_points()
 
     def set_values(self, present: float, proposed: float) -> None:
