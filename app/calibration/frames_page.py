@@ -209,11 +209,15 @@ class FramesPage(QWidget):
             _THUMBNAIL, Qt.AspectRatioMode.KeepAspectRatio, Qt.TransformationMode.SmoothTransformation
         )
         depth = apex_m(snapshot.frame, self._session.rig)
-        item = QListWidgetItem(
-            QIcon(QPixmap.fromImage(thumbnail)), f"{snapshot.name}\nmembrane at {1e3 * depth:.0f} mm"
-        )
+        words = f"{snapshot.name}\nmembrane at {1e3 * depth:.0f} mm"
+        if snapshot.source not in {"", self._feed.info.name}:
+            words += f"\n{snapshot.source}"
+        item = QListWidgetItem(QIcon(QPixmap.fromImage(thumbnail)), words)
         item.setData(Qt.ItemDataRole.UserRole, snapshot.digest)
-        item.setToolTip(f"{snapshot.averaged} frames averaged; SHA-256 {snapshot.digest[:16]}…")
+        item.setToolTip(
+            f"{snapshot.averaged} frames averaged of {snapshot.source or 'an unknown source'}; SHA-256 "
+            f"{snapshot.digest[:16]}…"
+        )
         return item
 
     def _show_progress(self, share: float, words: str) -> None:

@@ -94,7 +94,16 @@ class Keeper(KeptState[SessionState]):
             except (OSError, ValueError, KeyError, TactuneError):
                 self._missing.append(entry["name"])
                 continue
-            snapshots.append(Snapshot(entry["digest"], entry["name"], frame, entry["averaged"], entry["moved_m"]))
+            snapshots.append(
+                Snapshot(
+                    entry["digest"],
+                    entry["name"],
+                    frame,
+                    entry["averaged"],
+                    entry["moved_m"],
+                    entry.get("source", ""),  # older files do not have it
+                )
+            )
         pairs = tuple(PointPair.model_validate_json(json.dumps(entry)) for entry in content["pairs"])
         state = SessionState(tuple(snapshots), pairs, Choices.model_validate_json(json.dumps(content["choices"])))
         if state.snapshot is None:
@@ -117,7 +126,7 @@ def _content(state: SessionState) -> dict[str, Any]:
         "version": _VERSION,
         "snapshots": [
             {"digest": snap.digest, "name": snap.name, "averaged": snap.averaged, "moved_m": snap.moved_m,
-             "sequence": snap.frame.sequence}
+             "sequence": snap.frame.sequence, "source": snap.source}
             for snap in state.snapshots
         ],
         "pairs": [pair.model_dump(mode="json") for pair in state.pairs],

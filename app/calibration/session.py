@@ -67,13 +67,17 @@ class Choices(_Frozen):
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
-    """One averaged frame. ``moved_m`` is how far the membrane moved while it was taken."""
+    """One averaged frame.
+
+    ``moved_m`` is how far the membrane moved while it was taken; ``source`` names where it was taken, empty if unknown.
+    """
 
     digest: str
     name: str
     frame: SensorFrame
     averaged: int = 1
     moved_m: float = 0.0
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -104,6 +108,11 @@ class SessionState:
         """The snapshot that is being clicked in."""
         chosen = self.choices.snapshot
         return next((snap for snap in self.snapshots if snap.digest == chosen), None)
+
+    @property
+    def sources(self) -> tuple[str, ...]:
+        """The sources that the snapshots were taken from, each once; unknown ones are left out."""
+        return tuple(dict.fromkeys(snap.source for snap in self.snapshots if snap.source))
 
     def snapshot_of(self, pair: PointPair) -> Snapshot | None:
         """Return the snapshot in which a pair was clicked."""

@@ -22,7 +22,8 @@ def take_snapshot(frames: Sequence[SensorFrame], number: int, info: SourceInfo, 
     taken = take_median(frames)
     last = number + frames[-1].sequence - frames[0].sequence
     name = f"Frame {number}" if len(frames) == 1 else f"Frames {number} to {last}"
-    return Snapshot(taken.sha256, name, taken.frame, len(frames), moved_m(frames, info.rig.tactile.depth_unit_m))
+    moved = moved_m(frames, info.rig.tactile.depth_unit_m)
+    return Snapshot(taken.sha256, name, taken.frame, len(frames), moved, info.name)
 
 
 def moved_m(frames: Sequence[SensorFrame], unit_m: float) -> float:

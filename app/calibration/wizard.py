@@ -114,7 +114,7 @@ class CalibrationWizard(QDialog):
         self._offer_stored()
         self._show_state(self.session.state)
         self._allow_saving(_NO_PAIRS)
-        self.go_to(1 if self.session.state.snapshots else 0)
+        self.go_to(1 if self.session.state.snapshots and not self._elsewhere() else 0)
 
     # Building
 
@@ -208,11 +208,9 @@ class CalibrationWizard(QDialog):
 
     def ask_start_over(self) -> None:
         """Clear the session after a question."""
-        state = self.session.state
-        snapshots = "1 snapshot" if len(state.snapshots) == 1 else f"{len(state.snapshots)} snapshots"
         self._dialogs.ask(
             "Start over",
-            f"Clear {count_pairs(len(state.pairs))} and {snapshots}?",
+            f"Clear {_contents(self.session.state)}?",
             "Undo restores them until the wizard is closed.",
             "Clear",
             self.start_over,
@@ -226,15 +224,28 @@ class CalibrationWizard(QDialog):
             self.messages.clear(key)
         self.go_to(0)
 
+    def _elsewhere(self) -> bool:
+        """Tell whether the snapshots are all of other sources than the open one."""
+        sources = self.session.state.sources
+        return bool(sources) and self._feed.info.name not in sources
+
     def _offer(self, kept_at: datetime | None) -> None:
         if kept_at is None:
             return
         state = self.session.state
+        of = f" of {', '.join(state.sources)}" if state.sources else ""
+        words = f"Restored the calibration{of} from {kept_at.astimezone():%d %B, %H:%M}: {_contents(state)}. "
+        if self._elsewhere():
+            words += (
+                f"{self._feed.info.name} is open now, and its membrane may be another one. Take new snapshots, "
+                "continue with the old ones, or start over."
+            )
+        else:
+            words += "Continue, or start over."
         self.messages.show_message(
             "kept",
-            Severity.INFO,
-            f"Restored from {kept_at.astimezone():%d %B, %H:%M}: {len(state.complete_pairs)} pairs and "
-            f"{len(state.snapshots)} snapshots. Continue, or start over.",
+            Severity.WARNING if self._elsewhere() else Severity.INFO,
+            words,
             offers=[("Start over", self.ask_start_over)],
         )
 
@@ -391,6 +402,12 @@ class CalibrationWizard(QDialog):
         self.keeper.close()
         self.session.close()
         super().closeEvent(event)
+
+
+def _contents(state: SessionState) -> str:
+    """Return what a session holds, in words."""
+    snapshots = "1 snapshot" if len(state.snapshots) == 1 else f"{len(state.snapshots)} snapshots"
+    return f"{count_pairs(len(state.pairs))} and {snapshots}"
 
 
 def _short(report: CalibrationReport) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -172,7 +173,7 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert [snap.digest for snap in again.session.state.snapshots] == [snap.digest for snap in kept.snapshots]
     np.testing.assert_array_equal(again.session.state.snapshots[0].frame.tactile_depth, frames[0.2].tactile_depth)
     assert again.stack.currentIndex() == 1
-    assert any("Restored from" in sentence for sentence in again.messages.sentences())
+    assert any("Restored the calibration of tiny" in sentence for sentence in again.messages.sentences())
 
     press_button(again.over)
     assert "1 pair and 1 snapshot" in answer_question(qtbot, "Cancel")
@@ -182,6 +183,21 @@ def test_nothing_is_lost_by_closing(open_wizard, hand, feed, frames, scene, qtbo
     assert again.session.state.empty
     QTest.keyClick(again, Qt.Key.Key_Z, CONTROL)
     assert again.session.state.pairs == kept.pairs
+
+
+def test_a_restored_calibration_of_another_source_says_so(open_wizard, feed, qtbot):
+    wizard = open_wizard()
+    wizard.frames.average.setValue(1)
+    press_button(wizard.frames.take)
+    qtbot.waitUntil(lambda: len(wizard.session.state.snapshots) == 1)
+    press_button(wizard.leave)
+    feed.info = replace(feed.info, name="other")
+
+    again = open_wizard()
+    assert again.stack.currentIndex() == 0, "the page on which snapshots of this source are taken"
+    sentence = again.messages.message("kept").sentence
+    assert "calibration of tiny" in sentence and "other is open now" in sentence
+    assert again.frames.list.item(0).text().endswith("tiny")
 
 
 def test_points_file_round_trip(open_wizard, scene, qtbot, tmp_path: Path):
