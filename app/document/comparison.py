@@ -43,8 +43,9 @@ _OWN: Final = ("name", "notes", "rig", "untouched")
 
 
 def differing_fields(a: Preset, b: Preset) -> tuple[str, ...]:
-    """Return the dotted paths of the fields in which two presets differ, in the order of the preset."""
-    return tuple(path for path in preset_paths() if path not in _DATES and a.value(path) != b.value(path))
+    """Return the dotted paths of the fields in which two presets differ, those that `take_over` leaves last."""
+    paths = [path for path in preset_paths() if path not in _DATES and a.value(path) != b.value(path)]
+    return tuple(sorted(paths, key=lambda path: path in _OWN))
 
 
 def take_over(document: Document, side: Side) -> bool:

@@ -56,6 +56,12 @@ _NUMBERS: Final = {
 }
 
 
+#: How records are called in the table.
+_RECORDS: Final[dict[str, Callable[[Any], str]]] = {
+    "rig": lambda rig: f"{rig.proximity.model} + {rig.tactile.model}",
+    "untouched": lambda record: str(record.sha256[:8]),
+    "noise": lambda noise: f"bias {1e3 * noise.bias_m:.1f} mm",
+}
 #: Width of a column of values, in pixels.
 _VALUE_WIDTH: Final = 84
 
@@ -268,11 +274,10 @@ class ComparisonPanel(QWidget):
         unit = spec.suffix.strip() if spec is not None else ""
         title = field_title(path) + (f" ({unit})" if unit else "")
         values = [preset.value(path) for preset in presets]
-        for column, text in enumerate((title, *(_in_words(spec, value) for value in values))):
+        for column, text in enumerate((title, *(_in_words(path, spec, value) for value in values))):
             item = QTableWidgetItem(text)
-            item.setToolTip(
-                f"{path}\n{spec.description if spec else ''}".strip() if column == 0 else str(values[column - 1])
-            )
+            whole = text if path in _RECORDS else str(values[column - 1])
+            item.setToolTip(whole if column else f"{path}\n{spec.description if spec else ''}".strip())
             self.table.setItem(row, column, item)
 
 
@@ -300,8 +305,10 @@ def _spec_of(path: str) -> FieldSpec | None:
         return None
 
 
-def _in_words(spec: FieldSpec | None, value: Any) -> str:
+def _in_words(path: str, spec: FieldSpec | None, value: Any) -> str:
     """Return a value as the panel of parameters shows it, without its unit."""
+    if path in _RECORDS:
+        return "none" if value is None else _RECORDS[path](value)
     if spec is not None and spec.kind in ("number", "range"):
         numbers = value if isinstance(value, tuple) else (value,)
         return " - ".join(format_number(number * spec.factor) for number in numbers)

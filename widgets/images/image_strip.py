@@ -69,6 +69,7 @@ class ImageStrip(QWidget):
         self._fitted = True
         self._linking = False
         self._hint = 0
+        self._wipe: Wipe | None = None
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName("Images of the current frame")
 
@@ -106,6 +107,9 @@ class ImageStrip(QWidget):
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide every image between two sides, or show only one."""
+        if wipe == self._wipe:
+            return
+        self._wipe = wipe
         for pane in self.panes.values():
             pane.set_wipe(wipe)
 
