@@ -359,6 +359,10 @@ class TimeStrip(QWidget):
     def _frame_at(self, time_s: float) -> int:
         return int(np.abs(self._seconds - time_s).argmin())
 
+    def _room(self) -> int:
+        """Return the width of the plot without its axis, pixels."""
+        return max(100, round(self._box.width()) - 16)
+
     def _hold(self, held: bool) -> None:
         if not self._live:
             self._dragging = held
@@ -386,7 +390,8 @@ class TimeStrip(QWidget):
     def _show_words(self) -> None:
         known = self._values.get(self.curve.key)
         empty = known is not None and bool(self._computed.any()) and not np.isfinite(known).any()
-        self._text.setText(self._words or (_NO_TRUTH if empty and self.curve.key == "iou" else ""))
+        words = self._words or (_NO_TRUTH if empty and self.curve.key == "iou" else "")
+        self._text.setText(self.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, self._room()))
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
