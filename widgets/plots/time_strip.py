@@ -361,7 +361,7 @@ class TimeStrip(QWidget):
 
     def _room(self) -> int:
         """Return the width of the plot without its axis, pixels."""
-        return max(100, round(self._box.width()) - 16)
+        return int(max(100, self._box.width() - 16))
 
     def _hold(self, held: bool) -> None:
         if not self._live:
