@@ -73,6 +73,12 @@ class CameraChecks(QObject):
         self.window: CheckWindow | None = None
         context.frameShown.connect(self._frame_shown)
 
+    def open_noise(self) -> None:
+        """Open the window at the tab *Noise and bias*."""
+        self.open()
+        assert self.window is not None
+        self.window.tabs.setCurrentWidget(self.window.noise)
+
     def open(self) -> None:
         """Open the window on the current source, or bring it to the front."""
         if self.window is None:

@@ -49,6 +49,8 @@ class Actions:
     calibrate: QAction
     recheck: QAction
     check_cameras: QAction
+    measure_noise: QAction
+    findings: QAction
     capture_untouched: QAction
     open_folder: QAction
     open_recording: QAction
@@ -145,6 +147,10 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Open recordin&g…", "Open a recording of Tactune or RealSense, or two bags with one camera each", "Ctrl+R"
         ),
         check_cameras=action("C&heck cameras…", "Depth quality, noise, skew and bias of both cameras", "F6"),
+        measure_noise=action(
+            "&Measure noise and bias…", "Measure the noise of both cameras and the bias between them, for the preset"
+        ),
+        findings=action("&Findings…", "List what is wrong with this frame or preset, and what mends it", "Ctrl+F"),
         capture_untouched=action(
             "Capture u&ntouched frame…",
             "Capture the untouched membrane, which some methods and the re-check need",
@@ -267,8 +273,10 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     themes = _choices(_submenu(view, "T&heme"), [(theme.capitalize(), theme) for theme in THEMES])
 
     speeds = _fill_playback(_menu(bar, "&Playback"), actions)
-    _menu(bar, "&Calibration").addActions([actions.calibrate, actions.recheck, actions.check_cameras])
-    _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched])
+    _menu(bar, "&Calibration").addActions(
+        [actions.calibrate, actions.recheck, actions.check_cameras, actions.measure_noise]
+    )
+    _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
     return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
 
@@ -336,8 +344,8 @@ _MOUSE = (
 
 def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
     """Show every shortcut and mouse gesture."""
-    rows = [(_keys(action), action.text()) for action in actions]
-    keys = "".join(_row(key, _plain(text)) for key, text in rows if key)
+    rows = [(_keys(action), plain_text(action)) for action in actions]
+    keys = "".join(_row(key, text) for key, text in rows if key)
     mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)
     dialog = QDialog(parent)
     dialog.setWindowTitle("Keyboard shortcuts")
@@ -378,8 +386,9 @@ def _keys(action: QAction) -> str:
     return keys or action.text().partition("\t")[2]
 
 
-def _plain(text: str) -> str:
-    return text.partition("\t")[0].replace("&", "").rstrip("…")
+def plain_text(action: QAction) -> str:
+    """Return an action's text without mnemonic, shortcut and dots."""
+    return action.text().partition("\t")[0].replace("&", "").rstrip("…")
 
 
 def _row(left: str, right: str) -> str:

@@ -42,6 +42,7 @@ from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
 from .eyedropper import Eyedropper
 from .files import FileFlows
+from .findings import FindingsControl
 from .frame_presenter import FramePresenter
 from .history_window import HistoryWindow
 from .recording import RecordingBar, RecordingControl
@@ -126,6 +127,9 @@ class MainWindow(QMainWindow):
         self.comparison_panel = ComparisonPanel()
         self.comparison = ComparisonControl(self.context, self.actions_, self.comparison_panel, self.presenter)
         self.history = HistoryWindow(self.document, [self.actions_.undo, self.actions_.redo], self)
+        self.findings = FindingsControl(
+            self.context, self.actions_, panel=self.panel, views=self.views, status=self.status
+        )
         self.eyedropper = Eyedropper(self.context, self.panel, self.strip)
         self.recording = RecordingControl(self.context, self.actions_.record, self.recording_bar)
         self.timeline = Timeline(self.context, self.time_strip)
@@ -202,7 +206,7 @@ class MainWindow(QMainWindow):
 
     def _connect_document(self) -> None:
         document, panel = self.document, self.panel
-        document.presetChanged.connect(self.worker.set_preset)
+        document.presetChanged.connect(lambda preset: self.worker.set_preset(preset, document.untouched_home))
         document.presetChanged.connect(panel.set_preset)
         document.presetChanged.connect(self._show_document)
         document.fileChanged.connect(self._show_document)
@@ -250,6 +254,8 @@ class MainWindow(QMainWindow):
         actions.calibrate.triggered.connect(self.calibration.open_wizard)
         actions.recheck.triggered.connect(self.calibration.open_recheck)
         actions.check_cameras.triggered.connect(self.checks.open)
+        actions.measure_noise.triggered.connect(self.checks.open_noise)
+        actions.findings.triggered.connect(self.findings.open)
         actions.cameras.triggered.connect(self.cameras.choose)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
         actions.capture_untouched.triggered.connect(self.untouched.open)

@@ -29,6 +29,11 @@ class FrameStatus(QStatusBar):
         self._last_s = 0.0
         self._source = ElidedLabel()
         self.addWidget(self._source, 1)
+        self.findings = QPushButton()
+        self.findings.setFlat(True)
+        self.findings.setToolTip("What is wrong with this frame or preset, and what mends it (Ctrl+F)")
+        self.findings.hide()
+        self.addPermanentWidget(self.findings)
         self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
         self._dropped = self._number(
             "0000 dropped",
@@ -54,6 +59,11 @@ class FrameStatus(QStatusBar):
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
         length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
         self._source.setText(f"{length}, {info.name}, {cameras}")
+
+    def show_findings(self, count: int) -> None:
+        """Show the number of findings; the button is hidden while there is none."""
+        self.findings.setText(f"⚠ {count} finding{'s' if count > 1 else ''}")
+        self.findings.setVisible(count > 0)
 
     def show_state(self, state: SourceState) -> None:
         """Show that no frame comes."""

@@ -9,6 +9,7 @@ from functools import cache, lru_cache
 import cv2
 import numpy as np
 
+from ...core.advice.findings import no_depth
 from ...core.contact.alignment import tactile_pose
 from ...core.contact.masking import colors_at, in_hsv_range
 from ...core.contact.pipeline import ContactPatch
@@ -160,6 +161,9 @@ class Renderer:
             strip = draw_strip(
                 frame, patch, preset, rig, depth_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
             )
+        no_contact, no_contact_action = "", ""
+        if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds:
+            no_contact, no_contact_action = why_no_contact(frame, patch, preset, rig)
         by_tolerance = "tolerance" in preset.test.section_names
         return Rendered(
             clouds=clouds,
@@ -171,9 +175,8 @@ class Renderer:
             depth_range_m=depth_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
             accepted=scene.accepted,
-            no_contact=preset.test.why_no_contact(patch.provenance)
-            if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds
-            else "",
+            no_contact=no_contact,
+            no_contact_action=no_contact_action,
         )
 
     def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
@@ -222,6 +225,14 @@ class Renderer:
             near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
         self._depth_range_m = near, far
         return near, far
+
+
+def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> tuple[str, str]:
+    """Return why a patch is empty and what to do, and the name of the window's action that helps, or an empty one."""
+    blind = no_depth.find_in_frame(frame, rig)
+    if blind is not None:
+        return blind.sentence, blind.action
+    return preset.test.why_no_contact(patch.provenance), preset.test.remedy_action(patch.provenance)
 
 
 def accepted_difference(preset: Preset, depth_range_m: tuple[float, float]) -> float:

@@ -17,7 +17,7 @@ from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
-from ...core.rig.untouched import FoundUntouched, find_untouched
+from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
 from ...core.sources.base import FrameSource, Health, Progress
 from ..document.comparison import Side
 from .playback import PlaybackState
@@ -35,13 +35,13 @@ def no_untouched(_preset: Preset, _path: Path | None, _progress: Progress) -> Fo
     return FoundUntouched(None)
 
 
-def untouched_finder(source: FrameSource) -> FindUntouched:
+def untouched_finder(source: FrameSource, kept: _Kept | None = None) -> FindUntouched:
     """Return a function like `find_untouched` that may run on any thread while the source is being read.
 
     The source's own untouched frame is read now, on the thread that owns the source. The simulator's is
     measured when it is asked for, in its own scene.
     """
-    kept = _Kept(source)
+    kept = kept or _Kept(source)
 
     def find(preset: Preset, path: Path | None, progress: Progress) -> FoundUntouched:
         from ...core.sources.simulator.source import SimulatorSource  # not imported for other sources
@@ -49,6 +49,11 @@ def untouched_finder(source: FrameSource) -> FindUntouched:
         return find_untouched(preset, path, source if isinstance(source, SimulatorSource) else kept, progress)
 
     return find
+
+
+def stored_untouched_finder(kept: _Kept) -> FindUntouched:
+    """Return a function like `kept_untouched` that may run on any thread; it simulates nothing."""
+    return lambda preset, path, _progress: kept_untouched(preset, path, kept)
 
 
 class _Kept(FrameSource):
@@ -134,7 +139,8 @@ class Rendered:
     """The images of one frame; those that are not visible are missing.
 
     ``verdicts`` are the `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative
-    difference up to which the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty.
+    difference up to which the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty,
+    ``no_contact_action`` names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -145,6 +151,7 @@ class Rendered:
     verdicts: frozenset[Provenance] = frozenset()
     accepted: float = 0.0
     no_contact: str = ""
+    no_contact_action: str = ""
 
 
 @dataclass(frozen=True)
@@ -157,6 +164,7 @@ class SourceInfo:
     frame_rate_hz: float
     preset: Preset | None = None
     find_untouched: FindUntouched = no_untouched
+    stored_untouched: FindUntouched = no_untouched
 
     @classmethod
     def of(cls, source: FrameSource) -> SourceInfo:
@@ -165,13 +173,15 @@ class SourceInfo:
             preset = source.preset()
         except PresetError:
             preset = None
+        kept = _Kept(source)
         return cls(
             source.name,
             source.rig,
             source.length,
             source.frame_rate_hz,
             preset,
-            find_untouched=untouched_finder(source),
+            find_untouched=untouched_finder(source, kept),
+            stored_untouched=stored_untouched_finder(kept),
         )
 
 

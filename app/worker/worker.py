@@ -23,6 +23,7 @@ from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
 from .errors import explain, guarded
+from .examination import Examination
 from .playback import Playback
 from .processing import FrameProcessor
 from .reading import PATIENCE_S, FrameReader, LiveReader, SourceRequest, open_requested
@@ -56,6 +57,8 @@ class Worker(QThread):
     optionsChanged(options: tuple[CameraOption, ...])
         The settings of the source's cameras; empty for recordings.
     optionRefused(sentence: str)
+    examined(findings: tuple[Finding, ...], preset: Preset)
+        What is wrong with the newest frame and this preset.
     recordingStarted(path: Path)
     recordingFailed(sentence: str), when it cannot be started
     recordingEnded(RecordingEnd)
@@ -71,6 +74,7 @@ class Worker(QThread):
     stateChanged = pyqtSignal(object)
     optionsChanged = pyqtSignal(object)
     optionRefused = pyqtSignal(str)
+    examined = pyqtSignal(object, object)
     recordingStarted = pyqtSignal(object)
     recordingFailed = pyqtSignal(str)
     recordingEnded = pyqtSignal(object)
@@ -86,7 +90,9 @@ class Worker(QThread):
         self._preset = preset
         self._wanted = Wanted()
         self._compared: Sides | None = None
+        self._untouched_home: Path | None = None
         self._processor = FrameProcessor()
+        self._examination = Examination()
         self._reader: FrameReader | None = None
         self._live: LiveReader | None = None
         self._state = SourceState()
@@ -116,8 +122,12 @@ class Worker(QThread):
         """Cancel opening; the present source continues."""
         self._request = None
 
-    def set_preset(self, preset: Preset) -> None:
-        """Use another preset from the next frame on; a paused frame is processed again."""
+    def set_preset(self, preset: Preset, untouched_home: Path | None = None) -> None:
+        """Use another preset from the next frame on; a paused frame is processed again.
+
+        Its untouched frame lies beside the file ``untouched_home``.
+        """
+        self._orders.put(lambda: self._change("_untouched_home", untouched_home))
         self._orders.put(lambda: self._change("_preset", preset))
 
     def set_compared(self, sides: Sides | None) -> None:
@@ -200,6 +210,7 @@ class Worker(QThread):
                     break
                 self._tell_playback()
                 self._carry_on()
+                self._examine()
         finally:
             self._close_source()
             self.recorder.close()
@@ -218,6 +229,11 @@ class Worker(QThread):
         elif due:
             self._advance()
 
+    def _examine(self) -> None:
+        """Look for findings if that is due."""
+        if self._examination.wait_s() == 0.0:
+            guarded(lambda: self.examined.emit(*self._examination.findings()))
+
     def _tell_playback(self) -> None:
         """Emit `playbackChanged` if anything but the frame number changed."""
         mode = replace(self._playback.state, index=-1)
@@ -229,7 +245,9 @@ class Worker(QThread):
         """Seconds until the next frame is due; None: wait for orders only."""
         if self._redo and self._frame is not None:
             return 0.0
-        return self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
+        playback_s = self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
+        waits = [wait for wait in (playback_s, self._examination.wait_s()) if wait is not None]
+        return min(waits, default=None)
 
     def _obey(self, idle_s: float | None) -> None:
         """Wait up to ``idle_s`` for the first order, then obey all that are waiting."""
@@ -266,6 +284,7 @@ class Worker(QThread):
         self._close_source(f"{source.name} was opened")
         self._info = SourceInfo.of(source)
         self._processor.forget()
+        self._examination.forget()
         self._playback.start_source(source.length, source.frame_rate_hz)
         self.opened.emit(self._info)
         if source.length is None:
@@ -410,6 +429,7 @@ class Worker(QThread):
             self.recovered.emit()
         if self._mailbox.put(result):
             self.resultReady.emit()
+        self._examination.note(result, self._untouched_home)
 
     def _fail(self, sentence: str) -> None:
         if self._live is None:

@@ -24,6 +24,8 @@ _STRIDE: Final = 4
 _MIN_PRINT_PIXELS, _MAX_ON_PRINTS_M = 20, 0.04
 #: A bias on prints that seems smaller than this share of the limit is below it.
 _CLEARLY_BELOW: Final = 0.7
+#: The depth of the scene must vary by this multiple of the peak, or the peak may be a gap.
+_MIN_RELIEF: Final = 1.5
 
 
 def quick_disagreement(
@@ -46,13 +48,19 @@ def quick_disagreement(
 
 
 def _in_whole_scene(patch: ContactPatch, above_m: float) -> Disagreement | None:
-    """Return the peak of the differences, if it holds most of them."""
+    """Return the peak of the differences, if it holds most of them over a scene whose depth varies.
+
+    Between a flat membrane and a flat object behind it the gap is the same everywhere too.
+    """
     expected, difference = (image[::_STRIDE, ::_STRIDE] for image in _differences(patch))
     known = np.isfinite(difference)
     centre = most_frequent_m(difference[known])
     with np.errstate(invalid="ignore"):
         in_peak = np.abs(difference - centre) < PEAK_SHARE * expected
     if np.count_nonzero(in_peak) < SAME_SCENE * np.count_nonzero(known) or abs(centre) < _CLEARLY_BELOW * above_m:
+        return None
+    near, far = np.percentile(expected[in_peak], (5, 95))
+    if far - near < _MIN_RELIEF * abs(centre):
         return None
     peak = peak_of(*_differences(patch))
     return Disagreement.in_peak(peak) if peak is not None and peak.same_scene else None

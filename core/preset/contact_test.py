@@ -63,10 +63,11 @@ class TestSection:
 
 @dataclass(frozen=True)
 class DropReason:
-    """Why a step drops points: the step, and what to change if it drops too many."""
+    """Why a step drops points: the step, what to change if it drops too many, and the window's action for that."""
 
     step: str
     remedy: str
+    action: str = ""
 
 
 @dataclass(frozen=True)
@@ -175,6 +176,12 @@ class ContactTest(ABC, Generic[S]):
         share = f"{dropped[by]:,} of {total:,}" if dropped[by] < total else "all" if total > 1 else "it"
         points = f"{total:,} point{'s' if total > 1 else ''}"
         return f"{points} {self.near_words}, but {reason.step} dropped {share}: {reason.remedy}"
+
+    def remedy_action(self, provenance: Uint8Array) -> str:
+        """Return the window's action that helps against the step that dropped most; empty if there is none."""
+        dropped = {verdict: int(np.count_nonzero(provenance == verdict)) for verdict in self.drop_reasons}
+        by = max(dropped, key=lambda verdict: dropped[verdict])
+        return self.drop_reasons[by].action if dropped[by] else ""
 
     @property
     def step_names(self) -> tuple[str, ...]:

@@ -117,6 +117,7 @@ class MembraneTest(ContactTest[MembraneSection]):
         Provenance.RIM: DropReason(
             "the membrane's equilibrium",
             "correct if nothing touches; otherwise measure the rig's bias (Check cameras, Noise and bias)",
+            "measure_noise",
         ),
         Provenance.SMALL_CLUSTER: DropReason("the limit on small contacts", "lower the smallest contact"),
     }

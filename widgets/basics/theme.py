@@ -21,7 +21,8 @@ ACCENT = "#1a72e0"
 class ThemeColors:
     """Named colours of a theme, as ``#rrggbb``.
 
-    ``muted`` is for secondary text, ``accent_text`` for text in the accent's hue, ``error`` for refused values;
+    ``muted`` is for secondary text, ``accent_text`` for text in the accent's hue, ``error`` for refused values,
+    ``warning`` for findings;
     ``outside`` paints what lies outside a band, ``accent`` what lies inside.
     """
 
@@ -35,6 +36,7 @@ class ThemeColors:
     disabled: str
     accent_text: str
     error: str
+    warning: str
     outside: str
     accent: str = ACCENT
     on_accent: str = "#ffffff"
@@ -52,6 +54,7 @@ _THEMES: dict[ThemeName, ThemeColors] = {
         disabled="#8b939c",
         accent_text="#0b5bbd",
         error="#b3231b",
+        warning="#8a5200",
         outside="#8f98a3",
     ),
     "dark": ThemeColors(
@@ -65,6 +68,7 @@ _THEMES: dict[ThemeName, ThemeColors] = {
         disabled="#747d88",
         accent_text="#78b0ff",
         error="#ff8a80",
+        warning="#f2b950",
         outside="#7b8591",
     ),
 }

@@ -22,6 +22,7 @@ AXIS_COLORS = {
 _AXIS_LENGTH, _AXIS_MARGIN = 22.0, 34.0
 #: Cosine to the viewing direction above which an axis gets no letter: it appears as a dot.
 _FACING = 0.97
+_MESSAGE_FLAGS = int(Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap)
 
 
 @dataclass
@@ -89,20 +90,31 @@ def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
         painter.drawText(label, Qt.AlignmentFlag.AlignCenter, "xyz"[axis])
 
 
-def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
+def message_rect(widget: QWidget, message: str) -> QRectF:
+    """Return where a message is painted in the middle of a widget."""
+    return QFontMetricsF(_message_font(widget)).boundingRect(_message_room(widget), _MESSAGE_FLAGS, message)
+
+
+def _message_font(widget: QWidget) -> QFont:
     font = QFont(widget.font())
     font.setPointSizeF(QFontInfo(font).pointSizeF() * 1.1)
-    painter.setFont(font)
-    flags = Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap
-    room = QRectF(widget.rect()).adjusted(24.0, 12.0, -24.0, -12.0)
-    text = painter.boundingRect(room, int(flags), message)
+    return font
+
+
+def _message_room(widget: QWidget) -> QRectF:
+    return QRectF(widget.rect()).adjusted(24.0, 12.0, -24.0, -12.0)
+
+
+def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
+    painter.setFont(_message_font(widget))
+    room, text = _message_room(widget), message_rect(widget, message)
     plate = widget.palette().color(QPalette.ColorRole.Base)
     plate.setAlpha(215)
     painter.setPen(Qt.PenStyle.NoPen)
     painter.setBrush(plate)
     painter.drawRoundedRect(text.adjusted(-12.0, -8.0, 12.0, 8.0), 6.0, 6.0)
     painter.setPen(widget.palette().color(QPalette.ColorRole.Text))
-    painter.drawText(room, int(flags), message)
+    painter.drawText(room, _MESSAGE_FLAGS, message)
 
 
 def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:

@@ -19,12 +19,12 @@ from PyQt6.QtGui import (
     QResizeEvent,
     QWheelEvent,
 )
-from PyQt6.QtWidgets import QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
 from ..basics.wipe import Wipe
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
-from .cloud_scene import CloudScene
+from .cloud_scene import CloudScene, message_rect
 from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
 
 BackendChoice = Literal["auto", "opengl", "software"]
@@ -32,6 +32,8 @@ BackendChoice = Literal["auto", "opengl", "software"]
 _ORBIT_STEP = radians(5.0)
 _ZOOM_STEP = 1.15
 _RING = 2
+#: Pixels between the message and the button below it.
+_OFFER_GAP = 16
 #: Step in rows and columns at which a cloud is sampled for framing.
 _FRAMING_STEP = 8
 
@@ -73,6 +75,8 @@ class CloudView(QWidget):
     cameraChanged = pyqtSignal(object)
     #: The wipe was dragged; carries the share of the width left of it.
     wipeDragged = pyqtSignal(float)
+    #: The button below the message was pressed.
+    offerPressed = pyqtSignal()
 
     def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -92,6 +96,10 @@ class CloudView(QWidget):
         self._header = CloudHeader(title)
         self._legend = LegendLine()
         self._canvas = self._choose_canvas(backend)
+        self._offer = QPushButton(self)
+        self._offer.setObjectName("offer")
+        self._offer.hide()
+        self._offer.clicked.connect(self.offerPressed)
         self._lay_out()
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
@@ -182,6 +190,24 @@ class CloudView(QWidget):
         self._show_count()
         self._canvas.update()
 
+    def set_offer(self, text: str, tip: str = "") -> None:
+        """Set the button below the message, such as "Check cameras"; an empty text removes it."""
+        self._offer.setText(text)
+        self._offer.setToolTip(tip)
+        self._place_offer()
+
+    def _place_offer(self) -> None:
+        """Show the button below the message, only while there is one."""
+        shown = bool(self._offer.text() and self._scene.message)
+        if shown:
+            self._offer.adjustSize()
+            below = message_rect(self._canvas, self._scene.message).bottom() + _OFFER_GAP
+            below = min(below, self._canvas.height() - self._offer.height() - 2)
+            left = (self._canvas.width() - self._offer.width()) / 2
+            self._offer.move(self._canvas.pos() + QPointF(left, below).toPoint())
+            self._offer.raise_()
+        self._offer.setVisible(shown)
+
     def message(self) -> str:
         """Return the message that is visible now: empty while there are points."""
         return self._scene.message
@@ -205,7 +231,10 @@ class CloudView(QWidget):
         if share < 1:
             sides.append((self._scene.right, self._right_message))
         empty = not any(cloud is not None and cloud.point_count for cloud, _ in sides)
-        self._scene.message = sides[0][1] if empty else ""
+        message = sides[0][1] if empty else ""
+        if message != self._scene.message:
+            self._scene.message = message
+            self._place_offer()
 
     # Camera
 
@@ -301,6 +330,7 @@ class CloudView(QWidget):
     def resizeEvent(self, event: QResizeEvent | None) -> None:
         """Frame again unless the user moved the camera."""
         super().resizeEvent(event)
+        self._place_offer()
         if not self._steered and self._scene.cloud is not None:
             self._resized.start()
 

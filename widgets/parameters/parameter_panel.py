@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +30,7 @@ from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
 from ..plots.histogram import DifferenceHistogram
 from .band_slider import RangeEditor, groove_colors
+from .finding_line import ShownFinding
 from .parameter_row import ParameterRow
 
 #: The sections of the panel, top to bottom: part of the preset, title.
@@ -73,12 +74,15 @@ class ParameterPanel(QScrollArea):
         "set", "expand", "shrink", or "off".
     suggestRequested(section: str)
         A proposal for a section is wanted; ``"all"`` for all sections.
+    remedyPressed(path: str)
+        The button of the finding below a row was pressed.
     """
 
     valueEdited = pyqtSignal(str, object, int)
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)
     suggestRequested = pyqtSignal(str)
+    remedyPressed = pyqtSignal(str)
 
     def __init__(self, suggestible: Collection[str] = (), parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -151,6 +155,11 @@ class ParameterPanel(QScrollArea):
         self.sections[_section_of(path)].set_collapsed(False)
         self._refresh()
 
+    def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
+        """Show findings below the rows of their fields, by dotted path, and none below the others."""
+        for path, row in self.rows.items():
+            row.finding.show_finding(findings.get(path))
+
     def set_median_distance_m(self, distance_m: float) -> None:
         """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
         if distance_m != self._median_m:
@@ -208,10 +217,12 @@ class ParameterPanel(QScrollArea):
         for spec in fields_of(name):
             row = ParameterRow(spec, section)
             row.edited.connect(self._row_edited)
+            row.finding.pressed.connect(lambda path=spec.path: self.remedyPressed.emit(path))
             self.rows[spec.path] = row
             if row.in_header:
                 section.add_header_widget(row.widget)
                 grid.addWidget(row.message, grid.rowCount(), 0, 1, 3)
+                grid.addWidget(row.finding, grid.rowCount(), 0, 1, 3)
             else:
                 row.add_to(grid)
             if spec.path == "alignment.model":
@@ -284,7 +295,7 @@ class ParameterPanel(QScrollArea):
             chain += [section.button, *header, *suggest, self.section_resets[name]]
             for row in rows:
                 if not row.in_header:
-                    chain += [*row.tab_stops, row.reset]
+                    chain += [*row.tab_stops, row.reset, row.finding.button]
             if name == "mask":
                 chain += self.eyedroppers.values()
         for first, second in pairwise(chain):

@@ -12,6 +12,7 @@ from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
 from ..basics.theme import theme_colors
 from .band_slider import RangeEditor, RectangleEditor
+from .finding_line import FindingLine
 from .number_slider import NumberSlider
 
 
@@ -194,6 +195,7 @@ class ParameterRow(QObject):
         self.reset.setAccessibleName(f"Reset {spec.title.lower()}")
         self.reset.clicked.connect(self._reset)
         self.message = MessageLabel()
+        self.finding = FindingLine()
         self._target: Any = spec.default
         self._grid: QGridLayout | None = None
         self._line = 0
@@ -220,6 +222,7 @@ class ParameterRow(QObject):
         grid.addWidget(self.label, line, 0)
         grid.addWidget(self.reset, line, 2)
         grid.addWidget(self.message, line + 2, 0, 1, 3)
+        grid.addWidget(self.finding, line + 3, 0, 1, 3)
         self._grid, self._line = grid, line
         self._place_editor()
 
@@ -228,6 +231,7 @@ class ParameterRow(QObject):
         for widget in (self.label, self.widget, self.reset):
             widget.setVisible(shown)
         self.message.setVisible(shown and bool(self.message.text()))
+        self.finding.setVisible(shown and bool(self.finding.sentence))
 
     def set_editable(self, editable: bool) -> None:
         """Grey the row, or not."""

@@ -24,7 +24,7 @@ def find(situation: Situation) -> Finding | None:
     share = float(np.mean(in_hsv_range(colors, mask)))
     if share <= _MAX_SHARE:
         return None
-    sentence = f"The mask covers {share:.0%} of the colour image, and nothing under it counts as contact."
+    sentence = f"The mask covers {100 * share:.0f} % of the colour image, and nothing under it counts as contact."
     return Finding(
         name="covering_mask",
         field="mask.hue",

@@ -36,7 +36,7 @@ def find_in_frame(frame: SensorFrame, rig: Rig) -> Finding | None:
             return Finding(
                 name="no_depth",
                 field="cameras",
-                sentence=f"The {role} camera measures no depth in {1 - share:.0%} of its image: {remedy}.",
+                sentence=f"The {role} camera measures no depth in {100 * (1 - share):.0f} % of its image: {remedy}.",
                 action="check_cameras",
                 explains_empty=True,
             )

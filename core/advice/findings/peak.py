@@ -30,7 +30,7 @@ def find(situation: Situation) -> Finding | None:
     evidence = Evidence(preset, situation.rig, (situation.frame,), situation.untouched)
     proposal = propose_alignment(evidence, found)
     bias_m = found.bias.bias_m
-    place = f"{bias_m / distance_m:+.1%}, {1e3 * bias_m:+.1f} mm"
+    place = f"{100 * bias_m / distance_m:+.1f} %, {1e3 * bias_m:+.1f} mm"
     return Finding(
         name="peak",
         field="alignment.depth_offset_m",

@@ -28,10 +28,11 @@ def find(situation: Situation) -> Finding | None:
         return None
     better = math.ceil(1e3 * _ALLOWED_SIGMAS * sigma_m / distance_m) / 1e3
     measured = f"the noise of both cameras is {1e3 * sigma_m:.1f} mm"
+    passes = f"only {100 * passing:.0f} % of contact passes"
     return Finding(
         name="small_tolerance",
         field="tolerance.t",
-        sentence=f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: only {passing:.0%} of contact passes.",
+        sentence=f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: {passes}.",
         proposal=Proposal(
             section="tolerance",
             changes={"tolerance.t": min(better, 1.0)},

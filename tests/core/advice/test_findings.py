@@ -124,7 +124,7 @@ def test_a_camera_without_depth(camera, preset):
     blind = replace(frame, **{f"{camera}_depth": np.zeros_like(getattr(frame, f"{camera}_depth"))})
     found = findings(preset, rig, blind)
     assert list(found) == ["no_depth"]
-    assert f"The {camera} camera measures no depth in 100%" in found["no_depth"].sentence
+    assert f"The {camera} camera measures no depth in 100 %" in found["no_depth"].sentence
     assert found["no_depth"].action == "check_cameras"
 
 
@@ -138,7 +138,7 @@ def test_a_mask_that_covers_the_image():
     rig, frame = scene(PRESSED)
     covered = SHIPPED.with_values({"mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)})
     found = findings(covered, rig, frame)["covering_mask"]
-    assert "covers 100%" in found.sentence
+    assert "covers 100 %" in found.sentence
     assert mended(found, covered, rig, frame)
 
 

@@ -1,0 +1,162 @@
+"""The findings on the present frame: in the status bar, beside controls, in the empty patch view and in a list."""
+
+from __future__ import annotations
+
+import time
+
+from PyQt6.QtCore import QObject, QTimer
+from PyQt6.QtGui import QAction
+
+from ...core.advice.proposal import Finding
+from ...core.preset import Preset
+from ...widgets.parameters.finding_line import ShownFinding
+from ...widgets.parameters.parameter_panel import ParameterPanel
+from ..context import Context
+from ..worker.results import CloudName
+from .actions import Actions, plain_text
+from .findings_window import FindingsWindow
+from .status import FrameStatus
+from .view_area import ViewArea
+
+#: A finding stays on the screen until it has been gone for this long, milliseconds.
+LINGER_MS = 1000
+#: Its numbers change no more often than this with the same preset, seconds.
+HOLD_S = 3.0
+
+
+class FindingsControl(QObject):
+    """Keeps the findings that are shown, and applies their remedies.
+
+    A finding that comes and goes from frame to frame stays, so nothing jumps.
+    """
+
+    def __init__(
+        self, context: Context, actions: Actions, *, panel: ParameterPanel, views: ViewArea, status: FrameStatus
+    ) -> None:
+        super().__init__(context)
+        self._context, self._actions = context, actions
+        self._panel, self._status = panel, status
+        self._view = views.views[CloudName.PATCH]
+        self._shown: dict[str, Finding] = {}
+        self._gone_s: dict[str, float] = {}
+        self._measured_s: dict[str, float] = {}
+        self._preset: Preset | None = None
+        self._offered: Finding | None = None
+        self._window: FindingsWindow | None = None
+        self._timer = QTimer(self)
+        self._timer.setInterval(LINGER_MS // 4)
+        self._timer.timeout.connect(self._drop_gone)
+        context.worker.examined.connect(self._found)
+        context.worker.opened.connect(lambda _: self._forget())
+        context.frameShown.connect(self._explain_empty)
+        panel.remedyPressed.connect(self._mend_field)
+        self._view.offerPressed.connect(lambda: self.mend(self._offered) if self._offered is not None else None)
+        status.findings.clicked.connect(self.open)
+
+    @property
+    def findings(self) -> tuple[Finding, ...]:
+        """What is shown."""
+        return tuple(self._shown.values())
+
+    def open(self) -> None:
+        """Show the list of findings."""
+        if self._window is None:
+            self._window = FindingsWindow(self.mend, self._actions.undo, self._context.window)
+        self._show()
+        self._window.show()
+        self._window.raise_()
+        self._window.activateWindow()
+
+    def _in_words(self, finding: Finding) -> ShownFinding:
+        """Return a finding with text and tooltip of the button that mends it."""
+        proposal, action = finding.proposal, self._action(finding.action)
+        if proposal is not None:
+            tip = f"{proposal.evidence}\n{proposal.expected}\nCtrl+Z undoes it."
+            return ShownFinding(finding.sentence, proposal.label, tip)
+        if action is None:
+            return ShownFinding(finding.sentence)
+        return ShownFinding(finding.sentence, plain_text(action), action.toolTip())
+
+    def mend(self, finding: Finding) -> None:
+        """Apply the proposal of a finding as one undo step, or trigger its action."""
+        action = self._action(finding.action)
+        if finding.proposal is None:
+            if action is not None:
+                action.trigger()
+        elif self._context.document.apply(finding.proposal):
+            self._shown.pop(finding.name, None)  # the next examination shows whether it helped
+            self._gone_s.pop(finding.name, None)
+            self._show()
+
+    def _mend_field(self, path: str) -> None:
+        finding = next((finding for finding in self._shown.values() if finding.field == path), None)
+        if finding is not None:
+            self.mend(finding)
+
+    def _action(self, name: str) -> QAction | None:
+        return getattr(self._actions, name) if name else None
+
+    def _found(self, findings: tuple[Finding, ...], preset: Preset) -> None:
+        if preset is not self._context.document.preset:
+            return  # edited meanwhile; the next examination follows
+        before, now = self._shown, time.monotonic()
+        present = {finding.name: self._held(finding, preset is self._preset) for finding in findings}
+        self._preset = preset
+        self._gone_s = {name: self._gone_s.get(name, now) for name in self._shown if name not in present}
+        lingering = {name: self._shown[name] for name in self._gone_s}
+        self._shown = present | lingering
+        if self._gone_s:
+            self._timer.start()
+        if self._shown != before:
+            self._show()
+
+    def _held(self, finding: Finding, same_preset: bool) -> Finding:
+        """Return the finding, or while its numbers are recent the one that is already shown."""
+        now, name = time.monotonic(), finding.name
+        if same_preset and name in self._shown and now - self._measured_s[name] < HOLD_S:
+            return self._shown[name]
+        self._measured_s[name] = now
+        return finding
+
+    def _drop_gone(self) -> None:
+        now = time.monotonic()
+        gone = [name for name, since in self._gone_s.items() if now - since >= LINGER_MS / 1000]
+        for name in gone:
+            del self._gone_s[name], self._shown[name]
+        if not self._gone_s:
+            self._timer.stop()
+        if gone:
+            self._show()
+
+    def _forget(self) -> None:
+        self._shown, self._gone_s = {}, {}
+        self._show()
+
+    def _show(self) -> None:
+        """Show the findings everywhere."""
+        findings = [(finding, self._in_words(finding)) for finding in self._shown.values()]
+        rows: dict[str, ShownFinding] = {}
+        for finding, shown in findings:  # the first of a field: causes come before consequences
+            rows.setdefault(finding.field, shown)
+        self._panel.show_findings(rows)
+        self._status.show_findings(len(findings))
+        if self._window is not None:
+            self._window.show_findings(findings)
+        self._explain_empty()
+
+    def _explain_empty(self) -> None:
+        """Show below the message of an empty patch view what mends it, and the finding that explains it."""
+        result = self._context.result
+        self._offered = None
+        if result is None or result.compared is not None or result.patch is None or len(result.patch.points):
+            self._view.set_offer("")
+            return
+        explaining = next((finding for finding in self._shown.values() if finding.explains_empty), None)
+        if explaining is not None:
+            self._view.set_message(explaining.sentence)
+            self._offered = explaining
+        elif result.rendered.no_contact_action:
+            rendered = result.rendered
+            self._offered = Finding("no_contact", "", rendered.no_contact, action=rendered.no_contact_action)
+        offer = ShownFinding("") if self._offered is None else self._in_words(self._offered)
+        self._view.set_offer(offer.button, offer.tip)

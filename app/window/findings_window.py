@@ -1,0 +1,104 @@
+"""The list of findings: each with its evidence, what its remedy changes, and its button."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QAction, QPalette
+from PyQt6.QtWidgets import (
+    QDialog,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.advice.proposal import Finding
+from ...widgets.basics.controls import push_button
+from ...widgets.parameters.finding_line import ShownFinding
+
+_NOTHING = "Nothing is wrong with this frame."
+
+
+class FindingsWindow(QDialog):
+    """Lists the findings beside the main window; ``mend`` is called with the finding whose button was pressed."""
+
+    def __init__(self, mend: Callable[[Finding], None], undo: QAction, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Findings – Tactune")
+        self._mend = mend
+        self.addAction(undo)
+        self._cards = QVBoxLayout()
+        self._cards.setSpacing(8)
+        content = QWidget()
+        column = QVBoxLayout(content)
+        column.setContentsMargins(4, 4, 4, 4)
+        column.addLayout(self._cards)
+        column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(content)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QFrame.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        self._undo = QToolButton()
+        self._undo.setDefaultAction(undo)
+        self._undo.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        leave = push_button("Close", "Close this list (Esc)")
+        leave.clicked.connect(self.reject)
+        row = QHBoxLayout()
+        row.addWidget(self._undo)
+        row.addStretch(1)
+        row.addWidget(leave)
+        layout = QVBoxLayout(self)
+        layout.addWidget(scroll, 1)
+        layout.addLayout(row)
+        self.resize(480, 460)
+
+    def show_findings(self, findings: Sequence[tuple[Finding, ShownFinding]]) -> None:
+        """Show these findings instead of the former ones."""
+        while (item := self._cards.takeAt(0)) is not None:
+            widget = item.widget()
+            if widget is not None:
+                widget.hide()
+                widget.deleteLater()
+        for finding, shown in findings:
+            self._cards.addWidget(self._card(finding, shown))
+        if not findings:
+            self._cards.addWidget(QLabel(_NOTHING))
+
+    def _card(self, finding: Finding, shown: ShownFinding) -> QWidget:
+        """Return what is known of a finding, with its button."""
+        card = QFrame()
+        card.setFrameShape(QFrame.Shape.StyledPanel)
+        column = QVBoxLayout(card)
+        said = _sentence(finding.sentence)
+        font = said.font()
+        font.setBold(True)
+        said.setFont(font)
+        column.addWidget(said)
+        proposal = finding.proposal
+        if proposal is not None:
+            if proposal.evidence != finding.sentence:
+                column.addWidget(_sentence(proposal.evidence))
+            expected = _sentence(proposal.expected)
+            expected.setForegroundRole(QPalette.ColorRole.PlaceholderText)
+            column.addWidget(expected)
+        if shown.button:
+            button = push_button(shown.button, shown.tip)
+            button.clicked.connect(lambda: self._mend(finding))
+            row = QHBoxLayout()
+            row.addWidget(button)
+            row.addStretch(1)
+            column.addLayout(row)
+        return card
+
+
+def _sentence(text: str) -> QLabel:
+    label = QLabel(text)
+    label.setWordWrap(True)
+    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+    return label

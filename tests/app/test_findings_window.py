@@ -1,0 +1,155 @@
+"""Findings in the window: beside the control, in the list and in the empty view; a click mends, Ctrl+Z undoes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
+
+from hands import CONTROL, LEFT, show_source, text_of
+from tactune.app.rig.check_window import CheckWindow
+from tactune.app.window.findings_window import FindingsWindow
+from tactune.app.worker.results import CloudName
+from tactune.core.preset import Preset
+from tiny_sensor import TinySource, tiny_frame, tiny_rig
+
+WIDTH, HEIGHT = 160, 120
+
+
+def disagreeing_frame(index, rig):
+    """Both cameras see the same slanted wall, and the proximity camera reads 12 mm too far."""
+    frame = tiny_frame(index, rig)
+    height, width = rig.proximity.intrinsics.shape
+    wall_m = np.broadcast_to(0.25 + 0.0004 * np.arange(width), (height, width))
+    return replace(
+        frame,
+        proximity_depth=np.rint((wall_m + 0.012) / rig.proximity.depth_unit_m).astype(np.uint16),
+        tactile_depth=np.rint(wall_m / rig.tactile.depth_unit_m).astype(np.uint16),
+    )
+
+
+class OtherSource(TinySource):
+    """A recording of which every frame is made by a function of index and rig."""
+
+    def __init__(self, make, name):
+        super().__init__(rig=tiny_rig(WIDTH, HEIGHT))
+        self.make, self.name = make, name
+
+    def read(self, index):
+        return self.make(index, self.rig)
+
+
+@pytest.fixture
+def window(qtbot, make_window):
+    """A window that stands still on cameras that disagree."""
+    preset = Preset(name="tiny", contact_test="tolerance").with_values({"tolerance.t": 0.02})
+    made = make_window(preset)
+    show_source(qtbot, made, OtherSource(disagreeing_frame, "disagreeing"), 3)
+    qtbot.waitUntil(made.status.findings.isVisible)
+    return made
+
+
+def offset_row(window):
+    return window.panel.rows["alignment.depth_offset_m"]
+
+
+def findings_window():
+    [found] = [widget for widget in QApplication.topLevelWidgets() if isinstance(widget, FindingsWindow)]
+    return found
+
+
+def button(widget, text):
+    [found] = [each for each in widget.findChildren(QPushButton) if each.text() == text and each.isVisible()]
+    return found
+
+
+def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
+    row = offset_row(window)
+    assert "+12.0 mm: the cameras disagree" in row.finding.sentence
+    window.panel.ensureWidgetVisible(row.finding.button)
+    QTest.mouseClick(row.finding.button, LEFT)
+    assert window.document.preset.alignment.depth_offset_m == pytest.approx(0.012, abs=0.0003)
+    assert window.document.undo_stack.undoText() == "Depth offset +12.0 mm"
+    assert not row.finding.isVisible()
+    qtbot.waitUntil(lambda: len(window.result.patch.points) > 10_000)
+    QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
+    assert window.document.preset.alignment.depth_offset_m == 0.0
+    qtbot.waitUntil(row.finding.isVisible)
+    qtbot.waitUntil(window.status.findings.isVisible)
+
+
+def test_the_list_says_evidence_and_mends(window, qtbot):
+    assert window.status.findings.text() == "⚠ 1 finding"
+    QTest.mouseClick(window.status.findings, LEFT)
+    shown = findings_window()
+    assert "The proximity camera reads +12.0 mm" in text_of(shown)
+    QTest.mouseClick(button(shown, "Depth offset +12.0 mm"), LEFT)
+    assert window.document.preset.alignment.depth_offset_m == pytest.approx(0.012, abs=0.0003)
+    assert "Nothing is wrong with this frame" in text_of(shown)
+    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
+    [undo] = shown.findChildren(QToolButton)
+    QTest.mouseClick(undo, LEFT)
+    assert window.document.preset.alignment.depth_offset_m == 0.0
+    qtbot.waitUntil(lambda: "the cameras disagree" in text_of(shown))
+
+
+def test_ctrl_f_opens_the_list(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_F, CONTROL)
+    assert findings_window().isVisible()
+
+
+def test_the_empty_patch_view_says_why_and_has_the_button(window, qtbot):
+    view = window.views.views[CloudName.PATCH]
+    qtbot.waitUntil(lambda: "the cameras disagree" in view.message())
+    QTest.mouseClick(button(view, "Depth offset +12.0 mm"), LEFT)
+    qtbot.waitUntil(lambda: view.point_count() > 0)
+    assert view.message() == ""
+    assert not [each for each in view.findChildren(QPushButton) if each.isVisible()]
+
+
+def test_a_camera_without_depth_is_said_instead_of_pressing_the_object(window, qtbot):
+    def blind(index, rig):
+        frame = disagreeing_frame(index, rig)
+        return replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))
+
+    show_source(qtbot, window, OtherSource(blind, "blind"), 0)
+    view = window.views.views[CloudName.PATCH]
+    qtbot.waitUntil(lambda: view.message() != "")
+    assert view.message().startswith("The tactile camera measures no depth in 100 % of its image")
+    QTest.mouseClick(button(view, "Check cameras"), LEFT)
+    assert any(isinstance(widget, CheckWindow) for widget in QApplication.topLevelWidgets() if widget.isVisible())
+
+
+def hovering_frame(index, rig):
+    """An object whose gap to a bulged membrane is 1.3 mm."""
+    height, width = rig.proximity.intrinsics.shape
+    v, u = np.mgrid[:height, :width]
+    away = np.hypot(u - width / 2, v - height / 2)
+    membrane_m = 0.25 + 1.7e-6 * away**2
+    object_m = membrane_m + np.where(away < 25, 0.0013, 0.03)
+    return replace(
+        tiny_frame(index, rig),
+        proximity_depth=np.rint(object_m / rig.proximity.depth_unit_m).astype(np.uint16),
+        tactile_depth=np.rint(membrane_m / rig.tactile.depth_unit_m).astype(np.uint16),
+    )
+
+
+def test_the_membrane_test_offers_to_measure_the_bias(make_window, qtbot):
+    window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
+    show_source(qtbot, window, OtherSource(hovering_frame, "hovering"), 0)
+    view = window.views.views[CloudName.PATCH]
+    qtbot.waitUntil(lambda: "measure the rig's bias" in view.message())
+    QTest.mouseClick(button(view, "Measure noise and bias"), LEFT)
+    checks = window.checks.window
+    assert checks.isVisible()
+    assert checks.tabs.currentWidget() is checks.noise
+
+
+def test_findings_go_with_their_source(window, qtbot):
+    show_source(qtbot, window, TinySource(), 3)
+    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
+    assert not offset_row(window).finding.isVisible()
