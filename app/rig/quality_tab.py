@@ -39,7 +39,7 @@ from ...widgets.images.marks import RegionItem
 from ..calibration.pictures import picture
 from ..document.document import Document
 from ..worker.jobs import Job
-from ..worker.results import Result
+from ..worker.results import Result, SourceInfo
 
 
 class Outline:
@@ -107,7 +107,7 @@ class QualityTab(QWidget):
         self._document, self._dialogs, self._folder = document, dialogs, folder
         self._frames: deque[SensorFrame] = deque(maxlen=NOISE_FRAMES)
         self._rig: Rig | None = None
-        self._source = ""
+        self._source: SourceInfo | None = None
         self._last_s = 0.0
         self._newer = False
         self._unfitted = True
@@ -139,7 +139,7 @@ class QualityTab(QWidget):
         """Take a frame of the main window."""
         if not self.isVisible():
             return
-        if result.source.rig != self._rig or result.source.name != self._source:
+        if result.source is not self._source:  # one that is opened again has a new state
             self._begin(result)
         if self._frames and result.frame is self._frames[-1]:
             return
@@ -159,7 +159,7 @@ class QualityTab(QWidget):
         """Discard the frames and cancel the job."""
         self._job.stop()
         self._frames.clear()
-        self._source = ""
+        self._source = None
 
     def text(self) -> str:
         """Return all readings as text."""
@@ -225,10 +225,8 @@ class QualityTab(QWidget):
         """Start over with another source."""
         size = result.source.rig.proximity.intrinsics
         same_size = self._rig is not None and self._rig.proximity.intrinsics.shape == size.shape
-        self._rig, self._source = result.source.rig, result.source.name
-        self._frames.clear()
-        self._unfitted = True
-        self.status.setText("")
+        self._rig, self._source = result.source.rig, result.source
+        self._forget()
         if same_size:
             return
         for name, limit in (("Left", size.width - 1), ("Top", size.height - 1)):
@@ -236,6 +234,19 @@ class QualityTab(QWidget):
         self.entries["Width"].setRange(2, size.width)
         self.entries["Height"].setRange(2, size.height)
         self._to_centre()
+
+    def _forget(self) -> None:
+        """Remove all that is known of the earlier source; the first frame of the new one is measured at once."""
+        self._job.stop()
+        self._frames.clear()
+        self.quality, self._last_s, self._unfitted = None, 0.0, True
+        for pane in self.panes.values():
+            pane.set_pixels(None, (0, 0), 1)
+        for line in self.lines.values():
+            line.clear()
+        self.status.clear()
+        self.copy.setEnabled(False)
+        self.save.setEnabled(False)
 
     def _to_centre(self) -> None:
         if self._rig is None:
@@ -309,9 +320,9 @@ class QualityTab(QWidget):
 
     def save_to(self, path: Path) -> None:
         """Write the newest measurement as JSON."""
-        if self.quality is None:
+        if self.quality is None or self._source is None:
             return
-        data = {"source": self._source, **self.quality.to_json()}
+        data = {"source": self._source.name, **self.quality.to_json()}
         try:
             with atomic_path(path) as temporary:
                 temporary.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n")

@@ -159,6 +159,16 @@ def test_the_quality_of_a_wall_is_what_was_put_in(open_checks, rig, qtbot, tmp_p
     assert "cannot write" in tab.status.text().lower()
 
 
+def test_another_source_replaces_the_numbers_and_a_single_frame_is_enough(open_checks, rig, qtbot):
+    main = open_checks(Wall(rig))
+    tab = main.checks.window.quality
+    wait(qtbot, lambda: tab.quality is not None and tab.quality.proximity.frames > 1)
+    assert "add +6.0 mm" in tab.lines["bias"].text()
+    show_source(qtbot, main, Stairs(rig, length=1))
+    wait(qtbot, lambda: tab.quality is not None and tab.quality.proximity.frames == 1)
+    assert "add +6.0 mm" not in tab.lines["bias"].text()
+
+
 def test_a_bias_that_says_nothing_is_not_printed_bold(open_checks, rig, qtbot):
     tab = open_checks(Stairs(rig)).checks.window.quality
     wait(qtbot, lambda: tab.quality is not None)
