@@ -220,7 +220,7 @@ class Renderer:
             return self._depth_range_m or (0.0, 1.0)
         near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
         span = max(far - near, _SMALLEST_SPAN_M)
-        near, far = near - _NEARER * span, far + _FARTHER * span
+        near, far = max(near - _NEARER * span, 0.0), far + _FARTHER * span
         if self._depth_range_m is not None:
             near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
         self._depth_range_m = near, far

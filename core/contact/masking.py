@@ -1,4 +1,4 @@
-"""The colour mask: pixels of the bare membrane's colour reflect infrared and are no contact."""
+"""The colour mask: parts of the membrane that reflect infrared, such as prints, are no contact."""
 
 from __future__ import annotations
 

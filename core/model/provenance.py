@@ -39,7 +39,7 @@ _EXPLANATIONS = {
     Provenance.OUTSIDE_RANGE: "Dropped: the proximity depth is outside the working range.",
     Provenance.NO_TACTILE_DEPTH: "Dropped: the tactile camera has no depth where this point would be.",
     Provenance.OUTSIDE_TOLERANCE: "Dropped: the two distances differ by more than the contact test allows.",
-    Provenance.MASKED: "Dropped: the colour is the bare membrane's, which reflects infrared.",
+    Provenance.MASKED: "Dropped: the colour is that of the membrane's prints, which reflect infrared.",
     Provenance.OUTLIER: "Dropped: the point lies unusually far from its neighbours, or has too few.",
     Provenance.SMALL_CLUSTER: "Dropped: its connected group is smaller than the smallest cluster kept.",
     Provenance.CONTACT: "Kept: both distances agree, so the membrane touches the object here.",

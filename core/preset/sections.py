@@ -27,26 +27,26 @@ class Section(BaseModel):
 
 
 class MaskSection(Section):
-    """The colour of the bare membrane: such pixels reflect infrared and would pass as contact."""
+    """The colour of the parts of the membrane that reflect infrared, such as prints: they would pass as contact."""
 
     enabled: Annotated[
-        bool, described("Use the mask", "Drop pixels whose colour is the bare membrane's; they reflect infrared.")
+        bool, described("Use the mask", "Drop pixels with the colour of the membrane's prints, which reflect infrared.")
     ] = True
     hue: Annotated[
         tuple[_Hue, _Hue],
         described(
             "Hue",
-            "Hue range of the bare membrane, OpenCV convention 0-179. A low end above the high end wraps "
+            "Hue range of the prints, OpenCV convention 0-179. A low end above the high end wraps "
             "around through red.",
             unit="deg/2",
             wraps=True,
         ),
     ] = (0, 179)
     saturation: Annotated[
-        tuple[_Byte, _Byte], described("Saturation", "Saturation range of the bare membrane, 0 grey to 255 pure.")
+        tuple[_Byte, _Byte], described("Saturation", "Saturation range of the prints, 0 grey to 255 pure.")
     ] = (0, 255)
     value: Annotated[
-        tuple[_Byte, _Byte], described("Value", "Brightness range of the bare membrane, 0 black to 255 brightest.")
+        tuple[_Byte, _Byte], described("Value", "Brightness range of the prints, 0 black to 255 brightest.")
     ] = (0, 255)
 
     @model_validator(mode="after")

@@ -65,7 +65,9 @@ def patch_cloud(patch: ContactPatch, frame: SensorFrame, rig: Rig) -> PointCloud
     -------
     PointCloud
         Colours of the proximity colour image, black where its camera does not see the point, and the
-        attributes ``relative_difference`` (float32) and ``u``, ``v`` (uint16, proximity pixels).
+        attributes ``relative_difference`` (float32) and ``u``, ``v`` (uint16, proximity pixels). The difference is
+        that of the pixel's own two depths: nan where one is missing, and large on a flying pixel, where the
+        membrane test takes contact and the point from the pixels around it.
     """
     pixels = np.flatnonzero(patch.mask)
     colors, _ = colors_at(patch.points, pixels, frame.proximity_color, rig)

@@ -37,7 +37,7 @@ class StripImages:
     color : uint8 (H, W, 3) or None
         RGB, already aligned to depth.
     mask_overlay : bool (H, W) or None
-        Where the colour is the bare membrane's.
+        Where the colour is the mask's.
     proximity_m, tactile_m : float32 (H, W)
         Depth in metres; nan where there is none.
     relative : float32 (H, W)

@@ -76,7 +76,7 @@ def candidate_points(scene: BenchScene) -> tuple[Float64Array, IndexArray]:
 
 
 def candidate_colors(scene: BenchScene) -> Any:
-    """Return a function that returns which points (N, 3) do not have the colour of the bare membrane."""
+    """Return a function that returns which points (N, 3) do not have the colour of the mask."""
     preset, rig, frame = scene.preset, scene.rig, scene.frame
 
     def keeps(points: AnyArray) -> BoolArray:
@@ -193,7 +193,7 @@ def _homography(scene: BenchScene) -> Any:
 
 
 def _membrane_colored(image: AnyArray, section: MaskSection) -> BoolArray:
-    """Return which pixels of an RGB image have the bare membrane's colour, by OpenCV's inRange."""
+    """Return which pixels of an RGB image have the mask's colour, by OpenCV's inRange."""
     hsv = cv2.cvtColor(image, cv2.COLOR_RGB2HSV)
     low, high = section.hue
     spans = [(low, high)] if low <= high else [(low, 179), (0, high)]

@@ -77,7 +77,7 @@ class DifferenceImages(NamedTuple):
     differences : float32, flat
         Proximity minus tactile depth, metres; 0 where it is not smaller than the largest.
     states : uint8, flat
-        `USABLE`, `MASKED` (the colour is the bare membrane's), `EXCLUDED` (outside the region or range), or
+        `USABLE`, `MASKED` (the colour is the mask's), `EXCLUDED` (outside the region or range), or
         `TAKES_NO_PART`.
     """
 

@@ -39,13 +39,13 @@ class Differences:
     depth_m : float32
         Proximity depth less ``bias_m``.
     usable : bool
-        Has both depths, less than the largest difference between them, and not the bare membrane's colour.
+        Has both depths, less than the largest difference between them, and not the mask's colour.
     excluded : bool
         Outside the region or range.
     bias_m : float
         The bias that was subtracted from the proximity depth before it was aligned.
     on_prints_m : float32, shape (N,)
-        The differences of pixels with the bare membrane's colour.
+        The differences of pixels with the mask's colour.
     """
 
     place: tuple[slice, slice]
