@@ -36,8 +36,7 @@ class MaskSection(Section):
         tuple[_Hue, _Hue],
         described(
             "Hue",
-            "Hue range of the prints, OpenCV convention 0-179. A low end above the high end wraps "
-            "around through red.",
+            "Hue range of the prints, OpenCV convention 0-179. A low end above the high end wraps around through red.",
             unit="deg/2",
             wraps=True,
         ),

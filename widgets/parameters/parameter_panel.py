@@ -46,7 +46,7 @@ SECTIONS = (
 _EYEDROPPERS = {
     "set": (
         "Pick",
-        "Pick the colour of the membrane's prints: click one in the colour image, which also turns the mask on. Esc stops.",
+        "Pick the colour of the membrane's prints: click one in the image, which also turns the mask on. Esc stops.",
     ),
     "expand": ("+", "Expand: click membrane that the mask misses, and the ranges widen to include it. Esc stops."),
     "shrink": ("−", "Shrink: click what the mask wrongly covers, and one range is narrowed to exclude it. Esc stops."),
