@@ -59,7 +59,7 @@ class MarkedFrame:
         if known is not None and not known.any():
             return "Nothing painted yet"
         share = 0.0 if known is None else 100.0 * float(known.mean())
-        return f"Painted, {share:.0f} % known"
+        return f"Painted, {share:.1f} % known"
 
 
 State = tuple[MarkedFrame, ...]
@@ -72,7 +72,7 @@ class ExampleHistory(History[State]):
         super().__init__((), parent)
         #: The rig that took the frames; None before the first source.
         self.rig: Rig | None = None
-        self.undo_stack.setUndoLimit(200)  # each step of painting holds two masks of the image's size
+        self.undo_stack.setUndoLimit(100)  # each step of painting holds two masks of the image's size
 
     @property
     def examples(self) -> tuple[Example, ...]:

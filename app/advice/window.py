@@ -70,6 +70,7 @@ class SuggestWindow(QDialog):
         self._section = ALL
         self._found: Suggestions | None = None
         self._shown: Side | None = None
+        self._compares = True
         self._job, self._curves = Job(self), Job(self)
         self._bases: Bases = {}
         self.cards: list[ProposalCard] = []
@@ -131,6 +132,7 @@ class SuggestWindow(QDialog):
         self.again.clicked.connect(lambda: self.ask(self._section))
         self.examples.clicked.connect(open_examples)
         self.compare.toggled.connect(self._show_comparison)
+        self.compare.clicked.connect(self._want_comparison)
         self.apply.clicked.connect(self._apply)
         self.undo.clicked.connect(self._document.undo_stack.undo)
         self.leave.clicked.connect(self.reject)
@@ -200,7 +202,7 @@ class SuggestWindow(QDialog):
             self._add(_refusal(section, sentence))
         if not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence." if found.parts else "")
-        self.compare.setChecked(bool(self.proposal.changes))
+        self._compares = True
         self._choice_changed()
 
     def _show_failure(self, sentence: str) -> None:
@@ -244,6 +246,7 @@ class SuggestWindow(QDialog):
 
     def _choice_changed(self) -> None:
         self._show_state()
+        self.compare.setChecked(self._compares and bool(self.proposal.changes))
         self._show_comparison(self.compare.isChecked())
         self._request_curves()
 
@@ -276,13 +279,15 @@ class SuggestWindow(QDialog):
             mine, self._shown = self._is_mine(comparison.sides), None
             if mine:
                 comparison.end()
-        if not proposal.changes:
-            self.compare.setChecked(False)
+
+    def _want_comparison(self, wanted: bool) -> None:
+        """Compare from now on whenever there is a change, or not."""
+        self._compares = wanted
 
     def _comparison_changed(self, sides: tuple[Side, Side] | None) -> None:
         """Note that someone else ended or replaced the comparison."""
         if self._shown is not None and not self._is_mine(sides):
-            self._shown = None
+            self._shown, self._compares = None, False
             self.compare.setChecked(False)
 
     def _is_mine(self, sides: tuple[Side, Side] | None) -> bool:

@@ -396,6 +396,15 @@ class ImagePane(QWidget):
             self._pixels.set_split(self.wipe_line.value())
         self.viewChanged.emit(self.box.viewRect())
 
+    def paintEvent(self, event: QPaintEvent | None) -> None:
+        """Underline the title while the keyboard acts here."""
+        super().paintEvent(event)
+        if self.hasFocus():
+            painter = QPainter(self)
+            painter.setPen(QPen(self.palette().accent().color(), 2))
+            bottom = self.header.geometry().bottom() + 1
+            painter.drawLine(0, bottom, self.width(), bottom)
+
     def _recolor(self) -> None:
         self.view.setBackground(theme_colors().base)
 

@@ -18,7 +18,7 @@ from .image_pane import ARROW_KEYS, ZOOM_KEYS, ImagePane, Swatch
 #: Labels of a pixel.
 UNKNOWN, NO_CONTACT, CONTACT = 0, 1, 2
 NO_CONTACT_RGB: Final = (26, 114, 224)
-_PATCH_RGB: Final = (255, 255, 255)
+_PATCH_RGB: Final = (255, 214, 10)
 #: Share of a label's colour in the image.
 _TINTS: Final = {NO_CONTACT: (0.25, NO_CONTACT_RGB), CONTACT: (0.5, CONTACT_RGB)}
 MAX_RADIUS: Final = 120

@@ -317,15 +317,6 @@ class PointImage(ImagePane):
         else:
             super().keyPressEvent(event)
 
-    def paintEvent(self, event: QPaintEvent | None) -> None:
-        """Underline the title while the keyboard acts here."""
-        super().paintEvent(event)
-        if self.hasFocus():
-            painter = QPainter(self)
-            painter.setPen(QPen(self.palette().accent().color(), 2))
-            bottom = self.header.geometry().bottom() + 1
-            painter.drawLine(0, bottom, self.width(), bottom)
-
     def resizeEvent(self, event: Any) -> None:
         """Keep the marks' layer over the whole image."""
         super().resizeEvent(event)

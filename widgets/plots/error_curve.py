@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, QObject, QPointF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QMouseEvent
+from PyQt6.QtGui import QKeyEvent, QMouseEvent, QPainter, QPaintEvent, QPen
 from PyQt6.QtWidgets import QLabel, QVBoxLayout, QWidget
 
 from ...core.model.arrays import Float64Array
@@ -55,7 +55,7 @@ class ErrorCurvePlot(QWidget):
         self.readout = QLabel()
         self.readout.setWordWrap(True)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setContentsMargins(3, 3, 3, 3)  # room for the frame of the keyboard's focus
         layout.setSpacing(2)
         layout.addWidget(self.plot)
         layout.addWidget(self.readout)
@@ -116,6 +116,14 @@ class ErrorCurvePlot(QWidget):
             return
         nearest = int(np.argmin(np.abs(self._values - self._proposed)))
         self._choose(min(max(nearest + steps[Qt.Key(event.key())], 0), len(self._values) - 1))
+
+    def paintEvent(self, event: QPaintEvent | None) -> None:
+        """Paint a frame while the keyboard acts here."""
+        super().paintEvent(event)
+        if self.hasFocus():
+            painter = QPainter(self)
+            painter.setPen(QPen(self.palette().highlight().color(), 2))
+            painter.drawRect(self.rect().adjusted(1, 1, -1, -1))
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""

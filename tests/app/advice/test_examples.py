@@ -9,7 +9,7 @@ from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import CONTROL, LEFT, image_position, show_source, text_of
+from hands import CONTROL, LEFT, drag_over, show_source, text_of
 from printed_source import PrintedSource
 from tactune.core.advice.example_file import load_example
 from tactune.widgets.images.paint_image import CONTACT, NO_CONTACT, UNKNOWN
@@ -40,16 +40,6 @@ def painted(window):
     return window
 
 
-def stroke(window, *places, button=LEFT, modifier=Qt.KeyboardModifier.NoModifier):
-    """Drag over image places."""
-    viewport = window.image.view.viewport()
-    points = [image_position(window.image, *place).toPoint() for place in places]
-    QTest.mousePress(viewport, button, modifier, points[0])
-    for point in points[1:]:
-        QTest.mouseMove(viewport, point)
-    QTest.mouseRelease(viewport, button, modifier, points[-1])
-
-
 def within(shape, start, end, radius):
     """The pixels within a distance of a horizontal stroke."""
     v, u = np.mgrid[: shape[0], : shape[1]]
@@ -70,7 +60,7 @@ def test_the_brush_paints_and_erases_and_each_stroke_is_a_step(main, painted, qt
     window = painted
     assert main.suggest.examples.examples == (), "nothing is known yet"
     start, end = (50, 60), (100, 60)
-    stroke(window, start, (80, 60), end)
+    drag_over(window.image, start, (80, 60), end)
     [example] = main.suggest.examples.examples
     shape, radius = example.contact.shape, window.image.radius
     assert example.contact[within(shape, start, end, radius - 1)].all()
@@ -78,9 +68,9 @@ def test_the_brush_paints_and_erases_and_each_stroke_is_a_step(main, painted, qt
     assert (example.known == example.contact).all()
 
     QTest.mouseClick(window.values[NO_CONTACT], LEFT)
-    stroke(window, (50, 100), (60, 100))
-    stroke(window, (75, 60), (75, 61), button=RIGHT)
-    stroke(window, (55, 60), (55, 61), modifier=Qt.KeyboardModifier.ShiftModifier)
+    drag_over(window.image, (50, 100), (60, 100))
+    drag_over(window.image, (75, 60), (75, 61), button=RIGHT)
+    drag_over(window.image, (55, 60), (55, 61), modifier=Qt.KeyboardModifier.ShiftModifier)
     labels = window.image.labels
     assert labels[100, 55] == NO_CONTACT
     assert labels[60, 75] == labels[60, 55] == UNKNOWN
@@ -122,9 +112,9 @@ def test_the_brush_paints_by_keys(painted):
 def test_known_objects_are_contact_inside_and_none_outside(painted):
     window = painted
     QTest.mouseClick(window.tools["disc"], LEFT)
-    stroke(window, (40, 60), (50, 60), (60, 60))
+    drag_over(window.image, (40, 60), (50, 60), (60, 60))
     QTest.mouseClick(window.tools["rectangle"], LEFT)
-    stroke(window, (100, 20), (120, 30), (130, 40))
+    drag_over(window.image, (100, 20), (120, 30), (130, 40))
     v, u = np.mgrid[:120, :160]
     disc = np.hypot(u - 40, v - 60)
     labels = window.image.labels
@@ -151,7 +141,7 @@ def test_the_patch_of_the_present_preset_is_outlined(main, painted, qtbot):
 
 
 def test_examples_outlive_a_crash_and_a_restart(main, painted, qtbot, make_window, tmp_path):
-    stroke(painted, (50, 60), (70, 60))
+    drag_over(painted.image, (50, 60), (70, 60))
     contact = main.suggest.examples.examples[0].contact
     files = tmp_path / "unsaved" / "examples"
     qtbot.waitUntil(lambda: [(load_example(file).contact == contact).all() for file in files.rglob("*.npz")] == [True])
@@ -169,7 +159,7 @@ def test_examples_outlive_a_crash_and_a_restart(main, painted, qtbot, make_windo
 
 
 def test_each_pair_of_cameras_has_its_examples(main, painted, qtbot):
-    stroke(painted, (50, 60), (70, 60))
+    drag_over(painted.image, (50, 60), (70, 60))
     [example] = main.suggest.examples.examples
     show_source(qtbot, main, TinySource(), 1)
     assert main.suggest.examples.examples == ()

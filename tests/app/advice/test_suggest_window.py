@@ -8,7 +8,7 @@ from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import CONTROL, LEFT, drag_slider, show_source, text_of, tolerance_slider
+from hands import CONTROL, LEFT, drag_over, drag_slider, show_source, text_of, tolerance_slider
 from printed_source import PrintedSource
 from tactune.app.advice import window as suggest_window
 from tactune.core.errors import AdviceError
@@ -133,7 +133,11 @@ def test_a_part_that_fails_leaves_the_window_usable(main, qtbot, monkeypatch):
 
 
 def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
-    """The untouched frame of the source is an example: what is found there is false."""
+    QTest.keyClick(main, Qt.Key.Key_L, CONTROL)
+    examples = main.suggest.examples_window
+    QTest.mouseClick(examples.paint, LEFT)
+    QTest.mouseClick(examples.tools["disc"], LEFT)
+    drag_over(examples.image, (80, 60), (85, 60), (90, 60))
     window = ask(qtbot, main, "tolerance")
     [card] = window.cards
     plot = card.curve
@@ -141,13 +145,12 @@ def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
     assert "Present 0.03: missed" in plot.readout.text()
 
     viewport = plot.plot.viewport()
-    QTest.mousePress(viewport, LEFT, pos=plot.point_at(0.03).toPoint())
-    QTest.mouseRelease(viewport, LEFT, pos=plot.point_at(0.03).toPoint())
-    plot.setFocus()
-    before = card.proposal.changes["tolerance.t"]
+    QTest.mouseClick(viewport, LEFT, pos=plot.point_at(0.002).toPoint())
+    low = card.proposal.changes["tolerance.t"]
+    assert low < 0.008, "below the gap of 2 mm at 250 mm, where the disc is missed"
     QTest.keyClick(plot, Qt.Key.Key_Right)
     chosen = card.proposal.changes["tolerance.t"]
-    assert chosen > before
+    assert chosen > low
     assert f"Suggested {chosen:g}" in plot.readout.text()
     assert main.context.comparison.sides[1].preset.tolerance.t == chosen
 
