@@ -256,8 +256,7 @@ class StrainTab(MeasuringTab):
         self.export.setEnabled(False)
 
         def bring_back() -> None:
-            self.curve.points = points + self.curve.points
-            self.curve.redraw()
+            self.curve.merge(points)
             self.export.setEnabled(True)
 
         self.messages.show_message(

@@ -11,7 +11,8 @@ import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
-from ...core.model.arrays import Float64Array, IndexArray
+from ...core.model.arrays import BoolArray, Float64Array, IndexArray
+from ...core.strain.series import spikes
 from ...core.strain.strain import AxisStrain
 from ...widgets.basics.controls import make_verdict
 from ...widgets.basics.theme import theme_colors
@@ -137,6 +138,7 @@ _COLUMNS = (
     "strain_length_sigma_percent", "strain_width_sigma_percent", "dots", "averaged_frames", "spacing_mm",
     "true_strain_length_percent", "true_strain_width_percent",
     "true_strain_length_seen_percent", "true_strain_width_seen_percent",
+    "strain_length_unlikely", "strain_width_unlikely",
 )  # fmt: skip
 
 
@@ -179,7 +181,7 @@ class CurvePoint:
         return (100 + length) * ratio - 100, (100 + width) * ratio - 100
 
     def row(self, spacing_mm: float) -> list[object]:
-        """Return the values of a CSV line; None for missing ones."""
+        """Return the values of a CSV line up to the judgement; None for missing ones."""
         ratio = self.spacing_mm / spacing_mm
         truth = self.truth or (None,) * 4
         values = [self.displacement_mm, *self.at_spacing(spacing_mm), *(ratio * sigma for sigma in self.sigma)]
@@ -189,11 +191,15 @@ class CurvePoint:
 
 
 class StrainCurve(QWidget):
-    """The plot of strain against displacement, and its points."""
+    """The plot of strain against displacement, and its points in the order of their frames.
+
+    Strains that do not fit those of the frames before and after are marked, and no line is drawn to them.
+    """
 
     def __init__(self) -> None:
         super().__init__()
         self.points: list[CurvePoint] = []
+        self._newest = -1
         self._spacing_mm = 10.0
         self.plot = pg.PlotWidget()
         self.plot.setMenuEnabled(False)
@@ -202,15 +208,20 @@ class StrainCurve(QWidget):
         self.plot.setLabel("bottom", "Displacement, mm")
         self.plot.setLabel("left", "Largest strain, %")
         self.plot.getPlotItem().showGrid(x=True, y=True, alpha=0.2)
-        self.plot.setToolTip("Largest strain along length and width against the displacement of the membrane")
+        self.plot.setToolTip(
+            "Largest strain along length and width against the displacement of the membrane, in the order of the "
+            "frames. A cross marks a strain that is unlike those of the frames before and after"
+        )
         self.plot.setAccessibleName("Strain against displacement")
         self._legend = self.plot.addLegend(offset=(10, 6))
         self._truths = [self.plot.plot(pen=None, symbol="+", symbolSize=11) for _ in range(2)]
         self._curves = [
             self.plot.plot(name=name, symbol=symbol, symbolSize=6) for name, symbol in (("length", "o"), ("width", "s"))
         ]
+        self._unlikely = self.plot.plot(pen=None, symbol="x", symbolSize=9)
         self._now = self.plot.plot(pen=None, symbol="o", symbolSize=13)
         self._legend.addItem(self._truths[0], "solver, dots seen")
+        self._legend.addItem(self._unlikely, "unlikely")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.plot)
@@ -219,15 +230,19 @@ class StrainCurve(QWidget):
     def add(self, view: StrainView) -> None:
         """Add a measurement; it replaces an earlier one of the same frame, as in a loop."""
         added = CurvePoint.of(view)
-        others = [point for point in self.points if point.sequence != added.sequence]
-        self.points = [*others[-MAX_POINTS + 1 :], added]
+        self._newest = added.sequence
+        self.merge([added])
+
+    def merge(self, points: list[CurvePoint]) -> None:
+        """Add points; they replace those of the same frames. Above `MAX_POINTS` the oldest frames are dropped."""
+        by_frame = {point.sequence: point for point in (*self.points, *points)}
+        self.points = [by_frame[sequence] for sequence in sorted(by_frame)][-MAX_POINTS:]
         self.redraw()
 
     def complete(self, view: StrainView) -> None:
         """Replace the newest point by a more complete measurement of the same frame."""
-        if self.points and self.points[-1].sequence == view.task.frame.sequence:
-            self.points = [*self.points[:-1], CurvePoint.of(view)]
-            self.redraw()
+        if self.points and self._newest == view.task.frame.sequence:
+            self.merge([CurvePoint.of(view)])
 
     def set_spacing_mm(self, spacing_mm: float) -> None:
         """Set the dot spacing on the flat sheet; measured lengths stay the same."""
@@ -240,27 +255,45 @@ class StrainCurve(QWidget):
         self.redraw()
 
     def redraw(self) -> None:
-        """Draw the points whose displacement is known, in order of time."""
+        """Draw the points whose displacement is known, in the order of their frames."""
         known = [point for point in self.points if point.displacement_mm is not None]
-        x = [point.displacement_mm for point in known]
+        x = np.array([point.displacement_mm for point in known], np.float64)
+        strains = np.array([point.at_spacing(self._spacing_mm) for point in known]).reshape(-1, 2)
+        unlikely = self._judged(known)
         for number, curve in enumerate(self._curves):
-            curve.setData(x, [point.at_spacing(self._spacing_mm)[number] for point in known])
+            curve.setData(x, np.where(unlikely[:, number], np.nan, strains[:, number]), connect="finite")
+        places, axes = np.nonzero(unlikely)
+        self._unlikely.setData(x[places], strains[places, axes])
         judged = [point for point in known if point.truth is not None]
         for number, marks in enumerate(self._truths):
             values = [point.truth[2 + number] for point in judged if point.truth is not None]
             marks.setData([point.displacement_mm for point in judged], values)
-        last = known[-1:]
+        last = [point for point in known if point.sequence == self._newest]
         self._now.setData(
             [point.displacement_mm for point in last for _ in range(2)],
             [strain for point in last for strain in point.at_spacing(self._spacing_mm)],
         )
 
+    def _judged(self, known: list[CurvePoint]) -> BoolArray:
+        """Tell which strains along length and width are unlikely, shape (N, 2); the displacement must be known."""
+        moved = np.array([point.displacement_mm for point in known], np.float64)
+        return np.column_stack(
+            [
+                spikes(moved, [point.strain[axis] for point in known], [point.sigma[axis] for point in known])
+                for axis in range(2)
+            ]
+        )
+
     def as_csv(self) -> str:
-        """Return all points as CSV, one per line."""
+        """Return all points as CSV, one per line, in the order of their frames."""
+        known = [point for point in self.points if point.displacement_mm is not None]
+        unlikely = {point.sequence: marks for point, marks in zip(known, self._judged(known), strict=True)}
         text = io.StringIO(newline="")
         writer = csv.writer(text, lineterminator="\n")
         writer.writerow(_COLUMNS)
-        writer.writerows(point.row(self._spacing_mm) for point in self.points)
+        for point in self.points:
+            marks = unlikely.get(point.sequence, (False, False))
+            writer.writerow([*point.row(self._spacing_mm), *(int(mark) for mark in marks)])
         return text.getvalue()
 
     def changeEvent(self, event: QEvent | None) -> None:
@@ -282,6 +315,7 @@ class StrainCurve(QWidget):
             curve.setSymbolBrush(pg.mkBrush(rgb))
             curve.setSymbolPen(None)
             marks.setSymbolPen(pg.mkPen(colors.text))
+        self._unlikely.setSymbolPen(pg.mkPen(colors.text, width=1.5))
         self._now.setSymbolBrush(None)
         self._now.setSymbolPen(pg.mkPen(colors.text, width=1.5))
         for sample, label in self._legend.items:

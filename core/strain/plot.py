@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from ..model.figures import pyplot, save_figure
+from .series import spikes
 from .strain import StrainMeasurement
 
 
@@ -24,7 +25,7 @@ def draw_strain(
     Parameters
     ----------
     displacement_mm, length_percent, width_percent : sequence of float
-        One value per frame.
+        One value per frame, in order of time. Strains unlike those before and after are marked, not joined.
     last : StrainMeasurement
     path : Path
         A .png file.
@@ -39,15 +40,17 @@ def draw_strain(
         The file cannot be written.
     """
     figure, (curve, *maps) = pyplot().subplots(1, 3, figsize=(15, 4.2))
-    order = np.argsort(displacement_mm, kind="stable")
-    along = np.take(displacement_mm, order)
+    along = np.asarray(displacement_mm)
     for label, values, style in (("length", length_percent, "C0o-"), ("width", width_percent, "C1s-")):
-        curve.plot(along, np.take(values, order), style, markersize=4, linewidth=0.7, label=f"{label}, measured")
+        unlikely = spikes(along, values)
+        likely = np.where(unlikely, np.nan, values)
+        curve.plot(along, likely, style, markersize=4, linewidth=0.7, label=f"{label}, measured")
+        curve.plot(along[unlikely], np.asarray(values)[unlikely], "kx")
     if solver_percent:
         for label, values, color in zip(
             ("length", "width"), np.transpose(solver_percent), ("navy", "maroon"), strict=True
         ):
-            curve.plot(along, values[order], "--", color=color, label=f"{label}, solver at the dots seen")
+            curve.plot(along, values, "--", color=color, label=f"{label}, solver at the dots seen")
     curve.set(xlabel="displacement, mm", ylabel="largest strain, %", title="Strain against displacement")
     curve.grid(True, alpha=0.3)
     curve.legend(fontsize=9)

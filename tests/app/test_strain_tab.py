@@ -120,11 +120,35 @@ def test_the_curve_grows_while_the_membrane_is_pressed(qtbot, make_window):
     for index in (2, 4, 6, 4):
         go_to(qtbot, window, tab, index)
     points = tab.curve.points
-    assert [point.sequence for point in points] == [1, 2, 6, 4]
-    assert [point.displacement_mm for point in points] == pytest.approx([3.0, 6.0, 18.0, 12.0], abs=0.2)
-    assert [point.strain[0] for point in points] == pytest.approx([5.0, 10.0, 30.0, 20.0], abs=2.0)
+    assert [point.sequence for point in points] == [1, 2, 4, 6], "in the order of the frames"
+    assert [point.displacement_mm for point in points] == pytest.approx([3.0, 6.0, 12.0, 18.0], abs=0.2)
+    assert [point.strain[0] for point in points] == pytest.approx([5.0, 10.0, 20.0, 30.0], abs=2.0)
     shown = tab.curve.plot.getPlotItem().listDataItems()
     assert any(len(item.getData()[0] if item.getData()[0] is not None else ()) == 4 for item in shown)
+
+
+class OneWrong(PressedGrid):
+    """Frame 4 is stretched by 59 % along the length, its neighbours by 15 and 25 %."""
+
+    def read(self, index):
+        frame = super().read(index)
+        wrong = sheet(index, (1.59, 1.08), 0.288)
+        return replace(frame, tactile_color=wrong.tactile_color) if index == 4 else frame
+
+
+def test_a_strain_unlike_its_neighbours_is_marked_and_not_joined(qtbot, make_window, tmp_path):
+    window = make_window()
+    tab = opened(qtbot, window, OneWrong(), index=2)
+    for index in (6, 3, 5, 4):
+        go_to(qtbot, window, tab, index)
+    length, width = (item.getData()[1] for item in tab.curve.plot.getPlotItem().listDataItems() if item.name())
+    assert np.isnan(length).tolist() == [False, False, True, False, False]
+    assert not np.isnan(width).any()
+    tab.save_to(tmp_path / "curve.csv")
+    qtbot.waitUntil(lambda: any("curve.csv" in sentence for sentence in tab.messages.sentences()))
+    rows = list(csv.DictReader((tmp_path / "curve.csv").read_text().splitlines()))
+    assert [row["sequence"] for row in rows if row["strain_length_unlikely"] == "1"] == ["4"]
+    assert float(rows[2]["strain_length_percent"]) > 50
 
 
 def test_another_spacing_changes_strain_and_curve_and_is_remembered(qtbot, make_window):
