@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
@@ -54,12 +55,16 @@ class FrameExport(QObject):
 
     def ask_recording(self) -> None:
         """Ask for a file, and export the frames as a recording with the present preset."""
-        preset = self._context.document.preset
+        preset, untouched = self._context.document.preset, self._context.worker.recorder.untouched
         folder = self._folder()
+
+        def write(path: Path, source: FrameSource, frames: range, progress: Progress) -> str:
+            count = export_mcap(source, path, len(frames), preset=preset, untouched=untouched, progress=progress)
+            return f"{_counted(count, frames)} written to {path}."
 
         def chosen(path: Path) -> None:
             self._context.settings.set("folder/export", str(path.parent))
-            self._start(lambda source, frames, progress: _write_recording(source, frames, preset, path, progress))
+            self._start(partial(write, path))
 
         if self._frames() is not None:
             self._context.dialogs.save_file("Export recording", folder / "part.mcap", ["Recording (*.mcap)"], chosen)
@@ -108,11 +113,6 @@ class FrameExport(QObject):
         self._context.messages.show_message(
             "export", Severity.ERROR if sentence else Severity.INFO, sentence or "The export was cancelled."
         )
-
-
-def _write_recording(source: FrameSource, frames: range, preset: Preset, path: Path, progress: Progress) -> str:
-    count = export_mcap(source, path, len(frames), preset=preset, progress=progress)
-    return f"{_counted(count, frames)} written to {path}."
 
 
 def _write_patches(source: FrameSource, frames: range, preset: Preset, folder: Path, progress: Progress) -> str:

@@ -353,12 +353,11 @@ class Worker(QThread):
             return
         self.recordingStarted.emit(path)
         if self._live is None and self._frame is not None:  # a recording starts with the in mark or the present frame
-            index, frame = self._playback.state.index, self._frame
-            if self._trim is not None:
-                index = self._trim[0]
-                frame = self._show(index) or frame
+            if self._trim is None:
+                self._record(self._frame, self._playback.state.index)
+            elif (first := self._show(self._trim[0])) is not None:
                 self._playback.play()
-            self._record(frame, index)
+                self._record(first, self._trim[0])
 
     def _record(self, frame: SensorFrame, index: int) -> None:
         """Record a frame of a recording; the last frame before the out mark ends the file."""

@@ -359,10 +359,6 @@ class TimeStrip(QWidget):
     def _frame_at(self, time_s: float) -> int:
         return int(np.abs(self._seconds - time_s).argmin())
 
-    def _room(self) -> int:
-        """Return the width of the plot without its axis, pixels."""
-        return int(max(100, self._box.width() - 16))
-
     def _hold(self, held: bool) -> None:
         if not self._live:
             self._dragging = held
@@ -385,13 +381,18 @@ class TimeStrip(QWidget):
         known = f"{format_number(float(value), 3)} {curve.unit}".rstrip() if math.isfinite(value) else "not known"
         names = [name for frame, name in self._markers if frame == index]
         place = f"{self._seconds[index]:.1f} s" + ("" if self._live else f", frame {index + 1}")
-        self._text.setText("  ".join([*names, f"{place}: {known}"]))
+        self._write("  ".join([*names, f"{place}: {known}"]))
 
     def _show_words(self) -> None:
         known = self._values.get(self.curve.key)
         empty = known is not None and bool(self._computed.any()) and not np.isfinite(known).any()
         words = self._words or (_NO_TRUTH if empty and self.curve.key == "iou" else "")
-        self._text.setText(self.fontMetrics().elidedText(words, Qt.TextElideMode.ElideRight, self._room()))
+        self._write(words)
+
+    def _write(self, text: str) -> None:
+        room = int(max(100, self._box.width() - 16))
+        self._text.setText(self.fontMetrics().elidedText(text, Qt.TextElideMode.ElideRight, room))
+        self._text.setVisible(bool(text))  # an empty one would still have its background
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
