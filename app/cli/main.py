@@ -20,6 +20,7 @@ import typer
 from ...core.errors import MissingExtraError, TactuneError
 from .bench import bench_commands
 from .calibrate import calibrate, recheck
+from .check import check
 from .common import SOURCE, PresetOption, SourceOption, default_preset
 from .doctor import devices, doctor, warmup
 from .evaluate import evaluate_commands
@@ -48,6 +49,7 @@ commands = typer.Typer(
     add_completion=False,
 )
 preset_commands.command()(suggest)
+preset_commands.command()(check)
 commands.add_typer(preset_commands, name="preset")
 commands.add_typer(bench_commands, name="bench")
 commands.add_typer(evaluate_commands, name="evaluate")

@@ -278,8 +278,12 @@ def check_target(target: Path, preset: str | None, *, force: bool) -> None:
     Raises
     ------
     PresetError
+    ExportError
+        The operating system refuses.
     """
     import importlib.resources
+
+    from ...core.model.files import check_writable
 
     shipped = Path(str(importlib.resources.files("tactune.presets"))).resolve()
     if target.suffix == ".mcap" or target.resolve().parent == shipped:
@@ -291,6 +295,7 @@ def check_target(target: Path, preset: str | None, *, force: bool) -> None:
         raise PresetError(f"{target} is no ordinary file; choose another place")
     elif target.exists() and not force:
         raise PresetError(f"{target} is already there; choose another name or add --force to replace it")
+    check_writable(target)
 
 
 def _measure_noise(source: FrameSource, preset: Preset, origin: str, count: int) -> RigNoise:

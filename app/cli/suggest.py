@@ -29,6 +29,10 @@ if TYPE_CHECKING:
 #: Number of frames up to the present one, and of those averaged to an untouched frame.
 _RECENT, _AVERAGED = 4, 15
 
+FrameOption = Annotated[
+    int | None, typer.Option(min=0, metavar="N", help="The present frame, from 0; default: the fourth.")
+]
+
 
 def suggest(
     *,
@@ -42,9 +46,7 @@ def suggest(
             "the contact test reads.",
         ),
     ] = None,
-    frame: Annotated[
-        int | None, typer.Option(min=0, metavar="N", help="The present frame, from 0; default: the fourth.")
-    ] = None,
+    frame: FrameOption = None,
     untouched: Annotated[
         str | None,
         typer.Option(
@@ -73,7 +75,7 @@ def suggest(
     with open_with_progress(source, chosen.cameras) as opened:
         for sentence in check_rig(chosen, opened.rig):
             warn(sentence)
-        frames = _recent(opened, frame)
+        frames = recent_frames(opened, frame)
         free = _untouched(opened, chosen, origin, untouched)
         evidence = Evidence(chosen, opened.rig, frames, free)
     with CliProgress() as progress:
@@ -86,7 +88,7 @@ def suggest(
         _write(proposals.merged.apply(chosen), origin, out)
 
 
-def _recent(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
+def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     """Return the frames up to the present one, which is the last.
 
     Raises
@@ -94,6 +96,8 @@ def _recent(source: FrameSource, last: int | None) -> tuple[SensorFrame, ...]:
     AdviceError
         The source has no such frame.
     """
+    if last is not None and source.length is not None and last >= source.length:
+        raise AdviceError(f"{source.name}: there is no frame {last}; frames run from 0 to {source.length - 1}")
     first = 0 if last is None else max(last - _RECENT + 1, 0)
     count = _RECENT if last is None else last - first + 1
     if first > 0:

@@ -82,7 +82,7 @@ def source_sentence(state: SourceState) -> str:
 
 
 def readout(patch: ContactPatch | None, u: int, v: int) -> str:
-    """Return both distances at a proximity pixel, their difference, and why it was kept or dropped."""
+    """Return both distances at a proximity pixel, their difference, the gap, and why it was kept or dropped."""
     if patch is None:
         return ""
     height, width = patch.rig.proximity.intrinsics.shape
@@ -93,7 +93,14 @@ def readout(patch: ContactPatch | None, u: int, v: int) -> str:
     parts = [f"({u}, {v})", f"dp {_metres(expected)}", f"dt {_metres(measured)}"]
     if math.isfinite(relative):
         parts.append(f"(dp − dt) / dp = {relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
-    parts.append(Provenance(int(patch.provenance[v, u])).explanation)
+    verdict = Provenance(int(patch.provenance[v, u]))
+    gap_m = math.nan if patch.membrane is None else float(patch.membrane.gap_m.get()[v, u])
+    if math.isfinite(gap_m):
+        parts.append(f"gap {1e3 * gap_m:.2f} mm")
+    if verdict is Provenance.RIM and math.isfinite(gap_m):
+        parts[-1] += ": outside the edge of contact"
+    else:
+        parts.append(verdict.explanation)
     return "   ".join(parts)
 
 

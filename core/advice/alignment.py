@@ -117,7 +117,7 @@ def _proposal(evidence: Evidence, changes: dict[str, Any], sentence: str, expect
         after = present.with_values(changed).alignment
         change_m = after.depth_offset_m - present.alignment.depth_offset_m
         change_m += (after.depth_scale - present.alignment.depth_scale) * _raw_depth_m(evidence)
-        changed["noise"] = noise.model_dump() | {"bias_m": noise.bias_m - change_m}
+        changed["noise"] = noise.model_dump(mode="json") | {"bias_m": noise.bias_m - change_m}
     return Proposal("alignment", changed, ", ".join(parts), sentence, expected)
 
 

@@ -41,6 +41,24 @@ def atomic_path(target: Path | str) -> Iterator[Path]:
             temporary.unlink()
 
 
+def check_writable(target: Path | str) -> None:
+    """Raise if a file cannot be written there, so that nobody waits for a result in vain. Nothing is left behind.
+
+    Raises
+    ------
+    ExportError
+        As `atomic_path`.
+    """
+    final = Path(os.path.realpath(target))
+    folder = next(parent for parent in final.parents if parent.exists())
+    temporary = folder / f".{secrets.token_hex(8)}"
+    try:
+        temporary.touch(exist_ok=False)
+        temporary.unlink()
+    except OSError as error:
+        raise ExportError(f"cannot write {target}: {error.strerror or error}; choose another place") from error
+
+
 def user_path(path: Path | str) -> Path:
     """Return a path with a leading ``~`` expanded; unchanged if there is no such user."""
     try:

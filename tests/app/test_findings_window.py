@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +11,7 @@ from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QPushButton, QToolButton
 
-from hands import CONTROL, LEFT, show_source, text_of
+from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings_window import FindingsWindow
 from tactune.app.worker.results import CloudName
@@ -153,3 +154,13 @@ def test_findings_go_with_their_source(window, qtbot):
     show_source(qtbot, window, TinySource(), 3)
     qtbot.waitUntil(lambda: not window.status.findings.isVisible())
     assert not offset_row(window).finding.isVisible()
+
+
+def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
+    window = make_window(Preset(name="tiny").with_value("membrane.bias", False))
+    show_source(qtbot, window, OtherSource(hovering_frame, "hovering"), 0)
+    pane = window.strip.panes["difference"]
+    QTest.mouseMove(pane.view.viewport(), image_position(pane, WIDTH // 2, HEIGHT // 2).toPoint())
+    qtbot.waitUntil(lambda: "outside the edge of contact" in window.strip.readout.text())
+    gap_mm = float(re.search(r"gap ([\d.]+) mm", window.strip.readout.text())[1])
+    assert 0.05 < gap_mm < 1.5

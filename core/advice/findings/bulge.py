@@ -30,7 +30,7 @@ def find(situation: Situation) -> Finding | None:
             section="contact_test",
             changes={"contact_test": "tolerance"},
             label="Use the tolerance test",
-            evidence=sentence,
+            evidence="The membrane test needs the curvature of the free membrane, its pressure over its tension.",
             expected="Contact no longer depends on the curvature of the membrane.",
             weak=True,
         ),

@@ -1,0 +1,29 @@
+"""``tactune preset check``: findings in sentences and as JSON, with their own exit status."""
+
+from __future__ import annotations
+
+import json
+
+SOURCE = "sim:cup?press=medium"
+
+
+def test_a_good_preset_has_no_findings(tactune):
+    finished = tactune("preset", "check", "--source", SOURCE)
+    assert (finished.status, finished.out) == (0, "no findings\n")
+
+
+def test_findings_are_printed_with_what_mends_them(tactune, tmp_path):
+    spoiled = tmp_path / "spoiled.json"
+    words = ("preset", "new", "--from", "simulator", "--set", "alignment.depth_offset_m=0.012", "--out", spoiled)
+    assert tactune(*words).status == 0
+    finished = tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--frame", 0)
+    assert finished.status == 1
+    assert finished.out.startswith("alignment.depth_offset_m: Peak of the differences at -")
+    assert "--set alignment.depth_offset_m=0.0" in finished.out
+    [finding] = json.loads(tactune("preset", "check", "--source", SOURCE, "--preset", spoiled, "--json").out)
+    assert finding["name"] == "peak"
+    assert finding["changes"] == {"alignment.depth_offset_m": 0.0}
+
+
+def test_a_frame_that_is_not_there(tactune):
+    assert "there is no frame 9999" in tactune("preset", "check", "--source", SOURCE, "--frame", 9999).sentence
