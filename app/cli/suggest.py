@@ -53,6 +53,10 @@ def suggest(
             metavar="SOURCE", help="Frames of the untouched membrane; default: the preset's own or that of --source."
         ),
     ] = None,
+    example: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILE", help="An example of contact that the window has stored; may be repeated."),
+    ] = None,
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="FILE", help="The preset file to write, with all suggestions.")
     ] = None,
@@ -60,8 +64,10 @@ def suggest(
 ) -> None:
     """Suggest values for a preset, with the evidence for each; later ones are computed with the earlier ones applied.
 
-    The evidence is the present frame, the three before it, and an untouched frame. Nothing is written without --out.
+    The evidence is the present frame, the three before it, an untouched frame, and examples. Nothing is written without
+    --out.
     """
+    from ...core.advice.example_file import load_example
     from ...core.advice.proposal import Evidence
     from ...core.advice.suggest import suggest_all
     from ...core.contact.warmup import warm_up_if_needed
@@ -77,7 +83,10 @@ def suggest(
             warn(sentence)
         frames = recent_frames(opened, frame)
         free = _untouched(opened, chosen, origin, untouched)
-        evidence = Evidence(chosen, opened.rig, frames, free)
+        examples = tuple(load_example(path) for path in example or ())
+        for each in examples:
+            each.frame.check_against(opened.rig)
+        evidence = Evidence(chosen, opened.rig, frames, free, examples)
     with CliProgress() as progress:
         warm_up_if_needed(progress.preparing)
         proposals = suggest_all(evidence, progress.preparing, section)
@@ -109,12 +118,12 @@ def recent_frames(source: FrameSource, last: int | None) -> tuple[SensorFrame, .
 
 
 def _untouched(source: FrameSource, preset: Preset, origin: str, name: str | None) -> SensorFrame | None:
-    """Return the untouched frame: averaged from a source of its own, the preset's, or the source's."""
-    from ...core.rig.untouched import find_untouched
+    """Return the untouched frame of a source of its own, or its frames averaged; else the preset's or the source's."""
+    from ...core.rig.untouched import find_untouched, untouched_frame
 
     if name is not None:
         with open_with_progress(name) as opened:
-            return average_frames(opened, _AVERAGED).frame
+            return untouched_frame(opened) or average_frames(opened, _AVERAGED).frame
     with CliProgress() as progress:
         found = find_untouched(preset, origin, source, progress.preparing)
     for sentence in found.warnings:

@@ -44,7 +44,7 @@ class Proposal:
     expected : str
         What it will change, as one sentence.
     weak : bool
-        Whether it follows from the rig's noise alone, without examples of contact.
+        Whether it follows from the rig's noise alone, without examples of contact, or a mask from a pressed frame.
     picture : uint8, shape (H, W), or None
         `MaskLabel` of each proximity pixel, for a proposed mask.
     """

@@ -1,0 +1,94 @@
+"""``tactune preset suggest``: proposals with their evidence, and the preset that they give."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactune.core.advice.example_file import save_example
+from tactune.core.advice.proposal import Example
+from tactune.core.preset.file import save_preset
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+
+Tactune = Callable[..., Any]
+SCENE = "sim:cup?press=medium"
+SHIPPED = load_preset("simulator")
+
+
+@pytest.fixture
+def spoiled(tmp_path: Path) -> Path:
+    """A preset without mask and with a wrong depth offset."""
+    save_preset(
+        SHIPPED.with_values({"mask.enabled": False, "alignment.depth_offset_m": 0.012}), tmp_path / "spoiled.json"
+    )
+    return tmp_path / "spoiled.json"
+
+
+def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mended.json"
+    finished = tactune("preset", "suggest", "--source", SCENE, "--preset", spoiled, "--out", out)
+    assert finished.status == 0
+    assert "mask: Mask hue" in finished.out and "% of the prints" in finished.out
+    assert "--set alignment.depth_offset_m=0.0" in finished.out and "+-" in finished.out
+    mended = load_preset(out)
+    assert mended.mask.enabled and mended.alignment.depth_offset_m == 0
+    # what is printed does the same
+    settings = [word for line in finished.out.splitlines() if "--set" in line for word in line.split()]
+    assert tactune("preset", "new", "--from", spoiled, *settings, "--out", tmp_path / "set.json").status == 0
+    assert load_preset(tmp_path / "set.json").mask == mended.mask
+
+
+def test_the_preset_stays_without_out(tactune: Tactune, spoiled: Path) -> None:
+    before = spoiled.read_bytes()
+    assert tactune("preset", "suggest", "--source", SCENE, "--preset", spoiled).status == 0
+    assert spoiled.read_bytes() == before
+
+
+def test_a_file_is_replaced_only_by_force(tactune: Tactune, spoiled: Path, tmp_path: Path) -> None:
+    out = tmp_path / "mine.json"
+    save_preset(SHIPPED, out)
+    command = ("preset", "suggest", "--source", SCENE, "--preset", spoiled, "--section", "mask", "--out", out)
+    assert "is already there" in tactune(*command).sentence
+    assert tactune(*command, "--force").status == 0
+    assert load_preset(out).alignment.depth_offset_m == 0.012  # only the mask was asked for
+
+
+def test_a_section_without_evidence_is_refused_with_the_remedy(tactune: Tactune, tmp_path: Path) -> None:
+    with open_source("sim:knobs?press=medium") as source:
+        export_folder(source, tmp_path / "pressed", frames=1)
+    named = ("preset", "suggest", "--source", f"folder:{tmp_path / 'pressed'}", "--preset", "simulator")
+    assert "capture an untouched frame" in tactune(*named, "--section", "mask").sentence
+    # another source can show the untouched membrane
+    finished = tactune(*named, "--section", "mask", "--untouched", "sim:knobs?press=medium")
+    assert finished.status == 0
+    assert "Keep the mask" in finished.out
+
+
+def test_stored_examples_count(tactune: Tactune, tmp_path: Path) -> None:
+    with open_source(SCENE) as source:
+        frame = source.next_frame()
+    assert frame is not None and frame.truth is not None
+    save_example(Example(replace(frame, truth=None), frame.truth.contact), tmp_path / "cup.npz")
+    command = ("preset", "suggest", "--source", SCENE, "--section", "tolerance")
+    assert "(weak)" in tactune(*command).out
+    finished = tactune(*command, "--example", tmp_path / "cup.npz")
+    assert "1 frame with painted contact" in finished.out and "(weak)" not in finished.out
+    (tmp_path / "bad.npz").write_bytes(b"nothing")
+    assert "paint it again" in tactune(*command, "--example", tmp_path / "bad.npz").sentence
+
+
+def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
+    named = ("preset", "suggest", "--source", "sim:cup", "--preset", "default", "--section", "mask")
+    areas = [tactune(*named, "--frame", number).out.partition("changes from ")[2] for number in (0, 45)]
+    assert float(areas[0].split()[0]) < float(areas[1].split()[0])
+    assert "frames run from 0 to 89" in tactune(*named, "--frame", 5000).sentence
+
+
+def test_an_unknown_section_is_refused(tactune: Tactune) -> None:
+    assert "mask, contact_test" in tactune("preset", "suggest", "--source", SCENE, "--section", "musk").sentence
