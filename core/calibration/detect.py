@@ -224,7 +224,7 @@ def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
     Raises
     ------
     CalibrationError
-        The board is not completely visible.
+        The board is not completely visible, or it has more corners.
     """
     _check_size("chessboard", columns, rows, least=3)
     gray = to_gray(image)
@@ -235,7 +235,35 @@ def detect_chessboard(image: AnyArray, columns: int, rows: int) -> Detection:
         raise _not_found(f"chessboard of {columns} x {rows} inner corners")
     corners = corners.reshape(-1, 1, 2).astype(np.float32)
     refined = cv2.cornerSubPix(gray, corners, (_CORNER_WINDOW, _CORNER_WINDOW), (-1, -1), _CRITERIA)
+    if _goes_on(gray, np.asarray(refined, np.float64).reshape(rows, columns, 2)):
+        raise CalibrationError(
+            f"the chessboard has more than {columns} x {rows} inner corners; give the number of its inner corners: one "
+            "less than its squares, in both directions"
+        )
     return _counted(refined)
+
+
+def _goes_on(gray: Uint8Array, grid: Float64Array) -> bool:
+    """Tell whether the pattern of corners (rows, columns, 2) continues beyond one of its four sides.
+
+    Each line of corners is extended by one; at half of the places or more, a crossing must be where it is expected.
+    """
+    height, width = gray.shape
+    for side in (grid, grid[::-1], grid.swapaxes(0, 1), grid.swapaxes(0, 1)[::-1]):
+        step = side[0] - side[1]
+        expected = 3 * side[0] - 3 * side[1] + side[2]
+        inside = ((expected >= _CORNER_WINDOW) & (expected < (width - _CORNER_WINDOW, height - _CORNER_WINDOW))).all(1)
+        if not inside.any():
+            continue
+        seeds = expected[inside].reshape(-1, 1, 2).astype(np.float32)
+        window = (_CORNER_WINDOW, _CORNER_WINDOW)
+        refined = cv2.cornerSubPix(gray, seeds.copy(), window, (-1, -1), _CRITERIA).reshape(-1, 2)
+        moved = np.hypot(*(refined - seeds.reshape(-1, 2)).T)
+        near = moved < np.hypot(*step[inside].T) / 4
+        crossings = [close and _is_crossing(gray, *place) for place, close in zip(refined, near, strict=True)]
+        if 2 * sum(crossings) >= len(side[0]):
+            return True
+    return False
 
 
 def detect_charuco(

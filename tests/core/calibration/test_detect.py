@@ -57,6 +57,22 @@ def test_a_chessboard_is_found_and_matched_by_order():
     assert np.hypot(*(right - mapped(TILT, corners)[order]).T).max() < 0.25
 
 
+@pytest.mark.parametrize(("columns", "rows"), [(8, 6), (7, 6), (9, 5), (6, 8)])
+@pytest.mark.parametrize("view", [H, TILT, np.eye(3)])
+def test_a_board_that_has_more_corners_is_refused(columns, rows, view):
+    with pytest.raises(CalibrationError, match=rf"more than {columns} x {rows} inner corners|no chessboard"):
+        detect_chessboard(seen(chessboard()[0], view), columns, rows)
+
+
+@pytest.mark.parametrize("number", range(1, 7))
+def test_a_real_board_that_has_more_corners_is_refused(number, shared_data):
+    for side in ("left", "right"):
+        image = cv2.imread(str(shared_data / "stereo_boards" / f"{side}0{number}.jpg"), cv2.IMREAD_GRAYSCALE)
+        for size in ((8, 6), (6, 8), (7, 6)):
+            with pytest.raises(CalibrationError, match=r"more than . x . inner corners|no chessboard"):
+                detect_chessboard(image, *size)
+
+
 def test_half_a_turn_between_both_images_is_undone():
     picture, _ = chessboard()
     left = detect_chessboard(seen(picture, H), 9, 6)
