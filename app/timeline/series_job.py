@@ -95,7 +95,9 @@ class SeriesJob(QObject):
                 self.ended.emit(answer.get("problem", ""))
 
     def _gone(self) -> None:
-        self._process = None
+        process, self._process = self._process, None
+        if process is not None:
+            process.deleteLater()
         if self._running:
             self._running = False
             self.ended.emit("The process that computes the time strip has ended; change the preset to start it again.")

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+import os
+import signal
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtCore import QPoint, QProcess, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
 
@@ -327,3 +329,18 @@ def test_opening_the_list_goes_nowhere_and_an_empty_name_is_refused(qtbot, tmp_p
     QTest.keyClick(listed.table, Qt.Key.Key_F2)
     type_into(listed.table.findChild(QLineEdit), " ")
     assert [listed.table.item(row, 0).text() for row in (0, 1)] == ["Marker 1", "Marker 2"]
+
+
+def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_window, qtbot):
+    window = strip_window
+    qtbot.waitUntil(lambda: computed(window))
+    first = window.timeline.series
+    [process] = window.timeline.findChildren(QProcess)
+    with qtbot.waitSignal(process.finished):
+        os.kill(process.processId(), signal.SIGKILL)
+    window.document.edit("tolerance.t", 0.02)
+    qtbot.waitUntil(lambda: computed(window) and window.timeline.series is not first)
+    [number] = [each.processId() for each in window.timeline.findChildren(QProcess) if each.processId()]
+    window.close_without_asking()
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
