@@ -19,6 +19,7 @@ from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
+from ..worker.results import SourceInfo
 from .card import ProposalCard, section_title
 from .evidence import FrameRing, Gathered
 from .examples import ExampleHistory, ExampleKeeper
@@ -154,6 +155,11 @@ class SuggestWindow(QDialog):
         self._job.cancel()
         self._job.start(lambda progress: find_suggestions(section, gathered, progress))
         self._show_busy(True)
+
+    def outdated(self, reason: str) -> None:
+        """Say why the suggestions that are shown should be made again."""
+        if self._found is not None:
+            self._say(f"{reason}: measure again.")
 
     @property
     def busy(self) -> bool:
@@ -351,7 +357,8 @@ class SuggestControl(QObject):
         )
         self.window: SuggestWindow | None = None
         self.examples_window: ExamplesWindow | None = None
-        context.worker.opened.connect(lambda info: self._keeper.switch_to(info.rig))
+        context.worker.opened.connect(self._source_opened)
+        self.examples.changed.connect(lambda _: self._outdate("The examples have changed"))
 
     def open(self, section: str) -> None:
         """Make suggestions for a section, or for all, and show them."""
@@ -371,6 +378,14 @@ class SuggestControl(QObject):
         if self.examples_window is None:
             self.examples_window = ExamplesWindow(self._context, self.examples)
         _bring_up(self.examples_window)
+
+    def _source_opened(self, info: SourceInfo) -> None:
+        self._keeper.switch_to(info.rig)
+        self._outdate("Another source was opened")
+
+    def _outdate(self, reason: str) -> None:
+        if self.window is not None:
+            self.window.outdated(reason)
 
     def gather(self) -> Gathered | None:
         """Return the present evidence; None without a frame."""

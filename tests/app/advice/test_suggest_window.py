@@ -56,6 +56,7 @@ def test_values_and_refusals_are_written_down(main, qtbot):
     assert "Use the mask off → on" in text
     assert "Hue 0 to 179 →" in text
     show_source(qtbot, main, PrintedSource(with_untouched=False), 6)
+    assert window.sentence.text() == "Another source was opened: measure again."
     QTest.mouseClick(window.again, LEFT)
     qtbot.waitUntil(lambda: not window.busy)
     assert "Mask: no suggestion." in text_of(window)
