@@ -207,6 +207,7 @@ class ViewArea(QWidget):
 
     def show_message(self, message: str) -> None:
         """Empty all views and show a message in them."""
+        self.set_wipe(None)
         for view in self.views.values():
             view.set_cloud(None)
             view.set_message(message)

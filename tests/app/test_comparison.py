@@ -7,7 +7,7 @@ import pytest
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
 
-from hands import CONTROL, LEFT, drag_slider, shows_preset_of_document, tolerance_slider, type_path
+from hands import CONTROL, LEFT, drag_slider, show_source, shows_preset_of_document, tolerance_slider, type_path
 from tactune.app.document.comparison import Side
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
@@ -17,7 +17,7 @@ from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
 from tactune.widgets.basics.colormaps import BOTH_ROW, ONLY_A_ROW, ONLY_B_ROW
-from tiny_sensor import tiny_frame, tiny_rig
+from tiny_sensor import TinySource, tiny_frame, tiny_rig
 
 ALT = Qt.KeyboardModifier.AltModifier
 RIG = tiny_rig()
@@ -275,6 +275,18 @@ def test_a_click_in_the_history_goes_back_to_a_step(edited, qtbot):
     assert document.preset.outliers.enabled
     QTest.keyClick(history, Qt.Key.Key_Z, CONTROL)
     assert not document.preset.outliers.enabled, "undo works in the list too"
+
+
+def test_it_goes_on_with_another_source(compared, qtbot):
+    before = compared.result.source
+    show_source(qtbot, compared, TinySource(rig=tiny_rig(width=80, serial="2")), 2)
+    qtbot.waitUntil(lambda: compared.result.source is not before and compared.result.compared is not None)
+    shown = compared.result.compared
+    for side in (shown.a, shown.b):
+        assert_same(
+            side.patch, ContactPipeline(side.side.preset, compared.result.source.rig).process(compared.result.frame)
+        )
+    assert compared.views.views["patch"].right_cloud() is shown.b.rendered.clouds["patch"]
 
 
 def test_the_panel_stays_when_the_parameters_are_hidden(compared):
