@@ -123,7 +123,8 @@ class Collector(QObject):
         if not self._wanted or any(frame is old for old in self._frames):
             return
         playback = self._feed.playback
-        if playback.seekable and playback.index <= self._index:  # from the next round of a loop
+        if playback.seekable and self._frames and playback.index != self._index + 1:  # it played before it was paused
+            self._feed.seek(self._index + 1)
             return
         self._index = playback.index
         self._frames.append(frame)

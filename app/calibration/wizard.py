@@ -196,6 +196,8 @@ class CalibrationWizard(QDialog):
     def go_to(self, number: int) -> None:
         """Show a step. Leaving the page Helpers accepts its proposals, so that nothing found is lost."""
         number = max(0, min(number, len(STEPS) - 1))
+        if number != self.stack.currentIndex():
+            self.messages.clear("accepted")
         if self.pages[number] is not self.helpers:
             self.helpers.accept_proposals()
         self.stack.setCurrentIndex(number)
