@@ -31,6 +31,8 @@ _BLOCK: Final = 30
 TILE_PX: Final = 16
 #: ... changes by more than this share of the depth (2 mm at 300 mm) ...
 _MOVED_SHARE: Final = 0.0067
+#: ... and by more than this number of standard deviations of its noise, each this median deviation, ...
+_MOVED_SIGMAS, _NORMAL = 5.0, 1.4826
 #: ... in more than this share of all tiles.
 _MOVED_TILES: Final = 0.005
 #: Size limit of the file. Images of 1280 x 720 with colour take 15 MB.
@@ -269,9 +271,11 @@ def _refuse_movement(first: SensorFrame, frame: SensorFrame) -> None:
     if frame is first or frame.tactile_depth.shape != first.tactile_depth.shape:
         return  # take_snapshot refuses other sizes
     before, after = tile_medians(first.tactile_depth), tile_medians(frame.tactile_depth)
-    moved = np.abs(after - before) > _MOVED_SHARE * before
+    change = after - before
+    noise = _NORMAL * float(np.nanmedian(np.abs(change - np.nanmedian(change)))) if np.isfinite(change).any() else 0.0
+    moved = np.abs(change) > np.maximum(_MOVED_SHARE * before, _MOVED_SIGMAS * noise)
     if moved.mean() > _MOVED_TILES:
-        farthest = float(np.abs(after - before)[moved].max() / np.median(before[moved]))
+        farthest = float(np.abs(change)[moved].max() / np.median(before[moved]))
         raise CalibrationError(
             f"the membrane moved while the untouched frame was captured: frame {frame.sequence} differs from frame "
             f"{first.sequence} by up to {100 * farthest:.1f} % of the depth; remove what touches it, "

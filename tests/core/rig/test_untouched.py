@@ -133,6 +133,12 @@ def test_something_that_touches_meanwhile_is_refused(counts: int, size: int, ref
         average_untouched(frames)
 
 
+@pytest.mark.parametrize("sensor", ["l515-d405", "heavy"])
+def test_noise_that_neighbours_share_is_no_movement(sensor: str) -> None:
+    with open_source(f"sim:cup?press=none&sensor={sensor}") as source:
+        assert average_untouched(itertools.islice(source, 5)).frames == 5
+
+
 def test_frames_of_other_sizes_and_no_frames_are_refused() -> None:
     small = replace(
         untouched_image(1),
