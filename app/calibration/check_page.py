@@ -16,6 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.calibration.recheck import replacement
 from ...core.model.frames import SensorFrame
 from ...core.preset import AlignmentSection, Preset
 from ...widgets.basics.controls import AccentButton
@@ -56,6 +57,7 @@ class CheckPage(QWidget):
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
         self._kept: AlignmentSection | None = None
+        self._areas = ("", "")
         self._overlay: Overlay | None = None
         self._drawn: tuple[object, ...] = ()
         self._blinked = False
@@ -156,6 +158,7 @@ class CheckPage(QWidget):
     def show_outcome(self, outcome: Outcome) -> None:
         """Show a new fit."""
         self._outcome = outcome
+        self._areas = ("", "")
         self._show_tolerance()
         self._draw()
 
@@ -215,12 +218,12 @@ class CheckPage(QWidget):
         if not self.isVisible():
             return
         self._find_patches()
+        self._show_comparison()
         frame, new, rig = self._frame(), self.new_preset(), self._session.rig
         which, image = _WHICH[self.which.checkedId()][0], self.pixels.currentData()
         if frame is None or (new is None and which == "new"):
             self._overlay, self._drawn = None, ()
             self.image.set_image(None, _NO_FIT if frame is not None else "Waiting for a frame…")
-            self.note.setText("")
             return
         if image == "color" and frame.tactile_color is None:
             self.image.set_image(None, "The tactile camera has no colour image; choose Depth")
@@ -271,14 +274,31 @@ class CheckPage(QWidget):
             empty = "No contact in this frame: press the object" if patch.points == 0 else ""
             view.set_message(patch.problem or empty)
         old, new = patches["present"], patches["new"]
-        if new.problem:
+        self._areas = ("", "") if new.problem else (_area(new), _area(old))
+        self._show_comparison()
+
+    def _show_comparison(self) -> None:
+        """Show both alignments in numbers."""
+        report = self._outcome.report
+        if report is None:
             self.note.setText("")
             return
-        before = "none" if old.problem else f"{old.area_mm2 / 100:.1f} cm²"
-        self.note.setText(
-            f"Patch in the frame shown, by the preset's contact test: {new.area_mm2 / 100:.1f} cm² with the new "
-            f"alignment, {before} with the present one."
+        present = self.present_preset()
+        rows = [("", "New", "Present")]
+        errors = replacement(report, present)
+        if errors is not None:
+            new, old = (f"{px:.2f} px, {px * errors.mm_per_px:.2f} mm" for px in (errors.new_px, errors.present_px))
+            rows.append(("Error at the pairs", new, old))
+        record = present.alignment.calibration
+        stored = "–" if record is None else f"{record.quality.supported_tolerance:.4f}"
+        rows.append(("Smallest t (tolerance test)", f"{report.chosen.effect.supported_tolerance:.4f}", stored))
+        if any(self._areas):
+            rows.append(("Patch in the frame shown, by the preset's contact test", *self._areas))
+        lines = "".join(
+            f"<tr><td>{title}</td><td align='right'>&nbsp;&nbsp;{new}</td><td align='right'>&nbsp;&nbsp;{old}</td></tr>"
+            for title, new, old in rows
         )
+        self.note.setText(f"<table>{lines}</table>")
 
     def _mode_chosen(self, _: int = 0) -> None:
         mode = self.mode
@@ -292,3 +312,7 @@ class CheckPage(QWidget):
     def _swap(self) -> None:
         self._blinked = not self._blinked
         self._compose()
+
+
+def _area(patch: Patch) -> str:
+    return "–" if patch.problem else f"{patch.area_mm2 / 100:.1f} cm²"

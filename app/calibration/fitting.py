@@ -65,14 +65,18 @@ class Outcome:
     fits: dict[int, PairFit] = field(default_factory=dict)
 
     @property
+    def rejected(self) -> frozenset[int]:
+        """Keys of the pairs that the fit left out because they contradict the others."""
+        return frozenset(key for key, fit in self.fits.items() if not fit.used)
+
+    @property
     def worst(self) -> frozenset[int]:
         """Keys of the pairs that stand out."""
         lengths = {key: fit.residual_px for key, fit in self.fits.items() if np.isfinite(fit.residual_px)}
-        rejected = {key for key, fit in self.fits.items() if not fit.used}
         if len(lengths) < 5:
-            return frozenset(rejected)
+            return self.rejected
         limit = max(_OUTLIER_FACTOR * float(np.median(list(lengths.values()))), _MIN_OUTLIER_PX)
-        return frozenset(rejected | {key for key, length in lengths.items() if length > limit})
+        return frozenset(self.rejected | {key for key, length in lengths.items() if length > limit})
 
 
 def at_least(value: float, unit: str) -> str:

@@ -15,7 +15,7 @@ from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_row
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture
 from .prediction import Alignment, nominal_alignment, proximity_partner, tactile_partner
-from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot
+from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Snapshot, count_pairs
 
 IMAGE_NAMES: dict[ImageChoice, str] = {"color": "Colour", "depth": "Depth", "relative": "Relative depth"}
 ARROWS = {"Arrows off": 0.0, "Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×100": 100.0}
@@ -46,6 +46,7 @@ class PointsPage(QWidget):
         self._landing: tuple[SessionState, str] = (session.state, "")
         self.view = PairView(snapper)
         self.table = PointTable()
+        self.table.show_worst_first()
         self.hint = ElidedLabel()
         self.fit_line = ElidedLabel()
         self._make_tools()
@@ -82,6 +83,8 @@ class PointsPage(QWidget):
             "Arrows in the left image point from each click to its fitted position, enlarged by this factor"
         )
         self.whole = _button("Whole", "Fit both images into view (0)")
+        self.drop = _button("", "Delete the pairs that the fit leaves out because they contradict the others")
+        self.drop.hide()
         self.load = _button("Import…", "Read pairs from a CSV or a QGIS .points file")
         self.store = _button("Export…", "Write the pairs to a CSV or a QGIS .points file")
 
@@ -106,6 +109,7 @@ class PointsPage(QWidget):
         lines = QHBoxLayout()
         lines.addWidget(self.hint, 4)
         lines.addWidget(self.fit_line, 3)
+        lines.addWidget(self.drop)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 2)
         layout.setSpacing(4)
@@ -139,6 +143,7 @@ class PointsPage(QWidget):
         self.loupe.toggled.connect(view.set_loupe_wanted)
         self.arrows.currentTextChanged.connect(self._show_arrows)
         self.whole.clicked.connect(view.show_all)
+        self.drop.clicked.connect(lambda: session.remove(self._outcome.rejected))
         self.load.clicked.connect(self.importRequested)
         self.store.clicked.connect(self.exportRequested)
         self._show_arrows(self.arrows.currentText())
@@ -152,6 +157,8 @@ class PointsPage(QWidget):
         self._outcome = outcome
         self.fit_line.setText(outcome.sentence)
         self.fit_line.setToolTip(outcome.sentence)
+        self.drop.setText(f"Remove {count_pairs(len(outcome.rejected), 'rejected')}")
+        self.drop.setVisible(bool(outcome.rejected))
         self._show_points()
 
     def partner(self, side: Side, place: Place) -> Place | None:

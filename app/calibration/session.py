@@ -274,6 +274,6 @@ class Session(History[SessionState]):
         return pair.model_copy(update=values)
 
 
-def count_pairs(number: int) -> str:
-    """Return a number of pairs in words."""
-    return "1 pair" if number == 1 else f"{number} pairs"
+def count_pairs(number: int, kind: str = "") -> str:
+    """Return a number of pairs in words, such as "1 rejected pair"."""
+    return " ".join(filter(None, (str(number), kind, "pair" if number == 1 else "pairs")))

@@ -126,10 +126,13 @@ class Replacement:
         both are judged alike.
     present_px : float
         Root mean square distance of the pairs from the present alignment, proximity pixels.
+    mm_per_px : float
+        Millimetres across the line of sight per proximity pixel, mean over the pairs.
     """
 
     new_px: float
     present_px: float
+    mm_per_px: float
 
     @property
     def worse(self) -> bool:
@@ -160,7 +163,9 @@ def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None
     )
     shared = any((*pair.proximity, *pair.tactile) in stored for pair in pairs)
     residual_px = chosen.rms_px if shared else chosen.cross_validated_px
-    return Replacement(max(residual_px or 0.0, chosen.alignment_px), present_px)
+    depths = np.array([pair.tactile_depth_m for pair in pairs], np.float64)
+    mm_per_px = float(millimetres_per_pixel(depths, rig).mean())
+    return Replacement(max(residual_px or 0.0, chosen.alignment_px), present_px, mm_per_px)
 
 
 def _found_and_predicted(

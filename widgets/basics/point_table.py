@@ -217,6 +217,11 @@ class PointTable(QTableView):
         for number in _RESIDUALS:
             self.setColumnHidden(number, True)
 
+    def show_worst_first(self) -> None:
+        """Sort by the residual, the largest on top; pairs without a residual come last."""
+        column = next(number for number, column in enumerate(COLUMNS) if column.title == "Res. px")
+        self.sortByColumn(column, Qt.SortOrder.DescendingOrder)
+
     def rows(self) -> tuple[PointRow, ...]:
         """Return the rows, unsorted."""
         return self._model.rows

@@ -94,8 +94,10 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
     assert state().pairs[6].proximity == before
 
     # Delete one by its row, and undo
-    row = page.table.visualRect(page.table.model().index(2, 3))
-    page.table.scrollTo(page.table.model().index(2, 3))
+    model = page.table.model()
+    index = next(model.index(n, 3) for n in range(model.rowCount()) if model.index(n, 0).data() == "3")
+    page.table.scrollTo(index)
+    row = page.table.visualRect(index)
     QTest.mouseClick(page.table.viewport(), LEFT, Qt.KeyboardModifier.NoModifier, row.center())
     assert wizard.session.selected == (3,)
     QTest.keyClick(page.table, Qt.Key.Key_Delete)

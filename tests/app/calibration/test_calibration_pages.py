@@ -183,6 +183,16 @@ def test_a_wrong_pair_is_left_out_highlighted_and_named(open_wizard, scene, fram
     assert "contradicts" in rows[5].hint
     assert "pair 5" in wizard.quality.step.text()
 
+    wizard.go_to(1)
+    shown = wizard.points.table.model()
+    assert shown.index(0, 0).data() == "5", "the worst is on top"
+    assert wizard.points.drop.text() == "Remove 1 rejected pair"
+    QTest.mouseClick(wizard.points.drop, LEFT)
+    assert [pair.key for pair in wizard.session.state.pairs] == [key for key in rows if key != 5]
+    qtbot.waitUntil(lambda: not wizard.points.drop.isVisible())
+    QTest.mouseClick(wizard.undo, LEFT)
+    assert len(wizard.session.state.pairs) == len(rows)
+
 
 def test_pairs_with_large_residuals_are_named_before_points_elsewhere(scene, frames, feed):
     state = with_pairs(scene, frames, feed, dots=(0, 1, 2, 9, 10, 11, 18, 19, 20, 27, 28, 29))  # none at the right
@@ -332,6 +342,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert page.mode is OverlayMode.CHECKER
     assert page.image.grab().toImage() != blended
     assert "by the preset's contact test" in page.note.text()
+    assert "New" in page.note.text() and "Error at the pairs" in page.note.text()
     assert "does not use it" not in page.set_tolerance.text()
     document.edit("contact_test", "membrane")
     assert "membrane test does not use it" in page.set_tolerance.text()
