@@ -70,6 +70,12 @@ TRUTH: Final = TabKind(
     shortcut="F8",
     make=_later("truth_tab:TruthTab"),
 )
+TUNE: Final = TabKind(
+    title="Tun&e",
+    tip="Search for preset values with less error and less time on the open recording",
+    shortcut="Shift+F7",
+    make=_later("tune_tab:TuneTab"),
+)
 STRAIN: Final = TabKind(
     title="Membrane &strain",
     tip="Membrane strain from a printed dot grid, on the current frame",

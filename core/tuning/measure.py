@@ -56,8 +56,8 @@ OBJECTIVES: Final = {
     "stability": Objective("", True, False, "mean IoU of the masks of consecutive frames"),
 }
 
-#: Fewest times of a trial; frames of shorter clips are computed again.
-_MIN_TIMES: Final = 5
+#: How often a trial is timed. Shared steps are computed again for it.
+_TIMES: Final = 5
 #: Upper limit of the clips that a worker keeps open.
 _MAX_OPEN: Final = 8
 
@@ -94,8 +94,8 @@ class Measured:
     Attributes
     ----------
     figures : dict of str to float
-        Values of `OBJECTIVES`, ``points`` and ``missed`` (frames with true contact in which none was found). A figure
-        that is undefined is missing.
+        Values of `OBJECTIVES` (the time only if it matters), ``points`` and ``missed`` (frames with true contact in
+        which none was found). A figure that is undefined is missing.
     failure : str
         Why the parameters cannot be used; empty if they can.
     """
@@ -134,13 +134,14 @@ def _measure(batch: Batch) -> list[Measured]:
         pipelines = _Pipelines(batch.base, opened.source.rig)
         for run in runs:
             run.begin_clip()
-        for frame in opened.frames():
+        times = -(-_TIMES // len(batch.clips)) if batch.timed else 0
+        for number, frame in enumerate(opened.frames()):
             judged = _JudgedFrame(frame, opened.source.rig)
-            again = -(-_MIN_TIMES // len(clip.frames)) if batch.timed else 1
-            for round_ in range(again):
-                timed = frame if round_ == 0 else replace(frame)  # a copy is computed anew
-                for at in shared:
-                    runs[at].try_frame(pipelines, batch.trials[at], timed, judged if round_ == 0 else None)
+            for at in shared:
+                runs[at].judge_frame(pipelines, batch.trials[at], judged)
+            due = len(range(number, times, len(clip.frames)))  # a short clip's frames are timed more than once
+            for at in due * shared:
+                runs[at].time_frame(pipelines, batch.trials[at], replace(frame))  # of a copy, nothing is known
     return [run.measured() for run in runs]
 
 
@@ -197,27 +198,19 @@ class _Pipelines:
     def __init__(self, base: Preset, rig: Rig) -> None:
         self._base, self._rig = base, rig
         self._shared = ContactPipeline(base, rig)
-        self._stage_ms: dict[str, float] = {}
         self._own: dict[str, ContactPipeline] = {}
 
-    def find(self, values: dict[str, Any], frame: SensorFrame) -> tuple[ContactPatch, float]:
-        """Return the patch and its processor time without shared steps, ms."""
+    def of(self, values: dict[str, Any]) -> ContactPipeline:
+        """Return the pipeline for a trial, with its values."""
         preset = self._base.with_values(values)
         if preset.averaged_frames > 1:
-            pipeline = self._own.setdefault(repr(values), ContactPipeline(preset, self._rig))
-            patch, share = _timed(pipeline, frame)
-            return patch, share * sum(patch.stage_ms.values())
+            return self._own.setdefault(repr(values), ContactPipeline(preset, self._rig))
         self._shared.update(preset)
-        patch, share = _timed(self._shared, frame)
-        before, self._stage_ms, fresh = self._stage_ms, {}, False
-        for stage, ms in patch.stage_ms.items():
-            fresh = fresh or ms > 0  # stages before the first one that ran were cached
-            self._stage_ms[stage] = share * ms if fresh else before.get(stage, 0.0)
-        return patch, sum(self._stage_ms.values())
+        return self._shared
 
 
 def _timed(pipeline: ContactPipeline, frame: SensorFrame) -> tuple[ContactPatch, float]:
-    """Return the patch and the share of the time in which this thread had a processor.
+    """Return the patch and the time of its steps, times the share in which this thread had a processor, ms.
 
     Other workers and programs that take the processor meanwhile thus do not count. What they take of the memory's
     bandwidth does.
@@ -225,14 +218,15 @@ def _timed(pipeline: ContactPipeline, frame: SensorFrame) -> tuple[ContactPatch,
     started, started_busy = time.perf_counter_ns(), time.thread_time_ns()
     patch = pipeline.process(frame)
     busy, passed = time.thread_time_ns() - started_busy, time.perf_counter_ns() - started
-    return patch, 1.0 if sys.platform == "win32" else min(1.0, busy / passed)  # its clock of threads counts in 16 ms
+    share = 1.0 if sys.platform == "win32" else min(1.0, busy / passed)  # its clock of threads counts in 16 ms
+    return patch, share * sum(patch.stage_ms.values())
 
 
 class _JudgedFrame:
     """Measures patches against the truth of one frame; values that depend on the truth alone are computed once."""
 
     def __init__(self, frame: SensorFrame, rig: Rig) -> None:
-        self._frame, self._rig = frame, rig
+        self.frame, self._rig = frame, rig
         self._last: tuple[ContactPatch, dict[str, float]] | None = None
 
     def judge(self, patch: ContactPatch) -> dict[str, float]:
@@ -240,7 +234,7 @@ class _JudgedFrame:
         if self._last is not None and np.array_equal(self._last[0].points, patch.points):
             return self._last[1]
         figures = {"points": float(len(patch.points)), "area": patch.area_mm2}
-        if (truth := self._frame.truth) is not None:
+        if (truth := self.frame.truth) is not None:
             figures |= {
                 "iou": pixel_scores(patch.mask, truth.contact).iou,
                 "missed": float(len(patch.points) == 0 and bool(truth.contact.any())),
@@ -255,8 +249,8 @@ class _JudgedFrame:
 
     @cached_property
     def _truth(self) -> Float32Array:
-        assert self._frame.truth is not None
-        return truth_cloud(self._frame.truth, self._rig).points
+        assert self.frame.truth is not None
+        return truth_cloud(self.frame.truth, self._rig).points
 
     @cached_property
     def _tree(self) -> cKDTree:
@@ -293,21 +287,25 @@ class _Run:
         self._clips.append({})
         self._mask = None
 
-    def try_frame(
-        self, pipelines: _Pipelines, values: dict[str, Any], frame: SensorFrame, judged: _JudgedFrame | None
-    ) -> None:
-        """Add the next frame, or only another time of it if it is not to be judged."""
+    def judge_frame(self, pipelines: _Pipelines, values: dict[str, Any], judged: _JudgedFrame) -> None:
+        """Add the next frame."""
         if self._failure:
             return
         try:
-            patch, ms = pipelines.find(values, frame)
-            self._ms.append(ms)
-            if judged is not None:
-                self._add(judged.judge(patch), patch.mask)
+            pipeline = pipelines.of(values)
+            patch, ms = _timed(pipeline, judged.frame)
+            if pipeline.preset.averaged_frames > 1:
+                self._ms.append(ms)
+            self._add(judged.judge(patch), patch.mask)
         except TactuneError as error:
             self._failure = str(error)
         except (ValueError, ArithmeticError, LookupError, TypeError, cv2.error) as error:  # not lack of memory
             self._failure = f"{type(error).__name__}: {error}"
+
+    def time_frame(self, pipelines: _Pipelines, values: dict[str, Any], frame: SensorFrame) -> None:
+        """Add the time of a frame of which no step is known; an average must not see a frame twice."""
+        if not self._failure and (pipeline := pipelines.of(values)).preset.averaged_frames == 1:
+            self._ms.append(_timed(pipeline, frame)[1])
 
     def _add(self, figures: dict[str, float], mask: BoolArray) -> None:
         if self._mask is not None:
@@ -320,7 +318,7 @@ class _Run:
         """Return the figures: means over frames, then over clips."""
         if self._failure:
             return Measured({}, self._failure)
-        figures = {"ms": median(self._ms)}
+        figures = {"ms": median(self._ms)} if self._ms else {}
         for name in dict.fromkeys(name for clip in self._clips for name in clip):
             of_clips = [clip[name] for clip in self._clips if name in clip]
             if name == "missed":

@@ -247,7 +247,11 @@ class Study:
         found = [self._trial(trial) for trial in self._study.best_trials]
         first = self.plan.objectives[0]
         sign = -1.0 if OBJECTIVES[first].larger else 1.0
-        return sorted(found, key=lambda trial: (float(f"{sign * trial.figures[first]:.9g}"), trial.figures["ms"]))
+
+        def rank(trial: Trial) -> tuple[float, float]:
+            return float(f"{sign * trial.figures[first]:.9g}"), trial.figures.get("ms", 0.0)
+
+        return sorted(found, key=rank)
 
     def run(self, workers: Workers, stopped: Callable[[], bool] = lambda: False) -> Iterator[int]:
         """Measure trials until the plan's number is reached; yield the number that is measured each time it grows.

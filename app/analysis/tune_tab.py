@@ -1,0 +1,346 @@
+"""The tab Tune: a search for preset values on the open recording, with the front of time against error."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import (
+    QCheckBox,
+    QComboBox,
+    QFormLayout,
+    QGroupBox,
+    QHBoxLayout,
+    QLabel,
+    QScrollArea,
+    QSpinBox,
+    QSplitter,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.advice.proposal import Proposal
+from ...core.errors import TactuneError
+from ...core.preset import Preset
+from ...core.tuning.measure import OBJECTIVES
+from ...core.tuning.space import Axis, default_axes
+from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
+from ...widgets.basics.fields import field_spec, format_number
+from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.plots.trade_off import Dot, TradeOffPlot
+from ..context import Context
+from ..document.comparison import Side
+from ..document.document import field_title, format_value
+from ..worker.results import Result
+from .tab import AnalysisTab
+from .tune_run import Request, TuneRun, frames_of
+
+_TITLES: Final = {
+    "rmse": "RMSE",
+    "iou": "IoU",
+    "area_error": "Area error",
+    "stability": "Stability",
+    "area": "Area",
+}
+_TRIALS, _FRAMES = "tune/trials", "tune/frames"
+_USUAL_TRIALS, _USUAL_FRAMES = 60, 8
+_WAITING = "Waiting for a frame: open a recording, a folder or the simulator in the main window."
+_READY = "Start searches the ticked fields for less error and less time. The present preset is the first trial."
+_LIVE = "A live source is never the same twice: record it first, then open the recording."
+_PANEL_WIDTH = 300
+
+
+class TuneTab(AnalysisTab):
+    """Starts a search, draws its trials, previews one, and puts it into the preset."""
+
+    def __init__(self, context: Context) -> None:
+        super().__init__()
+        self._context, self._document = context, context.document
+        self._result: Result | None = None
+        self._has_truth: bool | None = None
+        self._previewed: tuple[Side, Side] | None = None
+        self.run = TuneRun(context.data_folder / "searches", self)
+        self.plot, self.status, self.messages = TradeOffPlot(), ElidedLabel(_WAITING), MessageBar()
+        self.fields: dict[str, QCheckBox] = {}
+        self._axes: dict[str, Axis] = {}
+        self.objective, self.trials, self.frames = QComboBox(), QSpinBox(), QSpinBox()
+        self.start = push_button(
+            "Sta&rt", "Search the ticked fields on the open recording (Ctrl+Return)", "Ctrl+Return"
+        )
+        self.stop = push_button("Sto&p", "Stop the search. Its trials are kept: Start continues it (Alt+P)")
+        self.use = push_button("&Use", "Put the chosen trial's values into the preset, as one undo step (Return)")
+        self.progress = ProgressBar()
+        self.pointed, self.chosen = ElidedLabel(), QLabel()
+        self._field_box = QGroupBox("Fields")
+        self._set_up_entries()
+        self._lay_out()
+        self._connect()
+        self._list_fields(self._document.preset)
+        self._update()
+
+    def show_result(self, result: Result) -> None:
+        """Offer to search on the source of this frame."""
+        new = self._result is None or result.source is not self._result.source
+        has_truth = result.frame.truth is not None
+        self._result = result
+        if new or has_truth != self._has_truth:
+            self._has_truth = has_truth
+            self._list_objectives()
+            self._update()
+
+    def shut_down(self) -> None:
+        """End the search; its trials are kept."""
+        self.run.shut_down()
+
+    # Building
+
+    def _set_up_entries(self) -> None:
+        settings = self._context.settings
+        self.objective.setToolTip("What is optimised beside the time: RMSE, IoU and area error need ground truth")
+        self.trials.setRange(1, 10_000)
+        self.trials.setValue(round(settings.number(_TRIALS, _USUAL_TRIALS)))
+        self.trials.setToolTip("Number of trials. More find better values; a larger number continues the search")
+        self.frames.setRange(1, 1000)
+        self.frames.setValue(round(settings.number(_FRAMES, _USUAL_FRAMES)))
+        self.frames.setToolTip(
+            "Number of frames of each trial, between the in and out marks: spread evenly with ground truth, otherwise "
+            "consecutive from the present frame. More are more reliable and take longer"
+        )
+        self.chosen.setWordWrap(True)
+        self.chosen.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.plot.setToolTip("One dot a trial; click one to preview it. Left and Right walk along the front")
+        self.progress.setToolTip("Trials that have been measured")
+        for entry, name in ((self.objective, "Optimise"), (self.trials, "Trials"), (self.frames, "Frames")):
+            entry.setAccessibleName(name)
+
+    def _lay_out(self) -> None:
+        QVBoxLayout(self._field_box).setSpacing(2)
+        panel = QWidget()
+        column = QVBoxLayout(panel)
+        column.setContentsMargins(0, 0, 4, 0)
+        column.addWidget(self._field_box)
+        form = QFormLayout()
+        form.addRow("&Optimise time and", self.objective)
+        form.addRow("Tria&ls", self.trials)
+        form.addRow("&Frames", self.frames)
+        column.addLayout(form)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.start)
+        buttons.addWidget(self.stop)
+        column.addLayout(buttons)
+        column.addSpacing(12)
+        column.addWidget(self.chosen)
+        column.addWidget(self.use)
+        column.addStretch(1)
+        scroll = QScrollArea()
+        scroll.setWidget(panel)
+        scroll.setWidgetResizable(True)
+        scroll.setFrameShape(QScrollArea.Shape.NoFrame)
+        scroll.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+        scroll.setMinimumWidth(max(_PANEL_WIDTH, panel.minimumSizeHint().width() + 20))
+        right = QWidget()
+        views = QVBoxLayout(right)
+        views.setContentsMargins(0, 0, 0, 0)
+        views.addWidget(self.plot, 1)
+        views.addWidget(self.pointed)
+        across = QSplitter(Qt.Orientation.Horizontal)
+        across.setChildrenCollapsible(False)
+        across.addWidget(scroll)
+        across.addWidget(right)
+        across.setStretchFactor(1, 1)
+        row = QHBoxLayout()
+        row.addWidget(self.status, 1)
+        row.addWidget(self.progress)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(row)
+        layout.addWidget(self.messages)
+        layout.addWidget(across, 1)
+
+    def _connect(self) -> None:
+        self.start.clicked.connect(self._start)
+        self.stop.clicked.connect(self._stop)
+        self.use.clicked.connect(self._use)
+        self.plot.accepted.connect(self._use)
+        self.plot.chosen.connect(self._preview)
+        self.plot.pointed.connect(self.pointed.setText)
+        self.run.changed.connect(self._show_trials)
+        self.run.ended.connect(self._ended)
+        self._document.presetChanged.connect(self._list_fields)
+        self._document.baselineChanged.connect(self._list_fields)
+
+    def _list_fields(self, preset: Preset) -> None:
+        """Offer the numbers of the preset's contact test; ticks stay."""
+        off = {path for path, box in self.fields.items() if not box.isChecked()}
+        self._axes = {axis.path: axis for axis in default_axes(preset)}
+        layout = self._field_box.layout()
+        assert layout is not None
+        for path in list(self.fields):
+            if path not in self._axes:
+                self.fields.pop(path).deleteLater()
+        for axis in self._axes.values():
+            if axis.path not in self.fields:
+                box = self.fields[axis.path] = QCheckBox()
+                box.toggled.connect(self._update)
+                layout.addWidget(box)
+            box = self.fields[axis.path]
+            box.setChecked(axis.path not in off)
+            spec = field_spec(Preset, axis.path)
+            ends = " to ".join(format_number(end * spec.factor) for end in (axis.low, axis.high))
+            box.setText(f"{spec.title}: {ends}{spec.suffix}")
+            box.setToolTip(f"{spec.description} Without the tick it keeps its value.")
+        self._update()
+
+    def _list_objectives(self) -> None:
+        before = self.objective.currentData()
+        offered = [
+            name
+            for name in _TITLES
+            if (self._has_truth or not OBJECTIVES[name].needs_truth)
+            and (name != "stability" or (self._result is not None and self._result.source.length != 1))
+        ]
+        self.objective.clear()
+        for name in offered:
+            unit = OBJECTIVES[name].unit
+            self.objective.addItem(f"{_TITLES[name]} ({unit})" if unit else _TITLES[name], name)
+        self.objective.setCurrentIndex(max(0, self.objective.findData(before)))
+
+    # Searching
+
+    def _start(self) -> None:
+        result = self._result
+        if result is None or result.source.length is None or self.run.busy:
+            return
+        length, index = result.source.length, max(0, result.playback.index)
+        self._context.settings.set(_TRIALS, self.trials.value())
+        self._context.settings.set(_FRAMES, self.frames.value())
+        self.messages.clear("failed")
+        self._end_preview()
+        self.plot.choose(-1)
+        axes = tuple(self._axes[path] for path, box in self.fields.items() if box.isChecked())
+        objective = self.objective.currentData()
+        needs_truth = OBJECTIVES[objective].needs_truth
+        frames = frames_of(self._context.trim, length, self.frames.value(), index, needs_truth)
+        request = Request(result.source.name, self._document.preset, axes, objective, frames, self.trials.value())
+        try:
+            self.run.start(request)
+        except TactuneError as error:
+            self._ended(str(error))
+
+    def _stop(self) -> None:
+        self.run.stop()
+        self._update()
+
+    def _ended(self, sentence: str) -> None:
+        if sentence:
+            self.messages.show_message("failed", Severity.ERROR, sentence)
+        self._show_trials()
+
+    def _show_trials(self) -> None:
+        request = self.run.request
+        if request is None:
+            return
+        objective = OBJECTIVES[request.objective]
+        unit = f" ({objective.unit})" if objective.unit else ""
+        self.plot.set_axes("Time (ms per frame, one thread)", f"{_TITLES[request.objective]}{unit}")
+        dots, present = [], -1
+        for number, trial in self.run.trials.items():
+            figures = trial["figures"]
+            if trial["failure"] or not figures["points"]:
+                continue
+            present = number if trial["present"] else present
+            dots.append(Dot(number, figures["ms"], figures[request.objective], self._words(trial)))
+        self.plot.set_dots(dots, self.run.front, present)
+        self._update()
+
+    def _words(self, trial: dict[str, Any]) -> str:
+        """Describe a trial in one line."""
+        request = self.run.request
+        assert request is not None
+        name, figures = request.objective, trial["figures"]
+        values = ", ".join(f"{field_title(path)} {_shown(path, value)}" for path, value in trial["values"].items())
+        which = "Present preset" if trial["present"] else f"Trial {trial['number']}"
+        unit = f" {OBJECTIVES[name].unit}".rstrip()
+        return f"{which}: {_TITLES[name]} {figures[name]:.3g}{unit}, {figures['ms']:.3g} ms; {values}"
+
+    def _update(self) -> None:
+        """Enable what is possible now and say what happens."""
+        source = None if self._result is None else self._result.source
+        request, busy = self.run.request, self.run.busy
+        done, failed = len(self.run.trials), sum(bool(trial["failure"]) for trial in self.run.trials.values())
+        if busy and request is not None:
+            words = "Stopping…" if self.run.stopping else "Reading the frames…" if not done else "Searching…"
+        elif done and request is not None:
+            words = f"{done} of {request.trials} trials on {request.source}; {len(self.run.front)} on the front"
+        else:
+            words = _WAITING if source is None else _LIVE if source.length is None else _READY
+        self.status.setText(words + (f" ({failed} failed)" if failed else ""))
+        self.progress.setVisible(busy)
+        if request is not None:
+            self.progress.show_share(min(1.0, done / request.trials), f"{done} of {request.trials} trials")
+        ticked = any(box.isChecked() for box in self.fields.values())
+        self.start.setEnabled(not busy and source is not None and source.length is not None and ticked)
+        self.stop.setEnabled(busy and not self.run.stopping)
+        for entry in (self._field_box, self.objective, self.trials, self.frames):
+            entry.setEnabled(not busy)
+        self._show_chosen()
+
+    # The chosen trial
+
+    def _changes(self) -> dict[str, Any]:
+        """Return what the chosen trial changes in the present preset."""
+        trial, request = self.run.trials.get(self.plot.number), self.run.request
+        if trial is None or request is None:
+            return {}
+        values = {"contact_test": request.preset.contact_test} | trial["values"]
+        return {path: value for path, value in values.items() if value != self._document.preset.value(path)}
+
+    def _show_chosen(self) -> None:
+        number, changes, preset = self.plot.number, self._changes(), self._document.preset
+        lines = [
+            f"{field_title(path)}: {_shown(path, preset.value(path))} → {_shown(path, value)}"
+            for path, value in changes.items()
+        ]
+        if number < 0:
+            text = "Click a dot to preview a trial in the main window." if self.run.trials else ""
+        else:
+            text = "\n".join([f"Trial {number}", *(lines or ["The same values as the present preset."])])
+        self.chosen.setText(text)
+        self.use.setText(f"&Use trial {number}" if number >= 0 else "&Use")
+        self.use.setEnabled(bool(changes))
+
+    def _preview(self, number: int) -> None:
+        """Compare the present preset with a trial in the main window."""
+        self._show_chosen()
+        comparison = self._context.comparison
+        preset = self._document.preset.with_values(self._changes())
+        self._previewed = comparison.present, Side(f"Trial {number}", preset)
+        comparison.show(*self._previewed)
+
+    def _end_preview(self) -> None:
+        """End the comparison if it is still this tab's."""
+        sides = self._context.comparison.sides
+        if self._previewed is not None and sides is not None and sides[1] == self._previewed[1]:
+            self._context.comparison.end()
+        self._previewed = None
+
+    def _use(self) -> None:
+        changes, trial, request = self._changes(), self.run.trials.get(self.plot.number), self.run.request
+        if not changes or trial is None or request is None:
+            return
+        self._end_preview()
+        sections = {path.partition(".")[0] for path in changes}
+        evidence = f"{self._words(trial)}. On {len(request.frames)} frames of {request.source}."
+        section = sections.pop() if len(sections) == 1 else "all"
+        name = f"Trial {trial['number']}"
+        if self._document.apply(Proposal(section, changes, f"{name} of the search", evidence, "")):
+            self.messages.show_message("used", Severity.INFO, f"{name} is in the preset. Undo: Ctrl+Z.")
+        self._show_chosen()
+
+
+def _shown(path: str, value: Any) -> str:
+    """Return a value as the parameter panel shows it."""
+    spec = field_spec(Preset, path)
+    if spec.kind != "number":
+        return format_value(value)
+    return f"{format_number(value * spec.factor, 4)}{spec.suffix}"

@@ -1,0 +1,180 @@
+"""A plot of trials: run time against another figure, with the front of those that no other beats."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pyqtgraph as pg
+from PyQt6.QtCore import QEvent, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QKeyEvent
+from PyQt6.QtWidgets import QVBoxLayout, QWidget
+
+from ..basics.theme import theme_colors
+
+_DOT_PX, _RING_PX = 9, 17
+
+
+@dataclass(frozen=True)
+class Dot:
+    """One trial.
+
+    Attributes
+    ----------
+    number : int
+    x, y : float
+        In the units of the axes.
+    words : str
+        Shown while the pointer is over the dot.
+    """
+
+    number: int
+    x: float
+    y: float
+    words: str
+
+
+class TradeOffPlot(QWidget):
+    """Dots to hover over and to click; Left and Right walk along the front.
+
+    Signals
+    -------
+    pointed(words: str)
+        The pointer is over a dot; empty when it leaves.
+    chosen(number: int)
+        A dot was clicked or reached by a key.
+    accepted()
+        Enter was pressed.
+    """
+
+    pointed = pyqtSignal(str)
+    chosen = pyqtSignal(int)
+    accepted = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._dots: dict[int, Dot] = {}
+        self._front: tuple[int, ...] = ()
+        self._present = -1
+        self._number = -1
+        self.plot_widget = pg.PlotWidget()
+        self.plot_widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
+        self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.setAccessibleName("Trials: time against error")
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.plot_widget)
+        plot = self._plot = self.plot_widget.getPlotItem()
+        plot.setMenuEnabled(False)
+        plot.hideButtons()
+        plot.setMouseEnabled(x=False, y=False)
+        plot.showGrid(x=True, y=True, alpha=0.15)
+        self._line = pg.PlotCurveItem()
+        self._ring = pg.ScatterPlotItem(size=_RING_PX)
+        self.scatter = pg.ScatterPlotItem(size=_DOT_PX, hoverable=True, tip=None, hoverSize=_DOT_PX + 4)
+        for item in (self._line, self._ring, self.scatter):
+            plot.addItem(item)
+        self.scatter.sigHovered.connect(self._hovered)
+        self.scatter.sigClicked.connect(self._clicked)
+
+    def set_axes(self, x: str, y: str) -> None:
+        """Name the axes, with their units."""
+        self._plot.setLabel("bottom", x)
+        self._plot.setLabel("left", y)
+
+    def set_dots(self, dots: Sequence[Dot], front: Sequence[int], present: int = -1) -> None:
+        """Show other dots.
+
+        Parameters
+        ----------
+        dots : sequence of Dot
+        front : sequence of int
+            Numbers of the dots that no other beats.
+        present : int
+            Number of the dot of the present preset; -1 for none.
+        """
+        self._dots = {dot.number: dot for dot in dots}
+        self._front = tuple(sorted((n for n in front if n in self._dots), key=lambda n: self._dots[n].x))
+        self._present = present
+        if self._number not in self._dots:
+            self._number = -1
+        self._draw()
+
+    @property
+    def front(self) -> tuple[int, ...]:
+        """The numbers of the front, by time."""
+        return self._front
+
+    @property
+    def number(self) -> int:
+        """The number of the chosen dot; -1 for none."""
+        return self._number
+
+    def choose(self, number: int) -> None:
+        """Mark a dot; -1 marks none. Emits nothing."""
+        self._number = number
+        self._draw()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Walk along the front, or accept the chosen dot."""
+        assert event is not None
+        steps = {Qt.Key.Key_Left: -1, Qt.Key.Key_Right: 1}
+        if event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._number >= 0:
+            self.accepted.emit()
+        elif event.key() in steps and self._front:
+            step = steps[Qt.Key(event.key())]
+            at = self._front.index(self._number) + step if self._number in self._front else min(0, step)
+            self._choose(self._front[at % len(self._front)])
+        else:
+            super().keyPressEvent(event)
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange:
+            colors = theme_colors()
+            self.plot_widget.setBackground(colors.base)
+            for side in ("left", "bottom"):
+                axis = self._plot.getAxis(side)
+                axis.setPen(colors.border)
+                axis.setTextPen(colors.text)
+            self._draw()
+
+    def _draw(self) -> None:
+        colors = theme_colors()
+        front = set(self._front)
+        self.scatter.setData(
+            [
+                {
+                    "pos": (dot.x, dot.y),
+                    "data": dot.number,
+                    "symbol": "d" if dot.number == self._present else "o",
+                    "brush": QColor(colors.accent if dot.number in front else colors.outside),
+                    "pen": pg.mkPen(colors.text if dot.number == self._present else colors.base),
+                    "size": _DOT_PX + 5 * (dot.number == self._present),
+                }
+                for dot in sorted(self._dots.values(), key=lambda dot: dot.number in front)
+            ]
+        )
+        line = [self._dots[number] for number in self._front]
+        self._line.setData([dot.x for dot in line], [dot.y for dot in line])
+        self._line.setPen(pg.mkPen(colors.accent, width=1.5))
+        chosen = self._dots.get(self._number)
+        self._ring.setData([{"pos": (chosen.x, chosen.y)}] if chosen else [])
+        self._ring.setBrush(pg.mkBrush(None))
+        self._ring.setPen(pg.mkPen(colors.text, width=2))
+
+    def _hovered(self, _: Any, spots: Any, __: Any) -> None:
+        words = self._dots[spots[0].data()].words if len(spots) else ""
+        self.setToolTip(words)
+        self.pointed.emit(words)
+
+    def _clicked(self, _: Any, spots: Any, __: Any) -> None:
+        self.setFocus()
+        self._choose(spots[0].data())
+
+    def _choose(self, number: int) -> None:
+        self.choose(number)
+        self.pointed.emit(self._dots[number].words)
+        self.chosen.emit(number)
