@@ -28,9 +28,26 @@ def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
     window.activateWindow()
     type_into(entry, "0.05")
     assert window.document.preset.tolerance.t == 0.05
-    assert QApplication.focusWidget() is entry
+    entry.setFocus()
     QTest.keyClick(entry, Qt.Key.Key_Z, CONTROL)
     assert window.document.preset is before
+
+
+def test_a_field_leaves_the_playback_keys_to_the_window(window, qtbot):
+    entry = window.panel.rows["tolerance.t"].widget.entry
+    pressed = []
+    window.actions_.play.triggered.connect(lambda: pressed.append("play"))
+    window.actions_.previous.triggered.connect(lambda: pressed.append("previous"))
+    window.activateWindow()
+    entry.setFocus()
+    QTest.keyClick(entry, Qt.Key.Key_Space)
+    QTest.keyClick(entry, Qt.Key.Key_Comma)
+    assert pressed == ["play", "previous"]
+    type_into(entry, "0.05")
+    assert window.document.preset.tolerance.t == 0.05
+    assert not entry.hasFocus(), "Return gives the keyboard back"
+    QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
+    assert pressed == ["play", "previous", "play"]
 
 
 def test_drag_a_slider_then_undo_and_redo(window, qtbot):

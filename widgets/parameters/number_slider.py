@@ -64,7 +64,8 @@ class NumberEntry(QAbstractSpinBox):
     """A spin box for one number of a preset field.
 
     The value stays the exact number given to `setValue`; only what a person types or steps changes it.
-    Typing takes effect on Enter or when the focus leaves; Esc brings back the text.
+    Typing takes effect on Enter, which gives the keyboard back to the window, or when the focus leaves; Esc brings back
+    the text. Before anything is typed, space bar and comma belong to the window: no number begins with them.
 
     Signals
     -------
@@ -140,20 +141,29 @@ class NumberEntry(QAbstractSpinBox):
         return self.sizeHint()
 
     def event(self, event: QEvent | None) -> bool:
-        """Leave undo and redo to the window unless typed text can be undone."""
+        """Leave undo, redo and the comma to the window unless something was typed."""
         is_shortcut = event is not None and event.type() == QEvent.Type.ShortcutOverride
-        if is_shortcut and not self._typing and isinstance(event, QKeyEvent) and any(map(event.matches, _UNDO_KEYS)):
-            event.ignore()
-            return False
+        if is_shortcut and not self._typing and isinstance(event, QKeyEvent):
+            if event.key() == Qt.Key.Key_Comma or any(map(event.matches, _UNDO_KEYS)):
+                event.ignore()
+                return False
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Esc restores the text while typing."""
-        if event is not None and event.key() == Qt.Key.Key_Escape and self._typing:
+        """Esc restores the text while typing; Enter leaves the field; the space bar is the window's."""
+        if event is None:
+            return
+        if event.key() == Qt.Key.Key_Escape and self._typing:
             self._show_value()
             self.selectAll()
-            return
-        super().keyPressEvent(event)
+        elif event.key() == Qt.Key.Key_Space and not self._typing:
+            event.ignore()
+        elif event.key() in (Qt.Key.Key_Return, Qt.Key.Key_Enter):
+            self._commit()
+            if (window := self.window()) is not None:
+                window.setFocus()
+        else:
+            super().keyPressEvent(event)
 
     def wheelEvent(self, event: QWheelEvent | None) -> None:
         """Let the panel scroll unless this entry has the focus."""
