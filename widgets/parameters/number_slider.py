@@ -142,11 +142,10 @@ class NumberEntry(QAbstractSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Leave undo, redo and the comma to the window unless something was typed."""
-        is_shortcut = event is not None and event.type() == QEvent.Type.ShortcutOverride
-        if is_shortcut and not self._typing and isinstance(event, QKeyEvent):
-            if event.key() == Qt.Key.Key_Comma or any(map(event.matches, _UNDO_KEYS)):
-                event.ignore()
-                return False
+        asked = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and not self._typing
+        if asked and (event.key() == Qt.Key.Key_Comma or any(map(event.matches, _UNDO_KEYS))):
+            event.ignore()
+            return False
         return super().event(event)
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
