@@ -142,8 +142,12 @@ class NumberEntry(QAbstractSpinBox):
 
     def event(self, event: QEvent | None) -> bool:
         """Leave undo, redo and the comma to the window unless something was typed."""
-        asked = isinstance(event, QKeyEvent) and event.type() == QEvent.Type.ShortcutOverride and not self._typing
-        if asked and (event.key() == Qt.Key.Key_Comma or any(map(event.matches, _UNDO_KEYS))):
+        if (
+            isinstance(event, QKeyEvent)
+            and event.type() == QEvent.Type.ShortcutOverride
+            and not self._typing
+            and (event.key() == Qt.Key.Key_Comma or any(map(event.matches, _UNDO_KEYS)))
+        ):
             event.ignore()
             return False
         return super().event(event)
