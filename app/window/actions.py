@@ -48,6 +48,7 @@ class Actions:
     export_patches: QAction
     calibrate: QAction
     recheck: QAction
+    watch_drift: QAction
     check_cameras: QAction
     measure_noise: QAction
     findings: QAction
@@ -146,6 +147,12 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         open_recording=action(
             "Open recordin&g…", "Open a recording of Tactune or RealSense, or two bags with one camera each", "Ctrl+R"
         ),
+        watch_drift=action(
+            "&Watch for drift",
+            "Look once in 10 s whether a camera of a live source moved, the pressure changed or a lens is dirty, "
+            "compared with the preset's untouched frame",
+            checkable=True,
+        ),
         check_cameras=action("C&heck cameras…", "Depth quality, noise, skew and bias of both cameras", "F6"),
         measure_noise=action(
             "&Measure noise and bias…", "Measure the noise of both cameras and the bias between them, for the preset"
@@ -206,7 +213,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
         about=action("&About Tactune"),
     )
-    for checkable in (made.loop, made.show_strip, made.show_time, made.show_panel):
+    for checkable in (made.loop, made.watch_drift, made.show_strip, made.show_time, made.show_panel):
         checkable.setChecked(True)
     for view in (made.show_proximity, made.show_tactile, made.show_patch):
         view.setChecked(True)
@@ -274,7 +281,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
 
     speeds = _fill_playback(_menu(bar, "&Playback"), actions)
     _menu(bar, "&Calibration").addActions(
-        [actions.calibrate, actions.recheck, actions.check_cameras, actions.measure_noise]
+        [actions.calibrate, actions.recheck, actions.watch_drift, actions.check_cameras, actions.measure_noise]
     )
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])

@@ -30,6 +30,7 @@ from ..document.document import Document
 from ..document.recovery import Autosave
 from ..rig.check_window import CameraChecks
 from ..rig.untouched_window import UntouchedControls
+from ..rig.watch_control import WatchControl
 from ..settings import Settings
 from ..timeline.control import Timeline
 from ..timeline.export import ExportBar, FrameExport
@@ -55,7 +56,7 @@ DEFAULT_SIZE = (1280, 800)
 _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
 #: The actions whose state is remembered between starts.
-_TOGGLES = ("show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
+_TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 _COLLAPSED_AT_FIRST = "range,region"
 
 
@@ -138,6 +139,9 @@ class MainWindow(QMainWindow):
         self.cameras = CameraControl(self.context)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
+        self.watch = WatchControl(
+            self.context, self.untouched.keeper, self.actions_.watch_drift, self.calibration.open_recheck
+        )
         self.suggest = SuggestControl(self.context)
         self.analysis = self._make_analysis()
         self._closing = False
@@ -502,6 +506,7 @@ class MainWindow(QMainWindow):
     def shut_down(self) -> None:
         """Close the other windows and stop the worker."""
         for part in (
+            self.watch,
             self.suggest,
             self.timeline,
             self.export,

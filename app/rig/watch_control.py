@@ -1,0 +1,113 @@
+"""The drift watchdog of the window: it looks at live sources, tells what changed, and offers the re-check."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from PyQt6.QtCore import QObject
+from PyQt6.QtGui import QAction
+
+from ...core.model.frames import Rig, SensorFrame
+from ...core.preset import Preset
+from ...core.rig.watch import INTERVAL_S, SUBJECTS, Watchdog, WatchReport
+from ...widgets.basics.message_bar import Severity
+from ..context import Context
+from ..worker.jobs import Job
+from .untouched_capture import UntouchedKeeper
+
+
+class WatchControl(QObject):
+    """Looks at one frame in ten seconds of a live source, on another thread, while its action is ticked.
+
+    Parameters
+    ----------
+    context : Context
+    keeper : UntouchedKeeper
+        Has the preset's untouched frame.
+    action : QAction
+        Checkable.
+    recheck : callable
+        Opens the re-check.
+    """
+
+    def __init__(self, context: Context, keeper: UntouchedKeeper, action: QAction, recheck: Callable[[], None]) -> None:
+        super().__init__(context)
+        self._context, self._keeper, self._action, self._recheck = context, keeper, action, recheck
+        self._watch = _Watch()
+        self._key: object = None
+        self._next_s = float("-inf")
+        self._failed = False
+        self._job = Job(self)
+        self._job.done.connect(self._tell)
+        self._job.failed.connect(self._fail)
+        context.frameShown.connect(self._look)
+        context.worker.opened.connect(self._forget)
+        action.toggled.connect(self._forget)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a look is running."""
+        return self._job.busy
+
+    def close(self) -> None:
+        """Stop permanently."""
+        self._job.stop()
+
+    def _forget(self) -> None:
+        self._key = None
+        self._job.stop()
+        for subject in ("", *SUBJECTS):
+            self._context.messages.clear(f"watch {subject}")
+
+    def _look(self) -> None:
+        """Look at the shown frame if that is due."""
+        result, untouched = self._context.result, self._keeper.frame
+        if result is None or result.source.length is not None or not self._action.isChecked():
+            return
+        preset = self._context.document.preset
+        if self._keeper.busy or self._job.busy or (untouched is None and preset.alignment.calibration is None):
+            return
+        # The other fields only decide what counts as touched; changing them must not forget earlier looks.
+        key = (id(untouched), preset.alignment, preset.noise, result.source)
+        if key != self._key:
+            self._forget()
+            self._key, self._watch, self._next_s, self._failed = key, _Watch(), float("-inf"), False
+        time_s = result.frame.proximity_time_s
+        if self._failed or self._next_s - INTERVAL_S <= time_s < self._next_s:
+            return
+        self._next_s = time_s + INTERVAL_S
+        watch, rig, frame = self._watch, result.source.rig, result.frame
+        self._job.start(lambda _: watch.look(preset, rig, untouched, frame))
+
+    def _tell(self, report: WatchReport | None) -> None:
+        if report is None:
+            return
+        key = f"watch {report.subject}"
+        if report.state == "withdrawn":
+            self._context.messages.clear(key)
+        else:
+            self._context.messages.show_message(key, Severity.WARNING, report.sentence, [("Re-check…", self._recheck)])
+
+    def _fail(self, sentence: str) -> None:
+        self._failed = True  # the same reference would fail again
+        if sentence:
+            self._context.messages.show_message("watch ", Severity.INFO, f"Drift is not watched: {sentence}")
+
+
+class _Watch:
+    """A watchdog that is made with its first look, on the thread of the job."""
+
+    def __init__(self) -> None:
+        self._watchdog: Watchdog | None = None
+
+    def look(self, preset: Preset, rig: Rig, untouched: SensorFrame | None, frame: SensorFrame) -> WatchReport | None:
+        """Look at a frame.
+
+        Raises
+        ------
+        TactuneError
+            The reference cannot be used.
+        """
+        if self._watchdog is None:
+            self._watchdog = Watchdog(preset, rig, untouched)
+        return self._watchdog.look(frame, frame.proximity_time_s)

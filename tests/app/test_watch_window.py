@@ -1,0 +1,119 @@
+"""The drift watchdog in the window: one message with its number for a live source, and the re-check one click away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QToolButton
+
+from drifting import AVERAGED, drifted, untouched
+from fake_cameras import FakeCameras
+from hands import press, show_source
+from tactune.core.preset.file import save_preset
+from tactune.core.rig.untouched import save_untouched
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.simulator.drifted import Drift
+
+DRIFT = Drift("tactile", (0.002, 0.0, 0.0))
+KEY = "watch tactile"
+
+
+class MovedCameras(FakeCameras):
+    """Live cameras with a frame in ten seconds; the tactile one is moved by ``move``."""
+
+    def __init__(self) -> None:
+        self._rest, self._moved, self.is_moved = drifted(), drifted(DRIFT), False
+        super().__init__(self._rest.rig)
+
+    def move(self) -> None:
+        self.is_moved = True
+
+    def next_frame(self):
+        number = len(self.given)
+        if super().next_frame() is None:
+            return None
+        frame = (self._moved if self.is_moved else self._rest).read(AVERAGED + number % AVERAGED)
+        time_s = 1000.0 + 10.0 * number
+        self.given[-1] = replace(frame, sequence=number, proximity_time_s=time_s, tactile_time_s=time_s, truth=None)
+        return self.given[-1]
+
+
+@pytest.fixture(scope="module")
+def reference():
+    return untouched()
+
+
+@pytest.fixture
+def window(make_window, tmp_path, reference, qtbot):
+    path = tmp_path / "kept.json"
+    preset = load_preset("simulator").with_value("untouched", save_untouched(reference, AVERAGED, path).model_dump())
+    save_preset(preset, path)
+    made = make_window()
+    made.file_flows.open_preset(path)
+    qtbot.waitUntil(lambda: made.untouched.keeper.frame is not None)
+    return made
+
+
+@pytest.fixture
+def moving(window, qtbot):
+    cameras = MovedCameras()
+    cameras.release()
+    show_source(qtbot, window, cameras)
+    return cameras
+
+
+def look(qtbot, window, cameras, count):
+    """Show one frame after the other; each is due for a look, and the look has ended."""
+    for _ in range(count):
+        cameras.give(qtbot, 1)
+        newest = cameras.given[-1].sequence
+        qtbot.waitUntil(lambda newest=newest: window.result.frame.sequence == newest, timeout=20_000)
+        qtbot.waitUntil(lambda: not window.watch.busy, timeout=60_000)
+
+
+def test_a_moved_camera_is_told_and_the_button_opens_the_re_check(window, moving, qtbot):
+    look(qtbot, window, moving, 3)
+    assert window.messages.message(KEY) is None
+    moving.move()
+    look(qtbot, window, moving, 3)
+    message = window.messages.message(KEY)
+    assert message is not None
+    assert "The tactile camera has moved by 2.0 mm" in message.sentence
+    press(message, "Re-check…")
+    assert window.messages.message(KEY) is None
+    qtbot.waitUntil(lambda: window.calibration.recheck is not None and window.calibration.recheck.isVisible())
+    window.calibration.recheck.close()
+
+
+def test_a_dismissed_message_does_not_come_back(window, moving, qtbot):
+    moving.move()
+    look(qtbot, window, moving, 3)
+    [dismiss] = window.messages.message(KEY).findChildren(QToolButton)
+    QTest.mouseClick(dismiss, Qt.MouseButton.LeftButton)
+    look(qtbot, window, moving, 3)
+    assert window.messages.message(KEY) is None
+
+
+def test_it_is_switched_off_in_the_calibration_menu_and_stays_off(window, moving, make_window, qtbot):
+    action = window.actions_.watch_drift
+    assert action.isChecked()
+    menu_click(qtbot, window, action)
+    assert not action.isChecked()
+    moving.move()
+    look(qtbot, window, moving, 4)
+    assert window.messages.message(KEY) is None
+    window.close_without_asking()
+    assert not make_window().actions_.watch_drift.isChecked()
+
+
+def menu_click(qtbot, window, action):
+    """Open the Calibration menu with the mouse and click an entry."""
+    bar = window.menuBar()
+    [top] = [entry for entry in bar.actions() if entry.text() == "&Calibration"]
+    QTest.mouseClick(bar, Qt.MouseButton.LeftButton, pos=bar.actionGeometry(top).center())
+    menu = top.menu()
+    qtbot.waitUntil(menu.isVisible)
+    QTest.mouseClick(menu, Qt.MouseButton.LeftButton, pos=menu.actionGeometry(action).center())
