@@ -24,8 +24,9 @@ from ..model.clouds import valid_depth
 from ..model.frames import DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..preset import Preset
-from .untouched import TILE_PX, tile_medians
 
+#: Side length of the image tiles over which depth is averaged, pixels.
+_TILE_PX: Final = 16
 #: Texture: at most this many places, this far apart, tracked with a window of this side length; pixels.
 _MAX_PLACES: Final = 300
 _APART_PX: Final = 12.0
@@ -189,13 +190,13 @@ class _Surface:
 
     def __init__(self, counts: Uint16Array, camera: DepthCamera) -> None:
         self._unit_m = camera.depth_unit_m
-        self._before = tile_medians(counts) * self._unit_m
-        self._grid = (counts.shape[0] // TILE_PX, counts.shape[1] // TILE_PX)
+        self._before = _tile_means(counts) * self._unit_m
+        self._grid = (counts.shape[0] // _TILE_PX, counts.shape[1] // _TILE_PX)
         depth = self._before.reshape(self._grid)
         row, column = np.mgrid[: self._grid[0], : self._grid[1]]
-        centres = np.column_stack([column.ravel(), row.ravel()]) * TILE_PX + (TILE_PX - 1) / 2
+        centres = np.column_stack([column.ravel(), row.ravel()]) * _TILE_PX + (_TILE_PX - 1) / 2
         rays = ray_seen(camera.intrinsics, centres)
-        spacing = TILE_PX / np.array([camera.intrinsics.fy, camera.intrinsics.fx])
+        spacing = _TILE_PX / np.array([camera.intrinsics.fy, camera.intrinsics.fx])
         slope_y, slope_x = (np.asarray(slope).ravel() for slope in np.gradient(depth, *spacing))
         whole = cv2.erode(np.isfinite(depth).astype(np.uint8), np.ones((3, 3), np.uint8), borderValue=0)
         self._inner: BoolArray = (whole.ravel() > 0) & np.isfinite(slope_x) & np.isfinite(slope_y)
@@ -219,7 +220,7 @@ class _Surface:
 
     def changes(self, counts: Uint16Array) -> tuple[Float64Array, BoolArray]:
         """Return the change of depth of each tile, (M,) metres, and where it is known."""
-        change = (tile_medians(counts) * self._unit_m - self._before)[self._inner]
+        change = (_tile_means(counts) * self._unit_m - self._before)[self._inner]
         return change, np.isfinite(change)
 
     def fit(self, change: Float64Array, known: BoolArray, noise_m: float) -> _DepthFit:
@@ -371,6 +372,20 @@ def _sampled(image: Float32Array, places: Float64Array) -> Float64Array:
     return np.asarray(image[v, u], np.float64) + 1e-9
 
 
+def _tile_means(counts: Uint16Array) -> Float64Array:
+    """Return the mean of the valid counts of each image tile, shape (M,); nan where most pixels have no depth.
+
+    The median would jump from one disparity of the matcher to the next.
+    """
+    rows, columns = (size // _TILE_PX for size in counts.shape)
+    valid = valid_depth(counts)[: rows * _TILE_PX, : columns * _TILE_PX]
+    kept = np.where(valid, counts[: valid.shape[0], : valid.shape[1]], 0).astype(np.float64)
+    known, total = (
+        image.reshape(rows, _TILE_PX, columns, _TILE_PX).sum(axis=(1, 3)).ravel() for image in (valid, kept)
+    )
+    return np.where(known >= _TILE_PX**2 // 2, total / np.maximum(known, 1), np.nan)
+
+
 def _smooth_m(counts: Uint16Array, camera: DepthCamera) -> Float64Array:
     """Return the depth without the noise of single pixels, nan where there is none."""
     median = np.asarray(cv2.medianBlur(counts, 5), np.uint16)
@@ -391,7 +406,7 @@ def _tile_noise_m(preset: Preset, rig: Rig) -> float:
     assert preset.noise is not None
     camera = preset.noise.tactile
     focal_px = rig.tactile.intrinsics.fx
-    area_m2 = (TILE_PX * camera.distance_m / focal_px) ** 2
+    area_m2 = (_TILE_PX * camera.distance_m / focal_px) ** 2
     return float(np.sqrt(camera.changing_share * camera.density_m4(focal_px) / area_m2))
 
 

@@ -57,8 +57,8 @@ _SPANS: Final = (3, 6, 12)
 _CERTAIN: Final = 4.0
 #: Standard deviation of a median of n normal values: this times that of their mean.
 _MEDIAN: Final = 1.2533
-#: While something touches, the alignment is checked at every third look only: it takes ten times as long.
-_ALIGNMENT_EVERY: Final = 3
+#: While something touches, the alignment is checked at every fifth look only: it takes ten times as long.
+_ALIGNMENT_EVERY: Final = 5
 
 
 @dataclass(frozen=True)
@@ -161,11 +161,11 @@ class Watchdog:
         return [subject for subject in SUBJECTS if subject in self._told]
 
     def _measure(self, frame: SensorFrame) -> dict[Subject, float]:
+        self._skipped += 1
         if self._meter is not None:
             change = self._meter.compare(frame)
             if not change.touched:
                 return self._kept(change)
-        self._skipped += 1
         if self._skipped < _ALIGNMENT_EVERY:
             return {}
         self._skipped = 0
@@ -177,7 +177,6 @@ class Watchdog:
         return {"alignment": float(np.sqrt(max((drift.drift_mm / 1e3) ** 2 - before_m**2, 0.0)))}
 
     def _kept(self, change: Change) -> dict[Subject, float]:
-        self._skipped = _ALIGNMENT_EVERY
         self._pressure_sigma_m, self._bulge_m = change.inflation_sigma_m, change.bulge_m
         measured: dict[Subject, float | None] = {
             "tactile": change.tactile_m,

@@ -81,8 +81,8 @@ def test_ordinary_use_raises_no_alarm(watchdog: Watchdog) -> None:
 def test_a_camera_that_moves_while_the_object_presses_is_found_by_both_colour_images(reference: SensorFrame) -> None:
     watchdog = Watchdog(load_preset("simulator"), drifted().rig, reference)
     pressed = drifted(Drift("tactile", (0.002, 0, 0)), "medium")
-    assert not reports(watchdog, map(drifted(press="medium").read, range(9)))
-    [(_, report)] = reports(watchdog, (pressed.read(index) for index in range(12)), 9)
+    assert not reports(watchdog, map(drifted(press="medium").read, range(15)))
+    [(_, report)] = reports(watchdog, (pressed.read(index) for index in range(15)), 15)
     assert report.subject == "alignment"
     assert report.value == pytest.approx(0.002, rel=0.2)
 
