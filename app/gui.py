@@ -123,7 +123,7 @@ def _prepare(window: MainWindow, preset_path: Path | None, size: tuple[int, int]
     if theme is not None:
         window.set_theme(cast(ThemeChoice, theme), remember=False)
     if size is not None:
-        window.resize(*size)
+        window.resize_to(*size)
     window.error_hook.install()
     window.show()
 

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import cast
 
-from PyQt6.QtCore import QEvent, QSignalBlocker, Qt
+from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
 
@@ -161,6 +161,14 @@ class MainWindow(QMainWindow):
     def result(self) -> Result | None:
         """The frame on the screen; None before the first one of a source."""
         return self.context.result
+
+    def resize_to(self, width: int, height: int) -> None:
+        """Give the window a size in pixels, at most that of the screen, also if it was maximised."""
+        self.setWindowState(self.windowState() & ~(Qt.WindowState.WindowMaximized | Qt.WindowState.WindowFullScreen))
+        size, screen = QSize(width, height), self.screen()
+        if screen is not None and QApplication.platformName() != "offscreen":  # a picture may have any size
+            size = size.boundedTo(screen.availableSize())
+        self.resize(size)
 
     # Building
 
@@ -435,7 +443,7 @@ class MainWindow(QMainWindow):
         """Restore the layout of the last start; missing or unusable values take their defaults."""
         settings = self.settings
         if not self.restoreGeometry(settings.blob("window/geometry")):
-            self.resize(*DEFAULT_SIZE)
+            self.resize_to(*DEFAULT_SIZE)
         if not self.across.restoreState(settings.blob("window/across")):
             self.across.setSizes([DEFAULT_SIZE[0] - 360, 360])
         self.left.restoreState(settings.blob("window/left"))

@@ -202,6 +202,17 @@ def test_the_layout_is_remembered(window, make_window, qtbot):
     assert again.views.point_size.value() == 5
 
 
+def test_a_given_size_wins_over_a_maximised_window(make_window):
+    window = make_window(size=(900, 650))
+    window.showMaximized()
+    window.close_without_asking()
+    again = make_window()
+    assert again.isMaximized()
+    again.resize_to(1000, 700)
+    assert not again.isMaximized()
+    assert (again.width(), again.height()) == (1000, 700)
+
+
 def test_a_damaged_settings_file_means_defaults(make_window, settings_file):
     settings_file.write_text(
         "[window]\ngeometry=rubbish\nacross=@ByteArray(xx)\n[view]\npoint_size=many\ncolor_by=taste\n"
