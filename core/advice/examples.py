@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -21,7 +21,7 @@ CURVES: Final[dict[str, dict[str, tuple[float, ...]]]] = {
     "tolerance": {"tolerance.t": tuple(float(f"{t:.2g}") for t in np.geomspace(0.002, 0.08, 24))},
     "outliers": {
         "outliers.ratio": (0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0),
-        "outliers.min_cluster_area_mm2": (0, 5, 10, 20, 30, 50, 75, 100, 150, 200, 300, 500),
+        "outliers.min_cluster_area_mm2": (0, 5, 10, 20, 30, 50, 75, 100, 150),
     },
     "membrane": {
         "membrane.gap_m": (0.0, 1e-5, 2e-5, 5e-5, 1e-4, 1.5e-4, 2e-4, 3e-4, 5e-4),
@@ -29,8 +29,11 @@ CURVES: Final[dict[str, dict[str, tuple[float, ...]]]] = {
         "membrane.min_area_mm2": (0, 5, 10, 20, 30, 50, 75, 100, 150, 200),
     },
 }
-#: Values whose error exceeds the smallest by at most this share and this area count as equally good, mm^2.
-_TIE_SHARE, _TIE_MM2 = 0.05, 5.0
+#: Values whose error exceeds the smallest by at most this are equally good.
+_TIE: Final = 0.01
+#: The value chosen among equally good ones, where it is not the default of the field: the paper keeps all clusters, the
+#: shipped preset `simulator` drops those below this area.
+_USUAL: Final = {"outliers.min_cluster_area_mm2": 30.0}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +49,9 @@ class ErrorCurve:
     missed_mm2, false_mm2 : float64, shape (N,)
         Area of contact that is not found, and area that is found without contact. Mean per example.
     present, proposed : float
-        The proposed value has the smallest sum of both areas; of nearly equal ones the nearest to the shipped default.
+        The proposed value has the smallest `error`; of nearly equal ones the nearest to the shipped value.
+    contact_mm2 : float
+        Area of the painted contact, mean per example.
     """
 
     path: str
@@ -55,11 +60,16 @@ class ErrorCurve:
     false_mm2: Float64Array
     present: float
     proposed: float
+    contact_mm2: float
 
     @property
-    def error_mm2(self) -> Float64Array:
-        """The sum of both areas."""
-        return self.missed_mm2 + self.false_mm2
+    def error(self) -> Float64Array:
+        """Missed and false area as a share of the union of painted and found contact; 1 if nothing is found.
+
+        The sum of both areas alone is smallest for finding nothing where false contact is larger than contact.
+        """
+        union = self.contact_mm2 + self.false_mm2
+        return np.asarray((self.missed_mm2 + self.false_mm2) / np.maximum(union, 1e-9))
 
     def at(self, value: float) -> tuple[float, float]:
         """Return the missed and the false area at a value, interpolated, mm^2."""
@@ -75,12 +85,19 @@ class Judge:
     preset : Preset
     rig : Rig
     examples : sequence of Example
+
+    Attributes
+    ----------
+    contact_mm2 : float
+        Area of the painted contact, mean per example.
     """
 
     def __init__(self, preset: Preset, rig: Rig, examples: tuple[Example, ...]) -> None:
         self._examples = examples
         self._pipelines = [ContactPipeline(_single(preset), rig) for _ in examples]
         self._areas_mm2 = [_areas_mm2(example, rig) for example in examples]
+        painted = zip(examples, self._areas_mm2, strict=True)
+        self.contact_mm2 = sum(_contact_mm2(example, areas) for example, areas in painted) / len(examples)
 
     def areas_mm2(self, preset: Preset) -> tuple[float, float]:
         """Return the missed and the false area, means per example, mm^2."""
@@ -134,16 +151,20 @@ def curve_of(path: str, preset: Preset, judge: Judge, progress: Progress) -> Err
         paths = ", ".join(path for fields in CURVES.values() for path in fields)
         raise AdviceError(f"there is no error curve of {path!r}; choose one of {paths}")
     preset = preset.with_values(_in_use(section))
-    default, present = float(Preset().value(path)), float(preset.value(path))
+    default, present = usual_value(path), float(preset.value(path))
     values = np.unique([*CURVES[section][path], default, present])
     areas = np.empty((len(values), 2))
     for number, value in enumerate(values):
         progress(number / len(values), f"Trying {path} = {value:g}")
         areas[number] = judge.areas_mm2(preset.with_value(path, float(value)))
-    errors = areas.sum(axis=1)
-    tied = values[errors <= errors.min() * (1 + _TIE_SHARE) + _TIE_MM2]
-    proposed = float(tied[np.argmin(np.abs(tied - default))])
-    return ErrorCurve(path, values, areas[:, 0], areas[:, 1], present, proposed)
+    curve = ErrorCurve(path, values, areas[:, 0], areas[:, 1], present, present, judge.contact_mm2)
+    tied = values[curve.error <= curve.error.min() + _TIE]
+    return replace(curve, proposed=float(tied[np.argmin(np.abs(tied - default))]))
+
+
+def usual_value(path: str) -> float:
+    """Return the shipped value of a field with a curve."""
+    return _USUAL.get(path, float(Preset().value(path)))
 
 
 def _in_use(section: str) -> dict[str, Any]:
@@ -166,3 +187,10 @@ def _areas_mm2(example: Example, rig: Rig) -> Float64Array:
     usual = float(np.median(counts[near])) if near.any() else 0.0
     depth = np.where(valid, counts, usual).astype(np.float32) * np.float32(rig.proximity.depth_unit_m)
     return pixel_areas_m2(depth, rig.proximity.intrinsics) * 1e6
+
+
+def _contact_mm2(example: Example, areas_mm2: Float64Array) -> float:
+    """Return the area of known contact."""
+    if example.contact is None:
+        return 0.0
+    return float(areas_mm2[example.contact if example.known is None else example.contact & example.known].sum())

@@ -10,11 +10,11 @@ import numpy as np
 
 from ..errors import AdviceError, FrameError
 from ..model.frames import SensorFrame
-from ..preset import CameraNoise, Preset
+from ..preset import CameraNoise
 from ..rig.noise import depth_noises
 from ..rig.untouched import tile_medians
 from ..sources.base import Progress
-from .examples import CURVES, Judge, curve_of, known_examples
+from .examples import CURVES, Judge, curve_of, known_examples, usual_value
 from .proposal import Evidence, Proposal
 
 #: Without examples, t covers this number of standard deviations of the noise of both depths.
@@ -98,8 +98,8 @@ def _from_examples(section: str, evidence: Evidence, progress: Progress) -> Prop
         section,
         changes,
         f"In {_counted(touched, 'frame')} with painted contact and "
-        f"{_counted(len(examples) - touched, 'untouched frame')}, the smallest sum of missed and false contact is "
-        f"{sum(after):.0f} mm2 per frame.",
+        f"{_counted(len(examples) - touched, 'untouched frame')}, the best values leave {sum(after):.0f} mm2 of missed "
+        "and false contact per frame.",
         f"Missed contact changes from {before[0]:.0f} to {after[0]:.0f} mm2 per frame, false contact from "
         f"{before[1]:.0f} to {after[1]:.0f} mm2.",
     )
@@ -107,7 +107,7 @@ def _from_examples(section: str, evidence: Evidence, progress: Progress) -> Prop
 
 def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progress) -> Proposal:
     """Propose the smallest group that is kept: larger than what noise makes, and than what untouched frames show."""
-    shipped, present = float(Preset().value(path)), float(evidence.preset.value(path))
+    shipped, present = usual_value(path), float(evidence.preset.value(path))
     examples = known_examples(evidence)
     reasons, enough_mm2 = [], shipped
     if section == "outliers":

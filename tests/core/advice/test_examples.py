@@ -33,13 +33,22 @@ def test_a_larger_tolerance_misses_less_and_invents_more(evidence):
 @pytest.mark.parametrize("path", PATHS)
 def test_the_proposed_value_is_nearly_the_best(evidence, path):
     curve = error_curve(path, evidence(TOLERANCE, painted=True))
-    error = curve.error_mm2[curve.values == curve.proposed]
+    error = curve.error[curve.values == curve.proposed]
     assert error.size == 1
-    assert error[0] <= 1.05 * curve.error_mm2.min() + 5
+    assert error[0] <= curve.error.min() + 0.01
     assert curve.present in curve.values
     assert curve.at(curve.proposed) == (
         curve.missed_mm2[curve.values == curve.proposed][0], curve.false_mm2[curve.values == curve.proposed][0]
     )  # fmt: skip
+
+
+def test_finding_nothing_is_never_the_best(evidence):
+    # much more false contact than contact, whatever t is
+    shown = evidence(TOLERANCE, "sim:octopus?press=medium&sensor=heavy", painted=True)
+    curve = error_curve("tolerance.t", shown)
+    proposed = curve.values == curve.proposed
+    assert curve.missed_mm2[proposed] < 0.6 * curve.contact_mm2
+    assert (curve.missed_mm2 + curve.false_mm2)[proposed] > (curve.missed_mm2 + curve.false_mm2).min()
 
 
 def test_areas_are_those_of_the_patch(evidence):
@@ -66,7 +75,7 @@ def test_only_known_pixels_count(evidence):
 def test_equal_errors_give_the_shipped_value(evidence):
     # nothing is painted, so no value of the largest gap misses or invents anything
     curve = error_curve("membrane.gap_m", evidence(SHIPPED.with_value("membrane.gap_m", 0.0003)))
-    assert not curve.error_mm2.any()
+    assert not curve.error.any()
     assert curve.proposed == SHIPPED.membrane.gap_m
 
 
