@@ -341,7 +341,9 @@ class HelpersPage(QWidget):
         if accepted:
             self._session.add_pairs(accepted, f"Accept {len(accepted)} proposals")
             self._take(Proposals((), f"{len(accepted)} pairs were added; undo removes them."))
-            self.accepted.emit(self._session.selected)
+            keys = self._session.selected
+            self._session.select(())  # hundreds of selected rings would hide the images
+            self.accepted.emit(keys)
 
     # Display
 

@@ -10,6 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from PyQt6.QtCore import QMimeData
+from PyQt6.QtGui import QIcon
 from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
@@ -64,6 +65,8 @@ class Dialogs:
         box.setInformativeText(details)
         agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
         cancel = box.addButton(QMessageBox.StandardButton.Cancel)
+        assert cancel is not None
+        cancel.setIcon(QIcon())  # the style's red cross is hardly seen in the dark theme
         box.setDefaultButton(cancel)
         box.setEscapeButton(cancel)
 

@@ -288,6 +288,7 @@ def test_next_takes_the_pairs_that_were_found(open_wizard, feed, frames, qtbot, 
     qtbot.waitUntil(lambda: len(wizard.outcome.pairs) == 70 and wizard.outcome.report is not None)
     assert wizard.stack.currentIndex() == 3
     assert any("70 pairs found" in sentence for sentence in wizard.messages.sentences())
+    assert not wizard.session.selected
 
     press(wizard.messages.message("accepted"), "Remove again")
     assert not wizard.session.state.pairs
