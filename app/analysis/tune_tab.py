@@ -203,6 +203,10 @@ class TuneTab(AnalysisTab):
         for name in offered:
             unit = OBJECTIVES[name].unit
             self.objective.addItem(f"{_TITLES[name]} ({unit})" if unit else _TITLES[name], name)
+            meaning = OBJECTIVES[name].meaning
+            self.objective.setItemData(
+                self.objective.count() - 1, f"{meaning[:1].upper()}{meaning[1:]}", Qt.ItemDataRole.ToolTipRole
+            )
         self.objective.setCurrentIndex(max(0, self.objective.findData(before)))
 
     # Searching

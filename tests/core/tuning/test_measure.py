@@ -74,7 +74,7 @@ def test_steps_are_shared_but_a_time_is_that_of_all_steps(recording, monkeypatch
     assert (len(asked), computed) == (3 * 31, 3), "one of 31 trials computes the first step"
     asked.clear()
     found = measure_batch(batch_of(recording, trials=trials))
-    assert sum(ms["fusion"] > 0 for ms in asked) == 3 + 5 * 31, "each is timed five times, also on three frames"
+    assert sum(ms["fusion"] > 0 for ms in asked) == 3 + 3 * 5 * 31, "each is timed on five frames, three times"
     assert all(0 < trial.figures["ms"] <= 21.0 for trial in found)
 
 
