@@ -105,7 +105,7 @@ class FindingsControl(QObject):
         self._gone_s = {name: self._gone_s.get(name, now) for name in self._shown if name not in present}
         lingering = {name: self._shown[name] for name in self._gone_s}
         self._shown = present | lingering
-        if self._gone_s:
+        if self._gone_s and not self._timer.isActive():
             self._timer.start()
         if self._shown != before:
             self._show()

@@ -66,9 +66,13 @@ class FindingsWindow(QDialog):
                 widget.hide()
                 widget.deleteLater()
         for finding, shown in findings:
-            self._cards.addWidget(self._card(finding, shown))
+            self._add(self._card(finding, shown))
         if not findings:
-            self._cards.addWidget(QLabel(_NOTHING))
+            self._add(QLabel(_NOTHING))
+
+    def _add(self, widget: QWidget) -> None:
+        self._cards.addWidget(widget)
+        widget.show()  # at once, so that the list is never painted empty
 
     def _card(self, finding: Finding, shown: ShownFinding) -> QWidget:
         """Return what is known of a finding, with its button."""

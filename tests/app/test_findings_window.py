@@ -15,6 +15,7 @@ from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings_window import FindingsWindow
 from tactune.app.worker.results import CloudName
+from tactune.core.advice.proposal import Finding
 from tactune.core.preset import Preset
 from tiny_sensor import TinySource, tiny_frame, tiny_rig
 
@@ -164,3 +165,26 @@ def test_hovering_tells_the_gap_of_the_membrane(make_window, qtbot):
     qtbot.waitUntil(lambda: "outside the edge of contact" in window.strip.readout.text())
     gap_mm = float(re.search(r"gap ([\d.]+) mm", window.strip.readout.text())[1])
     assert 0.05 < gap_mm < 1.5
+
+
+def test_a_finding_stays_until_it_has_been_gone_for_a_while(window, qtbot):
+    row = offset_row(window)
+    window.worker.examined.emit((), window.document.preset)
+    assert row.finding.isVisible(), "it may be back in the next frame"
+
+    def gone():
+        window.worker.examined.emit((), window.document.preset)
+        return not row.finding.isVisible()
+
+    qtbot.waitUntil(gone)
+    assert not window.status.findings.isVisible()
+
+
+def test_a_finding_of_an_older_preset_is_not_shown(window, qtbot):
+    QTest.mouseClick(offset_row(window).finding.button, LEFT)
+    qtbot.waitUntil(lambda: not window.status.findings.isVisible())
+    stale = Finding("peak", "alignment.depth_offset_m", "The cameras disagree.")
+    window.worker.examined.emit((stale,), Preset())
+    assert not window.status.findings.isVisible()
+    window.worker.examined.emit((stale,), window.document.preset)
+    assert window.status.findings.isVisible()
