@@ -26,7 +26,7 @@ from ...widgets.images.point_image import PointImage
 from ..document.document import Document
 from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
-from .fitting import Outcome
+from .fitting import Outcome, at_least
 from .overlay import Overlay, OverlayMode, Patch, PatchFinder, alignment_of_preset, make_overlay
 from .session import ProximityImage, Session
 
@@ -287,8 +287,11 @@ class CheckPage(QWidget):
         rows = [("", "New", "Present")]
         errors = replacement(report, present)
         if errors is not None:
-            new, old = (f"{px:.2f} px, {px * errors.mm_per_px:.2f} mm" for px in (errors.new_px, errors.present_px))
-            rows.append(("Error at the pairs", new, old))
+            new, old = (
+                f"{at_least(px, 'px')}, {at_least(px * errors.mm_per_px, 'mm')}"
+                for px in (errors.new_px, errors.present_px)
+            )
+            rows.append(("Expected alignment error", new, old))
         record = present.alignment.calibration
         stored = "–" if record is None else f"{record.quality.supported_tolerance:.4f}"
         rows.append(("Smallest t (tolerance test)", f"{report.chosen.effect.supported_tolerance:.4f}", stored))

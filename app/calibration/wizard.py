@@ -421,8 +421,11 @@ def _short(report: CalibrationReport) -> str:
 
 
 def _both_errors(errors: Replacement) -> str:
-    """Return the errors of both alignments at the same pairs."""
-    return f"Error at the pairs: {errors.new_px:.2f} px new, {errors.present_px:.2f} px present"
+    """Return the errors of both alignments in words."""
+    return (
+        f"Expected alignment error: {at_least(errors.new_px, 'px')} new, {at_least(errors.present_px, 'px')} present, "
+        "judged by the pairs"
+    )
 
 
 _NO_FRAME = "There is no frame to calibrate on yet: open a source first."

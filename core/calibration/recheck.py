@@ -116,16 +116,15 @@ def recheck(preset: Preset, rig: Rig, frame: SensorFrame) -> Drift:
 
 @dataclass(frozen=True)
 class Replacement:
-    """The errors of a new calibration and of the present alignment at the new calibration's pairs.
+    """The expected errors of a new calibration and of the alignment that it would replace.
 
     Attributes
     ----------
     new_px : float
-        Root mean square error at pairs that were left out of the fit, or the expected alignment error if that is
-        larger, proximity pixels. If the present alignment was fitted to some of the pairs, none is left out, so that
-        both are judged alike.
+        Expected alignment error of the new calibration, proximity pixels.
     present_px : float
-        Root mean square distance of the pairs from the present alignment, proximity pixels.
+        Error of the present alignment at the new calibration's pairs beyond the noise of the clicks, proximity pixels;
+        at least the error that its own calibration expected.
     mm_per_px : float
         Millimetres across the line of sight per proximity pixel, mean over the pairs.
     """
@@ -154,18 +153,14 @@ def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None
         return None
     pose = Pose(T_p_t[:3, :3], T_p_t[:3, 3], section.depth_scale, section.depth_offset_m)
     found, predicted = _found_and_predicted(rigid_points(pairs), preset, rig, pose)
-    present_px = float(np.sqrt(np.mean(((found - predicted) ** 2).sum(axis=1))))
+    squared_px = float(np.mean(((found - predicted) ** 2).sum(axis=1)))
+    noise = 0.0 if chosen.rms_px is None else chosen.rms_px**2 * 2 * len(used) / chosen.degrees
     record = section.calibration
-    stored = (
-        {(point.proximity_u, point.proximity_v, point.tactile_u, point.tactile_v) for point in record.points}
-        if (record is not None)
-        else set()
-    )
-    shared = any((*pair.proximity, *pair.tactile) in stored for pair in pairs)
-    residual_px = chosen.rms_px if shared else chosen.cross_validated_px
+    expected_px = 0.0 if record is None else record.quality.alignment_px
+    present_px = max(float(np.sqrt(max(squared_px - noise, 0.0))), expected_px)
     depths = np.array([pair.tactile_depth_m for pair in pairs], np.float64)
     mm_per_px = float(millimetres_per_pixel(depths, rig).mean())
-    return Replacement(max(residual_px or 0.0, chosen.alignment_px), present_px, mm_per_px)
+    return Replacement(chosen.alignment_px, present_px, mm_per_px)
 
 
 def _found_and_predicted(

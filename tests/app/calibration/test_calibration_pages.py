@@ -343,7 +343,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
     assert page.mode is OverlayMode.CHECKER
     assert page.image.grab().toImage() != blended
     assert "by the preset's contact test" in page.note.text()
-    assert "New" in page.note.text() and "Error at the pairs" in page.note.text()
+    assert "New" in page.note.text() and "Expected alignment error" in page.note.text()
     assert "does not use it" not in page.set_tolerance.text()
     document.edit("contact_test", "membrane")
     assert "membrane test does not use it" in page.set_tolerance.text()
