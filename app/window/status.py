@@ -41,11 +41,11 @@ class FrameStatus(QStatusBar):
             "Unmatched: images without a partner from the other camera in time",
         )
         self._stages = self._number(
-            "fusion 00.0  gaps 0.0  edge 0.0  clusters 0.0  points 0.0 ms",
+            "fusion 00.0  equilibrium 0.0  edge 0.0  clusters 0.0 ms",
             "Milliseconds per stage; 0 is cached or skipped",
         )
         self._skew = self._number("skew 00.0 ms", "Skew: tactile minus proximity time stamp, in milliseconds")
-        self._points = self._number("000000 points", "Points of the patch")
+        self._points = self._number("000,000 points", "Points of the patch")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
     @property
@@ -74,8 +74,11 @@ class FrameStatus(QStatusBar):
         self._dropped.setText(f"{dropped} dropped" + (f", {unmatched} unmatched" if unmatched else ""))
 
     def show_result(self, result: Result) -> None:
-        """Count a frame as shown; update the numbers every `INTERVAL_S`."""
+        """Count a frame as shown. Points and area are those of the views; the other numbers wait for `INTERVAL_S`."""
         self._shown_rate.tick()
+        patch = result.patch
+        self._points.setText("" if patch is None else f"{len(patch.points):,} points")
+        self._area.setText("" if patch is None else f"patch {result.area_mm2 / 100:.1f} cm²")
         now = time.perf_counter()
         running = result.playback.running
         if running and now - self._last_s < INTERVAL_S:
@@ -85,12 +88,10 @@ class FrameStatus(QStatusBar):
         self._rates.setText(rates)
         self._show_losses(result.dropped, result.unmatched)
         self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
-        if result.patch is None:
-            for label in (self._stages, self._points, self._area):
-                label.setText("")
+        if patch is None:
+            self._stages.setText("")
             return
-        times = result.patch.stage_ms
-        averaged = result.patch.averaged_frames
+        times, averaged = patch.stage_ms, patch.averaged_frames
         mean = f"mean of {averaged} frames  " if averaged > 1 else ""
         self._stages.setText(mean + self._in_words(times))
         self._stages.setToolTip(
@@ -98,8 +99,6 @@ class FrameStatus(QStatusBar):
             + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())
             + f"\nreading: {result.read_ms:.2f}\ndrawing for the window: {result.render_ms:.2f}"
         )
-        self._points.setText(f"{len(result.patch.points)} points")
-        self._area.setText(f"patch {result.area_mm2 / 100:.1f} cm²")
 
     def _in_words(self, times: Mapping[str, float]) -> str:
         """Return the time of each stage; if that is too long for the bar, the sum and the slowest stage."""

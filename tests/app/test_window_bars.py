@@ -77,6 +77,16 @@ def test_stages_that_took_no_time_are_left_out(bar, result, times, shown):
     assert shown in texts(bar, result, times)
 
 
+def test_points_and_area_are_those_of_the_frame_in_the_views_while_frames_play(bar, result):
+    running = replace(result, playback=PlaybackState(playing=True))
+    count = len(result.patch.points)
+    for points in (count, 0, count):  # faster than the other numbers change
+        patch = SimpleNamespace(points=result.patch.points[:points], averaged_frames=1, stage_ms=TIMES)
+        bar.show_result(replace(running, patch=patch, area_mm2=points / 10))
+        shown = {label.text() for label in bar.findChildren(QLabel)}
+        assert {f"{points:,} points", f"patch {points / 1000:.1f} cm²"} <= shown
+
+
 @pytest.mark.parametrize("width_px", [1000, 1280, 1920])
 def test_no_number_is_cut_off(bar, result, width_px):
     bar.resize(width_px, 24)
