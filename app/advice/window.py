@@ -70,6 +70,7 @@ class SuggestWindow(QDialog):
         self._context, self._document, self._gather = context, context.document, gather
         self._section = ALL
         self._found: Suggestions | None = None
+        self._outdated = ""
         self._shown: Side | None = None
         self._compares = True
         self._job, self._curves = Job(self), Job(self)
@@ -148,7 +149,7 @@ class SuggestWindow(QDialog):
             self._say(_NO_FRAME)
             return
         self._section = section
-        self._found = None
+        self._found, self._outdated = None, ""
         self._clear()
         self.progress.show_share(0.0, "Gathering evidence")
         self._say("")
@@ -158,7 +159,9 @@ class SuggestWindow(QDialog):
 
     def outdated(self, reason: str) -> None:
         """Say why the suggestions that are shown should be made again."""
-        if self._found is not None:
+        if self._job.busy:  # said with what it finds
+            self._outdated = reason
+        elif self._found is not None:
             self._say(f"{reason}: measure again.")
 
     @property
@@ -208,6 +211,8 @@ class SuggestWindow(QDialog):
             self._add(_refusal(section, sentence))
         if not any(card.changes for card in self.cards):
             self._say("The present values already follow from the evidence." if found.parts else "")
+        if self._outdated:
+            self.outdated(self._outdated)
         self._compares = True
         self._choice_changed()
 
@@ -252,7 +257,7 @@ class SuggestWindow(QDialog):
 
     def _choice_changed(self) -> None:
         self._show_state()
-        self.compare.setChecked(self._compares and bool(self.proposal.changes))
+        self.compare.setChecked(self._compares and self.isVisible() and bool(self.proposal.changes))
         self._show_comparison(self.compare.isChecked())
         self._request_curves()
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from threading import Event
 
 from PyQt6.QtCore import QPoint, Qt
 from PyQt6.QtTest import QTest
@@ -95,6 +96,30 @@ def test_closing_ends_the_comparison_and_changes_nothing(main, qtbot):
     assert not window.isVisible()
     assert main.context.comparison.sides is None
     assert main.document.preset is before
+
+
+def test_an_edit_after_closing_does_not_start_the_comparison_again(main, qtbot):
+    window = ask(qtbot, main)
+    QTest.keyClick(window, Qt.Key.Key_Escape)
+    drag_slider(tolerance_slider(main), 0.3, 0.5)
+    assert main.document.undo_stack.count() == 1
+    assert main.context.comparison.sides is None
+
+
+def test_suggestions_of_a_source_that_was_left_while_they_were_made_say_so(main, qtbot, monkeypatch):
+    found, go_on = suggest_window.find_suggestions, Event()
+
+    def late(*arguments):
+        go_on.wait(20)
+        return found(*arguments)
+
+    monkeypatch.setattr(suggest_window, "find_suggestions", late)
+    QTest.mouseClick(main.panel.suggests["mask"], LEFT)
+    show_source(qtbot, main, PrintedSource(), 6)
+    go_on.set()
+    window = main.suggest.window
+    qtbot.waitUntil(lambda: len(window.cards) == 1)
+    assert window.sentence.text() == "Another source was opened: measure again."
 
 
 def test_measuring_can_be_cancelled(main, qtbot, monkeypatch):
