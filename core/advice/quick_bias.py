@@ -9,6 +9,7 @@ import numpy as np
 
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m, rig_bias
+from ..contact.membrane.finder import firm_contact_bias
 from ..errors import RigMismatchError
 from ..model.arrays import Float32Array
 from ..model.clouds import deproject
@@ -43,7 +44,7 @@ def quick_disagreement(
     return (
         _in_whole_scene(patch, above_m)
         or _on_prints(frame, patch, preset, rig, above_m)
-        or _in_firm_contact(patch, preset, rig)
+        or _in_firm_contact(frame, patch, preset, rig)
     )
 
 
@@ -87,14 +88,21 @@ def _on_prints(
     return None if bias is None else Disagreement.on_prints(bias)
 
 
-def _in_firm_contact(patch: ContactPatch, preset: Preset, rig: Rig) -> Disagreement | None:
-    """Return the bias that the membrane test found in firm contact."""
-    facts = patch.membrane
-    if facts is None or facts.firm_m2 == 0 or not len(patch.points):
+def _in_firm_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> Disagreement | None:
+    """Return the bias in firm contact as the membrane test finds it, also if the preset has another test."""
+    facts, known = patch.membrane, rig_bias(preset, rig)
+    if facts is not None:
+        found = (facts.bias_m, facts.firm_m2) if facts.firm_m2 > 0 and len(patch.points) else None
+    else:
+        try:
+            found = firm_contact_bias(preset, rig)(frame)
+        except RigMismatchError:  # a homography without a pose
+            return None
+    if found is None:
         return None
-    known = rig_bias(preset, rig)
-    sigma_m = math.sqrt(known.noise_m4 / facts.firm_m2 + known.gap_sigma_m**2)
-    return Disagreement.in_firm_contact(MeasuredBias(facts.bias_m, sigma_m, "contact"))
+    bias_m, firm_m2 = found
+    sigma_m = math.sqrt(known.noise_m4 / firm_m2 + known.gap_sigma_m**2)
+    return Disagreement.in_firm_contact(MeasuredBias(bias_m, sigma_m, "contact"))
 
 
 def _differences(patch: ContactPatch) -> tuple[Float32Array, Float32Array]:

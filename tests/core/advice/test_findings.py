@@ -78,18 +78,21 @@ class TestPeak:
         assert f"{-1e3 * offset_m:+.0f}"[:2] in found.sentence
         assert mended(found, spoiled, rig, frame)
 
-    def test_finds_it_in_firm_contact_without_a_mask(self):
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_finds_it_in_firm_contact_without_a_mask(self, test):
         rig, frame = scene(PRESSED)
-        spoiled = NO_MASK.with_values({"alignment.depth_offset_m": 0.012})
+        spoiled = NO_MASK.with_values({"alignment.depth_offset_m": 0.012, "contact_test": test})
         found = findings(spoiled, rig, frame)["peak"]
         assert "firm contact" in found.proposal.evidence
         assert found.proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
 
-    def test_a_gap_is_no_bias(self):
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_a_gap_is_no_bias(self, test):
         """Without prints nothing tells an object that hovers from cameras that disagree."""
         rig, frame = scene("sim:hover?gap=5")
-        patch = ContactPipeline(NO_MASK, rig).process(frame)
-        assert quick_disagreement(frame, patch, NO_MASK, rig, above_m=0.0) is None
+        preset = NO_MASK.with_values({"contact_test": test})
+        patch = ContactPipeline(preset, rig).process(frame)
+        assert quick_disagreement(frame, patch, preset, rig, above_m=0.0) is None
 
     def test_a_bias_that_was_measured_with_the_rig_is_corrected(self):
         rig, frame = scene(f"{PRESSED}&sensor=far-offset")
