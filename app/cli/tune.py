@@ -71,7 +71,7 @@ def tune(
         typer.Option(help="grid: every combination. qmc: quasi-random, covers evenly. tpe: learns from trials. nsga2: "
                      "evolves. Default: grid if all fields have steps and --trials is not given, else tpe."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, metavar="S", help="Seed of the sampler.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, max=2**31, metavar="S", help="Seed of the sampler.")] = 0,
     jobs: Annotated[
         int | None, typer.Option("--jobs", "-j", min=1, max=1024, metavar="N", help="Processes; default: one per core.")
     ] = None,
@@ -98,6 +98,8 @@ def tune(
     from ...core.tuning.space import parse_axis
     from ...core.tuning.study import Study, make_plan
 
+    axes = [parse_axis(text) for text in settings or []]
+    chosen = ALL_FRAMES if frames is None else parse_frames(frames)
     sources = source or []
     name = preset or _usual_preset(sources)
     base, base_file = load_preset(name), Path(name) if Path(name).is_file() else None
@@ -107,9 +109,9 @@ def tune(
     with _workers(scheduler, jobs) as workers, CliProgress(quiet=as_json) as progress:
         plan = make_plan(
             base,
-            [parse_axis(text) for text in settings or []],
+            axes,
             sources,
-            frames=ALL_FRAMES if frames is None else parse_frames(frames),
+            frames=chosen,
             objectives=[word.strip() for word in (objective or "").split(",") if word.strip()],
             sampler=None if sampler is None else sampler.value,
             trials=trials,
@@ -182,7 +184,8 @@ def _workers(scheduler: str | None, jobs: int | None) -> Iterator[Workers]:
 
 
 def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
-    """Refuse an --out that would overwrite anything but an earlier search's preset."""
+    """Refuse an --out that cannot be written, or would overwrite anything but an earlier search's preset."""
+    from ...core.model.files import check_writable
     from ...core.tuning.study import FOUND_BY
 
     if path.resolve() == study.resolve():
@@ -193,6 +196,7 @@ def _check_out(path: Path, study: Path, base_file: Path | None) -> None:
         raise ExportError(f"--out would replace {path}, the preset that the search starts from; name another file")
     if path.is_file() and FOUND_BY not in path.read_text("utf-8", errors="replace"):
         raise ExportError(f"{path} already exists and was not written by a search; choose another --out or remove it")
+    check_writable(path)
 
 
 def _write_best(path: Path, plan: Plan, best: Trial, trials: int, base_file: Path | None) -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import ExportError, SourceError
-from ...core.recording.markers import MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
+from ...core.recording.markers import MAX_MARKERS, MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
 from ..document.history import History
 
 
@@ -88,6 +88,9 @@ class MarksKeeper(QObject):
         markers = self.marks.markers
         if any(marker.frame == frame for marker in markers):
             return
+        if len(markers) >= MAX_MARKERS:
+            self.told.emit(f"There are {MAX_MARKERS} markers already; delete some to add others.")
+            return
         taken = {marker.name for marker in markers}
         number = next(number for number in range(1, len(markers) + 2) if f"Marker {number}" not in taken)
         self._edit("Add marker", (*markers, Marker(frame=frame, name=f"Marker {number}", time_s=round(time_s, 6))))
@@ -150,7 +153,8 @@ class MarksKeeper(QObject):
                     f"{self._beside} cannot be written, so the markers are kept in {self._own} on this computer."
                 )
             else:
-                self._own.unlink(missing_ok=True)
+                with suppress(OSError):
+                    self._own.unlink(missing_ok=True)
                 return
         try:
             save_marks(self._own, marks)

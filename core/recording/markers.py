@@ -8,11 +8,13 @@ from typing import Annotated, Final
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from ..errors import SourceError
-from ..model.files import atomic_path, recording_files, user_path
+from ..model.files import atomic_path, recording_files, refuse_devices, user_path
 
 #: Longest name of a marker.
 MAX_NAME: Final = 120
-_FrameIndex = Annotated[int, Field(ge=0)]
+#: Largest number of markers; more make every edit in the window slow.
+MAX_MARKERS: Final = 10_000
+_FrameIndex = Annotated[int, Field(ge=0, lt=2**31)]
 
 
 class Marker(BaseModel):
@@ -38,7 +40,7 @@ class Marks(BaseModel):
 
     model_config = ConfigDict(frozen=True)
 
-    markers: tuple[Marker, ...] = ()
+    markers: Annotated[tuple[Marker, ...], Field(max_length=MAX_MARKERS)] = ()
     trim: tuple[_FrameIndex, _FrameIndex] | None = None
 
     @field_validator("markers")
@@ -79,6 +81,7 @@ def load_marks(path: Path) -> Marks:
         The file cannot be read or is damaged; it is unchanged.
     """
     try:
+        refuse_devices(path, SourceError)
         return Marks.model_validate_json(path.read_bytes())
     except FileNotFoundError:
         return Marks()

@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import IO, Any, Final, Literal, Self
@@ -59,6 +59,14 @@ _GRACE_S: Final = 10
 PRESENT: Final = "present"
 #: In the notes of each preset that a search has written.
 FOUND_BY: Final = "found by tactune tune"
+
+_KILLED: Final = (
+    "a worker process was killed, perhaps for lack of memory; try fewer --jobs, and the same command continues"
+)
+#: How each line of Optuna's journal begins.
+_JOURNAL: Final = b'{"op_code":'
+#: What Optuna, or reading a trial, raises for a journal that is damaged or was removed.
+_DAMAGE: Final = (ValueError, LookupError, TypeError, AttributeError, AssertionError, RecursionError)
 
 optuna.logging.set_verbosity(optuna.logging.ERROR)
 
@@ -220,7 +228,9 @@ class Study:
         refuse_devices(self.path, TuneError)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            self._study = self._open()
+            with self._undamaged():
+                self._study = self._open()
+                self.trials()
             self._alive = self._alive_file(self._searcher).open("wb")
             _lock(self._alive)
         except OSError as error:
@@ -229,9 +239,10 @@ class Study:
 
     def __exit__(self, *_: object) -> None:
         """Free this search's own unfinished trials."""
-        for trial in self._all(TrialState.RUNNING):
-            if trial.user_attrs.get("searcher") == self._searcher:
-                self._study.tell(trial.number, state=TrialState.FAIL)
+        with suppress(*_DAMAGE, OSError):  # it was told already, and the next search frees them
+            for trial in self._all(TrialState.RUNNING):
+                if trial.user_attrs.get("searcher") == self._searcher:
+                    self._study.tell(trial.number, state=TrialState.FAIL)
         self._alive.close()
         self._alive_file(self._searcher).unlink(missing_ok=True)
 
@@ -261,8 +272,12 @@ class Study:
         Raises
         ------
         TactuneError
-            A batch cannot be measured, or the workers are gone.
+            A batch cannot be measured, the workers are gone, or the file was damaged or removed meanwhile.
         """
+        with self._undamaged():
+            yield from self._run(workers, stopped)
+
+    def _run(self, workers: Workers, stopped: Callable[[], bool]) -> Iterator[int]:
         running: dict[Future[list[Measured]], list[optuna.Trial]] = {}
         self._study.sampler = self._sampler()
         ahead = 2 if self.plan.sampler in ("grid", "qmc") else 1
@@ -273,7 +288,10 @@ class Study:
                 values = tuple(self._values(trial) for trial in trials)
                 timed = "ms" in self.plan.objectives
                 batch = Batch(self.plan.base, self.plan.clips, code_version(), values, timed)
-                running[workers.executor.submit(measure_batch, batch)] = trials
+                try:
+                    running[workers.executor.submit(measure_batch, batch)] = trials
+                except BrokenProcessPool as error:
+                    raise TuneError(_KILLED) from error
             if not running and not self._all(TrialState.RUNNING, TrialState.WAITING):
                 break
             if not running:
@@ -293,7 +311,7 @@ class Study:
             with self.path.open("a+b") as file:  # a line that was cut off by a crash would spoil the next one
                 file.seek(0)
                 data = file.read()
-                if data[:1] not in (b"", b"{"):
+                if not data.startswith(_JOURNAL[: len(data)]):  # a person's file must stay as it is
                     raise TuneError(f"{self.path} exists and is not the file of a search; choose another --study")
                 file.truncate(data.rfind(b"\n") + 1)
         finally:
@@ -301,21 +319,26 @@ class Study:
         directions: list[Direction] = [
             "maximize" if OBJECTIVES[name].larger else "minimize" for name in self.plan.objectives
         ]
-        try:
-            study = optuna.create_study(
-                storage=JournalStorage(JournalFileBackend(str(self.path), lock_obj=lock)),
-                study_name=f"{self.plan.base.name[:60]} {self.plan.identity}",
-                directions=directions,
-                load_if_exists=True,
-            )
-            if not study.user_attrs:
-                with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
-                    study.set_metric_names(list(self.plan.objectives))
-                study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
-                study.set_user_attr("preset", {path: plain_value(self.plan.base, path) for path in result_paths()})
-        except (ValueError, KeyError) as error:
-            raise TuneError(f"{self.path} is damaged or not the file of a search; choose another --study") from error
+        study = optuna.create_study(
+            storage=JournalStorage(JournalFileBackend(str(self.path), lock_obj=lock)),
+            study_name=f"{self.plan.base.name[:60]} {self.plan.identity}",
+            directions=directions,
+            load_if_exists=True,
+        )
+        if not study.user_attrs:
+            with warnings.catch_warnings(action="ignore", category=optuna.exceptions.ExperimentalWarning):
+                study.set_metric_names(list(self.plan.objectives))
+            study.set_user_attr("sources", [clip.source for clip in self.plan.clips])
+            study.set_user_attr("preset", {path: plain_value(self.plan.base, path) for path in result_paths()})
         return study
+
+    @contextmanager
+    def _undamaged(self) -> Iterator[None]:
+        """Raise a `TuneError` where the journal is damaged or was removed."""
+        try:
+            yield
+        except _DAMAGE as error:
+            raise TuneError(f"{self.path} is damaged or not the file of a search; choose another --study") from error
 
     def _sampler(self) -> optuna.samplers.BaseSampler:
         """Return the sampler. Its seed changes as trials are added, lest a continued search draws the same again."""
@@ -491,9 +514,7 @@ def _result(future: Future[list[Measured]]) -> list[Measured]:
     except TactuneError:
         raise
     except BrokenProcessPool as error:
-        raise TuneError(
-            "a worker process was killed, perhaps for lack of memory; try fewer --jobs, and the same command continues"
-        ) from error
+        raise TuneError(_KILLED) from error
     except CancelledError as error:
         raise TuneError("the Dask scheduler is gone; start it again, and the same command continues") from error
     except Exception as error:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import sys
+
 import pytest
 
 from tactune.core.errors import ExportError, SourceError
@@ -23,7 +26,13 @@ def test_comes_back_as_saved_in_the_order_of_the_frames(tmp_path):
 
 @pytest.mark.parametrize(
     "text",
-    ["{", "[]", '{"markers": 3}', '{"markers": [{"frame": -1, "name": "a", "time_s": 0}]}', '{"trim": [9, 3]}', "\0ÿ"],
+    [
+        *("{", "[]", '{"markers": 3}', '{"trim": [9, 3]}', "\0ÿ"),
+        '{"markers": [{"frame": -1, "name": "a", "time_s": 0}]}',
+        '{"markers": [{"frame": 99999999999999999999, "name": "a", "time_s": 0}]}',
+        '{"markers": [' + ", ".join(['{"frame": 1, "name": "a", "time_s": 0}'] * 10_001) + "]}",
+    ],
+    ids=range(8),
 )
 def test_a_damaged_file_is_explained_and_kept(tmp_path, text):
     file = tmp_path / "press.mcap.markers.json"
@@ -31,6 +40,13 @@ def test_a_damaged_file_is_explained_and_kept(tmp_path, text):
     with pytest.raises(SourceError, match=r"press\.mcap\.markers\.json are damaged"):
         load_marks(file)
     assert file.read_text() == text
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="there are no named pipes in folders")
+def test_a_pipe_is_not_waited_for(tmp_path):
+    os.mkfifo(tmp_path / "markers.json")
+    with pytest.raises(SourceError, match="no ordinary file"):
+        load_marks(tmp_path / "markers.json")
 
 
 def test_lies_beside_a_file_and_inside_a_folder(tmp_path):

@@ -143,6 +143,34 @@ def test_a_file_of_something_else_is_left_alone(tune, recording, tmp_path):
     assert notes.read_text() == "mine\n"
 
 
+def test_a_json_file_on_one_line_is_not_taken_for_a_file_that_a_crash_cut_off(tune, recording, tmp_path):
+    mine = tmp_path / "mine.json"
+    mine.write_text('{"name": "mine"}')
+    assert "is not the file of a search" in tune("-s", recording, *GRID, "--study", mine).sentence
+    assert mine.read_text() == '{"name": "mine"}'
+
+
+@pytest.mark.parametrize("line", ['{"op_code":99}', '{"op_code":"x","worker_id":3}', '{"op_code":' + "[" * 100_000])
+def test_a_damaged_file_is_told_in_one_sentence(tune, recording, tmp_path, line):
+    study = tmp_path / "s.log"
+    study.write_text(f"{line}\n")
+    assert "is damaged or not the file of a search" in tune("-s", recording, *GRID, "--study", study).sentence
+    assert study.read_text() == f"{line}\n"
+
+
+def test_a_seed_that_no_sampler_takes_is_refused(tune, recording):
+    done = tune("-s", recording, *GRID, "--seed", "99999999999")
+    assert done.status == 2
+    assert "Traceback" not in done.err
+
+
+def test_an_out_that_cannot_be_written_is_refused_before_the_search(tune, recording, tmp_path):
+    (tmp_path / "file").write_text("mine")
+    out, study = tmp_path / "file" / "best.json", tmp_path / "s.log"
+    assert "cannot write" in tune("-s", recording, *GRID, "--out", out, "--study", study).sentence
+    assert not study.exists()
+
+
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
