@@ -68,7 +68,6 @@ class TuneRun(QObject):
         super().__init__(parent)
         self._folder = folder
         self._process: QProcess | None = None
-        self._said = ""
         self.request: Request | None = None
         #: The measured trials by number, with ``values``, ``figures``, ``failure`` and ``present``.
         self.trials: dict[int, dict[str, Any]] = {}
@@ -88,12 +87,12 @@ class TuneRun(QObject):
         ExportError
             The folder for searches cannot be written.
         """
-        self.request, self.trials, self.front, self.stopping, self._said = request, {}, (), False, ""
+        self.request, self.trials, self.front, self.stopping = request, {}, (), False
         name = hashlib.sha256(request.source.encode()).hexdigest()[:12]
         preset = self._folder / f"{name}.preset.json"
         save_preset(request.preset, preset)
         frames = request.frames
-        words = ["-m", "tactune.app", "tune", "--json", "--source", request.source, "--preset", str(preset)]
+        words = ["-P", "-m", "tactune.app", "tune", "--json", "--source", request.source, "--preset", str(preset)]
         words += ["--objective", f"{request.objective},ms", "--trials", str(request.trials), "--sampler", "tpe"]
         words += ["--frames", f"{frames.start}:{frames.stop}:{frames.step}"]
         words += ["--study", str(self._folder / f"{name}.study.log")]
@@ -128,7 +127,10 @@ class TuneRun(QObject):
         if self._process is None:
             return
         while self._process.canReadLine():
-            line = json.loads(bytes(self._process.readLine().data()))
+            try:
+                line = json.loads(self._process.readLine().data())
+            except ValueError:
+                continue  # printed by a library
             if "number" in line:
                 self.trials[line["number"]] = line
             elif "front" in line:

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction
 
-from ...core.model.frames import Rig, SensorFrame
-from ...core.preset import Preset
 from ...core.rig.watch import INTERVAL_S, SUBJECTS, Watchdog, WatchReport
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
@@ -33,7 +32,7 @@ class WatchControl(QObject):
     def __init__(self, context: Context, keeper: UntouchedKeeper, action: QAction, recheck: Callable[[], None]) -> None:
         super().__init__(context)
         self._context, self._keeper, self._action, self._recheck = context, keeper, action, recheck
-        self._watch = _Watch()
+        self._watchdog: Callable[[], Watchdog] | None = None
         self._key: object = None
         self._next_s = float("-inf")
         self._failed = False
@@ -67,17 +66,20 @@ class WatchControl(QObject):
         preset = self._context.document.preset
         if self._keeper.busy or self._job.busy or (untouched is None and preset.alignment.calibration is None):
             return
+        rig = result.source.rig
         # The other fields only decide what counts as touched; changing them must not forget earlier looks.
-        key = (id(untouched), preset.alignment, preset.noise, result.source)
+        key = (untouched, preset.alignment, preset.noise, result.source)
         if key != self._key:
             self._forget()
-            self._key, self._watch, self._next_s, self._failed = key, _Watch(), float("-inf"), False
+            self._key, self._next_s, self._failed = key, float("-inf"), False
+            self._watchdog = cache(lambda: Watchdog(preset, rig, untouched))  # made on the thread of the job
         time_s = result.frame.proximity_time_s
         if self._failed or self._next_s - INTERVAL_S <= time_s < self._next_s:
             return
         self._next_s = time_s + INTERVAL_S
-        watch, rig, frame = self._watch, result.source.rig, result.frame
-        self._job.start(lambda _: watch.look(preset, rig, untouched, frame))
+        watchdog, frame = self._watchdog, result.frame
+        assert watchdog is not None
+        self._job.start(lambda _: watchdog().look(frame, time_s))
 
     def _tell(self, report: WatchReport | None) -> None:
         if report is None:
@@ -92,22 +94,3 @@ class WatchControl(QObject):
         self._failed = True  # the same reference would fail again
         if sentence:
             self._context.messages.show_message("watch ", Severity.INFO, f"Drift is not watched: {sentence}")
-
-
-class _Watch:
-    """A watchdog that is made with its first look, on the thread of the job."""
-
-    def __init__(self) -> None:
-        self._watchdog: Watchdog | None = None
-
-    def look(self, preset: Preset, rig: Rig, untouched: SensorFrame | None, frame: SensorFrame) -> WatchReport | None:
-        """Look at a frame.
-
-        Raises
-        ------
-        TactuneError
-            The reference cannot be used.
-        """
-        if self._watchdog is None:
-            self._watchdog = Watchdog(preset, rig, untouched)
-        return self._watchdog.look(frame, frame.proximity_time_s)

@@ -360,11 +360,11 @@ class Worker(QThread):
                 self._record(first, self._trim[0])
 
     def _record(self, frame: SensorFrame, index: int) -> None:
-        """Record a frame of a recording; the last frame before the out mark ends the file."""
+        """Record a frame of a recording; the last frame before the out mark, or one behind it, ends the file."""
         first, end = self._trim or (0, index + 2)
         if first <= index < end:
             self.recorder.put(frame, index + 1, wait=True)
-        if index == end - 1:
+        if index >= end - 1:
             self.recorder.stop()
 
     def _stand_still(self) -> None:

@@ -41,7 +41,7 @@ Order = dict[str, Any]
 
 def main() -> None:
     """Obey orders until standard input ends."""
-    with suppress(OSError):
+    with suppress(OSError, AttributeError):  # Windows has no nice
         os.nice(19)  # playback and everything else of the user come first
     set_threads(1)
     cv2.setNumThreads(1)

@@ -153,6 +153,22 @@ def test_a_recording_has_exactly_the_marked_frames(strip_window, qtbot, tmp_path
         assert [frame.sequence for frame in written] == [9, 10, 11, 12, 13, 14]
 
 
+def test_a_recording_that_is_behind_the_out_mark_ends(strip_window, qtbot, tmp_path):
+    window = strip_window
+    window.settings.set("folder/recordings", str(tmp_path))
+    window.worker.set_speed(0.1)
+    mark(qtbot, window, 9, 14)
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: window.messages.message("recording") is None and window.result.playback.running)
+    window.worker.seek(18)
+    window.worker.play()
+    qtbot.waitUntil(lambda: window.messages.message("recording") is not None)
+    [file] = tmp_path.glob("session_*.mcap")
+    with McapSource(file) as written:
+        frames = [frame.sequence for frame in written]
+    assert frames == list(range(9, 9 + len(frames))), "looping, it would record the first frames again"
+
+
 def test_an_out_mark_before_the_in_mark_removes_it(strip_window, qtbot):
     window = strip_window
     mark(qtbot, window, 15, 8)
