@@ -152,7 +152,7 @@ class Timeline(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
-        self._job.rest()
+        self._job.stop()  # its source may have been written anew
         self._remembered.clear()
         self._live.clear()
         self._series = self._former = None

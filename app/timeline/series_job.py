@@ -20,7 +20,9 @@ _ENDING_MS = 2000
 
 
 class SeriesJob(QObject):
-    """At most one series at a time; the process stays for the next order, with its source open.
+    """At most one series at a time; the process stays for the next preset, with its source open.
+
+    Call `stop` before the series of another source.
 
     Signals
     -------

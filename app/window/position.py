@@ -81,7 +81,7 @@ class PositionEntry(QLineEdit):
             return min(max(int(found[1]), 1), self._length) - 1
         if found := _TIME.fullmatch(text):
             time_s = 60 * int(found[1] or 0) + float(found[2].replace(",", "."))
-            return int(np.abs(self._seconds - time_s).argmin())
+            return int(np.abs(self._seconds[: self._length] - time_s).argmin())
         return None
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:

@@ -1,9 +1,10 @@
 """A process of low priority that computes time series beside a window: orders on standard input, values on output.
 
 An order is one line of JSON, ``{"id": ..., "source": ..., "preset": "...", "skip": [...]}``: the preset as the text of
-its file, and the frames that are known. It ends the order before it; without a source it does nothing else. Answers are
-lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with the fields of `FrameValues`, then
-``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends with its standard input.
+its file, and the frames that are known. It ends the order before it; without a source it does nothing else. All orders
+name the same source. Answers are lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with the
+fields of `FrameValues`, then ``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends with
+its standard input.
 """
 
 from __future__ import annotations
@@ -59,11 +60,10 @@ def _read_orders(orders: SimpleQueue[Order]) -> None:
 
 
 class _Worker:
-    """Keeps the source of the last order open."""
+    """Keeps the source open, which is the same in all orders."""
 
     def __init__(self, orders: SimpleQueue[Order]) -> None:
         self._orders = orders
-        self._name = ""
         self._source: FrameSource | None = None
 
     def obey(self, order: Order) -> None:
@@ -71,7 +71,7 @@ class _Worker:
         if order["source"] is None:
             return
         try:
-            source = self._open(order["source"])
+            source = self._source = self._source or open_source(order["source"])
             preset = preset_from_text(order["preset"], "the preset")
             skip = set(order["skip"])
             frames = [index for index in visiting_order(source.length or 0, preset) if index not in skip]
@@ -90,15 +90,6 @@ class _Worker:
             _tell(order, problem=str(error))
         except Exception as error:
             _tell(order, problem=f"Something went wrong ({type(error).__name__}: {error}).")
-
-    def _open(self, name: str) -> FrameSource:
-        if self._source is None or name != self._name:
-            if self._source is not None:
-                self._source.close()
-                self._source = None
-            self._source = open_source(name)
-            self._name = name
-        return self._source
 
 
 def _rows(values: list[FrameValues]) -> list[list[float | None]]:

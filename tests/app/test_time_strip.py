@@ -20,6 +20,7 @@ from tactune.app.timeline.marks import MarksKeeper
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
 from tactune.core.recording.markers import load_marks
+from tactune.core.recording.writer import export_mcap
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
 from tiny_sensor import LiveSource, TinySource, at_rest
@@ -80,6 +81,14 @@ def test_the_series_is_the_pipelines_and_follows_the_preset_and_undo(strip_windo
     window.document.undo_stack.undo()
     assert window.timeline.series is first
     assert computed(window)
+
+
+def test_a_recording_that_was_written_anew_is_computed_anew(window, qtbot, tmp_path):
+    path = tmp_path / "part.mcap"
+    for length in (LENGTH, 12):
+        export_mcap(TinySource(length), path)
+        window.open_source(f"mcap:{path}")
+        qtbot.waitUntil(lambda length=length: computed(window) and len(window.timeline.series) == length)
 
 
 def test_a_click_and_a_drag_seek(strip_window, qtbot):
