@@ -15,6 +15,7 @@ from ...core.advice.suggest import suggest, suggest_all
 from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
 from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..document.comparison import PRESENT, Side
@@ -375,14 +376,14 @@ class SuggestControl(QObject):
             self.window = SuggestWindow(context, self.gather, self.open_examples)
             corner = context.window.mapToGlobal(context.window.rect().topLeft())
             self.window.move(corner.x() + 8, corner.y() + 110)  # the patch view and the panel stay visible
-        _bring_up(self.window)
+        bring_up(self.window)
         self.window.ask(section)
 
     def open_examples(self) -> None:
         """Show the examples of the present rig."""
         if self.examples_window is None:
             self.examples_window = ExamplesWindow(self._context, self.examples)
-        _bring_up(self.examples_window)
+        bring_up(self.examples_window)
 
     def _source_opened(self, info: SourceInfo) -> None:
         self._keeper.switch_to(info.rig)
@@ -403,9 +404,3 @@ class SuggestControl(QObject):
         if self.examples_window is not None:
             self.examples_window.close_down()
         self._keeper.close()
-
-
-def _bring_up(window: QDialog) -> None:
-    window.show()
-    window.raise_()
-    window.activateWindow()

@@ -30,7 +30,7 @@ from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.plots.trade_off import Dot, TradeOffPlot
 from ..context import Context
 from ..document.comparison import Side
-from ..document.document import field_title, format_value
+from ..document.document import field_title
 from ..worker.results import Result
 from .tab import AnalysisTab
 from .tune_run import Request, TuneRun, frames_of
@@ -344,7 +344,4 @@ class TuneTab(AnalysisTab):
 
 def _shown(path: str, value: Any) -> str:
     """Return a value as the parameter panel shows it."""
-    spec = field_spec(Preset, path)
-    if spec.kind != "number":
-        return format_value(value)
-    return f"{format_number(value * spec.factor, 4)}{spec.suffix}"
+    return field_spec(Preset, path).describe(value)

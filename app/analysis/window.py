@@ -11,6 +11,7 @@ from PyQt6.QtGui import QAction, QKeyEvent, QKeySequence, QShowEvent
 from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.errors import explain, guarded
@@ -114,9 +115,7 @@ class AnalysisWindow(QDialog):
     def open_on(self, name: str) -> None:
         """Come to the front with one of the tabs."""
         self.tabs.setCurrentIndex(self._names.index(name))
-        self.show()
-        self.raise_()
-        self.activateWindow()
+        bring_up(self)
 
     def show_newest(self) -> None:
         """Pass the main window's frame to the visible tab."""

@@ -17,7 +17,7 @@ from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
-from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import Context
@@ -460,9 +460,7 @@ class CalibrationLauncher(QObject):
             )
             self.wizard.fileSaveRequested.connect(context.saveRequested)
             self.wizard.finished.connect(self._wizard_closed)
-        self.wizard.show()
-        self.wizard.raise_()
-        self.wizard.activateWindow()
+        bring_up(self.wizard)
 
     def open_recheck(self) -> None:
         """Check the preset's alignment on the current frame."""

@@ -8,6 +8,7 @@ from PyQt6.QtCore import QObject
 
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.results import SourceInfo, SourceState
@@ -56,9 +57,7 @@ class CameraControl(QObject):
 
     def show_panel(self) -> None:
         """Show the settings, or bring them to the front."""
-        self.panel.show()
-        self.panel.raise_()
-        self.panel.activateWindow()
+        bring_up(self.panel)
 
     def close(self) -> None:
         """Close both windows."""

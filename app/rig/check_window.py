@@ -8,7 +8,7 @@ from PyQt6.QtCore import QObject
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QTabWidget, QVBoxLayout, QWidget
 
 from ...widgets.basics.controls import push_button
-from ...widgets.basics.dialogs import Dialogs
+from ...widgets.basics.dialogs import Dialogs, bring_up
 from ..context import Context
 from ..document.document import Document
 from ..worker.results import Result
@@ -85,9 +85,7 @@ class CameraChecks(QObject):
             context = self._context
             folder = Path(context.settings.text("folder/export") or Path.home())
             self.window = CheckWindow(context.worker, context.document, context.dialogs, folder, context.window)
-        self.window.show()
-        self.window.raise_()
-        self.window.activateWindow()
+        bring_up(self.window)
         self._frame_shown()
 
     def close(self) -> None:

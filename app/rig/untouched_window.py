@@ -13,6 +13,7 @@ from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
@@ -295,9 +296,7 @@ class UntouchedControls(QObject):
             self.window = CaptureWindow(context.document, self._feed, self.store, self.keeper, context.window)
             self.window.saveRequested.connect(self.saveRequested)
             self.window.finished.connect(self._closed)
-        self.window.show()
-        self.window.raise_()
-        self.window.activateWindow()
+        bring_up(self.window)
 
     def close(self) -> None:
         """Stop capturing, close the window and stop following the preset."""

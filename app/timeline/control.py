@@ -11,6 +11,7 @@ from PyQt6.QtCore import QObject, QTimer, pyqtSignal
 from ...core.evaluation.time_series import FrameValues, Series, frame_values
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
 from ..context import Context
@@ -128,9 +129,7 @@ class Timeline(QObject):
         """Open the list of markers."""
         if self.list is None:
             self.list = MarkerList(self.keeper, self._context.worker.seek, self._context.window)
-        self.list.show()
-        self.list.raise_()
-        self.list.activateWindow()
+        bring_up(self.list)
 
     def _index(self) -> int | None:
         """Return the index of the frame on the screen; None for a source without marks."""

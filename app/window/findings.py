@@ -9,6 +9,7 @@ from PyQt6.QtGui import QAction
 
 from ...core.advice.proposal import Finding
 from ...core.preset import Preset
+from ...widgets.basics.dialogs import bring_up
 from ...widgets.parameters.finding_line import ShownFinding
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
@@ -63,9 +64,7 @@ class FindingsControl(QObject):
         if self._window is None:
             self._window = FindingsWindow(self.mend, self._actions.undo, self._context.window)
         self._show()
-        self._window.show()
-        self._window.raise_()
-        self._window.activateWindow()
+        bring_up(self._window)
 
     def _in_words(self, finding: Finding) -> ShownFinding:
         """Return a finding with text and tooltip of the button that mends it."""

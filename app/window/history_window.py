@@ -6,6 +6,7 @@ from PyQt6.QtCore import QSize
 from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QVBoxLayout, QWidget
 
+from ...widgets.basics.dialogs import bring_up
 from ..document.document import Document
 from .icons import icon
 
@@ -32,7 +33,5 @@ class HistoryWindow(QDialog):
 
     def show_steps(self) -> None:
         """Show the list beside the other windows."""
-        self.show()
-        self.raise_()
-        self.activateWindow()
+        bring_up(self)
         self.view.setFocus()

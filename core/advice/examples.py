@@ -118,13 +118,13 @@ def known_examples(evidence: Evidence) -> tuple[Example, ...]:
     return (*evidence.examples, *untouched)
 
 
-def error_curve(section_or_path: str, evidence: Evidence, progress: Progress = lambda share, words: None) -> ErrorCurve:
+def error_curve(path: str, evidence: Evidence, progress: Progress = lambda share, words: None) -> ErrorCurve:
     """Compute the error of a field's values in the examples, the untouched frame among them.
 
     Parameters
     ----------
-    section_or_path : str
-        A field in `CURVES`, or a section for its first field.
+    path : str
+        A field in `CURVES`.
     evidence : Evidence
     progress : callable, optional
         As for `suggest`.
@@ -134,7 +134,6 @@ def error_curve(section_or_path: str, evidence: Evidence, progress: Progress = l
     AdviceError
         The field has no curve, or there is no example.
     """
-    path = next(iter(CURVES.get(section_or_path, {})), section_or_path)
     examples = known_examples(evidence)
     if not examples:
         raise AdviceError(

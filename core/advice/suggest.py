@@ -97,11 +97,7 @@ def suggest_all(
     FrameError
         The present frame has another size than the rig's.
     """
-    evidence.frame.check_against(evidence.rig)
-    if unknown := set(sections or ()) - set(SECTIONS):
-        raise AdviceError(
-            f"there are no suggestions for {', '.join(sorted(unknown))}; choose from {', '.join(SECTIONS)}"
-        )
+    _check(evidence, sections or ())
     present, parts, refusals = evidence.preset, [], {}
     for number, section in enumerate(SECTIONS):
         if section not in (_read_sections(evidence.preset) if sections is None else sections):

@@ -2,9 +2,9 @@
 
 An order is one line of JSON, ``{"id": ..., "source": ..., "preset": "...", "skip": [...]}``: the preset as the text of
 its file, and the frames that are known. It ends the order before it; without a source it does nothing else. All orders
-name the same source. Answers are lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with the
-fields of `FrameValues`, then ``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends with
-its standard input.
+name the same source. Answers are lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with
+the fields of `FrameValues`, then ``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends
+with its standard input.
 """
 
 from __future__ import annotations

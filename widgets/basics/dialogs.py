@@ -161,3 +161,10 @@ class Dialogs:
 def local_files(data: QMimeData | None) -> list[Path]:
     """Return the local files and folders in dragged data."""
     return [] if data is None else [Path(url.toLocalFile()) for url in data.urls() if url.isLocalFile()]
+
+
+def bring_up(window: QWidget) -> None:
+    """Show a window, or bring it to the front."""
+    window.show()
+    window.raise_()
+    window.activateWindow()

@@ -22,7 +22,7 @@ PATHS = [path for fields in CURVES.values() for path in fields]
 
 def test_a_larger_tolerance_misses_less_and_invents_more(evidence):
     plain = TOLERANCE.with_values({"outliers.enabled": False, "outliers.min_cluster_area_mm2": 0.0})
-    curve = error_curve("tolerance", evidence(plain, painted=True))
+    curve = error_curve("tolerance.t", evidence(plain, painted=True))
     assert curve.path == "tolerance.t"
     assert (np.diff(curve.values) > 0).all()
     assert (np.diff(curve.missed_mm2) <= 0).all() and curve.missed_mm2[0] > 2 * curve.missed_mm2[-1]
@@ -81,7 +81,7 @@ def test_equal_errors_give_the_shipped_value(evidence):
 
 def test_without_examples_there_is_no_curve(evidence):
     with pytest.raises(AdviceError, match="mark the frame as untouched, or paint"):
-        error_curve("tolerance", evidence(TOLERANCE, untouched=False))
+        error_curve("tolerance.t", evidence(TOLERANCE, untouched=False))
     with pytest.raises(AdviceError, match=r"tolerance\.t"):
         error_curve("mask.hue", evidence(TOLERANCE))
 
