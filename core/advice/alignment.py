@@ -51,7 +51,7 @@ def propose_alignment(evidence: Evidence, best: Disagreement, contradicting: Seq
     changes = {"alignment.depth_offset_m": section.depth_offset_m + bias.bias_m}
     if _tells_scale(bias):
         factor = 1 / (1 - bias.per_m)
-        sentence += f" The difference grows by {100 * bias.per_m:.1f} +- {100 * bias.per_m_sigma:.1f} % of the depth."
+        sentence += f" The difference grows by {100 * bias.per_m:.1f} ± {100 * bias.per_m_sigma:.1f} % of the depth."
         changes["alignment.depth_scale"] = section.depth_scale * factor
         changes["alignment.depth_offset_m"] = factor * (
             section.depth_offset_m + bias.bias_m - bias.per_m * bias.depth_m
@@ -81,11 +81,11 @@ def _raw_depth_m(evidence: Evidence) -> float:
 def _sentence(best: Disagreement, contradicting: Sequence[Disagreement]) -> str:
     bias = best.bias
     words = (
-        f"The proximity camera reads {_mm(bias.bias_m)} +- {1e3 * bias.sigma_m:.1f} mm against the tactile camera, "
+        f"The proximity camera reads {_mm(bias.bias_m)} ± {1e3 * bias.sigma_m:.1f} mm against the tactile camera, "
         f"measured {best.place}."
     )
     for other in contradicting:
-        words += f" It contradicts {_mm(other.bias.bias_m)} +- {1e3 * other.bias.sigma_m:.1f} mm {other.place}."
+        words += f" It contradicts {_mm(other.bias.bias_m)} ± {1e3 * other.bias.sigma_m:.1f} mm {other.place}."
     return words
 
 

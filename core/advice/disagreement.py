@@ -154,7 +154,7 @@ def measure_disagreement(evidence: Evidence, progress: Progress) -> tuple[Disagr
     if not found:
         raise AdviceError(
             "alignment: a bias between the cameras can't be told from a gap here; set the mask to the colour of prints "
-            "that reflect infrared, press an object firmly (10 cm2 or more), or paint the contact in a frame"
+            "that reflect infrared, press an object firmly (10 cm² or more), or paint the contact in a frame"
         )
     best, *others = sorted(found, key=lambda each: each.bias.sigma_m)
     return best, [other for other in others if _apart(best.bias, other.bias)]

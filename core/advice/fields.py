@@ -98,10 +98,10 @@ def _from_examples(section: str, evidence: Evidence, progress: Progress) -> Prop
         section,
         changes,
         f"In {_counted(touched, 'frame')} with painted contact and "
-        f"{_counted(len(examples) - touched, 'untouched frame')}, the best values leave {sum(after):.0f} mm2 of missed "
+        f"{_counted(len(examples) - touched, 'untouched frame')}, the best values leave {sum(after):.0f} mm² of missed "
         "and false contact per frame.",
-        f"Missed contact changes from {before[0]:.0f} to {after[0]:.0f} mm2 per frame, false contact from "
-        f"{before[1]:.0f} to {after[1]:.0f} mm2.",
+        f"Missed contact changes from {before[0]:.0f} to {after[0]:.0f} mm² per frame, false contact from "
+        f"{before[1]:.0f} to {after[1]:.0f} mm².",
     )
 
 
@@ -122,14 +122,14 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
         enough_mm2 = max(enough_mm2, float(clean.min()))
         false_mm2, left_mm2 = curve.at(present)[1], curve.at(enough_mm2)[1]
         reasons.append(
-            f"In the untouched frames {false_mm2:.0f} mm2 per frame count as contact with the present value, and "
-            f"{left_mm2:.0f} mm2 if groups below {enough_mm2:.0f} mm2 are dropped."
+            f"In the untouched frames {false_mm2:.0f} mm² per frame count as contact with the present value, and "
+            f"{left_mm2:.0f} mm² if groups below {enough_mm2:.0f} mm² are dropped."
         )
     if enough_mm2 == shipped:
-        reasons.append(f"{shipped:g} mm2 is the shipped value.")
+        reasons.append(f"{shipped:g} mm² is the shipped value.")
     if enough_mm2 > values[-1]:
         raise AdviceError(
-            f"{section}: noise would make groups of {enough_mm2:.0f} mm2, which is more than contact; hold the scene "
+            f"{section}: noise would make groups of {enough_mm2:.0f} mm², which is more than contact; hold the scene "
             "still, or measure the rig's noise (Check cameras)"
         )
     proposed = present if present >= enough_mm2 else float(values[values >= enough_mm2].min())
@@ -138,7 +138,7 @@ def _smallest_group(section: str, path: str, evidence: Evidence, progress: Progr
         section,
         {path: proposed},
         f"{' '.join(reasons)} {_WEAKER}",
-        f"Groups below {proposed:g} mm2 are dropped, those of real contact too.",
+        f"Groups below {proposed:g} mm² are dropped, those of real contact too.",
         weak=True,
     )
 
@@ -153,7 +153,7 @@ def _noise_group_mm2(evidence: Evidence, progress: Progress) -> tuple[float, str
     area_mm2 = 1e6 * math.pi * max(lengths_m) ** 2
     return (
         area_mm2,
-        f"Noise is correlated over {1e3 * max(lengths_m):.1f} mm, so it makes groups of {area_mm2:.0f} mm2.",
+        f"Noise is correlated over {1e3 * max(lengths_m):.1f} mm, so it makes groups of {area_mm2:.0f} mm².",
     )
 
 
@@ -214,4 +214,4 @@ def _counted(number: int, thing: str) -> str:
 def _shown(path: str, value: float) -> str:
     if path.endswith("_m"):
         return f"{1e3 * value:g} mm"
-    return f"{value:g} mm2" if path.endswith("_mm2") else f"{value:g}"
+    return f"{value:g} mm²" if path.endswith("_mm2") else f"{value:g}"

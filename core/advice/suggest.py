@@ -154,4 +154,4 @@ def _patch_change(evidence: Evidence, proposal: Proposal) -> str:
     before = pipeline.process(evidence.frame).area_mm2
     pipeline.update(proposal.apply(evidence.preset))
     after = pipeline.process(evidence.frame).area_mm2
-    return f"The patch of the present frame changes from {before / 100:.1f} to {after / 100:.1f} cm2."
+    return f"The patch of the present frame changes from {before / 100:.1f} to {after / 100:.1f} cm²."

@@ -35,7 +35,7 @@ def test_each_proposal_is_printed_and_all_are_written(tactune: Tactune, spoiled:
     finished = tactune("preset", "suggest", "--source", SCENE, "--preset", spoiled, "--out", out)
     assert finished.status == 0
     assert "mask: Mask hue" in finished.out and "% of the prints" in finished.out
-    assert "--set alignment.depth_offset_m=0.0" in finished.out and "+-" in finished.out
+    assert "--set alignment.depth_offset_m=0.0" in finished.out and "±" in finished.out
     mended = load_preset(out)
     assert mended.mask.enabled and mended.alignment.depth_offset_m == 0
     # what is printed does the same

@@ -21,7 +21,7 @@ def test_prints_tell_the_offset(evidence, spoiled_m):
         "alignment", evidence(TOLERANCE.with_value("alignment.depth_offset_m", spoiled_m), "sim:hover?gap=5")
     )
     assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
-    assert "prints" in proposal.evidence and "+-" in proposal.evidence
+    assert "prints" in proposal.evidence and "±" in proposal.evidence
 
 
 def test_firm_contact_tells_the_offset_without_prints(evidence):

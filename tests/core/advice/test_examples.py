@@ -105,7 +105,7 @@ def test_examples_lower_the_error(evidence, section, bad):
     )
     assert after < 0.9 * before
     assert not proposal.weak
-    assert f"{after:.0f} mm2" in proposal.evidence
+    assert f"{after:.0f} mm²" in proposal.evidence
 
 
 def test_without_contact_t_follows_from_the_noise_and_is_weak(evidence):
