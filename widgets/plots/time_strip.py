@@ -225,12 +225,12 @@ class TimeStrip(QWidget):
         former : as ``values``, optional
             An older series, drawn behind in grey.
         """
-        other = self._live or len(seconds) != len(self._seconds)
+        whole = self._live or len(seconds) != len(self._seconds) or self._box.viewRange()[0] == [0.0, self._end_s()]
         self._live = False
         self._seconds, self._values, self._computed, self._former = seconds, values, computed, former
         self._draw()
-        if other:
-            self._limit()
+        self._limit()
+        if whole:
             self.show_all()
         self._place_marks()
 
