@@ -17,7 +17,7 @@ from ..sources.base import Progress
 from .examples import CURVES, Judge, curve_of, known_examples, usual_value
 from .proposal import Evidence, Proposal
 
-#: Without examples, t covers this number of standard deviations of the noise of both depths.
+#: Without examples, t covers this number of standard deviations of the noise of both depths: 95 % of the pixels.
 _T_SIGMAS: Final = 2.0
 #: Fewest frames from which noise is measured, and the number of the newest ones that are used.
 _MIN_FRAMES, _FRAMES = 2, 4
@@ -42,7 +42,7 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
         return _from_examples("tolerance", evidence, progress)
     proximity, tactile = _noises(evidence, "tolerance", progress)
     sigma_m = math.hypot(proximity.total_m, tactile.total_m)
-    t = float(f"{_T_SIGMAS * sigma_m / tactile.distance_m:.2g}")
+    t = tolerance_for(sigma_m, tactile.distance_m)
     return _proposal(
         evidence,
         "tolerance",
@@ -52,6 +52,11 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
         "Nearly all contact passes, and no larger gap than noise requires.",
         weak=True,
     )
+
+
+def tolerance_for(sigma_m: float, distance_m: float) -> float:
+    """Return the tolerance t that the noise of the difference of both depths asks for at a distance, both metres."""
+    return min(float(f"{_T_SIGMAS * sigma_m / distance_m:.2g}"), 1.0)
 
 
 def suggest_outliers(evidence: Evidence, progress: Progress) -> Proposal:

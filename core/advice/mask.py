@@ -9,8 +9,6 @@ from typing import Final
 import cv2
 import numpy as np
 
-from ..contact.alignment import make_alignment
-from ..contact.finder import region_bounds
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m
 from ..errors import AdviceError
@@ -19,6 +17,7 @@ from ..model.clouds import ray_table
 from ..model.frames import Rig, SensorFrame
 from ..preset import MaskSection, Preset
 from ..sources.base import Progress
+from .disagreement import depth_differences
 from .proposal import Evidence, MaskLabel, Proposal
 
 #: Largest bias between the cameras at which prints are recognised, metres.
@@ -119,11 +118,9 @@ def suggest_mask(evidence: Evidence, progress: Progress) -> Proposal:
 def _difference(frame: SensorFrame, preset: Preset, rig: Rig) -> tuple[Float32Array, Float32Array]:
     """Return the tactile depth of each proximity pixel, and how far it sees behind the prints, metres."""
     frame.check_against(rig)
-    bounds = region_bounds(preset.region, rig.proximity.intrinsics.shape)
-    aligned = make_alignment(preset.alignment, rig).align(frame.proximity_depth, frame.tactile_depth, bounds)
-    difference = aligned.expected_m - aligned.measured_m
+    expected, difference = depth_differences(frame, preset, rig)
     with np.errstate(invalid="ignore"):
-        return aligned.measured_m, difference - most_frequent_m(difference[np.abs(difference) < _MAX_BIAS_M])
+        return expected - difference, difference - most_frequent_m(difference[np.abs(difference) < _MAX_BIAS_M])
 
 
 def _near(behind_m: Float32Array) -> Uint8Array:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from ..fields import tolerance_for
 from ..proposal import Finding, Proposal
 from .situation import Situation
 
 #: Least share of the pixels in contact that should pass the tolerance.
 _MIN_PASSING: Final = 0.8
-#: Standard deviations of the noise that the proposed tolerance allows: 95 % of the pixels in contact pass.
-_ALLOWED_SIGMAS: Final = 2.0
 
 
 def find(situation: Situation) -> Finding | None:
@@ -26,7 +25,7 @@ def find(situation: Situation) -> Finding | None:
     passing = math.erf(t * distance_m / (sigma_m * math.sqrt(2)))
     if passing >= _MIN_PASSING:
         return None
-    better = math.ceil(1e3 * _ALLOWED_SIGMAS * sigma_m / distance_m) / 1e3
+    better = tolerance_for(sigma_m, distance_m)
     measured = f"the noise of both cameras is {1e3 * sigma_m:.1f} mm"
     passes = f"only {100 * passing:.0f} % of contact passes"
     return Finding(
@@ -35,8 +34,8 @@ def find(situation: Situation) -> Finding | None:
         sentence=f"t is {1e3 * t * distance_m:.1f} mm here, but {measured}: {passes}.",
         proposal=Proposal(
             section="tolerance",
-            changes={"tolerance.t": min(better, 1.0)},
-            label=f"t = {better:.3f}",
+            changes={"tolerance.t": better},
+            label=f"t = {better:g}",
             evidence=f"Measured with the rig: {measured}, one standard deviation.",
             expected="95 % of the pixels in contact pass.",
             weak=True,
