@@ -26,8 +26,6 @@ from .evidence import FrameRing, Gathered
 from .examples import ExampleHistory, ExampleKeeper
 from .examples_window import ExamplesWindow
 
-#: Returns the present evidence; None without a frame.
-Gather = Callable[[], Gathered | None]
 #: The values besides its own that decide a card's curve: field of the curve, preset.
 Bases = dict[ProposalCard, tuple[str, Preset]]
 #: Stands for every section, as in `Proposal.section`.

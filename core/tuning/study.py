@@ -39,7 +39,6 @@ except ImportError as missing:
 
 Direction = Literal["minimize", "maximize"]
 Sampler = Literal["grid", "qmc", "tpe", "nsga2"]
-SAMPLERS: Final = ("grid", "qmc", "tpe", "nsga2")
 #: Trials of a search without a number of trials.
 TRIALS: Final = 60
 

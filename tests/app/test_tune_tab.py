@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import os
 import sys
 
 import pytest
-from PyQt6.QtCore import QPointF, Qt
+from PyQt6.QtCore import QPointF, QProcess, Qt
 from PyQt6.QtTest import QTest
 
 from hands import LEFT, show_source, text_of, type_into
@@ -132,9 +133,12 @@ def test_a_line_that_a_library_prints_is_no_trial(qtbot, tab, tmp_path, monkeypa
 def test_closing_the_window_ends_the_search(qtbot, tab):
     type_into(tab.trials.lineEdit(), "500")
     QTest.mouseClick(tab.start, LEFT)
-    qtbot.waitUntil(lambda: tab.run.busy)
+    qtbot.waitUntil(lambda: len(tab.run.trials) > 0, timeout=240_000)
+    [process] = tab.run.findChildren(QProcess)
+    number = process.processId()
     tab.main.close_without_asking()
-    qtbot.waitUntil(lambda: not tab.run.busy)
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
 
 
 def test_frames_are_spread_with_truth_and_consecutive_without_between_the_marks():
