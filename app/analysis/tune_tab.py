@@ -164,6 +164,7 @@ class TuneTab(AnalysisTab):
         self.plot.accepted.connect(self._use)
         self.plot.chosen.connect(self._preview)
         self.plot.pointed.connect(self.pointed.setText)
+        self.objective.currentIndexChanged.connect(lambda _: self._name_axes())
         self.run.changed.connect(self._show_trials)
         self.run.ended.connect(self._ended)
         self._document.presetChanged.connect(self._list_fields)
@@ -244,9 +245,7 @@ class TuneTab(AnalysisTab):
         request = self.run.request
         if request is None:
             return
-        objective = OBJECTIVES[request.objective]
-        unit = f" ({objective.unit})" if objective.unit else ""
-        self.plot.set_axes("Time (ms per frame, one thread)", f"{_TITLES[request.objective]}{unit}")
+        self._name_axes()
         dots, present = [], -1
         for number, trial in self.run.trials.items():
             figures = trial["figures"]
@@ -256,6 +255,13 @@ class TuneTab(AnalysisTab):
             dots.append(Dot(number, figures["ms"], figures[request.objective], self._words(trial)))
         self.plot.set_dots(dots, self.run.front, present)
         self._update()
+
+    def _name_axes(self) -> None:
+        """Name the axes after the trials that are shown; before the first search, after what will be."""
+        name = self.objective.currentData() if self.run.request is None else self.run.request.objective
+        if name is not None:
+            unit = OBJECTIVES[name].unit
+            self.plot.set_axes("Time (ms per frame, one thread)", f"{_TITLES[name]}{f' ({unit})' if unit else ''}")
 
     def _words(self, trial: dict[str, Any]) -> str:
         """Describe a trial in one line."""

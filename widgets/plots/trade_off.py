@@ -77,6 +77,7 @@ class TradeOffPlot(QWidget):
             plot.addItem(item)
         self.scatter.sigHovered.connect(self._hovered)
         self.scatter.sigClicked.connect(self._clicked)
+        self._draw()
 
     def set_axes(self, x: str, y: str) -> None:
         """Name the axes, with their units."""
@@ -143,6 +144,8 @@ class TradeOffPlot(QWidget):
 
     def _draw(self) -> None:
         colors = theme_colors()
+        for side in ("left", "bottom"):
+            self._plot.getAxis(side).setStyle(showValues=bool(self._dots))  # the numbers of an empty plot mean nothing
         front = set(self._front)
         self.scatter.setData(
             [
