@@ -7,7 +7,7 @@ import pytest
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtGui import QWheelEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication
+from PyQt6.QtWidgets import QApplication, QGraphicsTextItem
 
 from tactune.widgets.plots.time_strip import CURVES, TimeStrip
 
@@ -99,3 +99,15 @@ def test_frames_that_turn_out_to_be_later_stay_in_view(strip):
     before = pixels_per_frame(strip)
     strip.set_series(np.arange(N) / 20 + 1e-6, values, np.ones(N, np.bool_))
     assert pixels_per_frame(strip) == pytest.approx(before), "it stays zoomed in"
+
+
+def test_names_of_neighbouring_markers_do_not_overlap(strip):
+    strip.set_markers([(104, "Marker 2"), (100, "Marker 1")])
+    QApplication.processEvents()
+    places = {
+        item.toPlainText(): item.mapRectToScene(item.boundingRect())
+        for item in strip.plot_widget.scene().items()
+        if isinstance(item, QGraphicsTextItem) and item.toPlainText().startswith("Marker")
+    }
+    assert len(places) == 2
+    assert not places["Marker 1"].intersects(places["Marker 2"])

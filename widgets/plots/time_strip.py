@@ -338,11 +338,12 @@ class TimeStrip(QWidget):
             self._plot.removeItem(flag)
         self._flags = []
         length = len(self._seconds)
-        for frame, name in self._markers:
+        for number, (frame, name) in enumerate(sorted(self._markers)):
             if frame < length and not self._live:
+                height = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
                 flag = pg.InfiniteLine(
                     float(self._seconds[frame]), angle=90, pen=pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine),
-                    label=name, labelOpts={"position": 0.86, "anchors": [(0, 0.5), (1, 0.5)], "color": colors.text,
+                    label=name, labelOpts={"position": height, "anchors": [(0, 0.5), (1, 0.5)], "color": colors.text,
                                "fill": colors.alternate},
                 )  # fmt: skip
                 self._plot.addItem(flag, ignoreBounds=True)
