@@ -108,8 +108,11 @@ class MarksKeeper(QObject):
         self._edit("Delete marker", kept)
 
     def beyond(self, frame: int, forward: bool) -> int | None:
-        """Return the frame of the next marker after ``frame``, or of the last one before it; None if there is none."""
-        frames = [marker.frame for marker in self.marks.markers]
+        """Return the frame of the next marker after ``frame``, or of the last one before it; None if there is none.
+
+        Markers behind the end are left out: the recording was longer when they were set.
+        """
+        frames = [marker.frame for marker in self.marks.markers if marker.frame < self._length]
         if forward:
             return min((other for other in frames if other > frame), default=None)
         return max((other for other in frames if other < frame), default=None)

@@ -356,6 +356,16 @@ def test_opening_the_list_goes_nowhere_and_an_empty_name_is_refused(qtbot, tmp_p
     assert [listed.table.item(row, 0).text() for row in (0, 1)] == ["Marker 1", "Marker 2"]
 
 
+def test_markers_behind_the_end_of_a_shorter_recording_are_passed_over(qtbot, tmp_path):
+    keeper = MarksKeeper(tmp_path)
+    keeper.open("tiny", LENGTH)
+    for frame in (4, 20):
+        keeper.add(frame, frame / 30)
+    keeper.open("tiny", 12)
+    assert keeper.beyond(4, forward=True) is None
+    assert keeper.beyond(11, forward=False) == 4
+
+
 def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_window, qtbot):
     window = strip_window
     qtbot.waitUntil(lambda: computed(window))
