@@ -83,6 +83,8 @@ def suggest(
             warn(sentence)
         frames = recent_frames(opened, frame)
         free = _untouched(opened, chosen, origin, untouched)
+        if free is not None:
+            free.check_against(opened.rig)
         examples = tuple(load_example(path) for path in example or ())
         for each in examples:
             each.frame.check_against(opened.rig)

@@ -210,7 +210,8 @@ class Timeline(QObject):
         while len(self._remembered) > _REMEMBERED:
             self._remembered.pop(next(iter(self._remembered)))
         self._strip.set_words("Computing…")
-        self._job.start(self._info.name, preset, np.flatnonzero(self._series.computed).tolist())
+        known = np.flatnonzero(self._series.computed).tolist()
+        self._job.start(self._info.name, len(self._series), preset, known)
 
     # Values
 

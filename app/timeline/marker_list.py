@@ -40,7 +40,6 @@ class MarkerList(QDialog):
         self.table.setToolTip("Time in seconds since the first frame; frames count from 1. F2 renames, Del deletes.")
         header, rows = self.table.horizontalHeader(), self.table.verticalHeader()
         assert header is not None and rows is not None
-        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
         header.setSectionResizeMode(0, QHeaderView.ResizeMode.Stretch)
         rows.hide()
         self.table.cellChanged.connect(self._renamed)
@@ -85,6 +84,8 @@ class MarkerList(QDialog):
                         item.setFlags(item.flags() & ~Qt.ItemFlag.ItemIsEditable)
                         item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
                     self.table.setItem(row, column, item)
+        for column in (1, 2):  # the mode ResizeToContents would measure all rows again for each item
+            self.table.resizeColumnToContents(column)
         self.delete.setEnabled(bool(marks.markers))
         self.hint.setText(_FULL if marks.markers else _EMPTY)
 

@@ -45,10 +45,10 @@ class SeriesJob(QObject):
         """Whether a series is being computed."""
         return self._running
 
-    def start(self, source: str, preset: Preset, skip: list[int]) -> None:
-        """Compute the series of a source's frames except ``skip``; ends the one before."""
+    def start(self, source: str, length: int, preset: Preset, skip: list[int]) -> None:
+        """Compute the series of a source's ``length`` frames except ``skip``; ends the one before."""
         self._running = True
-        self._order(source=source, preset=preset_json(preset), skip=skip)
+        self._order(source=source, length=length, preset=preset_json(preset), skip=skip)
 
     def rest(self) -> None:
         """Stop computing; the process stays."""

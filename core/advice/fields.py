@@ -41,7 +41,9 @@ def suggest_tolerance(evidence: Evidence, progress: Progress) -> Proposal:
     if _painted(evidence):
         return _from_examples("tolerance", evidence, progress)
     proximity, tactile = _noises(evidence, "tolerance", progress)
-    sigma_m = math.hypot(proximity.total_m, tactile.total_m)
+    rig = evidence.rig
+    rounding_m = math.hypot(rig.proximity.depth_unit_m, rig.tactile.depth_unit_m) / math.sqrt(12)
+    sigma_m = max(math.hypot(proximity.total_m, tactile.total_m), rounding_m)  # equal frames have no noise
     t = tolerance_for(sigma_m, tactile.distance_m)
     return _proposal(
         evidence,

@@ -1,10 +1,10 @@
 """A process of low priority that computes time series beside a window: orders on standard input, values on output.
 
-An order is one line of JSON, ``{"id": ..., "source": ..., "preset": "...", "skip": [...]}``: the preset as the text of
-its file, and the frames that are known. It ends the order before it; without a source it does nothing else. All orders
-name the same source. Answers are lines of JSON with the order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with
-the fields of `FrameValues`, then ``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends
-with its standard input.
+An order is one line of JSON, ``{"id": ..., "source": ..., "length": ..., "preset": "...", "skip": [...]}``: the number
+of frames that the window knows, the preset as the text of its file, and the frames that are known. It ends the order
+before it; without a source it does nothing else. All orders name the same source. Answers are lines of JSON with the
+order's id: ``{"id": ..., "rows": [[index, ...], ...]}`` with the fields of `FrameValues`, then
+``{"id": ..., "done": true}`` or ``{"id": ..., "problem": "..."}``. The process ends with its standard input.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from typing import Any, Final
 import cv2
 
 from ..contact.kernels.threads import set_threads
-from ..errors import TactuneError
+from ..errors import SourceError, TactuneError
 from ..preset.file import preset_from_text
 from ..sources.base import FrameSource
 from ..sources.registry import open_source
@@ -72,6 +72,9 @@ class _Worker:
             return
         try:
             source = self._source = self._source or open_source(order["source"])
+            if source.length != order["length"]:
+                was = f"not {order['length']} as when it was opened"
+                raise SourceError(f"{source.name} has {source.length} frames, {was}; open it again")
             preset = preset_from_text(order["preset"], "the preset")
             skip = set(order["skip"])
             frames = [index for index in visiting_order(source.length or 0, preset) if index not in skip]

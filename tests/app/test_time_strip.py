@@ -379,3 +379,15 @@ def test_a_process_that_was_killed_is_replaced_and_ends_with_the_window(strip_wi
     window.close_without_asking()
     with pytest.raises(ProcessLookupError):
         os.kill(number, 0)
+
+
+def test_many_markers_are_listed_and_drawn_as_one_item(strip_window, qtbot, scene):
+    window = strip_window
+    markers = [{"frame": number % LENGTH, "name": f"m{number}", "time_s": 0.0} for number in range(3000)]
+    (scene / "markers.json").write_text(json.dumps({"markers": markers}))
+    before = len(window.time_strip.plot_widget.items())
+    show_source(qtbot, window, TinySource())
+    show_scene(qtbot, window, scene, 3)
+    window.timeline.open_list()
+    assert window.timeline.list.table.rowCount() == 3000
+    assert len(window.time_strip.plot_widget.items()) < before + 10

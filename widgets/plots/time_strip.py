@@ -41,6 +41,8 @@ _HEIGHT = 84
 #: Resolution of the shading of frames that are not computed yet, columns.
 _COLUMNS = 1000
 _NO_TRUTH = "This source does not know the true contact"
+#: More markers than these are drawn without their names.
+_MOST_NAMED: Final = 100
 #: The smallest part of a recording that zooming shows, frames.
 _MIN_FRAMES = 10
 
@@ -338,8 +340,15 @@ class TimeStrip(QWidget):
             self._plot.removeItem(flag)
         self._flags = []
         length = len(self._seconds)
-        for number, (frame, name) in enumerate(sorted(self._markers)):
-            if frame < length and not self._live:
+        shown = [] if self._live else sorted(mark for mark in self._markers if mark[0] < length)
+        if len(shown) > _MOST_NAMED:  # names would cover each other, and so many items make the window slow
+            ticks = pg.VTickGroup(
+                self._seconds[[frame for frame, _ in shown]], (0.0, 1.0), pg.mkPen(colors.accent_text)
+            )
+            self._plot.addItem(ticks, ignoreBounds=True)
+            self._flags.append(ticks)
+        else:
+            for number, (frame, name) in enumerate(shown):
                 height = 0.4 if number % 2 else 0.86  # two rows, so that names of neighbours do not overlap
                 flag = pg.InfiniteLine(
                     float(self._seconds[frame]), angle=90, pen=pg.mkPen(colors.accent_text, style=Qt.PenStyle.DashLine),

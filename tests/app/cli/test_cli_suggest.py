@@ -15,6 +15,7 @@ from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tiny_sensor import TinySource
 
 Tactune = Callable[..., Any]
 SCENE = "sim:cup?press=medium"
@@ -92,3 +93,9 @@ def test_the_present_frame_can_be_chosen(tactune: Tactune) -> None:
 
 def test_an_unknown_section_is_refused(tactune: Tactune) -> None:
     assert "mask, contact_test" in tactune("preset", "suggest", "--source", SCENE, "--section", "musk").sentence
+
+
+def test_an_untouched_frame_of_another_rig_is_refused(tactune: Tactune, tmp_path: Path) -> None:
+    export_folder(TinySource(2), tmp_path / "tiny")
+    named = ("--section", "mask", "--untouched", f"folder:{tmp_path / 'tiny'}")
+    assert "the rig says" in tactune("preset", "suggest", "--source", SCENE, *named).sentence

@@ -129,3 +129,11 @@ def test_progress_rises_and_may_cancel(evidence, section):
 
     with pytest.raises(KeyboardInterrupt):
         suggest(section, evidence(TOLERANCE), cancel)
+
+
+def test_a_tolerance_covers_the_rounding_of_depth_where_frames_are_equal_and_flat(evidence):
+    given = evidence(TOLERANCE, untouched=False)
+    frame = given.frames[-1]
+    flat = [np.full_like(depth, 2500) for depth in (frame.proximity_depth, frame.tactile_depth)]
+    equal = tuple(replace(frame, sequence=n, proximity_depth=flat[0], tactile_depth=flat[1]) for n in range(4))
+    assert suggest("tolerance", replace(given, frames=equal)).changes["tolerance.t"] > 1e-5

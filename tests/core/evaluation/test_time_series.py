@@ -100,9 +100,11 @@ def test_times_follow_the_stamps_and_increase():
 
 def test_the_process_gives_the_same_series_and_ends_with_its_input(tmp_path):
     export_folder(TinySource(8), tmp_path / "tiny")
+    common = {"length": 8, "preset": preset_json(PRESET)}
     orders = [
-        {"id": 1, "source": f"folder:{tmp_path / 'no such folder'}", "preset": preset_json(PRESET), "skip": []},
-        {"id": 2, "source": f"folder:{tmp_path / 'tiny'}", "preset": preset_json(PRESET), "skip": [2, 5]},
+        {"id": 1, "source": f"folder:{tmp_path / 'no such folder'}", "skip": [], **common},
+        {"id": 2, "source": f"folder:{tmp_path / 'tiny'}", "skip": [2, 5], **common},
+        {"id": 3, "source": f"folder:{tmp_path / 'tiny'}", "skip": [], **common, "length": 5},
     ]
     process = subprocess.Popen(
         [sys.executable, "-P", "-c", PROGRAM, json.dumps(sys.path)],
@@ -120,6 +122,7 @@ def test_the_process_gives_the_same_series_and_ends_with_its_input(tmp_path):
         process.stdin.close()
         process.wait(60)
     assert "no such folder" in answers[0]["problem"]
+    assert "has 8 frames, not 5 as when it was opened; open it again" in answers[-1]["problem"]
     rows = [row for answer in answers if answer["id"] == 2 for row in answer.get("rows", [])]
     expected = series_of(TinySource(8), PRESET)
     assert [row[0] for row in rows] == [0, 1, 3, 4, 6, 7]
