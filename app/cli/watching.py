@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import Future, ThreadPoolExecutor
+from shlex import quote
 from typing import TYPE_CHECKING, Any
 
 from .common import warn
@@ -41,7 +42,7 @@ class Watching:
         for sentence in found.warnings:
             warn(sentence)
         self._watchdog: Watchdog = Watchdog(preset, source.rig, found.frame)
-        self._remedy = f"check with: tactune recheck --preset {origin} --source {source.name}"
+        self._remedy = f"Check with: tactune recheck --preset {quote(origin)} --source {quote(source.name)}"
         self._live = source.length is None
         self._pool = ThreadPoolExecutor(1)
         self._look: Future[WatchReport | None] | None = None
