@@ -10,6 +10,7 @@ import numpy as np
 from ..contact.masking import colors_at, in_hsv_range
 from ..contact.membrane.bias import most_frequent_m, rig_bias
 from ..contact.membrane.finder import firm_contact_bias
+from ..contact.membrane.tension import LIMITS_PER_M, measured_curvature_per_m
 from ..errors import RigMismatchError
 from ..model.arrays import Float32Array
 from ..model.clouds import deproject
@@ -89,11 +90,17 @@ def _on_prints(
 
 
 def _in_firm_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> Disagreement | None:
-    """Return the bias in firm contact as the membrane test finds it, also if the preset has another test."""
+    """Return the bias in firm contact as the membrane test finds it, also if the preset has another test.
+
+    Only an inflated membrane tells firm contact from a flat gap.
+    """
     facts, known = patch.membrane, rig_bias(preset, rig)
     if facts is not None:
         found = (facts.bias_m, facts.firm_m2) if facts.firm_m2 > 0 and len(patch.points) else None
     else:
+        curvature_per_m = measured_curvature_per_m(frame, preset.alignment, rig)
+        if not LIMITS_PER_M[0] <= curvature_per_m <= LIMITS_PER_M[1]:
+            return None
         try:
             found = firm_contact_bias(preset, rig)(frame)
         except RigMismatchError:  # a homography without a pose

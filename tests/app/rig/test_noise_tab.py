@@ -136,7 +136,7 @@ def test_keys_measure_and_cancel_and_a_paused_recording_stays_paused(open_tab, r
 
 
 def test_a_moving_scene_is_refused_with_a_sentence(open_tab, rig, qtbot):
-    _, tab = open_tab(Wall(rig, step_m=0.001))
+    _, tab = open_tab(Wall(rig, length=2000, step_m=0.001))  # it does not come back to its first place
     QTest.mouseClick(tab.start, LEFT)
     qtbot.waitUntil(lambda: not tab.busy)
     assert tab.sentence.text().startswith("The scene moves: the tactile depth changes in 100 % of the image")
