@@ -12,7 +12,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,6 +25,7 @@ from .space import TuneError
 _WATCH_S: Final = 0.2
 #: Longest wait for the scheduler, seconds.
 _CONNECT_S: Final = 10.0
+_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
 _ADDRESS: Final = re.compile(r"([a-z]+://)?[^/\s]+:[0-9]{1,5}")
 
 
@@ -94,9 +95,11 @@ def cluster_workers(address: str) -> Iterator[Workers]:
             "dask scheduler and give the address that it prints, such as tcp://192.168.0.5:8786"
         ) from error
 
+    closed = distributed.client.ClosedClientError
+
     def check() -> None:
         if client.status != "running":
-            raise TuneError("the Dask scheduler is gone; start it again, and the same command continues")
+            raise TuneError(_GONE)
 
     def threads() -> int:
         return sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
@@ -111,8 +114,11 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         executor = client.get_executor(pure=False)
         try:
             yield Workers(executor, threads, check)
+        except closed as error:
+            raise TuneError(_GONE) from error
         finally:
-            executor.shutdown(wait=False)
+            with suppress(closed):
+                executor.shutdown(wait=False)
 
 
 class _Here(Executor):
