@@ -27,7 +27,7 @@ from ..sources.registry import open_source
 from .clips import ALL_FRAMES, Clip, FrameRange, OpenSource, inspect_clips
 from .measure import OBJECTIVES, Batch, Measured, measure_batch
 from .space import Axis, TuneError, check_axes, default_axes, grid_of, plain_value, result_paths
-from .workers import Workers
+from .workers import SCHEDULER_GONE, Workers
 
 try:
     import optuna
@@ -296,7 +296,7 @@ class Study:
             if not running:
                 time.sleep(_LOOK_S)  # another search is about to finish the last trials
             for future in wait(running, _LOOK_S, FIRST_COMPLETED).done:
-                for trial, measured in zip(running.pop(future), _result(future), strict=True):
+                for trial, measured in zip(running.pop(future), _result(future, workers), strict=True):
                     self._tell(trial, measured)
             workers.check()
             if (done := len(self.trials())) != said:
@@ -507,7 +507,7 @@ def _label(value: Any) -> Any:
     return json.dumps(value) if isinstance(value, list | dict) else value
 
 
-def _result(future: Future[list[Measured]]) -> list[Measured]:
+def _result(future: Future[list[Measured]], workers: Workers) -> list[Measured]:
     try:
         return future.result()
     except TactuneError:
@@ -515,8 +515,9 @@ def _result(future: Future[list[Measured]]) -> list[Measured]:
     except BrokenProcessPool as error:
         raise TuneError(_KILLED) from error
     except CancelledError as error:
-        raise TuneError("the Dask scheduler is gone; start it again, and the same command continues") from error
+        raise TuneError(SCHEDULER_GONE) from error
     except Exception as error:
+        workers.check()  # a scheduler that went away is the reason for whatever error its client gives
         raise TuneError(
             f"a worker failed ({type(error).__name__}: {str(error).partition(chr(10))[0][:200]}); check that each has "
             "this version of Tactune and enough memory, and give the same command again"

@@ -25,7 +25,7 @@ from .space import TuneError
 _WATCH_S: Final = 0.2
 #: Longest wait for the scheduler, seconds.
 _CONNECT_S: Final = 10.0
-_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
+SCHEDULER_GONE: Final = "the Dask scheduler is gone; start it again, and the same command continues"
 _ADDRESS: Final = re.compile(r"([a-z]+://)?[^/\s]+:[0-9]{1,5}")
 
 
@@ -99,7 +99,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
 
     def check() -> None:
         if client.status != "running":
-            raise TuneError(_GONE)
+            raise TuneError(SCHEDULER_GONE)
 
     def threads() -> int:
         return sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
@@ -115,7 +115,7 @@ def cluster_workers(address: str) -> Iterator[Workers]:
         try:
             yield Workers(executor, threads, check)
         except closed as error:
-            raise TuneError(_GONE) from error
+            raise TuneError(SCHEDULER_GONE) from error
         finally:
             with suppress(closed):
                 executor.shutdown(wait=False)
