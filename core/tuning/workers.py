@@ -102,7 +102,11 @@ def cluster_workers(address: str) -> Iterator[Workers]:
             raise TuneError(SCHEDULER_GONE)
 
     def threads() -> int:
-        return sum(worker["nthreads"] for worker in client.scheduler_info(n_workers=-1)["workers"].values())
+        try:
+            workers = client.scheduler_info(n_workers=-1)["workers"].values()
+        except Exception as error:  # what the client raises without a scheduler depends on where it lost it
+            raise TuneError(SCHEDULER_GONE) from error
+        return sum(worker["nthreads"] for worker in workers)
 
     with client:
         try:
