@@ -144,7 +144,9 @@ def test_examples_outlive_a_crash_and_a_restart(main, painted, qtbot, make_windo
     drag_over(painted.image, (50, 60), (70, 60))
     contact = main.suggest.examples.examples[0].contact
     files = tmp_path / "unsaved" / "examples"
-    qtbot.waitUntil(lambda: [(load_example(file).contact == contact).all() for file in files.rglob("*.npz")] == [True])
+    qtbot.waitUntil(
+        lambda: [(load_example(file).contact == contact).all() for file in files.rglob("example-*.npz")] == [True]
+    )
     other = make_window()  # while the first one is still there, as after a crash
     show_source(qtbot, other, PrintedSource(), 2)
     [example] = other.suggest.examples.examples
@@ -155,7 +157,7 @@ def test_examples_outlive_a_crash_and_a_restart(main, painted, qtbot, make_windo
     QTest.keyClick(window.list, Qt.Key.Key_Delete)
     other.close_without_asking()
     qtbot.waitUntil(other.worker.isFinished)
-    assert list(files.rglob("*.npz")) == []
+    assert list(files.rglob("example-*.npz")) == []
 
 
 def test_each_pair_of_cameras_has_its_examples(main, painted, qtbot):
