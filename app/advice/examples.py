@@ -76,7 +76,7 @@ class ExampleHistory(History[State]):
 
     @property
     def examples(self) -> tuple[Example, ...]:
-        """The examples of which something is known."""
+        """The examples that are marked as untouched or have painted contact."""
         every = (marked.example for marked in self.state)
         return tuple(example for example in every if example.known is None or example.known.any())
 

@@ -151,7 +151,7 @@ class Timeline(QObject):
 
     def _opened(self, info: SourceInfo) -> None:
         self._info = info
-        self._job.stop()  # its source may have been written anew
+        self._job.stop()  # the file may have been replaced by another of the same name
         self._remembered.clear()
         self._live.clear()
         self._series = self._former = None

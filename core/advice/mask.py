@@ -207,7 +207,7 @@ def _hues_around_mean(hue: Float64Array) -> tuple[float, Float64Array]:
 
 
 def _narrowest_within(prints: Uint8Array, found: Sequence[_Colours]) -> MaskSection:
-    """Return the mask of the prints' colours with the widest margins that cost hardly any bare membrane."""
+    """Return the mask of the prints' colours, with margins as wide as the bare membrane allows."""
     hue, saturation, value = cv2.cvtColor(prints[None], cv2.COLOR_RGB2HSV)[0].T.astype(np.float64)
     centre, around = _hues_around_mean(hue)
     hue_low, hue_high = np.quantile(around, (_TAIL, 1 - _TAIL))

@@ -98,7 +98,7 @@ class Finding:
 
 @dataclass(frozen=True, eq=False)
 class Example:
-    """A frame of which contact is known.
+    """A frame with known contact.
 
     Attributes
     ----------
@@ -106,7 +106,7 @@ class Example:
     contact : (H, W) bool array or None
         The proximity pixels in contact; None if nothing touches the membrane.
     known : (H, W) bool array or None
-        The proximity pixels of which ``contact`` is known; None for all.
+        The proximity pixels whose ``contact`` is known; None for all.
     """
 
     frame: SensorFrame

@@ -327,7 +327,7 @@ def _fit(columns: Float64Array, wanted: Float64Array, least: float) -> _Fit:
     columns : float64, shape (M, K)
     wanted : float64, shape (M,)
     least : float
-        Smallest standard deviation of a row that is believed.
+        Lower limit of the standard deviation of a row.
     """
     kept = np.abs(wanted - np.median(wanted)) <= 3 * max(_spread(wanted), least)
     for _ in range(_ROUNDS):

@@ -35,7 +35,7 @@ def disagreeing_frame(index, rig):
 
 
 class OtherSource(TinySource):
-    """A recording of which every frame is made by a function of index and rig."""
+    """A recording whose frames are made by a function of index and rig."""
 
     def __init__(self, make, name):
         super().__init__(rig=tiny_rig(WIDTH, HEIGHT))

@@ -111,7 +111,13 @@ def test_a_frame_that_cannot_be_processed_is_said_once_and_the_next_ones_are_sho
 
 def test_losses_are_told_in_the_status_bar(window, cameras, qtbot):
     cameras.dropped, cameras.unmatched = 3, 5
-    qtbot.waitUntil(lambda: cameras.release() or "3 dropped, 5 unmatched" in text_of(window.status))
+
+    def told() -> bool:
+        if window.result.frame.sequence == len(cameras.given) - 1:  # else the window itself might drop a frame
+            cameras.release()
+        return "3 dropped, 5 unmatched" in text_of(window.status)
+
+    qtbot.waitUntil(told)
     assert "skew 2.0 ms" in text_of(window.status)
 
 

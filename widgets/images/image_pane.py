@@ -178,7 +178,7 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
         self.update()
 
     def set_split(self, split: float | None) -> None:
-        """Set the place in image coordinates right of which the right image is shown; None shows none."""
+        """Set the column from which on the right image is shown; None hides the right image."""
         self._split = split
         self.update()
 

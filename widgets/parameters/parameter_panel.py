@@ -362,7 +362,7 @@ class ParameterPanel(QScrollArea):
         self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:
-        """Let a mask that is off be picked anew, but not be expanded or shrunk."""
+        """While the mask is off, enable *Pick*, but neither *+* nor *-*."""
         for mode in ("expand", "shrink"):
             button = self.eyedroppers[mode]
             button.setEnabled(enabled)

@@ -60,7 +60,7 @@ class Drift:
 
 
 class _DriftedPress(Press):
-    """A press seen by cameras of which one has moved."""
+    """A press, seen after one camera has moved."""
 
     def __init__(self, scene: Scene, membrane: Membrane, rig: Rig, drift: Drift) -> None:
         super().__init__(scene, membrane, rig)
