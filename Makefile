@@ -8,10 +8,10 @@ OUT ?= out
 unexport PYTHONPATH
 export PYTHONNOUSERSITE = 1
 
-.PHONY: run test test-long test-newest-realsense lint format setup lock clean help
+.PHONY: run test test-long test-newest-realsense lint format setup guide pictures lock clean help
 .DEFAULT_GOAL := help
 
-run: setup  ## start the application on the simulator; without a display do the same job headless, into out/
+run: setup guide  ## start the application on the simulator; without a display do the same job headless, into out/
 	@scripts/run.sh "$(SOURCE)" "$(PRESET)" "$(OUT)"
 
 test: setup  ## run the tests: OpenGL under Xvfb, then all others offscreen in two processes
@@ -32,12 +32,20 @@ format: setup  ## let ruff order imports and format
 setup:  ## system libraries, .venv, the locked packages; returns at once when all is there
 	@PYTHON="$(PYTHON)" scripts/setup.sh
 
+guide: app/guide/index.html  ## build the guide that Help > Documentation opens, into app/guide
+
+app/guide/index.html: docs/mkdocs.yml $(wildcard docs/guide/*.md docs/guide/images/*) | setup
+	@NO_MKDOCS_2_WARNING=1 .venv/bin/mkdocs build --quiet --config-file docs/mkdocs.yml
+
+pictures: setup  ## make the pictures of README and guide from the program itself
+	@xvfb-run --auto-servernum --server-args '-screen 0 1920x1080x24' .venv/bin/python scripts/make_pictures.py
+
 lock: setup  ## write requirements.lock from the ranges in pyproject.toml
 	@.venv/bin/uv pip compile pyproject.toml --quiet --all-extras --generate-hashes --python-version 3.11 \
 	  --python-platform x86_64-manylinux_2_31 --no-emit-index-url --no-header --output-file requirements.lock
 
 clean:  ## remove .venv and everything that was made
-	rm -rf .venv .realsense-newest .typing out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf .venv .realsense-newest .typing app/guide out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 help:

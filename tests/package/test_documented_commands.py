@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +64,25 @@ def test_pages_name_each_other_truly() -> None:
     for page in [*PAGES, *(ROOT / "docs").glob("*.md")]:
         for target in re.findall(r"\]\(([^)#:]+)(?:#[^)]*)?\)", page.read_text("utf-8")):
             assert (page.parent / target).exists(), f"{page.name} names {target}"
+
+
+def test_the_guide_builds_without_a_warning_and_reads_without_a_network(tmp_path: Path) -> None:
+    """``strict`` in mkdocs.yml fails on links, anchors and pictures that lead nowhere, and on pages left out."""
+    built = tmp_path / "guide"
+    command = [sys.executable, "-m", "mkdocs", "build", "--quiet", "--config-file", str(ROOT / "docs" / "mkdocs.yml")]
+    done = subprocess.run([*command, "--site-dir", str(built)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr
+    pages = {page.stem for page in (ROOT / "docs" / "guide").glob("*.md")}
+    assert {page.stem for page in built.glob("*.html")} == pages | {"404"}
+    for page in built.glob("*.html"):
+        loaded = re.findall(r"<(?:script|img|link)[^>]+(?:src|href)=\"?(https?:[^\" >]+)", page.read_text("utf-8"))
+        assert [url for url in loaded if "canonical" not in url] == [], page.name
+
+
+def test_every_picture_of_the_guide_is_made_by_the_script() -> None:
+    text = (ROOT / "scripts" / "make_pictures.py").read_text("utf-8")
+    made = set(re.findall(r'^    "([a-z-]+)": \w+,$', text, re.MULTILINE))
+    assert made == {path.stem for path in (ROOT / "docs" / "guide" / "images").glob("*.png")}
 
 
 def test_scripts_that_the_pages_name_exist() -> None:

@@ -1,4 +1,4 @@
-"""The examples of docs/extending.md, installed as a package and run."""
+"""The examples of docs/guide/extending.md, installed as a package and run."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from tactune.core.sources.registry import open_source, source_kinds
 from tactune.core.sources.simulator.scene import simulator_rig
 from tiny_sensor import TinySource
 
-EXAMPLES = Path(__file__).parents[2] / "docs" / "extending.md"
+EXAMPLES = Path(__file__).parents[2] / "docs" / "guide" / "extending.md"
 BROKEN = {
     "gone": ("tactune.sources", "no_such_module:KIND", "ModuleNotFoundError: No module named 'no_such_module'"),
     "odd": ("tactune.sources", "tactune.core.errors:SourceError", "is no SourceKind"),

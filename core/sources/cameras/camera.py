@@ -2,7 +2,7 @@
 
 Threads, pairing, time stamps, reopening and all messages are shared by all makers: see
 `feed`, `assembler` and `source`. A package adds a driver by an entry point in the group ``tactune.cameras``
-that names a subclass of `CameraDriver`; ``docs/extending.md`` has an example.
+that names a subclass of `CameraDriver`; ``docs/guide/extending.md`` has an example.
 """
 
 from __future__ import annotations
