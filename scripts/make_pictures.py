@@ -90,11 +90,13 @@ def save(widget: QWidget, name: str) -> None:
 
 
 def window() -> None:
+    """The main window."""
     with stage(load_preset("simulator"), "sim:cup") as made:
         save(made.window, "window")
 
 
 def mask() -> None:
+    """The images while the eyedropper is in use."""
     with stage(load_preset("simulator"), "sim:cup") as made:
         made.window.eyedropper.use("set")
         made.settle()
@@ -102,16 +104,19 @@ def mask() -> None:
 
 
 def panel_membrane() -> None:
+    """The parameters with the membrane test."""
     with stage(load_preset("simulator"), "sim:cup") as made:
         save(made.window.panel, "panel-membrane")
 
 
 def panel_tolerance() -> None:
+    """The parameters with the tolerance test and its histogram."""
     with stage(load_preset("simulator").with_values({"contact_test": "tolerance"}), "sim:cup") as made:
         save(made.window.panel, "panel-tolerance")
 
 
 def suggestions() -> None:
+    """Suggestions for a preset without a mask and with a wrong depth offset."""
     spoiled = load_preset("simulator").with_values({"mask.enabled": False, "alignment.depth_offset_m": 0.008})
     with stage(spoiled, "sim:cup") as made:
         made.window.suggest.open("all")
@@ -140,6 +145,7 @@ def calibrated() -> Iterator[tuple[Stage, CalibrationWizard]]:
 
 
 def wizard_points() -> None:
+    """The wizard with the pairs that it found."""
     with calibrated() as (made, wizard):
         wizard.go_to(wizard.pages.index(wizard.points))
         made.settle()
@@ -147,6 +153,7 @@ def wizard_points() -> None:
 
 
 def quality() -> None:
+    """The quality of the calibration."""
     with calibrated() as (made, wizard):
         wizard.go_to(wizard.pages.index(wizard.quality))
         made.settle()
@@ -154,6 +161,7 @@ def quality() -> None:
 
 
 def compare() -> None:
+    """The patches of all methods beside the truth."""
     with stage(load_preset("simulator"), "sim:cup") as made:
         made.window.analysis.open("compare")
         analysis = made.window.analysis.window
@@ -181,6 +189,7 @@ PICTURES: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
+    """Make the pictures that are asked for."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else "")
     parser.add_argument("--only", default=",".join(PICTURES), help="names of pictures, separated by commas")
     names = parser.parse_args().only.split(",")
