@@ -270,7 +270,10 @@ class SuggestWindow(QDialog):
         proposal = self.proposal
         self.compare.setChecked(False)
         if self._document.apply(proposal):
-            self._say(f"Applied: {proposal.label}. Undo takes it back (Ctrl+Z).")
+            self._say(
+                f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the new "
+                "ones. Undo takes the step back (Ctrl+Z)."
+            )
 
     # Comparison in the views
 

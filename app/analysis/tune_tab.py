@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.advice.proposal import Proposal
-from ...core.errors import TactuneError
+from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset
 from ...core.tuning.measure import OBJECTIVES
 from ...core.tuning.space import Axis, default_axes
@@ -323,7 +323,11 @@ class TuneTab(AnalysisTab):
         """Compare the present preset with a trial in the main window."""
         self._show_chosen()
         comparison = self._context.comparison
-        preset = self._document.preset.with_values(self._changes())
+        try:
+            preset = self._document.preset.with_values(self._changes())
+        except PresetError as error:  # the preset was edited since the search
+            self.messages.show_message("preview", Severity.WARNING, f"Trial {number} cannot be previewed: {error}")
+            return
         self._previewed = comparison.present, Side(f"Trial {number}", preset)
         comparison.show(*self._previewed)
 
