@@ -271,8 +271,8 @@ class SuggestWindow(QDialog):
         self.compare.setChecked(False)
         if self._document.apply(proposal):
             self._say(
-                f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the new "
-                "ones. Undo takes the step back (Ctrl+Z)."
+                f"Applied: {proposal.label}. The sentences below speak of the values before; Measure again judges the "
+                "new ones. Undo takes the step back (Ctrl+Z)."
             )
 
     # Comparison in the views

@@ -144,7 +144,8 @@ class TuneRun(QObject):
         said = bytes(process.readAllStandardError().data()).decode(errors="replace").strip().splitlines()
         process.deleteLater()
         well = status in (0, _STOPPED) or self.stopping
-        last = said[-1].removeprefix("tactune: ") if said else f"the search was ended (status {status}); its trials are kept, Start continues"
+        unsaid = f"the search was ended (status {status}); its trials are kept, Start continues"
+        last = said[-1].removeprefix("tactune: ") if said else unsaid
         self.ended.emit("" if well else f"{last[:1].upper()}{last[1:]}.")
 
     def _not_started(self, error: QProcess.ProcessError) -> None:
