@@ -1,4 +1,4 @@
-"""The page that compares the new alignment with the old one before it is saved."""
+"""The last page: the new alignment beside the present one, before it is saved."""
 
 from __future__ import annotations
 
@@ -9,14 +9,17 @@ from PyQt6.QtWidgets import (
     QCheckBox,
     QComboBox,
     QHBoxLayout,
+    QHeaderView,
     QLabel,
     QSlider,
     QSplitter,
+    QTableWidget,
+    QTableWidgetItem,
     QVBoxLayout,
     QWidget,
 )
 
-from ...core.calibration.recheck import replacement
+from ...core.calibration.recheck import clearly_larger, replacement
 from ...core.model.frames import SensorFrame
 from ...core.preset import AlignmentSection, Preset
 from ...widgets.basics.controls import AccentButton
@@ -28,7 +31,7 @@ from ..worker.feed import FrameFeed
 from ..worker.jobs import Job
 from .fitting import Outcome, at_least
 from .overlay import Overlay, OverlayMode, Patch, PatchFinder, alignment_of_preset, make_overlay
-from .session import ProximityImage, Session
+from .session import ProximityImage, Session, SessionState
 
 _BLINK_MS = 450
 _NO_FIT = "No calibration yet: click at least four pairs on the page Points"
@@ -57,7 +60,7 @@ class CheckPage(QWidget):
         self._session, self._document, self._feed = session, document, feed
         self._outcome = Outcome()
         self._kept: AlignmentSection | None = None
-        self._areas = ("", "")
+        self._areas = ("–", "–")
         self._overlay: Overlay | None = None
         self._drawn: tuple[object, ...] = ()
         self._blinked = False
@@ -72,8 +75,7 @@ class CheckPage(QWidget):
             "new": CloudView("New alignment", backend),
         }
         link_cameras(list(self.clouds.values()))
-        self.note = QLabel()
-        self.note.setWordWrap(True)
+        self.table = _comparison_table()
         self.set_tolerance = QCheckBox()
         self.set_tolerance.setToolTip(
             "Set the tolerance t (no unit) to the smallest that this calibration supports; the membrane contact "
@@ -122,7 +124,7 @@ class CheckPage(QWidget):
         column.setContentsMargins(0, 0, 0, 0)
         column.addLayout(tools)
         column.addWidget(self.image, 1)
-        column.addWidget(self.note)
+        column.addWidget(self.table)
         column.addWidget(self.set_tolerance)
         right = QSplitter(Qt.Orientation.Vertical)
         for name in ("new", "present"):
@@ -148,7 +150,10 @@ class CheckPage(QWidget):
         self._overlay_job.done.connect(self._show_overlay)
         self._overlay_job.failed.connect(lambda words: self.image.set_image(None, words))
         self._patch_job.done.connect(self._show_patches)
-        self._session.changed.connect(lambda _: self._draw())
+        self.set_tolerance.clicked.connect(
+            lambda on: self._session.choose(f"Set t when saving: {'on' if on else 'off'}", set_tolerance=on)
+        )
+        self._session.changed.connect(self._show_state)
         self._document.presetChanged.connect(self._preset_changed)
         self._document.baselineChanged.connect(self._file_changed)
         self._feed.frameArrived.connect(lambda _: self._find_patches())
@@ -158,7 +163,7 @@ class CheckPage(QWidget):
     def show_outcome(self, outcome: Outcome) -> None:
         """Show a new fit."""
         self._outcome = outcome
-        self._areas = ("", "")
+        self._areas = ("–", "–")
         self._show_tolerance()
         self._draw()
 
@@ -198,6 +203,10 @@ class CheckPage(QWidget):
         """Return the document's preset with the alignment that "Present" shows."""
         preset = self._document.preset
         return preset if self._kept is None else preset.model_copy(update={"alignment": self._kept})
+
+    def _show_state(self, state: SessionState) -> None:
+        self.set_tolerance.setChecked(state.choices.set_tolerance)
+        self._draw()
 
     def _show_tolerance(self) -> None:
         report, preset = self._outcome.report, self._document.preset
@@ -274,34 +283,36 @@ class CheckPage(QWidget):
             empty = "No contact in this frame: press the object" if patch.points == 0 else ""
             view.set_message(patch.problem or empty)
         old, new = patches["present"], patches["new"]
-        self._areas = ("", "") if new.problem else (_area(new), _area(old))
+        self._areas = ("–", "–") if new.problem else (_area(new), _area(old))
         self._show_comparison()
 
     def _show_comparison(self) -> None:
-        """Show both alignments in numbers."""
+        """Show both alignments in numbers; the smaller error is marked in words."""
         report = self._outcome.report
-        if report is None:
-            self.note.setText("")
-            return
-        present = self.present_preset()
-        rows = [("", "New", "Present")]
-        errors = replacement(report, present)
+        errors = None if report is None else replacement(report, self.present_preset())
+        cells: list[tuple[str, str]] = [("–", "–")] * len(_ROWS)
         if errors is not None:
-            new, old = (
-                f"{at_least(px, 'px')}, {at_least(px * errors.mm_per_px, 'mm')}"
-                for px in (errors.new_px, errors.present_px)
-            )
-            rows.append(("Expected alignment error", new, old))
-        record = present.alignment.calibration
-        stored = "–" if record is None else f"{record.quality.supported_tolerance:.4f}"
-        rows.append(("Smallest t (tolerance test)", f"{report.chosen.effect.supported_tolerance:.4f}", stored))
-        if any(self._areas):
-            rows.append(("Patch in the frame shown, by the preset's contact test", *self._areas))
-        lines = "".join(
-            f"<tr><td>{title}</td><td align='right'>&nbsp;&nbsp;{new}</td><td align='right'>&nbsp;&nbsp;{old}</td></tr>"
-            for title, new, old in rows
-        )
-        self.note.setText(f"<table>{lines}</table>")
+            new, present, mm = errors.new, errors.present, errors.mm_per_px
+            cells[:4] = [
+                _marked(errors.new_px, errors.present_px, "px", 0.1),
+                _marked(errors.new_px * mm, errors.present_px * mm, "mm", 0.1 * mm),
+                _marked(new.boundary_mm, present.boundary_mm, "mm", 0.1 * mm),
+                _marked(new.supported_tolerance, present.supported_tolerance, "", 0.0005),
+            ]
+        elif report is not None:
+            chosen = report.chosen
+            cells[:4] = [
+                (at_least(chosen.alignment_px, "px"), "none"),
+                (at_least(chosen.alignment_mm, "mm"), "none"),
+                (at_least(chosen.effect.boundary_mm, "mm"), "none"),
+                (f"{chosen.effect.supported_tolerance:.4f}", "none"),
+            ]
+        cells[4] = self._areas
+        for row, values in enumerate(cells):
+            for column, text in enumerate(values):
+                item = self.table.item(row, column)
+                assert item is not None
+                item.setText(text)
 
     def _mode_chosen(self, _: int = 0) -> None:
         mode = self.mode
@@ -315,6 +326,56 @@ class CheckPage(QWidget):
     def _swap(self) -> None:
         self._blinked = not self._blinked
         self._compose()
+
+
+_ROWS = (
+    (
+        "Expected alignment error (px)",
+        "Over the whole membrane, in proximity pixels; the present one is judged by the pairs",
+    ),
+    ("Expected alignment error (mm)", "The same error across the line of sight, millimetres"),
+    ("Patch boundary off by (mm)", "Expected error of the contact patch's boundary, millimetres"),
+    (
+        "Smallest t that holds",
+        "With a smaller tolerance t (no unit) the tolerance test loses pixels in true contact",
+    ),
+    ("Patch in the present frame (cm²)", "Found by the preset's contact test in the frame that the main window shows"),
+)
+
+
+def _comparison_table() -> QTableWidget:
+    """Return an empty table of `_ROWS` with the columns New and Present, as high as its rows."""
+    table = QTableWidget(len(_ROWS), 2)
+    table.setAccessibleName("New and present alignment")
+    table.setHorizontalHeaderLabels(["New", "Present"])
+    table.setVerticalHeaderLabels([title for title, _ in _ROWS])
+    for row, (_, tip) in enumerate(_ROWS):
+        for column in range(2):
+            item = QTableWidgetItem("–")
+            item.setToolTip(tip)
+            item.setTextAlignment(Qt.AlignmentFlag.AlignCenter)
+            table.setItem(row, column, item)
+        header = table.verticalHeaderItem(row)
+        assert header is not None
+        header.setToolTip(tip)
+    table.setEditTriggers(QTableWidget.EditTrigger.NoEditTriggers)
+    table.setSelectionMode(QTableWidget.SelectionMode.NoSelection)
+    table.setVerticalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
+    across, down = table.horizontalHeader(), table.verticalHeader()
+    assert across is not None and down is not None
+    across.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+    down.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+    table.setFixedHeight(across.sizeHint().height() + down.length() + 2 * table.frameWidth())
+    return table
+
+
+def _marked(new: float, present: float, unit: str, least: float) -> tuple[str, str]:
+    """Return both errors in words; one that is clearly smaller, by ``least`` or more, is marked as better."""
+    texts = [at_least(value, unit) if unit else f"{value:.4f}" for value in (new, present)]
+    for number, (error, other) in enumerate(((new, present), (present, new))):
+        if clearly_larger(other, error, least):
+            texts[number] += "  ✓ better"
+    return texts[0], texts[1]
 
 
 def _area(patch: Patch) -> str:

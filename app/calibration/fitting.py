@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 #: A pair stands out if its residual exceeds this multiple of the median and half a pixel.
 _OUTLIER_FACTOR = 2.5
 _MIN_OUTLIER_PX = 0.5
+#: With more pairs, only those that stand out or are selected have their numbers drawn.
+_MAX_LABELS = 120
 _NAN_PAIR = (nan, nan)
 
 
@@ -103,6 +105,7 @@ def image_marks(
     Only pairs of the current snapshot, or of all snapshots with ``everywhere``.
     """
     marks = []
+    few = len(state.pairs) <= _MAX_LABELS
     for pair in state.pairs:
         place = pair.place(side)
         if place is None or not (everywhere or pair.snapshot in {"", state.choices.snapshot}):
@@ -111,8 +114,9 @@ def image_marks(
             continue
         fit = outcome.fits.get(pair.key)
         arrow = (-fit.dx, -fit.dy) if side == "proximity" and fit is not None and np.isfinite(fit.dx) else None
-        kind = _kind(pair, outcome)
-        marks.append(Mark(pair.key, *place, str(pair.key), kind, pair.key in selected, arrow))
+        kind, chosen = _kind(pair, outcome), pair.key in selected
+        label = str(pair.key) if few or chosen or kind is MarkKind.WORST else ""
+        marks.append(Mark(pair.key, *place, label, kind, chosen, arrow))
     return marks
 
 
@@ -243,11 +247,9 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
         The pairs do not determine an alignment, or contradict each other.
     """
     pairs = state.complete_pairs
-    enabled = sum(pair.enabled for pair in pairs)
-    if enabled < MIN_PAIRS:
-        return Outcome(
-            pairs, sentence=f"{count_pairs(enabled)}; {count_pairs(MIN_PAIRS - enabled)} more for a first fit."
-        )
+    missing = missing_pairs(state)
+    if missing:
+        return Outcome(pairs, sentence=missing)
     report = calibrate(
         correspondences(state, rig),
         rig,
@@ -256,6 +258,13 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
         membrane=_membrane(state, rig),
     )
     return outcome_of(pairs, report)
+
+
+def missing_pairs(state: SessionState) -> str:
+    """Say how many pairs a first fit still needs; empty if there are enough."""
+    enabled = sum(pair.enabled for pair in state.complete_pairs)
+    more = MIN_PAIRS - enabled
+    return f"{count_pairs(enabled)}; {count_pairs(more)} more for a first fit." if more > 0 else ""
 
 
 def outcome_of(pairs: tuple[PointPair, ...], report: CalibrationReport) -> Outcome:

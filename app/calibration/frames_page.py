@@ -21,6 +21,7 @@ from PyQt6.QtWidgets import (
 from ...core.model.clouds import valid_depth
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
+from ...widgets.basics.gestures import GestureClock
 from ...widgets.images.image_pane import ImagePane
 from ..worker.feed import FrameFeed
 from .pictures import image_choices, picture
@@ -46,12 +47,13 @@ _NEXT = "Add another inflation level, or continue with the points."
 
 
 class FramesPage(QWidget):
-    """A live preview of both cameras beside the list of snapshots."""
+    """A live preview of both cameras beside the list of snapshots. The wizard places the button ``take``."""
 
     def __init__(self, session: Session, feed: FrameFeed, collector: Collector, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._session, self._feed, self._collector = session, feed, collector
         self.previews = {(side, image): ImagePane(title) for side, image, title in _PREVIEWS}
+        self._gestures = GestureClock()
         self._redraw = QTimer(self)
         self._redraw.setSingleShot(True)
         self._redraw.setInterval(_PREVIEW_MS)
@@ -102,7 +104,6 @@ class FramesPage(QWidget):
         self.average.setFixedWidth(110)
         taking.addWidget(caption("A&verage", self.average))
         taking.addWidget(self.average)
-        taking.addWidget(self.take)
         taking.addWidget(self.progress, 1)
         taking.addWidget(self.cancel)
         taking.addStretch(0)
@@ -132,7 +133,9 @@ class FramesPage(QWidget):
         self.play.clicked.connect(self._play_or_hold)
         self.seek.sliderMoved.connect(feed.seek)
         self.seek.actionTriggered.connect(lambda _: feed.seek(self.seek.sliderPosition()))
-        self.average.valueChanged.connect(lambda count: session.set_display(average=count))
+        self.average.valueChanged.connect(
+            lambda count: session.choose("Frames to average", self._gestures.number(), average=count)
+        )
         self.take.clicked.connect(self.start)
         self.cancel.clicked.connect(collector.cancel)
         collector.progress.connect(self._show_progress)

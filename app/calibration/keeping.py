@@ -164,12 +164,10 @@ _PATHS = (
 )
 
 
-def preset_values(
-    report: CalibrationReport, preset: Preset, state: SessionState, set_tolerance: bool
-) -> dict[str, Any]:
+def preset_values(report: CalibrationReport, preset: Preset, state: SessionState) -> dict[str, Any]:
     """Return the preset fields that a calibration sets, by path."""
-    membrane = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=set_tolerance)
-    values = {path: membrane.value(path) for path in (*_PATHS, "tolerance.t")}
+    applied = report.apply_to(preset, snapshots=snapshot_records(state), set_tolerance=state.choices.set_tolerance)
+    values = {path: applied.value(path) for path in (*_PATHS, "tolerance.t")}
     return {
         path: value.model_dump(mode="json") if isinstance(value, BaseModel) else value for path, value in values.items()
     }

@@ -179,8 +179,12 @@ class ModelPage(QWidget):
         layout.addLayout(row)
         layout.addLayout(columns, 1)
         layout.addWidget(self.warnings)
-        self.choices.idClicked.connect(lambda number: session.choose(model=_CHOICES[number][0]))
-        self.fit_depth.clicked.connect(lambda on: session.choose(fit_depth=on))
+        self.choices.idClicked.connect(
+            lambda number: session.choose(f"Take: {_CHOICES[number][1]}", model=_CHOICES[number][0])
+        )
+        self.fit_depth.clicked.connect(
+            lambda on: session.choose(f"Correct the depth: {'on' if on else 'off'}", fit_depth=on)
+        )
         session.changed.connect(self._show_state)
         self._show_state(session.state)
         self.show_outcome(Outcome())

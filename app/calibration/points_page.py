@@ -1,4 +1,4 @@
-"""The page for clicking point pairs."""
+"""The page for finding and clicking point pairs."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QCheckBox, QComboBox, QHBoxLayout, QSplitter, QToolB
 from ...widgets.basics.controls import ElidedLabel, caption
 from ...widgets.basics.gestures import GestureClock
 from ...widgets.basics.point_table import PointTable
+from .finder import Finder
 from .fitting import Outcome, image_marks, missing_depth, same_pixels, table_rows
 from .pair_view import PairView, Snapper
 from .pictures import image_choices, picture
@@ -19,11 +20,11 @@ from .session import SIDES, ImageChoice, Place, Session, SessionState, Side, Sna
 
 IMAGE_NAMES: dict[ImageChoice, str] = {"color": "Colour", "depth": "Depth", "relative": "Relative depth"}
 ARROWS = {"Arrows off": 0.0, "Arrows ×1": 1.0, "Arrows ×10": 10.0, "Arrows ×100": 100.0}
-_NO_SNAPSHOT = "No snapshot yet: take one on the page Frames"
+_NO_SNAPSHOT = "No snapshot yet: take one on the page Snapshots"
 
 
 class PointsPage(QWidget):
-    """Two linked images above the table of pairs.
+    """The search for points above two linked images and the table of pairs.
 
     Signals
     -------
@@ -44,6 +45,7 @@ class PointsPage(QWidget):
         self._ghost: tuple[Side, Place] | None = None
         #: What the last click snapped to, and the state that the click led to.
         self._landing: tuple[SessionState, str] = (session.state, "")
+        self.finder = Finder(session)
         self.view = PairView(snapper)
         self.table = PointTable()
         self.table.show_worst_first()
@@ -61,7 +63,7 @@ class PointsPage(QWidget):
         self.snapshot = QComboBox()
         self.snapshot.setToolTip("The snapshot to click in; points at several inflation levels span depth")
         self.snapshot.setAccessibleName("Snapshot")
-        self.snapshot.setMinimumContentsLength(14)
+        self.snapshot.setMinimumContentsLength(10)
         self.left_image, self.right_image = QComboBox(), QComboBox()
         for box, name in ((self.left_image, "Left image (proximity camera)"), (self.right_image, "Right image")):
             box.setAccessibleName(name)
@@ -97,8 +99,10 @@ class PointsPage(QWidget):
         for widget in (self.stretch, self.snap, self.link, self.loupe, self.arrows, self.whole):
             tools.addWidget(widget)
         tools.addStretch(1)
+        finding = QHBoxLayout()
+        finding.addWidget(self.finder, 1)
         for button in (self.load, self.store):
-            tools.addWidget(button)
+            finding.addWidget(button)
         self.split = QSplitter(Qt.Orientation.Vertical)
         self.split.addWidget(self.view)
         self.split.addWidget(self.table)
@@ -113,6 +117,7 @@ class PointsPage(QWidget):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 4, 6, 2)
         layout.setSpacing(4)
+        layout.addLayout(finding)
         layout.addLayout(tools)
         layout.addWidget(self.split, 1)
         layout.addLayout(lines)
@@ -286,7 +291,8 @@ class PointsPage(QWidget):
         )
         if elsewhere:
             return f"{elsewhere} pairs were clicked in the other left image and are not drawn here."
-        return "Click a dot in one image, then the same dot in the other. Drag or arrow keys correct, Delete removes."
+        first = "" if state.pairs else "Press Find points, or click. "
+        return f"{first}Click a dot in one image, then the same dot in the other. Drag or arrow keys correct."
 
     # Actions
 

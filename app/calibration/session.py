@@ -17,6 +17,7 @@ Side = Literal["proximity", "tactile"]
 ProximityImage = Literal["color", "depth"]
 ImageChoice = Literal["color", "depth", "relative"]
 ModelChoice = Literal["auto", "rigid", "homography"]
+Target = Literal["texture", "chessboard", "charuco", "circles", "dots"]
 Place = tuple[float, float]
 
 SIDES: tuple[Side, Side] = ("proximity", "tactile")
@@ -53,7 +54,11 @@ class PointPair(_Frozen):
 
 
 class Choices(_Frozen):
-    """The options chosen on the pages."""
+    """The options chosen on the pages.
+
+    ``target`` is what *Find points* looks for; ``columns``, ``rows``, ``marker_share`` and ``dictionary`` describe a
+    printed target, see `tactune.core.calibration.detect`.
+    """
 
     snapshot: str = ""
     proximity_image: ImageChoice = "color"
@@ -61,8 +66,14 @@ class Choices(_Frozen):
     stretch: bool = True
     snap: bool = True
     average: int = 10
+    target: Target = "texture"
+    columns: int = 9
+    rows: int = 6
+    marker_share: float = 0.7
+    dictionary: str = "DICT_4X4_250"
     model: ModelChoice = "auto"
     fit_depth: bool = False
+    set_tolerance: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,9 +199,9 @@ class Session(History[SessionState]):
             self._selected = keys
             self.selectionChanged.emit(keys)
 
-    def choose(self, **values: Any) -> None:
-        """Change choices, as one step."""
-        self.edit("Change a choice", self._state.with_choices(**values))
+    def choose(self, text: str, gesture: int = 0, **values: Any) -> None:
+        """Change choices, as one step with this text."""
+        self.edit(text, self._state.with_choices(**values), gesture, tuple(values))
 
     def set_display(self, **values: Any) -> None:
         """Change what is displayed, without an undo step."""
@@ -203,7 +214,7 @@ class Session(History[SessionState]):
     def add_snapshot(self, snapshot: Snapshot) -> None:
         """Add a snapshot and click in it from now on."""
         if any(old.digest == snapshot.digest for old in self._state.snapshots):
-            self.choose(snapshot=snapshot.digest)
+            self.set_display(snapshot=snapshot.digest)
             return
         added = replace(self._state, snapshots=(*self._state.snapshots, snapshot))
         self.edit("Add a snapshot", added.with_choices(snapshot=snapshot.digest))
@@ -277,3 +288,8 @@ class Session(History[SessionState]):
 def count_pairs(number: int, kind: str = "") -> str:
     """Return a number of pairs in words, such as "1 rejected pair"."""
     return " ".join(filter(None, (str(number), kind, "pair" if number == 1 else "pairs")))
+
+
+def count_snapshots(number: int) -> str:
+    """Return a number of snapshots in words."""
+    return "1 snapshot" if number == 1 else f"{number} snapshots"

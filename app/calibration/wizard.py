@@ -1,4 +1,4 @@
-"""The window of the calibration wizard, with six steps in any order, and its launcher."""
+"""The window of the calibration wizard, with five steps in any order, and its launcher."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ...core.calibration import CalibrationReport, Correspondence, read_points, 
 from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
-from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
+from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button, show_accent
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
@@ -24,28 +24,26 @@ from ..context import Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed, WorkerFeed
 from .check_page import CheckPage
-from .fitting import MIN_PAIRS, Fitter, Outcome, at_least, correspondences, pairs_of
-from .frames_page import FramesPage
-from .helpers_page import HelpersPage
+from .fitting import Fitter, Outcome, at_least, correspondences, missing_pairs, pairs_of
+from .frames_page import MOVED_LIMIT_M, FramesPage
 from .keeping import Keeper, preset_values
 from .model_page import ModelPage
 from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
-from .session import ProximityImage, Session, SessionState, count_pairs
+from .session import ProximityImage, Session, SessionState, count_pairs, count_snapshots
 from .snapshots import Collector
 
-STEPS = ("Frames", "Points", "Helpers", "Model", "Quality", "Check")
+STEPS = ("Snapshots", "Points", "Model", "Quality", "Save")
 _TIPS = (
     "Take snapshots of the membrane, at one or several inflation levels",
-    "Click the same spots in both images",
-    "Find points automatically on boards, dot grids or the membrane's texture",
+    "Find points automatically, or click the same spots in both images",
     "Compare both models and choose one",
     "Quality of the calibration and the next step",
-    "Compare images and patch with the new and the old alignment",
+    "Compare the new alignment with the present one, and save it",
 )
-_NO_PAIRS = f"0 pairs; {MIN_PAIRS} are needed for a first fit."
+_SAVE = STEPS.index("Save")
 _FILTERS = "Points (*.csv *.points);;All files (*)"
 
 
@@ -100,20 +98,18 @@ class CalibrationWizard(QDialog):
         self.messages = MessageBar()
         self.frames = FramesPage(self.session, feed, self.collector)
         self.points = PointsPage(self.session, snap)
-        self.helpers = HelpersPage(self.session)
         self.model = ModelPage(self.session)
         self.quality = QualityPage(self.session)
         self.check = CheckPage(self.session, document, feed, backend)
-        self.pages: tuple[QWidget, ...] = (
-            self.frames, self.points, self.helpers, self.model, self.quality, self.check,
-        )  # fmt: skip
+        self.pages: tuple[QWidget, ...] = (self.frames, self.points, self.model, self.quality, self.check)
+        #: What a page offers to do before *Next*; both stand at the same place on every page.
+        self.page_actions = {0: self.frames.take, 1: self.points.finder.search}
         self._lay_out()
         self._connect()
         self.resize(1240, 760)
         self._offer(self.keeper.restore())
         self._offer_stored()
         self._show_state(self.session.state)
-        self._allow_saving(_NO_PAIRS)
         self.go_to(1 if self.session.state.snapshots and not self._elsewhere() else 0)
 
     # Building
@@ -125,27 +121,31 @@ class CalibrationWizard(QDialog):
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
             button = AccentButton(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
             button.setMinimumHeight(30)
-            button.setMinimumWidth(120)
+            button.setMinimumWidth(124)
             self.steps.addButton(button, number)
             steps.addWidget(button)
         steps.addStretch(1)
+        self.over = push_button("Start over", "Clear the wizard, after a question; undo restores everything")
+        self.undo = push_button("Undo", "")
+        self.redo = push_button("Redo", "")
+        for push in (self.over, self.undo, self.redo):
+            steps.addWidget(push)
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
         self.verdict = ElidedLabel()
-        self.over = push_button("Start over", "Clear the wizard, after a question; undo restores everything")
-        self.undo = push_button("Undo", "")
-        self.redo = push_button("Redo", "")
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
-        self.save = push_button("Save into preset", "")
+        self.save = push_button(
+            "Save preset", "Put the alignment with its points and quality into the preset, and save its file (Ctrl+S)"
+        )
         self.leave = push_button("Close", "Close the wizard; everything is saved and restored next time")
         footer = QHBoxLayout()
-        for push in (self.over, self.undo, self.redo):
-            footer.addWidget(push)
         footer.addWidget(self.verdict, 1)
-        for push in (self.back, self.next, self.save, self.leave):
+        for push in (self.leave, self.back, *self.page_actions.values(), self.next, self.save):
             footer.addWidget(push)
+        for push in (*self.page_actions.values(), self.next, self.save):
+            push.setMinimumWidth(120)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
         layout.setSpacing(4)
@@ -158,7 +158,7 @@ class CalibrationWizard(QDialog):
         session, stack = self.session, self.session.undo_stack
         self.steps.idClicked.connect(self.go_to)
         self.back.clicked.connect(lambda: self.go_to(self.stack.currentIndex() - 1))
-        self.next.clicked.connect(lambda: self.go_to(self.stack.currentIndex() + 1))
+        self.next.clicked.connect(self.go_on)
         self.over.clicked.connect(self.ask_start_over)
         for push, name, keys, changed, can in (
             (self.undo, "Undo", "Ctrl+Z", stack.undoTextChanged, stack.canUndoChanged),
@@ -169,23 +169,24 @@ class CalibrationWizard(QDialog):
             push.setEnabled(False)
         self.undo.clicked.connect(stack.undo)
         self.redo.clicked.connect(stack.redo)
-        self.save.clicked.connect(self.save_into_preset)
+        self.save.clicked.connect(self.save_preset)
         self.leave.clicked.connect(self.close)
         self.points.importRequested.connect(self._import_dialog)
         self.points.exportRequested.connect(self._export_dialog)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
-        self.helpers.accepted.connect(self._accepted)
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
         self._document.fileChanged.connect(self._file_changed)
         session.changed.connect(self._show_state)
+        for changed in (self.fitter.busyChanged, self._document.presetChanged, self._document.fileChanged):
+            changed.connect(self._show_steps)
         shortcuts: tuple[tuple[str, Callable[[], object]], ...] = (
             ("Ctrl+PgUp", lambda: self.go_to(self.stack.currentIndex() - 1)),
-            ("Ctrl+PgDown", lambda: self.go_to(self.stack.currentIndex() + 1)),
+            ("Ctrl+PgDown", self.go_on),
             ("Ctrl+Z", stack.undo),
             ("Ctrl+Shift+Z", stack.redo),
             ("Ctrl+Y", stack.redo),
-            ("Ctrl+S", self.save_into_preset),
+            ("Ctrl+S", self.save_preset),
             *((f"Ctrl+{number + 1}", partial(self.go_to, number)) for number in range(len(STEPS))),
         )
         for keys, action in shortcuts:
@@ -193,20 +194,25 @@ class CalibrationWizard(QDialog):
 
     # Steps
 
+    def go_on(self) -> None:
+        """Show the next step, or say what this one lacks."""
+        missing = self._missing(self.stack.currentIndex())
+        if missing:
+            self.messages.show_message("next", Severity.WARNING, missing)
+        else:
+            self.go_to(self.stack.currentIndex() + 1)
+
     def go_to(self, number: int) -> None:
-        """Show a step. Leaving the page Helpers accepts its proposals, so that nothing found is lost."""
+        """Show a step."""
         number = max(0, min(number, len(STEPS) - 1))
-        if number != self.stack.currentIndex():
-            self.messages.clear("accepted")
-        if self.pages[number] is not self.helpers:
-            self.helpers.accept_proposals()
+        self.messages.clear("next")
         self.stack.setCurrentIndex(number)
         button = self.steps.button(number)
         assert button is not None
         button.setChecked(True)
         self.pages[number].setFocus()
         self.back.setEnabled(number > 0)
-        self.next.setEnabled(number < len(STEPS) - 1)
+        self._show_steps()
 
     def ask_start_over(self) -> None:
         """Clear the session after a question."""
@@ -222,8 +228,7 @@ class CalibrationWizard(QDialog):
         """Clear the session, as one undoable step."""
         kept_choices = SessionState().with_choices(average=self.session.state.choices.average)
         self.session.edit("Start over", kept_choices)
-        for key in ("kept", "accepted"):
-            self.messages.clear(key)
+        self.messages.clear("kept")
         self.go_to(0)
 
     def _elsewhere(self) -> bool:
@@ -251,14 +256,6 @@ class CalibrationWizard(QDialog):
             offers=[("Start over", self.ask_start_over)],
         )
 
-    def _accepted(self, keys: tuple[int, ...]) -> None:
-        self.messages.show_message(
-            "accepted",
-            Severity.INFO,
-            f"{count_pairs(len(keys))} found on the page Helpers {'was' if len(keys) == 1 else 'were'} added.",
-            offers=[("Remove again", lambda: self.session.remove(keys))],
-        )
-
     def _offer_stored(self) -> None:
         """Offer the points stored in the preset, if there are no newer ones."""
         record = self._document.preset.alignment.calibration
@@ -276,24 +273,71 @@ class CalibrationWizard(QDialog):
 
     def _show_state(self, state: SessionState) -> None:
         self.over.setEnabled(not state.empty)
-
-    def _allow_saving(self, missing: str) -> None:
-        """Enable saving, or say what is missing."""
-        self.save.setEnabled(not missing)
-        self.save.setToolTip(
-            f"Nothing to save yet: {missing}"
-            if missing
-            else "Put the alignment into the preset, with its points and quality (Ctrl+S)"
-        )
+        self._show_steps()
 
     def _show_outcome(self, outcome: Outcome) -> None:
-        self.outcome = outcome
-        report = outcome.report
-        self._allow_saving("" if report is not None else outcome.sentence)
-        self.verdict.setText(outcome.sentence if report is None else _short(report))
-        self.verdict.setToolTip(outcome.sentence if report is None else report.verdict)
-        for page in (self.points, self.helpers, self.model, self.quality, self.check):
+        self.outcome, self._saved = outcome, False
+        for page in (self.points, self.model, self.quality, self.check):
             page.show_outcome(outcome)
+        self._show_steps()
+
+    def _missing(self, step: int) -> str:
+        """Say what a step lacks before the next one makes sense; empty if nothing."""
+        state = self.session.state
+        if self.collector.busy:
+            return "The snapshot is not complete yet: wait for it, or cancel it."
+        if step == 0:
+            return "" if state.snapshots or state.pairs else "No snapshot yet: hold the membrane still and take one."
+        if self.points.finder.busy:
+            return "The search for points is not complete yet: wait for it, or cancel it."
+        few = missing_pairs(state)
+        if few:
+            return f"{few} Press Find points on the page Points, or click them."
+        return "" if self.outcome.report is not None or self.fitter.busy else self.outcome.sentence
+
+    def _findings(self) -> dict[str, str]:
+        """Say by step what is to be looked at; empty for nothing."""
+        state, report = self.session.state, self.outcome.report
+        moved = any(snapshot.moved_m > MOVED_LIMIT_M for snapshot in state.snapshots)
+        findings = {"Snapshots": "The membrane moved during a snapshot." if moved else ""}
+        if report is None:
+            findings["Points"] = self.outcome.sentence if state.pairs else ""
+        else:
+            rejected, judged = self.outcome.rejected, grade(report.chosen)
+            worse = self._is_worse(report)
+            findings["Points"] = f"{count_pairs(len(rejected), 'rejected')}." if rejected else ""
+            findings["Model"] = "" if report.model == report.recommended else report.reason
+            findings["Quality"] = "" if judged.startswith(("Good", "Usable")) else judged
+            findings["Save"] = "The new calibration is worse than the present alignment." if worse else ""
+        return findings
+
+    def _done(self, step: int) -> bool:
+        if STEPS[step] == "Snapshots":
+            return bool(self.session.state.snapshots)
+        if step == _SAVE:
+            return self._saved and not self._document.dirty
+        return self.outcome.report is not None
+
+    def _show_steps(self, _: object = None) -> None:
+        """Show what is done and what needs attention on the step buttons, and what the page on top lacks."""
+        findings = self._findings()
+        for step, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
+            button, attention = self.steps.button(step), findings.get(name, "")
+            assert button is not None
+            sign, status = ("!", attention) if attention else ("✓", "Done.") if self._done(step) else ("", "")
+            button.setText(f"{step + 1}  {name}  {sign}".strip())
+            button.setToolTip(f"{tip} (Ctrl+{step + 1})\n{status}".strip())
+            button.setAccessibleName(f"Step {step + 1}, {name}. {status}".strip())
+        step, report = self.stack.currentIndex(), self.outcome.report
+        missing = self._missing(step)
+        if not missing:
+            self.messages.clear("next")
+        fitted = self.outcome.sentence if report is None else _short(report)
+        self.verdict.setText(missing or ("Fitting…" if self.fitter.busy else fitted))
+        action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
+        for push in (*self.page_actions.values(), self.next, self.save):
+            push.setVisible(push in {action, onward})
+            show_accent(push, push is (action if missing and action is not None else onward))
 
     # Files
 
@@ -335,10 +379,11 @@ class CalibrationWizard(QDialog):
     def _options(self) -> QFileDialog.Option:
         return QFileDialog.Option(0) if self._native else QFileDialog.Option.DontUseNativeDialog
 
-    def save_into_preset(self) -> None:
-        """Save the alignment in the document; ask first if it is worse than the present one."""
+    def save_preset(self) -> None:
+        """Put the alignment into the preset and save its file; ask first if it is worse than the present one."""
         report = self.outcome.report
-        if report is None:
+        if report is None or self.fitter.busy:
+            self.messages.show_message("next", Severity.WARNING, self._missing(_SAVE) or "The fit is not complete yet.")
             return
         errors = replacement(report, self._document.preset)
         if errors is not None and errors.worse:
@@ -352,34 +397,34 @@ class CalibrationWizard(QDialog):
         else:
             self._save(report)
 
-    def _save(self, report: CalibrationReport) -> None:
-        """Save the alignment and its record in the document, as one undoable step."""
-        set_tolerance = self.check.set_tolerance.isChecked()
-        values = preset_values(report, self._document.preset, self.session.state, set_tolerance)
-        self.check.keep_present()
-        if self._document.edit_many(values):
-            self._saved = True
-            self._offer_file()
-            self.saved.emit()
+    def _is_worse(self, report: CalibrationReport) -> bool:
+        errors = replacement(report, self.check.present_preset())
+        return errors is not None and errors.worse
 
-    def _offer_file(self) -> None:
-        self.messages.show_message(
-            "saved",
-            Severity.WARNING,
-            "The alignment is in the preset, but the preset's file is not saved yet. Undo in the main window removes "
-            "the alignment.",
-            offers=[("Save preset", self._save_file)],
-        )
+    def _save(self, report: CalibrationReport) -> None:
+        """Put the alignment and its record into the document, as one undoable step, and save the file."""
+        values = preset_values(report, self._document.preset, self.session.state)
+        self.check.keep_present()
+        if not self._document.edit_many(values):
+            return
+        self._saved = True
+        self.saved.emit()
+        self._save_file()
 
     def _save_file(self) -> None:
         self.fileSaveRequested.emit()
         if self._document.dirty:  # a new preset needs a file name first
-            self._offer_file()
+            self.messages.show_message(
+                "saved",
+                Severity.WARNING,
+                "The alignment is in the preset, but the preset's file is not saved yet. Undo in the main window "
+                "removes the alignment.",
+                offers=[("Save preset", self._save_file)],
+            )
 
     def _file_changed(self) -> None:
         """Say that the alignment is in the file now."""
         if self._saved and not self._document.dirty:
-            self._saved = False
             self.messages.show_message("saved", Severity.INFO, f"The preset was saved in {self._document.path}.")
 
     def _refused(self, _: str, words: str) -> None:
@@ -399,7 +444,7 @@ class CalibrationWizard(QDialog):
         """Save the state and cancel running jobs."""
         self.collector.close()
         self.fitter.close()
-        for page in (self.helpers, self.quality, self.check):
+        for page in (self.points.finder, self.quality, self.check):
             page.close_jobs()
         self.keeper.close()
         self.session.close()
@@ -408,8 +453,7 @@ class CalibrationWizard(QDialog):
 
 def _contents(state: SessionState) -> str:
     """Return what a session holds, in words."""
-    snapshots = "1 snapshot" if len(state.snapshots) == 1 else f"{len(state.snapshots)} snapshots"
-    return f"{count_pairs(len(state.pairs))} and {snapshots}"
+    return f"{count_pairs(len(state.pairs))} and {count_snapshots(len(state.snapshots))}"
 
 
 def _short(report: CalibrationReport) -> str:

@@ -12,7 +12,7 @@ from ..model.arrays import Float64Array
 from ..model.frames import Rig, SensorFrame
 from ..preset import Preset
 from .calibrate import rigid_points
-from .quality import millimetres_per_pixel
+from .quality import PatchEffect, millimetres_per_pixel, patch_effect
 from .report import CalibrationReport
 from .rigid import Pose, RigidPoints, color_pose, color_to_depth_pixels, ray_seen
 from .texture import measure_pairs
@@ -127,16 +127,25 @@ class Replacement:
         at least the error that its own calibration expected.
     mm_per_px : float
         Millimetres across the line of sight per proximity pixel, mean over the pairs.
+    new, present : PatchEffect
+        What both errors do to a contact patch.
     """
 
     new_px: float
     present_px: float
     mm_per_px: float
+    new: PatchEffect
+    present: PatchEffect
 
     @property
     def worse(self) -> bool:
         """Whether the new calibration is clearly worse than the present alignment."""
-        return self.new_px > max(_WORSE_FACTOR * self.present_px, self.present_px + _WORSE_PX)
+        return clearly_larger(self.new_px, self.present_px, _WORSE_PX)
+
+
+def clearly_larger(error: float, other: float, least: float) -> bool:
+    """Whether an error exceeds another one by a fifth and by this much."""
+    return error > max(_WORSE_FACTOR * other, other + least)
 
 
 def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None:
@@ -160,7 +169,35 @@ def replacement(report: CalibrationReport, preset: Preset) -> Replacement | None
     present_px = max(float(np.sqrt(max(squared_px - noise, 0.0))), expected_px)
     depths = np.array([pair.tactile_depth_m for pair in pairs], np.float64)
     mm_per_px = float(millimetres_per_pixel(depths, rig).mean())
-    return Replacement(chosen.alignment_px, present_px, mm_per_px)
+    effect = _present_effect(report, preset, pose)
+    if record is not None:
+        effect = PatchEffect(
+            max(effect.boundary_mm, record.quality.boundary_error_mm),
+            effect.depth_mm,
+            max(effect.supported_tolerance, record.quality.supported_tolerance),
+        )
+    return Replacement(chosen.alignment_px, present_px, mm_per_px, chosen.effect, effect)
+
+
+def _present_effect(report: CalibrationReport, preset: Preset, pose: Pose) -> PatchEffect:
+    """Return the patch effect of a preset's alignment: where it differs from the new one beyond that one's error.
+
+    The distance along the line of sight is judged by the new rigid fit, or taken as equal where there is none.
+    """
+    rig, spread = report.rig, report.chosen.map
+    places = spread.places
+    rays = ray_seen(rig.tactile.intrinsics, places[:, :2])
+    depth = pose.scale * places[:, 2] + pose.offset_m
+    points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
+    by_pose = preset.alignment.model == "rigid"
+    predicted = (
+        rig.proximity.intrinsics.project(points) if by_pose else _mapped(preset, rig, places[:, :2])
+    )  # fmt: skip
+    gap_px = np.hypot(*(predicted - spread.proximity).T)
+    lateral_px = np.sqrt(np.maximum(gap_px**2 - spread.sigma_px**2, 0.0))
+    distance = depth if report.rigid is None else report.rigid.points_m(places)[:, 2]
+    along_mm = 1e3 * (distance - (points[:, 2] if by_pose else depth)) * (report.rigid is not None)
+    return patch_effect(lateral_px * millimetres_per_pixel(places[:, 2], rig), along_mm, distance)
 
 
 def _found_and_predicted(
@@ -176,8 +213,13 @@ def _found_and_predicted(
     found = np.where(points.in_color[:, None], from_color, points.proximity)
     if preset.alignment.model == "rigid":
         return found, rig.proximity.intrinsics.project(space)
-    x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([points.tactile, np.ones(len(space))]).T
-    return found, np.column_stack([x / w, y / w])
+    return found, _mapped(preset, rig, points.tactile)
+
+
+def _mapped(preset: Preset, rig: Rig, tactile: Float64Array) -> Float64Array:
+    """Map tactile pixels (N, 2) to proximity depth pixels by the preset's homography."""
+    x, y, w = tactile_homography(preset.alignment, rig) @ np.column_stack([tactile, np.ones(len(tactile))]).T
+    return np.column_stack([x / w, y / w])
 
 
 def _both(first: RigidPoints, second: RigidPoints) -> RigidPoints:

@@ -90,7 +90,6 @@ COLUMNS: Final = (
     _Column("Origin", "Image and snapshot that were clicked, or the helper that found it", lambda row: row.note),
 )
 _ENABLED = 1
-_RESIDUALS = range(7, 12)
 _WORST = {"light": QColor(255, 214, 209), "dark": QColor(104, 38, 34)}
 
 
@@ -211,11 +210,6 @@ class PointTable(QTableView):
         selection = self.selectionModel()
         assert selection is not None
         selection.selectionChanged.connect(self._selection_changed)
-
-    def hide_residuals(self) -> None:
-        """Leave out the columns that only a fit can fill."""
-        for number in _RESIDUALS:
-            self.setColumnHidden(number, True)
 
     def show_worst_first(self) -> None:
         """Sort by the residual, the largest on top; pairs without a residual come last."""

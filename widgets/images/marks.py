@@ -33,7 +33,6 @@ class MarkKind(StrEnum):
     WORST = "worst residual"
     OFF = "switched off"
     PENDING = "waiting for its partner"
-    PROPOSED = "proposed"
     GHOST = "predicted"
 
 
@@ -42,7 +41,6 @@ COLORS: Final = {
     MarkKind.WORST: QColor(255, 92, 80),
     MarkKind.OFF: QColor(176, 176, 176),
     MarkKind.PENDING: QColor(255, 214, 10),
-    MarkKind.PROPOSED: QColor(120, 230, 130),
     MarkKind.GHOST: QColor(255, 214, 10),
 }
 _ARROW = QColor(255, 255, 255)
@@ -164,7 +162,7 @@ class MarkLayer(QWidget):
         if not QRectF(self.rect()).adjusted(-60, -30, 60, 30).contains(place):
             return
         color = COLORS[mark.kind]
-        dashed = mark.kind in {MarkKind.OFF, MarkKind.PROPOSED}
+        dashed = mark.kind is MarkKind.OFF
         style = Qt.PenStyle.DotLine if dashed else Qt.PenStyle.SolidLine
         if mark.selected:
             _ring(painter, place, QColor("white"), radius=_RADIUS + 4, width=2.0)

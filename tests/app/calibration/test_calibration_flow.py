@@ -124,13 +124,14 @@ def test_a_whole_calibration_by_mouse_and_keys(  # noqa: PLR0915 - one flow, ste
 
     # Model, quality, save
     qtbot.waitUntil(lambda: not wizard.fitter.busy)
-    QTest.keyClick(wizard, Qt.Key.Key_4, CONTROL)
-    assert wizard.stack.currentIndex() == 3
+    QTest.keyClick(wizard, Qt.Key.Key_3, CONTROL)
+    assert wizard.stack.currentIndex() == 2
     report = wizard.outcome.report
     assert report is not None and report.recommended == "rigid"
     assert "depth" in wizard.model.reason.text()
-    QTest.keyClick(wizard, Qt.Key.Key_5, CONTROL)
+    press_button(wizard.next)
     assert wizard.quality.grade.text() in {"Good", "Usable"}
+    press_button(wizard.next)
     with qtbot.waitSignal(wizard.saved):
         press_button(wizard.save)
     assert document.undo_stack.count() == 1
@@ -247,6 +248,6 @@ def test_degenerate_points_are_refused_in_words(open_wizard, scene, qtbot):
         wizard.session.click("tactile", 50 + 20 * step, 62 + 10 * step)
     qtbot.waitUntil(lambda: "line" in wizard.outcome.sentence)
     assert wizard.outcome.report is None
-    assert not wizard.save.isEnabled()
+    assert "line" in wizard.verdict.text()
     assert "line" in wizard.model.reason.text()
     assert "line" in wizard.points.fit_line.text()

@@ -7,7 +7,7 @@ from PyQt6.QtCore import QEvent, Qt
 from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication
 
-from hands import press, type_path
+from hands import type_path
 from pairs import with_pairs
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
@@ -123,9 +123,9 @@ def test_the_wizard_saves_the_preset_through_the_window(window, scene, frames, f
     window.actions_.calibrate.trigger()
     wizard = window.calibration.wizard
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(wizard.save.isEnabled)
-    wizard.save_into_preset()
-    press(wizard.messages.message("saved"), "Save preset")
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.busy)
+    QTest.keyClick(wizard, Qt.Key.Key_5, CONTROL)
+    QTest.mouseClick(wizard.save, Qt.MouseButton.LeftButton)
     type_path(qtbot, tmp_path / "new.json")
     qtbot.waitUntil(lambda: not window.document.dirty)
     assert load_preset(tmp_path / "new.json").alignment.calibration is not None

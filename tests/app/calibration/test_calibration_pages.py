@@ -8,13 +8,13 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from PyQt6.QtCore import Qt
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QPalette
 from PyQt6.QtTest import QTest
 
-from hands import press
 from pairs import snapshot_of, with_pairs
+from tactune.app.calibration.finder import find_pairs
 from tactune.app.calibration.fitting import fit
-from tactune.app.calibration.helpers_page import Helper, HelperOptions, find_proposals
 from tactune.app.calibration.keeping import Keeper
 from tactune.app.calibration.overlay import OverlayMode, make_overlay
 from tactune.app.calibration.pictures import image_choices, picture
@@ -27,6 +27,7 @@ from tactune.core.model.frames import SensorFrame
 from tactune.core.preset import Preset
 
 LEFT = Qt.MouseButton.LeftButton
+SAVE = 4
 
 
 # Frames
@@ -235,7 +236,7 @@ def test_clicks_in_the_depth_image_are_marked_so(open_wizard, frames, feed):
     assert len(wizard.points.view.images["tactile"].layer.marks) == 1
 
 
-# Helpers
+# Find points
 
 
 def chessboard_snapshot(frames, feed):
@@ -248,57 +249,90 @@ def chessboard_snapshot(frames, feed):
     return snapshot_of(frame, feed)
 
 
-def find_chessboard(wizard):
-    page = wizard.helpers
-    wizard.go_to(2)
-    QTest.mouseClick(page.radios[Helper.CHESSBOARD], LEFT, pos=page.radios[Helper.CHESSBOARD].rect().center() * 0.2)
-    page.columns.setValue(10)
-    page.rows.setValue(7)
-    QTest.mouseClick(page.search, LEFT)
-    return page
+def look_for(finder, title):
+    finder.target.setFocus()
+    QTest.keyClicks(finder.target, title)
 
 
-def test_a_chessboard_is_found_refused_in_part_and_accepted(open_wizard, feed, frames, qtbot):
+def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     wizard = open_wizard()
     wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
-    page = find_chessboard(wizard)
-    qtbot.waitUntil(lambda: len(page.proposals) == 70)
-    first = page.proposals[0]
+    QTest.mouseClick(wizard.steps.button(1), LEFT)
+    finder = wizard.points.finder
+    assert not finder.columns.isVisible()
+    look_for(finder, "Chess")
+    assert finder.columns.isVisible() and "inner corners" in finder.columns.toolTip()
+    finder.columns.setValue(10)
+    finder.rows.setValue(7)
+    QTest.mouseClick(finder.search, LEFT)
+    QTest.mouseClick(wizard.next, LEFT)
+    assert wizard.stack.currentIndex() == 1 and "not complete" in wizard.messages.message("next").sentence
+    qtbot.waitUntil(lambda: len(wizard.session.state.pairs) == 70)
+    first = wizard.session.state.pairs[0]
     assert first.tactile == pytest.approx((first.proximity[0] - 8, first.proximity[1]), abs=0.05)
-    page.toggle(first.key)
-    QTest.mouseClick(page.accept, LEFT)
-    assert len(wizard.session.state.pairs) == 69
+    assert not wizard.session.selected and "70 pairs found" in finder.words.text()
+    QTest.mouseClick(finder.search, LEFT)
+    qtbot.waitUntil(lambda: "70 of them were pairs already" in finder.words.text())
+
+    assert wizard.undo.toolTip() == "Undo: Find 70 pairs (Ctrl+Z)"
     QTest.mouseClick(wizard.undo, LEFT)
     assert not wizard.session.state.pairs
+    while wizard.undo.isEnabled():
+        QTest.mouseClick(wizard.undo, LEFT)
+    assert finder.target.currentText() == "Membrane texture" and not finder.columns.isVisible()
 
-    QTest.mouseClick(page.radios[Helper.CIRCLES], LEFT, pos=page.radios[Helper.CIRCLES].rect().center() * 0.2)
-    QTest.mouseClick(page.search, LEFT)
-    qtbot.waitUntil(lambda: "circles is seen" in page.words.text())
-    assert not page.proposals
-
-
-@pytest.mark.parametrize("soon", [False, True])
-def test_next_takes_the_pairs_that_were_found(open_wizard, feed, frames, qtbot, soon):
-    wizard = open_wizard()
     wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
-    page = find_chessboard(wizard)
-    if not soon:
-        qtbot.waitUntil(lambda: len(page.proposals) == 70)
-    QTest.mouseClick(wizard.next, LEFT)
-    qtbot.waitUntil(lambda: len(wizard.outcome.pairs) == 70 and wizard.outcome.report is not None)
-    assert wizard.stack.currentIndex() == 3
-    assert any("70 pairs found" in sentence for sentence in wizard.messages.sentences())
-    assert not wizard.session.selected
-
-    press(wizard.messages.message("accepted"), "Remove again")
+    look_for(finder, "Asym")
+    QTest.mouseClick(finder.search, LEFT)
+    qtbot.waitUntil(lambda: "circles is seen" in finder.words.text())
     assert not wizard.session.state.pairs
-    QTest.mouseClick(wizard.undo, LEFT)
 
+
+def test_one_button_is_primary_at_one_place_on_every_page(open_wizard, scene, frames, feed, qtbot):
+    wizard = open_wizard()
+    window = wizard.palette().color(QPalette.ColorRole.Button)
+
+    def primary():
+        pushes = [wizard.frames.take, wizard.points.finder.search, wizard.next, wizard.save]
+        seen = [push for push in pushes if push.isVisible()]
+        return [push.text() for push in seen if push.palette().color(QPalette.ColorRole.Button) != window]
+
+    assert primary() == ["Take snapshot"]
+    wizard.session.add_snapshot(snapshot_of(frames[0.2], feed))
+    assert primary() == ["Next"]
+    wizard.go_to(1)
+    assert primary() == ["Find points"]
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
+    assert [wizard.steps.button(step).text()[-1] for step in range(4)] == ["✓"] * 4
+    places = set()
+    for step, text in enumerate(("Next", "Next", "Next", "Next", "Save preset")):
+        wizard.go_to(step)
+        assert primary() == [text]
+        push = wizard.save if step == SAVE else wizard.next
+        places.add(push.geometry().getRect())
+    assert len(places) == 1
+
+
+def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
+    wizard = open_wizard()
+    before = wizard.session.state
+    wizard.frames.average.setValue(3)
+    wizard.session.edit("all", with_pairs(scene, frames, feed))
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     wizard.go_to(2)
-    QTest.mouseClick(page.search, LEFT)
-    qtbot.waitUntil(lambda: "70 of them are pairs already" in page.words.text())
-    QTest.mouseClick(wizard.next, LEFT)
-    assert len(wizard.session.state.pairs) == 70
+    homography = wizard.model.choices.button(2)
+    QTest.mouseClick(homography, LEFT, pos=QPoint(8, homography.height() // 2))
+    qtbot.waitUntil(lambda: wizard.outcome.report.model == "homography")
+    assert wizard.steps.button(2).text().endswith("!")
+    wizard.go_to(SAVE)
+    box = wizard.check.set_tolerance
+    QTest.mouseClick(box, LEFT, pos=QPoint(8, box.height() // 2))
+    assert "Set t" in wizard.undo.toolTip()
+    for _ in range(4):
+        QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
+    assert wizard.session.state == before
+    assert not box.isChecked() and wizard.frames.average.value() == 10
 
 
 # Check
@@ -325,7 +359,7 @@ def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, fr
     wizard.session.edit("all", with_pairs(scene, frames, feed))
     qtbot.waitUntil(lambda: wizard.outcome.report is not None)
     shown = wizard.quality.map
-    wizard.go_to(4)
+    wizard.go_to(3)
     assert "Drawing the map" in shown.empty_label.text() and not shown.layer.marks
     qtbot.waitUntil(lambda: bool(shown.layer.marks), timeout=15000)
     assert "Drawing" not in shown.empty_label.text()
@@ -334,21 +368,27 @@ def test_points_are_marked_once_there_is_a_map_under_them(open_wizard, scene, fr
 def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
     page = wizard.check
-    wizard.go_to(5)
+    wizard.go_to(SAVE)
     qtbot.waitUntil(lambda: "No calibration yet" in page.image.empty_label.text())
     wizard.session.edit("all", with_pairs(scene, frames, feed))
-    qtbot.waitUntil(lambda: page.image.empty_label.text() == "" and "cm²" in page.note.text(), timeout=60_000)
+    qtbot.waitUntil(
+        lambda: page.image.empty_label.text() == "" and "cm²" in page.table.item(4, 0).text(), timeout=60_000
+    )
     blended = page.image.grab().toImage()
     QTest.mouseClick(page.modes.button(1), LEFT)
     assert page.mode is OverlayMode.CHECKER
     assert page.image.grab().toImage() != blended
-    assert "by the preset's contact test" in page.note.text()
-    assert "New" in page.note.text() and "Expected alignment error" in page.note.text()
+    assert page.table.horizontalHeaderItem(0).text() == "New"
+    for row, unit in enumerate(("px", "mm", "mm", "")):
+        new, present = (page.table.item(row, column).text() for column in range(2))
+        assert unit in new and unit in present
+        assert "✓ better" in new and "better" not in present
     assert "does not use it" not in page.set_tolerance.text()
     document.edit("contact_test", "membrane")
     assert "membrane test does not use it" in page.set_tolerance.text()
-    page.set_tolerance.setChecked(True)
-    wizard.save_into_preset()
+    box = page.set_tolerance
+    QTest.mouseClick(box, LEFT, pos=QPoint(8, box.height() // 2))
+    wizard.save_preset()
     assert document.preset.tolerance.t == pytest.approx(
         wizard.outcome.report.chosen.effect.supported_tolerance, abs=1e-4
     )
@@ -357,7 +397,7 @@ def test_the_check_page_shows_both_alignments(open_wizard, scene, frames, feed, 
 def test_texture_without_a_colour_image_is_said_of_the_snapshot(scene, frames):
     snapshot = Snapshot("digest", "Frames 3 to 7", replace(frames[0.2], tactile_color=None), 5, 0.0)
     with pytest.raises(CalibrationError, match=r"^Frames 3 to 7: the tactile camera has no colour image"):
-        find_proposals(HelperOptions(), [snapshot], Choices(), scene.rig, lambda *_: None)
+        find_pairs(Choices(), [snapshot], scene.rig, lambda *_: None)
 
 
 # Re-check

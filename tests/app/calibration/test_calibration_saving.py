@@ -12,6 +12,7 @@ from tactune.core.sources.presets import load_preset
 
 LEFT = Qt.MouseButton.LeftButton
 CONTROL = Qt.KeyboardModifier.ControlModifier
+SAVE = 4
 GEOMETRY = "alignment.rigid.T_proximity_tactile"
 
 
@@ -34,6 +35,8 @@ def test_a_worse_calibration_asks_before_it_replaces_a_better_one(open_wizard, s
     before = document.preset.alignment
     wizard = open_wizard()
     fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed, dots=range(0, 63, 16))))
+    wizard.go_to(SAVE)
+    assert wizard.steps.button(SAVE).text().endswith("!")
     QTest.mouseClick(wizard.save, LEFT)
     words = answer_question(qtbot, "Cancel")
     assert "worse than the present" in words and "px new" in words and "px present" in words
@@ -47,6 +50,7 @@ def test_a_better_calibration_is_saved_without_a_question_also_twice(open_wizard
     wizard = open_wizard()
     state = careless(with_pairs(scene, frames, feed), sigma_px=0.3)
     fitted(qtbot, wizard, state)
+    wizard.go_to(SAVE)
     for _ in range(2):
         with qtbot.waitSignal(wizard.saved):
             QTest.mouseClick(wizard.save, LEFT)
@@ -62,9 +66,11 @@ def test_present_stays_the_old_alignment_until_the_file_is_saved(
     wizard = open_wizard()
     before = document.preset.alignment
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
-    wizard.go_to(5)
+    wizard.go_to(SAVE)
     page = wizard.check
-    qtbot.waitUntil(lambda: page.image.empty_label.text() == "" and "cm²" in page.note.text(), timeout=60_000)
+    qtbot.waitUntil(
+        lambda: page.image.empty_label.text() == "" and "cm²" in page.table.item(4, 0).text(), timeout=60_000
+    )
     with qtbot.waitSignal(wizard.saved):
         QTest.mouseClick(wizard.save, LEFT)
     assert document.preset.alignment != before
@@ -76,28 +82,45 @@ def test_present_stays_the_old_alignment_until_the_file_is_saved(
     assert page.present_preset().alignment == document.preset.alignment
 
 
-def test_a_fresh_wizard_has_nothing_to_save_and_says_why(open_wizard, scene, frames, feed, qtbot):
+def test_next_and_save_say_what_is_missing(open_wizard, scene, frames, feed, document, qtbot):
     wizard = open_wizard()
-    assert not wizard.save.isEnabled()
-    assert "0 pairs; 4 are needed" in wizard.save.toolTip()
+    sentence = lambda: wizard.messages.message("next").sentence  # noqa: E731
+    QTest.mouseClick(wizard.next, LEFT)
+    assert "No snapshot yet" in sentence() and wizard.stack.currentIndex() == 0
     wizard.session.click("proximity", 100.0, 100.0)
     wizard.session.click("tactile", 80.0, 100.0)
-    qtbot.waitUntil(lambda: "1 pair; 3 pairs more" in wizard.save.toolTip())
+    QTest.mouseClick(wizard.steps.button(1), LEFT)
+    qtbot.waitUntil(lambda: "1 pair; 3 pairs more" in wizard.verdict.text())
+    QTest.keyClick(wizard, Qt.Key.Key_PageDown, CONTROL)
+    assert "1 pair; 3 pairs more" in sentence() and "Find points" in sentence()
+    QTest.mouseClick(wizard.steps.button(SAVE), LEFT)
+    assert wizard.messages.message("next") is None
+    QTest.mouseClick(wizard.save, LEFT)
+    assert "1 pair; 3 pairs more" in sentence() and document.undo_stack.count() == 0
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
-    assert wizard.save.isEnabled() and "Ctrl+S" in wizard.save.toolTip()
+    assert wizard.messages.message("next") is None
 
 
-def test_after_saving_into_the_preset_its_file_can_be_saved(
-    open_wizard, scene, frames, feed, document, qtbot, tmp_path
-):
+def test_save_preset_saves_the_file_too(open_wizard, scene, frames, feed, document, qtbot, tmp_path):
     document.save(tmp_path / "tiny.json")
     wizard = open_wizard()
     wizard.fileSaveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
+    wizard.go_to(SAVE)
     QTest.mouseClick(wizard.save, LEFT)
     qtbot.waitUntil(lambda: wizard.messages.message("saved") is not None)
-    assert "file is not saved yet" in wizard.messages.message("saved").sentence
-    press(wizard.messages.message("saved"), "Save preset")
+    assert "tiny.json" in wizard.messages.message("saved").sentence
     assert not document.dirty
     assert load_preset(tmp_path / "tiny.json").alignment.calibration is not None
+    assert wizard.steps.button(SAVE).text().endswith("✓")
+
+
+def test_a_file_that_was_not_saved_is_said_and_saved_later(open_wizard, scene, frames, feed, document, qtbot, tmp_path):
+    wizard = open_wizard()
+    fitted(qtbot, wizard, with_pairs(scene, frames, feed))
+    QTest.keyClick(wizard, Qt.Key.Key_S, CONTROL)  # nobody answers the request, as if the dialog were cancelled
+    assert "file is not saved yet" in wizard.messages.message("saved").sentence
+    wizard.fileSaveRequested.connect(lambda: document.save(tmp_path / "tiny.json"))
+    press(wizard.messages.message("saved"), "Save preset")
+    assert not document.dirty
     assert "tiny.json" in wizard.messages.message("saved").sentence
