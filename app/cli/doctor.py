@@ -20,7 +20,7 @@ NONE_STATUS = 1
 #: Exit status of ``doctor`` if a check fails.
 FAILED_STATUS = 1
 #: The driver is queried in a separate process, because it may hang or crash.
-_PROGRAM = ("-P", "-m", "tactune.app.cameras.list_devices")
+_PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
 _PATIENCE_S = 15.0
 _NEEDED = (640, 480, 30)
 

@@ -21,7 +21,6 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.sources.registry import source_kinds
 from ...widgets.basics.controls import dialog_buttons
 from ..worker.playback import SPEEDS
 from .icons import icon
@@ -53,8 +52,7 @@ class Actions:
     measure_noise: QAction
     findings: QAction
     capture_untouched: QAction
-    open_folder: QAction
-    open_recording: QAction
+    open_source: QAction
     cameras: QAction
     camera_settings: QAction
     record: QAction
@@ -130,7 +128,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
     redo.setShortcuts([QKeySequence("Ctrl+Shift+Z"), QKeySequence("Ctrl+Y")])
     made = Actions(
         new_preset=action("&New preset", shortcut=StandardKey.New),
-        open_preset=action("&Open preset…", shortcut=StandardKey.Open),
+        open_preset=action("Open pre&set…", shortcut="Ctrl+Shift+O"),
         save=action("&Save preset", shortcut=StandardKey.Save),
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
         details=action("Name and no&tes…", "Edit the preset's name and notes", "F2"),
@@ -143,10 +141,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         ),
         calibrate=action("&Calibrate…", "Align both cameras: click points, check and save the result", "Ctrl+K"),
         recheck=action("&Re-check calibration", "Check the alignment on this frame", "Ctrl+Shift+K"),
-        open_folder=action("Open &folder…", "Open a recording stored as a folder of images", "Ctrl+Shift+O"),
-        open_recording=action(
-            "Open recordin&g…", "Open a recording of Tactune or RealSense, or two bags with one camera each", "Ctrl+R"
-        ),
+        open_source=action("&Open…", "Open cameras, a recording, the simulator or another source", StandardKey.Open),
         watch_drift=action(
             "&Watch for drift",
             "Look once in 10 s whether a camera of a live source moved, the pressure changed or a lens is dirty, "
@@ -224,9 +219,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
 class Menus:
     """The menus whose entries change while the window runs."""
 
-    source: QMenu
     preset: QMenu
-    recent_sources: QMenu
     recent_presets: QMenu
     shipped_presets: QMenu
     themes: QActionGroup
@@ -234,21 +227,8 @@ class Menus:
 
 
 def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menus:
-    """Fill the menu bar, and build the two menus of the toolbar from the same actions; ``tabs`` open analysis tabs."""
+    """Fill the menu bar, and build the toolbar's menu of presets from the same actions; ``tabs`` open analysis tabs."""
     parent = bar
-    source = QMenu("Source", parent)
-    source.addActions([actions.cameras, actions.camera_settings])
-    source.addSeparator()
-    for kind in source_kinds():
-        for name in kind.examples:
-            entry = source.addAction(": ".join(filter(None, (kind.title, name.partition(":")[2]))))
-            assert entry is not None
-            entry.setToolTip(kind.description)
-            entry.setData(name)
-    source.addSeparator()
-    source.addActions([actions.open_recording, actions.open_folder])
-    recent_sources = _submenu(source, "&Recent sources")
-
     preset = QMenu("Preset", parent)
     preset.addAction(actions.new_preset)
     shipped = _submenu(preset, "New from s&hipped preset")
@@ -256,13 +236,12 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     recent_presets = _submenu(preset, "&Recent presets")
 
     file_menu = _menu(bar, "&File")
+    file_menu.addActions([actions.open_source, actions.cameras, actions.camera_settings])
+    file_menu.addSeparator()
     file_menu.addAction(actions.new_preset)
     file_menu.addMenu(shipped)
     file_menu.addActions([actions.open_preset, actions.save, actions.save_as, actions.details])
     file_menu.addMenu(recent_presets)
-    file_menu.addSeparator()
-    file_menu.addActions([actions.cameras, actions.camera_settings, actions.open_recording, actions.open_folder])
-    file_menu.addMenu(recent_sources)
     file_menu.addSeparator()
     file_menu.addActions([actions.export_patch, actions.export_patches, actions.export_recording])
     file_menu.addSeparator()
@@ -285,7 +264,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     )
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
     _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
-    return Menus(source, preset, recent_sources, recent_presets, shipped, themes, speeds)
+    return Menus(preset, recent_presets, shipped, themes, speeds)
 
 
 def _fill_edit_menu(menu: QMenu, actions: Actions) -> None:

@@ -1,29 +1,25 @@
-"""File actions: open and save presets, open recordings, export patches; asks before unsaved changes are lost."""
+"""File actions: open and save presets, open what is dropped, export patches; asks before unsaved changes are lost."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable
-from fnmatch import fnmatch
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 
-from ...core.errors import TactuneError
+from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.presets import load_preset
-from ...core.sources.registry import source_kinds
 from ...widgets.basics.message_bar import MessageBar, Severity
 from ..context import Context
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
+from ..sources.paths import recording_name
 from ..worker.results import Result
 from .actions import Actions
 
-#: Kinds of recordings that may consist of two files, one for each camera.
-_IN_TWO_FILES = ("bag",)
 PRESET_FILTER = "Presets (*.json)"
 EXPORT_FILTERS = ["PLY, binary (*.ply)", "PCD, binary (*.pcd)", "NumPy (*.npz)", "Table (*.csv)"]
 
@@ -52,8 +48,6 @@ class FileFlows(QObject):
         actions.save.triggered.connect(lambda _: self.save())
         actions.save_as.triggered.connect(lambda _: self.save_as())
         actions.details.triggered.connect(self.details)
-        actions.open_folder.triggered.connect(self.open_folder_dialog)
-        actions.open_recording.triggered.connect(self.open_recording_dialog)
         actions.export_patch.triggered.connect(self.export_dialog)
 
     # Presets
@@ -120,44 +114,18 @@ class FileFlows(QObject):
 
     # Recordings
 
-    def open_folder_dialog(self) -> None:
-        """Ask for a recording stored as a folder."""
-        self._dialogs.open_folder(
-            "Open a recorded folder", self._folder("source"), lambda path: self._open_recording(f"folder:{path}", path)
-        )
-
-    def open_recording_dialog(self) -> None:
-        """Ask for one recording, or for the two files of two cameras."""
-        self._dialogs.open_files("Open a recording", self._folder("source"), recording_filters(), self.open_recordings)
-
-    def open_recordings(self, paths: list[Path]) -> None:
-        """Open one recording, or two files of the same kind that belong together; else say why not."""
-        schemes = {recording_scheme(path) for path in paths}
-        scheme = schemes.pop() if len(schemes) == 1 else ""
-        if not scheme:
-            names = ", ".join(path.name for path in paths)
-            endings = " ".join(recording_endings())
-            what = "is no recording" if len(paths) == 1 else "are recordings of different kinds"
-            self._refuse(f"{names} {what} (files {endings}, or a folder with rig.json); nothing was changed.")
-        elif len(paths) > (2 if scheme in _IN_TWO_FILES else 1):
-            self._refuse("Open one recording at a time, or the two .bag files of two cameras; nothing was changed.")
-        else:
-            self._open_recording(f"{scheme}:{','.join(map(str, sorted(paths)))}", paths[0])
-
     def open_dropped(self, paths: list[Path]) -> None:
         """Open the preset or recording that was dropped on the window, or say why not."""
         first = paths[0]
-        if len(paths) == 1 and first.is_dir():
-            self._open_recording(f"folder:{first}", first)
-        elif len(paths) == 1 and first.suffix.lower() == ".json":
+        if len(paths) == 1 and first.suffix.lower() == ".json" and first.is_file():
             self.open_preset(first)
-        elif len(paths) == 1 and not recording_scheme(first):
-            self._refuse(
-                f"{first.name} is neither a preset (.json) nor a recording (a folder with rig.json, or a file "
-                f"{' '.join(recording_endings())}); nothing was changed."
-            )
-        else:
-            self.open_recordings(paths)
+            return
+        try:
+            name = recording_name(paths)
+        except SourceError as error:
+            self._messages.show_message("file", Severity.ERROR, str(error))
+            return
+        self._context.sourceRequested.emit(name)
 
     def recordings_folder_dialog(self, present: Path, use: Callable[[Path], None]) -> None:
         """Ask for the folder for recordings."""
@@ -234,13 +202,6 @@ class FileFlows(QObject):
         if missing:
             self._document.edit_many(missing)
 
-    def _refuse(self, sentence: str) -> None:
-        self._messages.show_message("file", Severity.ERROR, sentence)
-
-    def _open_recording(self, name: str, path: Path) -> None:
-        self._settings.set("folder/source", str(path.parent))
-        self._context.sourceRequested.emit(name)
-
     def _told(self, action: Callable[[], None]) -> bool:
         """Call a file action and return whether it succeeded; an error becomes a message."""
         try:
@@ -253,29 +214,6 @@ class FileFlows(QObject):
     def _folder(self, kind: str) -> Path:
         remembered = Path(self._settings.text(f"folder/{kind}", str(Path.home())))
         return remembered if remembered.is_dir() else Path.home()
-
-
-def _patterns() -> dict[str, list[str]]:
-    """Return the file patterns of each kind of recording that is a file."""
-    return {kind.scheme: re.split(r"[ ,;]+", kind.pattern) for kind in source_kinds() if kind.needs == "file"}
-
-
-def recording_endings() -> list[str]:
-    """Return the endings of recordings, such as ``.bag``."""
-    return [pattern.removeprefix("*") for patterns in _patterns().values() for pattern in patterns]
-
-
-def recording_filters() -> list[str]:
-    """Return the filters of a file dialog, all recordings first."""
-    kinds = {kind.scheme: kind.title for kind in source_kinds()}
-    single = [f"{kinds[scheme]} ({' '.join(patterns)})" for scheme, patterns in _patterns().items()]
-    return [f"Recordings ({' '.join(f'*{ending}' for ending in recording_endings())})", *single]
-
-
-def recording_scheme(path: Path) -> str:
-    """Return the scheme of the source that opens a file, by its name; empty if none does."""
-    name = path.name.lower()
-    return next((scheme for scheme, patterns in _patterns().items() if any(map(partial(fnmatch, name), patterns))), "")
 
 
 def file_name(name: str) -> str:

@@ -24,7 +24,6 @@ from ...widgets.plots.time_strip import TimeStrip
 from ..advice.window import ALL, SuggestControl
 from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
-from ..cameras.control import CAMERA_SCHEMES, CameraControl
 from ..context import Context
 from ..document.document import Document
 from ..document.recovery import Autosave
@@ -32,6 +31,10 @@ from ..rig.check_window import CameraChecks
 from ..rig.untouched_window import UntouchedControls
 from ..rig.watch_control import WatchControl
 from ..settings import Settings
+from ..sources.cameras_page import CAMERA_SCHEMES
+from ..sources.control import CameraControl
+from ..sources.opening import OpenControl
+from ..sources.recent_page import RECENT
 from ..timeline.control import Timeline
 from ..timeline.export import ExportBar, FrameExport
 from ..worker.errors import ErrorHook
@@ -54,7 +57,7 @@ from .view_area import StripSplitter, ViewArea
 DEFAULT_SIZE = (1280, 800)
 
 _OPENING = "Preparing the first frame…"
-_NO_SOURCE = "No source is open: choose one in the Source menu, or drop a recording here"
+_NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
 _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
 _COLLAPSED_AT_FIRST = "range,region"
@@ -137,6 +140,7 @@ class MainWindow(QMainWindow):
         self.export = FrameExport(self.context, self.export_bar)
         self.calibration = CalibrationLauncher(self.context)
         self.cameras = CameraControl(self.context)
+        self.sources = OpenControl(self.context)
         self.checks = CameraChecks(self.context)
         self.untouched = UntouchedControls(self.context)
         self.watch = WatchControl(
@@ -268,7 +272,8 @@ class MainWindow(QMainWindow):
         actions.check_cameras.triggered.connect(self.checks.open)
         actions.measure_noise.triggered.connect(self.checks.open_noise)
         actions.findings.triggered.connect(self.findings.open)
-        actions.cameras.triggered.connect(self.cameras.choose)
+        actions.open_source.triggered.connect(self.sources.open)
+        actions.cameras.triggered.connect(self.sources.open_cameras)
         actions.camera_settings.triggered.connect(self.cameras.show_panel)
         actions.capture_untouched.triggered.connect(self.untouched.open)
         actions.suggest_all.triggered.connect(lambda: self.suggest.open(ALL))
@@ -290,7 +295,6 @@ class MainWindow(QMainWindow):
         )
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus
-        menus.source.triggered.connect(lambda entry: self.open_source(entry.data()) if entry.data() else None)
         menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
         menus.speeds.triggered.connect(lambda entry: worker.set_speed(entry.data()))
         for entry in menus.speeds.actions():
@@ -300,8 +304,6 @@ class MainWindow(QMainWindow):
             new=flows.new,
             recent_presets=lambda: self.settings.recent("presets"),
             open_preset=lambda path: flows.open_preset(Path(path)),
-            recent_sources=lambda: self.settings.recent("sources"),
-            open_source=self.open_source,
         )
 
     def _connect_timeline(self) -> None:
@@ -355,15 +357,15 @@ class MainWindow(QMainWindow):
             self.presenter.forget()
             self.actions_.export_patch.setEnabled(False)
             self.views.show_message(_OPENING)
-        self.settings.add_recent("sources", info.name)
+        self.settings.add_recent(RECENT, info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
         self.file_flows.offer_preset(info.preset)
         self.left.set_aspect(info.rig.proximity.intrinsics.height / info.rig.proximity.intrinsics.width)
 
-    def _open_failed(self, _name: str, sentence: str) -> None:
+    def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
-        if sentence:
+        if sentence and not self.sources.take_failure(name, sentence):
             self.messages.show_message("source", Severity.ERROR, sentence)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
@@ -520,6 +522,7 @@ class MainWindow(QMainWindow):
             self.export,
             self.checks,
             self.cameras,
+            self.sources,
             self.analysis,
             self.untouched,
             self.calibration,

@@ -109,7 +109,9 @@ class ToolBar(QToolBar):
         self.setMovable(False)
         self.setContextMenuPolicy(Qt.ContextMenuPolicy.PreventContextMenu)
         self._menus = menus
-        self.source = _menu_button(menus.source, "Source of the frames")
+        self.source = QPushButton()
+        self.source.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.source.clicked.connect(actions.open_source.trigger)
         self.preset = _menu_button(menus.preset, "The preset being tuned")
         self.addWidget(self.source)
         self.addSeparator()
@@ -136,7 +138,7 @@ class ToolBar(QToolBar):
     def show_source(self, name: str) -> None:
         """Show the source's name on its button."""
         self.source.setText(f"Source: {_literal(_shortened(name))}")
-        self.source.setToolTip(f"Source of the frames\n{name}")
+        self.source.setToolTip(f"Source of the frames; click to open another one (Ctrl+O)\n{name}")
 
     def show_preset(self, title: str, path: Path | None) -> None:
         """Show the preset's name on its button, with the mark of unsaved changes."""
@@ -150,15 +152,12 @@ class ToolBar(QToolBar):
         new: Callable[[str], None],
         recent_presets: Callable[[], list[str]],
         open_preset: Callable[[str], None],
-        recent_sources: Callable[[], list[str]],
-        open_source: Callable[[str], None],
     ) -> None:
         """Set the entries of the menus that are filled on opening, and what choosing one does."""
         menus = self._menus
         for menu, entries, choose in (
             (menus.shipped_presets, shipped, new),
             (menus.recent_presets, recent_presets, open_preset),
-            (menus.recent_sources, recent_sources, open_source),
         ):
             menu.aboutToShow.connect(partial(_fill, menu, entries, choose))
 

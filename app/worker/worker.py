@@ -338,7 +338,7 @@ class Worker(QThread):
         if self._live is not None:
             self._live.set_option(camera, name, value, at_close)
         else:
-            self.optionRefused.emit("No camera is open: open one in the Source menu to change its settings.")
+            self.optionRefused.emit("No camera is open: connect cameras (F3) to change their settings.")
 
     def _start_recording(self, path: Path) -> None:
         if self._info is None or (self._live is None and self._reader is None):

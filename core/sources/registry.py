@@ -8,10 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import PluginError, SourceError
-from ..model.files import user_path
+from ..model.files import recording_files, user_path
 from ..model.plugins import NOT_INSTALLED, load_plugin, load_plugins, plugin_names
 from .base import FrameSource, Progress
 
@@ -117,6 +118,19 @@ def open_source(name: str, progress: Progress | None = None, cameras: CamerasSec
 def opens_by_name(name: str) -> bool:
     """Return whether `open_source` knows the kind of a source's name; a program may make sources of its own."""
     return name.partition(":")[0] in plugin_names(GROUP)
+
+
+def missing_path(name: str) -> Path | None:
+    """Return the file or folder that a source's name needs and that does not exist, else None."""
+    scheme, colon, rest = name.partition(":")
+    if scheme == "live" and colon:
+        return missing_path(rest)
+    kind = next((kind for kind in source_kinds() if kind.scheme == scheme), None)
+    if kind is None:
+        return None if user_path(name).exists() or recording_files(name) else user_path(name)
+    if kind.needs == "nothing" or user_path(rest).exists() or recording_files(rest):
+        return None
+    return next((path for part in rest.split(",") if not (path := user_path(part)).exists()), user_path(rest))
 
 
 def _load(scheme: str) -> SourceKind:

@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QApplication, QFileDialog, QLineEdit
+from PyQt6.QtWidgets import QApplication, QFileDialog
 
 from hands import (
     CONTROL,
     CONTROL_SHIFT,
+    LEFT,
     answer_question,
     drag_slider,
     drop,
@@ -25,7 +26,7 @@ from hands import (
 )
 from tactune.app.cli.common import default_preset
 from tactune.app.document.recovery import Autosave
-from tactune.app.window.files import recording_filters, recording_scheme
+from tactune.app.sources.paths import recording_filters, recording_scheme
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
@@ -48,7 +49,7 @@ def test_save_reopen_same_values(window, qtbot, tmp_path, make_window):
     assert load_preset(path).tolerance == tuned.tolerance
 
     second = make_window()
-    QTest.keyClick(second, Qt.Key.Key_O, CONTROL)
+    QTest.keyClick(second, Qt.Key.Key_O, CONTROL_SHIFT)
     type_path(qtbot, path)
     qtbot.waitUntil(lambda: second.document.path == path)
     assert second.document.preset.tolerance == tuned.tolerance
@@ -266,14 +267,18 @@ def test_a_session_that_is_dropped_plays_seeks_steps_and_loops(make_window, qtbo
 
 def test_a_session_is_opened_by_key_and_dialog(make_window, qtbot, session):
     window = make_window()
-    QTest.keyClick(window, Qt.Key.Key_R, CONTROL)
+    QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
+    qtbot.waitUntil(lambda: window.sources.dialog is not None)
+    window.sources.dialog.list.setCurrentRow(3)
+    QTest.mouseClick(window.sources.dialog.page.file, LEFT)
     qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QFileDialog))
-    dialog = QApplication.activeModalWidget()
-    assert "*.mcap" in dialog.nameFilters()[0]
-    entry = dialog.findChild(QLineEdit)
-    entry.setText(str(session))
-    QTest.keyClick(entry, Qt.Key.Key_Return)
+    assert "*.mcap" in QApplication.activeModalWidget().nameFilters()[0]
+    type_path(qtbot, session)
+    dialog = window.sources.dialog
+    qtbot.waitUntil(lambda: dialog.name.text() == f"mcap:{session}")
+    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
     qtbot.waitUntil(lambda: shows(window, f"mcap:{session}"))
+    assert window.sources.dialog is None
 
 
 @pytest.mark.parametrize(

@@ -12,9 +12,9 @@ from PyQt6.QtWidgets import QApplication, QCheckBox, QDialogButtonBox, QLabel
 
 from fake_cameras import FakeCameras
 from hands import press, show_source, type_into
-from tactune.app.cameras import chooser as search_module
-from tactune.app.cameras import control
-from tactune.app.cameras.chooser import CameraSearch, FoundCamera
+from tactune.app.sources import opening
+from tactune.app.sources import search as search_module
+from tactune.app.sources.search import CameraSearch, FoundCamera
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.sources.base import CameraHealth
@@ -31,7 +31,7 @@ D405_TOO = {**D405, "serial": "d003"}
 @pytest.fixture
 def answering(monkeypatch):
     """Let the search for cameras answer with this program."""
-    return lambda text: monkeypatch.setattr(control, "CameraSearch", lambda parent: CameraSearch(parent, ["-c", text]))
+    return lambda text: monkeypatch.setattr(opening, "CameraSearch", lambda parent: CameraSearch(parent, ["-c", text]))
 
 
 @pytest.fixture
@@ -49,11 +49,12 @@ def window(make_window, monkeypatch):
 
 
 def chooser(window, qtbot):
+    """The dialog on its page of cameras, after the search."""
     QTest.keyClick(window, Qt.Key.Key_F3)
-    qtbot.waitUntil(lambda: window.cameras.chooser is not None)
-    made = window.cameras.chooser
-    qtbot.waitUntil(made.refresh.isEnabled)
-    return made
+    qtbot.waitUntil(lambda: window.sources.dialog is not None)
+    dialog = window.sources.dialog
+    qtbot.waitUntil(dialog.page.refresh.isEnabled)
+    return dialog
 
 
 def open_button(dialog):
@@ -63,14 +64,16 @@ def open_button(dialog):
 def test_the_cameras_are_listed_and_guessed_by_their_model(window, finding, qtbot):
     finding(D405, L515)
     dialog = chooser(window, qtbot)
-    assert [dialog.list.topLevelItem(row).text(1) for row in range(2)] == ["d002", "f001"]
-    assert dialog.list.topLevelItem(0).text(3) == "USB 3.2"
-    assert (dialog.proximity.currentData(), dialog.tactile.currentData()) == ("f001", "d002")
+    assert [dialog.page.list.topLevelItem(row).text(1) for row in range(2)] == ["d002", "f001"]
+    assert dialog.page.list.topLevelItem(0).text(3) == "USB 3.2"
+    assert (dialog.page.proximity.currentData(), dialog.page.tactile.currentData()) == ("f001", "d002")
     assert dialog.note.text() == "2 cameras were found."
+    assert dialog.name.text() == "cameras:f001,d002"
     QTest.mouseClick(open_button(dialog), LEFT)
-    qtbot.waitUntil(lambda: window.opened_names == ["cameras:"])
+    qtbot.waitUntil(lambda: window.opened_names == ["cameras:f001,d002"])
     cameras = window.document.preset.cameras
     assert (cameras.proximity.serial, cameras.tactile.serial) == ("f001", "d002")
+    QTest.keyClick(dialog, Qt.Key.Key_Escape)
     window.activateWindow()
     qtbot.waitUntil(window.isActiveWindow)
     QTest.keyClick(window, Qt.Key.Key_Z, CONTROL)
@@ -81,16 +84,16 @@ def test_the_serials_of_the_preset_are_chosen_again(window, finding, qtbot):
     window.document.edit("cameras.tactile.serial", "d003")
     finding(L515, D405, D405_TOO)
     dialog = chooser(window, qtbot)
-    assert dialog.tactile.currentData() == "d003"
+    assert dialog.page.tactile.currentData() == "d003"
 
 
 def test_one_camera_twice_cannot_be_opened(window, finding, qtbot):
     finding(L515, D405)
     dialog = chooser(window, qtbot)
     assert open_button(dialog).isEnabled()
-    dialog.tactile.setFocus()
-    QTest.keyClick(dialog.tactile, Qt.Key.Key_Up)
-    assert dialog.tactile.currentData() == "f001"
+    dialog.page.tactile.setFocus()
+    QTest.keyClick(dialog.page.tactile, Qt.Key.Key_Up)
+    assert dialog.page.tactile.currentData() == "f001"
     assert "same camera" in dialog.note.text()
     assert not open_button(dialog).isEnabled()
 
@@ -101,7 +104,7 @@ def test_a_driver_without_the_l515_says_so_and_a_slow_connection_is_noted(window
     answering(f"print({json.dumps(json.dumps(answer))})")
     dialog = chooser(window, qtbot)
     assert dialog.note.text() == "2 cameras were found. The camera driver 2.57 no longer supports the L515."
-    assert dialog.list.topLevelItem(0).text(4) == "it runs at USB 2"
+    assert dialog.page.list.topLevelItem(0).text(4) == "it runs at USB 2"
 
 
 @pytest.mark.parametrize(
@@ -131,6 +134,27 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
 
 
+def test_a_search_that_hangs_does_not_keep_the_dialog(window, answering, qtbot):
+    answering("import time; time.sleep(60)")
+    QTest.keyClick(window, Qt.Key.Key_F3)
+    qtbot.waitUntil(lambda: window.sources.dialog is not None)
+    dialog = window.sources.dialog
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
+    QTest.keyClick(dialog, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: window.sources.dialog is None)
+
+
+def test_typed_serial_numbers_choose_the_cameras(window, finding, qtbot):
+    finding(L515, D405, D405_TOO)
+    dialog = chooser(window, qtbot)
+    dialog.name.selectAll()
+    QTest.keyClicks(dialog.name, "cameras:f001,d003")
+    assert dialog.page.tactile.currentData() == "d003"
+    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: window.opened_names == ["cameras:f001,d003"])
+    assert window.document.preset.cameras.tactile.serial == "d003"
+
+
 def test_refreshing_finds_what_was_plugged_in_meanwhile(window, answering, qtbot, tmp_path):
     answer = tmp_path / "answer.json"
     answer.write_text(json.dumps({"devices": []}))
@@ -138,7 +162,7 @@ def test_refreshing_finds_what_was_plugged_in_meanwhile(window, answering, qtbot
     dialog = chooser(window, qtbot)
     answer.write_text(json.dumps({"devices": [L515, D405]}))
     QTest.keyClick(dialog, Qt.Key.Key_F5)
-    qtbot.waitUntil(lambda: dialog.list.topLevelItemCount() == 2)
+    qtbot.waitUntil(lambda: dialog.page.list.topLevelItemCount() == 2)
     qtbot.waitUntil(lambda: open_button(dialog).isEnabled())
 
 
@@ -213,7 +237,7 @@ def test_a_typed_number_reaches_the_camera_and_the_preset_and_can_be_undone(wind
     window.document.undo_stack.undo()
     qtbot.waitUntil(lambda: cameras.values["tactile", "exposure"] == 8500)
     assert window.document.preset.cameras.tactile.options == {}
-    assert panel.rows["tactile", "exposure"].widget.value() == 8500
+    qtbot.waitUntil(lambda: panel.rows["tactile", "exposure"].widget.value() == 8500)
 
 
 def test_a_drag_is_one_step_and_the_camera_ends_where_the_slider_does(window, cameras, panel, qtbot):

@@ -53,7 +53,7 @@ def test_shows_every_part_of_a_frame(window):
 
 def test_says_what_to_do_while_there_is_nothing(make_window, qtbot, preset):
     window = make_window()
-    assert "Source menu" in window.views.views[CloudName.PATCH].message()
+    assert "Ctrl+O" in window.views.views[CloudName.PATCH].message()
     assert not window.actions_.export_patch.isEnabled()
     window.document.edit("tolerance.t", 0.001)
     show_source(qtbot, window, TinySource(length=1))

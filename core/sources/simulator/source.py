@@ -29,6 +29,7 @@ from ...model.files import atomic_path
 from ...model.frames import GroundTruth, SensorFrame, TrueStrain
 from ..base import Health, Progress, SeekableSource
 from .membrane import Membrane
+from .names import write_name
 from .noise import NoiseModel
 from .render import CLEAN_UNIT_M, CONTACT_FLAG
 from .scene import CleanState, Press, PressFacts, simulator_rig
@@ -213,17 +214,9 @@ def _title(scene: Scene) -> str:
 
 
 def _name(scene: str, seed: int, noise: float, variant: Variant, light: Light, sensor: str) -> str:
-    plain = Variant()
-    options = [f"press={variant.press}"] * bool(variant.press)
-    options += [f"side={variant.side}"] * (variant.side != plain.side)
-    options += [f"object={variant.object}"] * (variant.object != plain.object)
-    options += [f"gap={variant.gap_mm:g}"] * (variant.gap_mm != plain.gap_mm)
-    options += [f"membrane={variant.membrane}"] * (variant.membrane != plain.membrane)
-    options += [f"grid={variant.grid}"] * (variant.grid != plain.grid)
-    options += [f"light={light}"] * (light != "normal")
-    options += [f"sensor={sensor}"] * (sensor != DEFAULT_SENSOR)
-    options += [f"seed={seed}"] * (seed != 0) + [f"noise={noise:g}"] * (noise != 1.0)
-    return f"sim:{scene}" + ("?" + "&".join(options) if options else "")
+    options = {"press": variant.press, "side": variant.side, "object": variant.object, "gap": f"{variant.gap_mm:g}"}
+    options |= {"membrane": variant.membrane, "grid": variant.grid, "light": light, "sensor": sensor}
+    return write_name(options | {"scene": scene, "seed": str(seed), "noise": f"{noise:g}"})
 
 
 def cache_file(scene: str, key: str) -> Path:

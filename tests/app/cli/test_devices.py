@@ -7,12 +7,12 @@ from pathlib import Path
 
 import pytest
 
-from tactune.app.cameras import list_devices
 from tactune.app.cli import doctor as cli_devices
 from tactune.app.doctor import cameras as doctor_cameras
 from tactune.app.doctor import checks as doctor
 from tactune.app.doctor.cameras import UsbCamera
 from tactune.app.doctor.checks import Child
+from tactune.app.sources import list_devices
 from tactune.core.sources.cameras import drivers
 from tactune.core.sources.cameras.camera import DeviceInfo, StreamMode
 from tactune.core.sources.realsense import driver

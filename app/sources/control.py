@@ -1,4 +1,4 @@
-"""Choosing the cameras and changing their settings, which are stored in the preset."""
+"""The settings of the cameras, which are stored in the preset."""
 
 from __future__ import annotations
 
@@ -12,16 +12,12 @@ from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ..context import Context
 from ..worker.results import SourceInfo, SourceState
-from .chooser import CameraChooser, CameraSearch
+from .cameras_page import CAMERA_SCHEMES, CAMERAS
 from .panel import DELAY_PATH, CameraPanel
-
-CAMERAS = "cameras:"
-#: How names of sources begin that hold devices of their own.
-CAMERA_SCHEMES = (CAMERAS, "realsense:")
 
 
 class CameraControl(QObject):
-    """Opens at most one chooser and one settings panel.
+    """Opens the settings panel.
 
     A setting is an undoable edit of the preset. Every change of the preset is sent to the cameras.
 
@@ -34,7 +30,6 @@ class CameraControl(QObject):
         self._cameras = self._document.preset.cameras
         self._options: tuple[CameraOption, ...] = ()
         self._source = ""
-        self.chooser: CameraChooser | None = None
         self.panel = CameraPanel(context.window)
         self.panel.set_cameras(self._cameras)
         self.panel.optionEdited.connect(self._option_edited)
@@ -47,34 +42,16 @@ class CameraControl(QObject):
         )
         self._worker.stateChanged.connect(self._state_changed)
 
-    def choose(self) -> None:
-        """Ask which cameras to open."""
-        chooser = CameraChooser(self._document.preset.cameras, CameraSearch(self), self._context.window)
-        chooser.chosen.connect(self._chosen)
-        chooser.finished.connect(lambda _: self._chooser_closed(chooser))
-        self.chooser = chooser
-        chooser.open()
-
     def show_panel(self) -> None:
         """Show the settings, or bring them to the front."""
         bring_up(self.panel)
 
     def close(self) -> None:
-        """Close both windows."""
-        if self.chooser is not None:
-            self.chooser.reject()
+        """Close the panel."""
         self.panel.close()
-
-    def _chosen(self, proximity: str, tactile: str) -> None:
-        self._document.edit_many({"cameras.proximity.serial": proximity, "cameras.tactile.serial": tactile})
-        self._open_cameras()
 
     def _open_cameras(self) -> None:
         self._context.sourceRequested.emit(CAMERAS)
-
-    def _chooser_closed(self, chooser: CameraChooser) -> None:
-        self.chooser = None
-        chooser.deleteLater()
 
     def _option_edited(self, role: CameraRole, name: str, value: float, gesture: int) -> None:
         options = dict(getattr(self._document.preset.cameras, role).options)

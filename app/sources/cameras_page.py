@@ -1,0 +1,158 @@
+"""The page *Cameras*: the connected cameras, and which of them has which role."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QComboBox, QFormLayout, QHeaderView, QTreeWidget, QTreeWidgetItem, QVBoxLayout, QWidget
+
+from ...core.preset import CamerasSection
+from ...widgets.basics.controls import caption, push_button
+from .page import SourcePage
+from .search import CameraSearch, FoundCamera, sentence_of
+
+CAMERAS = "cameras:"
+#: How names of sources begin that hold devices of their own.
+CAMERA_SCHEMES = (CAMERAS, "realsense:")
+
+_SEARCHING = "Searching for cameras…"
+_NONE = (
+    "No RealSense camera was found. Plug both cameras into USB 3 ports and press Refresh. If they are plugged in, "
+    "run “tactune doctor” in a terminal: it reports what is missing and the remedy."
+)
+_ONE = "Only one camera was found, but two are needed. Plug in the other one and press Refresh."
+_SAME = "The same camera is chosen twice: choose another one for one role."
+_ANY = "by its model"
+_PROBLEM_COLUMN = 4
+
+
+class CamerasPage(SourcePage):
+    """Lists the connected cameras and asks which is the proximity and which the tactile one."""
+
+    title = "&Cameras"
+
+    def __init__(self, cameras: CamerasSection, search: CameraSearch, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._search = search
+        search.setParent(self)
+        self._remembered = (cameras.proximity.serial, cameras.tactile.serial)
+        self._found: list[FoundCamera] = []
+        self._hint = ""
+        self._has_searched = False
+        self.list = QTreeWidget()
+        self.list.setHeaderLabels(["Model", "Serial number", "Firmware", "USB", "Note"])
+        self.list.setRootIsDecorated(False)
+        self.list.setAccessibleName("Connected cameras")
+        self.list.setToolTip("The cameras that are connected now")
+        header = self.list.header()
+        if header is not None:
+            header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.proximity = _combo(
+            "Proximity camera", "Looks through the membrane at the object: the L515 (infrared, time of flight)"
+        )
+        self.tactile = _combo("Tactile camera", "Sees the membrane itself: the D405 (visible light, stereo)")
+        self.refresh = push_button("Re&fresh", "Search for cameras again (F5)", shortcut="F5")
+        form = QFormLayout()
+        form.addRow(caption("&Proximity camera", self.proximity), self.proximity)
+        form.addRow(caption("&Tactile camera", self.tactile), self.tactile)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.list, 1)
+        layout.addWidget(self.refresh, 0, Qt.AlignmentFlag.AlignLeft)
+        layout.addLayout(form)
+        self.refresh.clicked.connect(self._look)
+        self.proximity.currentIndexChanged.connect(self._check)
+        self.tactile.currentIndexChanged.connect(self._check)
+        self.list.itemActivated.connect(lambda _: self.activated.emit())
+        search.found.connect(self._show_found)
+        search.failed.connect(self._show_failure)
+
+    @property
+    def serials(self) -> tuple[str, str] | None:
+        """Serial numbers of the proximity and the tactile camera, empty for *by its model*; None without a choice."""
+        if not self.name:
+            return None
+        return self.proximity.currentData() or "", self.tactile.currentData() or ""
+
+    def show_name(self, name: str) -> bool:
+        """Choose the cameras that a name states, if they are connected."""
+        if not name.startswith(CAMERA_SCHEMES):
+            return False
+        serials = name.partition(":")[2].split(",")
+        if len(serials) == 2:
+            self._remembered = (serials[0].strip(), serials[1].strip())
+            for combo, serial in zip((self.proximity, self.tactile), serials, strict=True):
+                if (index := combo.findData(serial.strip())) >= 0:
+                    combo.blockSignals(True)
+                    combo.setCurrentIndex(index)
+                    combo.blockSignals(False)
+        return True
+
+    def come_up(self) -> None:
+        """Search when the page is shown first."""
+        if not self._has_searched:
+            self._look()
+
+    def stop(self) -> None:
+        """End the search, also one that hangs."""
+        self._search.stop()
+
+    def _look(self) -> None:
+        self._has_searched = True
+        self.refresh.setEnabled(False)
+        self._choose("", _SEARCHING)
+        self._search.start()
+
+    def _show_found(self, cameras: list[FoundCamera], hint: str = "") -> None:
+        self._found = [camera for camera in cameras if camera.serial]
+        self._hint = hint if not any(camera.sees_proximity for camera in cameras) else ""
+        self.refresh.setEnabled(True)
+        self.list.clear()
+        for camera in cameras:
+            usb = f"USB {camera.usb}" if camera.usb and not camera.usb.upper().startswith("USB") else camera.usb
+            item = QTreeWidgetItem([camera.model, camera.serial, camera.firmware, usb, camera.problem])
+            item.setToolTip(_PROBLEM_COLUMN, camera.problem)
+            self.list.addTopLevelItem(item)
+        for combo, remembered, through in (
+            (self.proximity, self._remembered[0], True),
+            (self.tactile, self._remembered[1], False),
+        ):
+            self._fill(combo, remembered, through)
+        self._check()
+
+    def _fill(self, combo: QComboBox, remembered: str, through: bool) -> None:
+        """Offer all cameras. Select the one chosen before, else one of a suitable kind."""
+        blocked = combo.blockSignals(True)
+        combo.clear()
+        combo.addItem(_ANY, "")
+        for camera in self._found:
+            combo.addItem(f"{camera.model} (serial {camera.serial})", camera.serial)
+        fitting = next((camera.serial for camera in self._found if camera.sees_proximity == through), "")
+        known = combo.findData(remembered) if remembered else -1
+        combo.setCurrentIndex(known if known >= 0 else combo.findData(fitting))
+        combo.blockSignals(blocked)
+
+    def _show_failure(self, sentence: str) -> None:
+        self._show_found([])
+        self._choose("", sentence)
+
+    def _check(self) -> None:
+        """Say what is wrong with the choice; only a valid one has a name."""
+        first, second = self.proximity.currentData(), self.tactile.currentData()
+        problem = ""
+        if not self._found:
+            problem = _NONE
+        elif len(self._found) == 1:
+            problem = _ONE
+        elif first and first == second:
+            problem = _SAME
+        said = problem or f"{len(self._found)} cameras were found."
+        name = f"{CAMERAS}{first},{second}" if first and second else CAMERAS
+        self._choose("" if problem else name, f"{said} {sentence_of(self._hint)}" if self._hint else said)
+
+
+def _combo(name: str, tip: str) -> QComboBox:
+    combo = QComboBox()
+    combo.addItem(_ANY, "")
+    combo.setAccessibleName(name)
+    combo.setToolTip(tip)
+    return combo

@@ -1,0 +1,72 @@
+"""The page *Files and others*: a recording, a folder of images, or any other kind of source by its name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QHBoxLayout, QHeaderView, QLabel, QTreeWidget, QTreeWidgetItem, QVBoxLayout, QWidget
+
+from ...core.errors import SourceError
+from ...core.sources.registry import source_kinds
+from ...widgets.basics.controls import push_button
+from ...widgets.basics.dialogs import Dialogs
+from ..settings import Settings
+from .page import SourcePage
+from .paths import recording_filters, recording_name
+
+
+class FilesPage(SourcePage):
+    """Asks for a file or folder, and lists every kind of source with its form."""
+
+    title = "F&iles and others"
+
+    def __init__(self, settings: Settings, native_dialogs: bool, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._settings, self._dialogs = settings, Dialogs(self, native_dialogs)
+        self.file = push_button("Choose fi&le…", "Choose a recording, or the two .bag files of two cameras")
+        self.folder = push_button("Choose fol&der…", "Choose a recording stored as a folder of images")
+        self.kinds = QTreeWidget()
+        self.kinds.setHeaderLabels(["Name", "What it opens"])
+        self.kinds.setRootIsDecorated(False)
+        self.kinds.setWordWrap(True)
+        self.kinds.setAccessibleName("Kinds of sources")
+        self.kinds.setToolTip("All kinds of sources, also those of other packages; double-click one to begin its name")
+        for kind in source_kinds():
+            item = QTreeWidgetItem([kind.form.partition("[")[0], kind.description])
+            item.setToolTip(0, kind.form)
+            item.setToolTip(1, kind.description)
+            item.setData(0, Qt.ItemDataRole.UserRole, f"{kind.scheme}:")
+            self.kinds.addTopLevelItem(item)
+        header = self.kinds.header()
+        if header is not None:
+            header.setSectionResizeMode(0, QHeaderView.ResizeMode.ResizeToContents)
+        buttons = QHBoxLayout()
+        buttons.addWidget(self.file)
+        buttons.addWidget(self.folder)
+        buttons.addStretch(1)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addLayout(buttons)
+        layout.addWidget(QLabel("Or type a name below:"))
+        layout.addWidget(self.kinds, 1)
+        self.file.clicked.connect(self._ask_file)
+        self.folder.clicked.connect(self._ask_folder)
+        self.kinds.itemActivated.connect(lambda item: self._choose(item.data(0, Qt.ItemDataRole.UserRole)))
+
+    def _ask_file(self) -> None:
+        self._dialogs.open_files("Open a recording", self._start(), recording_filters(), self._chosen)
+
+    def _ask_folder(self) -> None:
+        self._dialogs.open_folder("Open a recorded folder", self._start(), lambda path: self._chosen([path]))
+
+    def _start(self) -> Path:
+        remembered = Path(self._settings.text("folder/source", str(Path.home())))
+        return remembered if remembered.is_dir() else Path.home()
+
+    def _chosen(self, paths: list[Path]) -> None:
+        self._settings.set("folder/source", str(paths[0].parent))
+        try:
+            self._choose(recording_name(paths))
+        except SourceError as error:
+            self._choose("", str(error))

@@ -1,0 +1,205 @@
+"""The dialog *Open…*: pages for each kind of source above the name of the chosen one."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtWidgets import (
+    QDialog,
+    QDialogButtonBox,
+    QHBoxLayout,
+    QLabel,
+    QLineEdit,
+    QListWidget,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...core.errors import SourceError
+from ...widgets.basics.controls import ProgressBar, caption, dialog_buttons, push_button
+from ...widgets.basics.theme import theme_colors
+from .page import SourcePage
+from .search import sentence_of
+
+_SIZE = (820, 560)
+
+
+class OpenDialog(QDialog):
+    """Asks for a source. A page and the name always show the same choice, whichever was edited last.
+
+    The dialog stays open until the source is: it shows the progress, and an error as a sentence.
+
+    Parameters
+    ----------
+    pages : sequence of SourcePage
+    parent : QWidget, optional
+
+    Signals
+    -------
+    requested(name: str)
+        Open this source; then call `show_progress`, `show_failure` or `accept`.
+    rigRequested()
+        The button *Create rig…*.
+    """
+
+    requested = pyqtSignal(str)
+    rigRequested = pyqtSignal()
+
+    def __init__(self, pages: Sequence[SourcePage], parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Open")
+        self.pages = pages
+        self.list = QListWidget()
+        self.list.addItems([page.title.replace("&", "") for page in pages])
+        self.list.setAccessibleName("Kinds of sources")
+        self.list.setToolTip("Where the frames come from")
+        self.list.setFixedWidth(150)
+        self.list.setSpacing(3)
+        self._stack = QStackedWidget()
+        for page in pages:
+            self._stack.addWidget(page)
+            page.changed.connect(self._page_changed)
+            page.activated.connect(self._open)
+        self.name = QLineEdit()
+        self.name.setAccessibleName("Name of the source")
+        self.name.setToolTip("Name of the source, as “tactune run --source” takes it, or a path")
+        self.name.setPlaceholderText("sim:cup?press=low, or a path")
+        self.name.setClearButtonEnabled(True)
+        self.note = QLabel()
+        self.note.setWordWrap(True)
+        self.note.setTextFormat(Qt.TextFormat.PlainText)
+        self.note.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        self.note.setMinimumHeight(2 * self.note.fontMetrics().height())
+        self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.create_rig = push_button("Create ri&g…", "Describe the two cameras that took these images")
+        self.progress = ProgressBar("Opening…")
+        self.progress.setAccessibleName("Progress of opening")
+        self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Open | QDialogButtonBox.StandardButton.Cancel)
+        self._lay_out()
+        self.list.currentRowChanged.connect(self._page_chosen)
+        self.name.textEdited.connect(self._typed)
+        self.name.textChanged.connect(lambda text: self._allow(bool(text.strip())))
+        self.create_rig.clicked.connect(self.rigRequested)
+        self.buttons.accepted.connect(self._open)
+        self.buttons.rejected.connect(self.reject)
+        for page in pages:
+            self.finished.connect(page.stop)
+
+    @property
+    def page(self) -> SourcePage:
+        """The page that is shown."""
+        return self.pages[self._stack.currentIndex()]
+
+    def start_with(self, name: str) -> None:
+        """Show a name and its page."""
+        self.name.setText(name)
+        self._typed(name)
+        self.page.come_up()
+        self.list.setFocus()
+
+    def start_on(self, page: SourcePage) -> None:
+        """Show a page and its choice."""
+        self.list.setCurrentRow(self.pages.index(page))
+        page.setFocus()
+        self.focusNextChild()
+
+    def show_progress(self, share: float, words: str) -> None:
+        """Show how far the source is opened."""
+        self.progress.setRange(0, 100 if share > 0 else 0)
+        self.progress.show_share(share, words or "Opening…")
+
+    def show_failure(self, sentence: str, lacks_rig: bool = False) -> None:
+        """Say why the source was not opened; ``lacks_rig`` offers *Create rig…*."""
+        self._set_busy(False)
+        self._say(sentence_of(sentence), error=True)
+        self.create_rig.setVisible(lacks_rig)
+        (self.create_rig if lacks_rig else self.name).setFocus()
+
+    def _lay_out(self) -> None:
+        above = QHBoxLayout()
+        above.addWidget(self.list)
+        above.addWidget(self._stack, 1)
+        below = QHBoxLayout()
+        below.addWidget(caption("&Name", self.name))
+        below.addWidget(self.name, 1)
+        said = QHBoxLayout()
+        said.addWidget(self.note, 1)
+        said.addWidget(self.create_rig, 0, Qt.AlignmentFlag.AlignTop)
+        layout = QVBoxLayout(self)
+        layout.addLayout(above, 1)
+        layout.addLayout(below)
+        layout.addLayout(said)
+        layout.addWidget(self.progress)
+        layout.addWidget(self.buttons)
+        self.progress.hide()
+        self.create_rig.hide()
+        self._allow(False)
+        self.resize(*_SIZE)
+
+    def _page_chosen(self, row: int) -> None:
+        self._stack.setCurrentIndex(row)
+        self.page.come_up()
+        self._show_choice()
+
+    def _page_changed(self) -> None:
+        if self.sender() is self.page:
+            self._show_choice()
+
+    def _show_choice(self) -> None:
+        """Show the name and the note of the page, unless it has neither."""
+        page = self.page
+        if page.name or page.note:
+            self.name.setText(page.name)
+            self._say(page.note)
+
+    def _typed(self, text: str) -> None:
+        """Move the page to a typed name, as far as one knows it."""
+        self._say("")
+        for page in self.pages:
+            try:
+                with QSignalBlocker(page):
+                    known = page.show_name(text.strip())
+            except SourceError as error:
+                self._say(sentence_of(str(error)), error=True)
+                known = True
+            if known:
+                self._switch_to(page)
+                return
+
+    def _switch_to(self, page: SourcePage) -> None:
+        """Show a page, and leave the name as it is."""
+        row = self.pages.index(page)
+        self._stack.setCurrentIndex(row)
+        self.list.blockSignals(True)
+        self.list.setCurrentRow(row)
+        self.list.blockSignals(False)
+
+    def _open(self) -> None:
+        name = self.name.text().strip()
+        if name and not self.progress.isVisible():
+            self._say("")
+            self._set_busy(True)
+            self.show_progress(0.0, "")
+            self.requested.emit(name)
+
+    def _set_busy(self, busy: bool) -> None:
+        self.progress.setVisible(busy)
+        for widget in (self.list, self._stack, self.name):
+            widget.setEnabled(not busy)
+        self._allow(not busy)
+
+    def _say(self, sentence: str, error: bool = False) -> None:
+        palette = QPalette(self.palette())
+        if error:
+            palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
+        self.note.setPalette(palette)
+        self.note.setText(sentence)
+        self.create_rig.hide()
+
+    def _allow(self, allowed: bool) -> None:
+        button = self.buttons.button(QDialogButtonBox.StandardButton.Open)
+        if button is not None:
+            button.setEnabled(allowed)

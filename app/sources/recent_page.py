@@ -1,0 +1,103 @@
+"""The page *Recent*: sources that were open before, each with a picture."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import QSize, Qt
+from PyQt6.QtGui import QColor, QIcon, QKeyEvent, QPainter, QPalette, QPixmap
+from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QVBoxLayout, QWidget
+
+from ...core.sources.registry import missing_path
+from ..settings import Settings
+from .page import SourcePage
+from .thumbnails import SIZE, Thumbnails
+
+RECENT = "sources"
+_MISSING = "There is nothing at {} any more: it was moved or deleted. Delete removes it from this list."
+_NONE = "Nothing was open yet."
+
+
+class RecentPage(SourcePage):
+    """Lists the recent sources, newest first. Those that are gone are grey."""
+
+    title = "&Recent"
+
+    def __init__(self, settings: Settings, thumbnails: Thumbnails, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._settings, self._thumbnails = settings, thumbnails
+        self.list = QListWidget()
+        self.list.setAccessibleName("Recent sources")
+        self.list.setToolTip("Sources that were open before; double-click one to open it, Delete removes it")
+        self.list.setIconSize(QSize(*SIZE))
+        self.list.setWordWrap(True)
+        self.list.setSpacing(2)
+        self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.addWidget(self.list)
+        self._fill()
+        self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
+        self.list.itemActivated.connect(lambda _: self.activated.emit())
+
+    def show_name(self, name: str) -> bool:
+        """Select a name if it is in the list."""
+        found = next((item for item in self._items() if item.data(Qt.ItemDataRole.UserRole) == name), None)
+        if found is not None:
+            self.list.setCurrentItem(found)
+        return found is not None
+
+    def come_up(self) -> None:
+        """Choose what is selected, the newest at first."""
+        if self.list.currentItem() is None:
+            self.list.setCurrentRow(0)
+        self._selected(self.list.currentItem())
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Remove the selected source from the list."""
+        if event is not None and event.key() == Qt.Key.Key_Delete and self.list.hasFocus():
+            self._remove()
+            return
+        super().keyPressEvent(event)
+
+    def _fill(self) -> None:
+        empty = QPixmap(*SIZE)
+        empty.fill(QColor(128, 128, 128, 48))
+        for name in self._settings.recent(RECENT):
+            picture = QPixmap(str(self._thumbnails.path(name)))
+            missing = missing_path(name)
+            item = QListWidgetItem(_padded(picture if not picture.isNull() else empty), name)
+            item.setData(Qt.ItemDataRole.UserRole, name)
+            item.setToolTip(name)
+            if missing is not None:
+                item.setText(f"{name}\n{_MISSING.format(missing)}")
+                item.setForeground(self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text))
+                item.setIcon(QIcon(item.icon().pixmap(QSize(*SIZE), QIcon.Mode.Disabled)))
+                item.setToolTip(item.text())
+            self.list.addItem(item)
+
+    def _items(self) -> list[QListWidgetItem]:
+        items = [self.list.item(row) for row in range(self.list.count())]
+        return [item for item in items if item is not None]
+
+    def _selected(self, item: QListWidgetItem | None) -> None:
+        if item is None:
+            self._choose("", _NONE)
+            return
+        name = item.data(Qt.ItemDataRole.UserRole)
+        missing = missing_path(name)
+        self._choose(name, _MISSING.format(missing) if missing is not None else "")
+
+    def _remove(self) -> None:
+        item = self.list.currentItem()
+        if item is not None:
+            self._settings.remove_recent(RECENT, item.data(Qt.ItemDataRole.UserRole))
+            self.list.takeItem(self.list.row(item))
+
+
+def _padded(picture: QPixmap) -> QIcon:
+    """Return a picture as an icon of the same width as all others, so that the names stand below each other."""
+    whole = QPixmap(*SIZE)
+    whole.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(whole)
+    painter.drawPixmap((SIZE[0] - picture.width()) // 2, (SIZE[1] - picture.height()) // 2, picture)
+    painter.end()
+    return QIcon(whole)

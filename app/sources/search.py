@@ -1,0 +1,130 @@
+"""The search for connected cameras, in a process of its own because a driver may hang or crash."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
+
+#: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
+PATIENCE_MS = 15_000
+_PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
+_DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
+
+
+@dataclass(frozen=True)
+class FoundCamera:
+    """A connected camera; fields that it does not report are empty."""
+
+    model: str
+    serial: str
+    firmware: str = ""
+    usb: str = ""
+    problem: str = ""
+    role: str = ""
+
+    @property
+    def sees_proximity(self) -> bool:
+        """Whether it can look through the membrane (time of flight)."""
+        return self.role == "proximity"
+
+
+class CameraSearch(QObject):
+    """Searches for cameras, one search at a time.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Arguments of the Python interpreter; the program prints the JSON of `list_devices`.
+
+    Signals
+    -------
+    found(cameras: list[FoundCamera], hint: str)
+        The hint says why a camera may be missing.
+    failed(sentence: str)
+    """
+
+    found = pyqtSignal(object, str)
+    failed = pyqtSignal(str)
+
+    def __init__(self, parent: QObject | None = None, arguments: Sequence[str] = _PROGRAM) -> None:
+        super().__init__(parent)
+        self._arguments = list(arguments)
+        self._process = QProcess(self)
+        self._process.finished.connect(self._finished)
+        self._process.errorOccurred.connect(self._error_occurred)
+        self._patience = QTimer(self)
+        self._patience.setSingleShot(True)
+        self._patience.setInterval(PATIENCE_MS)
+        self._patience.timeout.connect(self._give_up)
+        self._answered = False
+
+    @property
+    def running(self) -> bool:
+        """Whether a search is running."""
+        return self._process.state() != QProcess.ProcessState.NotRunning
+
+    def start(self) -> None:
+        """Search for cameras, unless a search is running."""
+        if not self.running:
+            self._answered = False
+            self._process.start(sys.executable, self._arguments)
+            self._patience.start()
+
+    def stop(self) -> None:
+        """Cancel the search."""
+        self._answered = True
+        self._patience.stop()
+        if self.running:
+            self._process.kill()
+            self._process.waitForFinished(500)
+
+    def _give_up(self) -> None:
+        self._fail(f"The camera driver does not answer: unplug the cameras and plug them in again, or {_DOCTOR}.")
+        self._process.kill()
+
+    def _error_occurred(self, error: QProcess.ProcessError) -> None:
+        if error == QProcess.ProcessError.FailedToStart:
+            self._fail(f"The search for cameras cannot be started: {self._process.errorString()}.")
+
+    def _finished(self, status: int, how: QProcess.ExitStatus) -> None:
+        self._patience.stop()
+        output = bytes(self._process.readAllStandardOutput().data()).decode(errors="replace")
+        complaint = bytes(self._process.readAllStandardError().data()).decode(errors="replace").strip()
+        if how == QProcess.ExitStatus.CrashExit or status != 0:
+            last = complaint.splitlines()[-1] if complaint else f"status {status}"
+            self._fail(f"The camera driver failed while searching for cameras ({last}): {_DOCTOR}.")
+            return
+        try:
+            answer = json.loads(output.strip().splitlines()[-1])
+            problem = answer.get("problem", "")
+            hint = "; ".join(filter(None, [str(answer.get("hint", "")), *answer.get("problems", [])]))
+            cameras = [_camera(device) for device in answer.get("devices", [])]
+        except (ValueError, IndexError, AttributeError, TypeError):
+            self._fail(f"The search for cameras gave no answer: {_DOCTOR}.")
+            return
+        if problem:
+            self._fail(sentence_of(problem))
+        elif not self._answered:
+            self._answered = True
+            self.found.emit(cameras, hint)
+
+    def _fail(self, sentence: str) -> None:
+        if not self._answered:
+            self._answered = True
+            self._patience.stop()
+            self.failed.emit(sentence)
+
+
+def sentence_of(words: str) -> str:
+    """Return a text as a sentence, with a capital letter and a full stop."""
+    return f"{words[0].upper()}{words[1:].rstrip('.')}."
+
+
+def _camera(device: dict[str, Any]) -> FoundCamera:
+    texts = {field.name: str(device.get(field.name, "") or "") for field in fields(FoundCamera)}
+    return FoundCamera(**texts)

@@ -1,0 +1,51 @@
+"""Small pictures of the sources that were open, kept in the user's cache."""
+
+from __future__ import annotations
+
+import hashlib
+from contextlib import suppress
+from pathlib import Path
+
+import cv2
+import platformdirs
+
+from ...core.errors import TactuneError
+from ...core.model.arrays import Uint8Array
+from ...core.model.files import atomic_path
+
+#: Width and height of a picture, pixels; a picture fits into it.
+SIZE = (160, 90)
+#: The pictures that were used least recently are removed above this number.
+_MAX_PICTURES = 100
+
+
+def default_folder() -> Path:
+    """Return the folder of the pictures in the user's cache."""
+    return Path(platformdirs.user_cache_dir("tactune")) / "thumbnails"
+
+
+class Thumbnails:
+    """Pictures by the name of the source. What cannot be written is left out."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+
+    def path(self, name: str) -> Path:
+        """Return the file of a source's picture; it may not exist."""
+        return self._folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.png"
+
+    def keep(self, name: str, image: Uint8Array) -> None:
+        """Keep a picture of a source: RGB, uint8, shape (H, W, 3)."""
+        height, width = image.shape[:2]
+        scale = min(SIZE[0] / width, SIZE[1] / height)
+        size = (max(1, round(width * scale)), max(1, round(height * scale)))
+        small = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+        with suppress(TactuneError, OSError), atomic_path(self.path(name)) as temporary:
+            temporary.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
+        self._remove_old()
+
+    def _remove_old(self) -> None:
+        with suppress(OSError):
+            newest = sorted(self._folder.glob("*.png"), key=lambda file: file.stat().st_mtime, reverse=True)
+            for file in newest[_MAX_PICTURES:]:
+                file.unlink()

@@ -1,0 +1,187 @@
+"""The dialog *Open…*: pages and name follow each other, errors are said in it, recent sources have pictures."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QColor
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QComboBox, QDialogButtonBox
+
+from hands import CONTROL, LEFT
+from tactune.core.sources.folder import export_folder
+from tactune.core.sources.simulator.names import NAME_FIELDS
+from tactune.core.sources.simulator.scenes import SCENES
+from tactune.core.sources.simulator.sensors import SENSORS
+from tiny_sensor import TinySource
+
+CAMERAS, RECENT, SIMULATOR, FILES = range(4)
+
+
+@pytest.fixture
+def recording(tmp_path):
+    export_folder(TinySource(length=2), tmp_path / "recording")
+    return tmp_path / "recording"
+
+
+def open_dialog(window, qtbot, page=None):
+    """Press Ctrl+O, and go to a page with the arrow keys."""
+    QTest.keyClick(window, Qt.Key.Key_O, CONTROL)
+    qtbot.waitUntil(lambda: window.sources.dialog is not None and window.sources.dialog.isVisible())
+    dialog = window.sources.dialog
+    if page is not None:
+        QTest.keyClick(dialog.list, Qt.Key.Key_Home)
+        for _ in range(page):
+            QTest.keyClick(dialog.list, Qt.Key.Key_Down)
+        assert dialog.page is dialog.pages[page]
+    return dialog
+
+
+def type_name(dialog, name):
+    dialog.name.setFocus()
+    dialog.name.selectAll()
+    QTest.keyClicks(dialog.name, name)
+
+
+def shows(window, name):
+    return window.result is not None and window.result.source.name == name
+
+
+def choose(combo: QComboBox, text: str) -> None:
+    """Choose an entry as its popup does, by the letters of its text."""
+    combo.setFocus()
+    combo.showPopup()
+    QTest.keyClicks(combo.view(), text)
+    QTest.keyClick(combo.view(), Qt.Key.Key_Return)
+
+
+# The simulator
+
+
+def test_fields_write_the_name_and_the_name_moves_the_fields(window, qtbot):
+    dialog = open_dialog(window, qtbot, SIMULATOR)
+    fields = dialog.page.editors
+    assert dialog.name.text() == "sim:cup"
+    choose(fields["press"], "low")
+    assert dialog.name.text() == "sim:cup?press=low"
+    fields["seed"].setFocus()
+    QTest.keyClick(fields["seed"], Qt.Key.Key_Up)
+    assert dialog.name.text() == "sim:cup?press=low&seed=1"
+    type_name(dialog, "sim:octopus?press=high&side=left&sensor=worn&noise=0.5")
+    shown = {key: fields[key].currentData() for key in ("scene", "press", "side", "sensor")}
+    assert shown == {"scene": "octopus", "press": "high", "side": "left", "sensor": "worn"}
+    assert fields["noise"].value() == 0.5
+    assert fields["side"].isEnabled()
+    assert not fields["gap"].isEnabled()
+
+
+def test_a_scene_that_lacks_an_option_drops_it(window, qtbot):
+    dialog = open_dialog(window, qtbot)
+    type_name(dialog, "sim:cup?press=low&seed=7")
+    assert dialog.page is dialog.pages[SIMULATOR]
+    choose(dialog.page.editors["scene"], "hover")
+    assert dialog.name.text() == "sim:hover?seed=7"
+    assert dialog.page.editors["gap"].isEnabled()
+    assert dialog.page.editors["object"].isEnabled()
+
+
+def test_a_wrong_option_is_said_while_it_is_typed(window, qtbot):
+    dialog = open_dialog(window, qtbot)
+    type_name(dialog, "sim:cup?press=hard")
+    assert "press is 'hard'; choose none, low, medium or high" in dialog.note.text()
+    type_name(dialog, "sim:cup?press=high")
+    assert dialog.note.text() == ""
+
+
+def test_every_scene_and_sensor_is_offered():
+    fields = {field.key: field for field in NAME_FIELDS}
+    assert tuple(fields["scene"].choices) == SCENES
+    assert tuple(fields["sensor"].choices) == tuple(SENSORS)
+
+
+# Opening
+
+
+def test_enter_opens_and_the_dialog_closes(window, qtbot, recording):
+    dialog = open_dialog(window, qtbot)
+    type_name(dialog, f"folder:{recording}")
+    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
+    assert window.sources.dialog is None
+
+
+def test_an_error_is_said_in_the_dialog_and_can_be_corrected(window, qtbot, recording):
+    dialog = open_dialog(window, qtbot)
+    type_name(dialog, f"folder:{recording}x")
+    QTest.mouseClick(dialog.buttons.button(QDialogButtonBox.StandardButton.Open), LEFT)
+    qtbot.waitUntil(lambda: "there is no folder" in dialog.note.text())
+    assert window.messages.sentences() == []
+    assert window.result.source.name == "tiny"
+    QTest.keyClick(dialog.name, Qt.Key.Key_Backspace)
+    QTest.keyClick(dialog.name, Qt.Key.Key_Return)
+    qtbot.waitUntil(lambda: shows(window, f"folder:{recording}"))
+
+
+def test_escape_changes_nothing(window, qtbot):
+    dialog = open_dialog(window, qtbot)
+    type_name(dialog, "sim:octopus")
+    QTest.keyClick(dialog, Qt.Key.Key_Escape)
+    qtbot.waitUntil(lambda: window.sources.dialog is None)
+    assert window.result.source.name == "tiny"
+
+
+def test_a_click_on_the_toolbar_opens_the_dialog_with_the_present_name(window, qtbot):
+    QTest.mouseClick(window.toolbar.source, LEFT)
+    qtbot.waitUntil(lambda: window.sources.dialog is not None)
+    assert window.sources.dialog.name.text() == "tiny"
+
+
+# Recent sources
+
+
+def test_a_recording_that_was_open_has_a_picture_and_opens_by_double_click(make_window, qtbot, recording):
+    window = make_window()
+    name = f"folder:{recording}"
+    window.open_source(name)
+    qtbot.waitUntil(lambda: shows(window, name))
+    dialog = open_dialog(window, qtbot, RECENT)
+    item = dialog.page.list.item(0)
+    picture = item.icon().pixmap(dialog.page.list.iconSize()).toImage()
+    middle = QColor(picture.pixel(picture.width() // 2, picture.height() // 2))
+    frame = window.result.frame.proximity_color
+    assert middle.getRgb()[:3] == pytest.approx(frame[frame.shape[0] // 2, frame.shape[1] // 2].tolist(), abs=3)
+    opened = []
+    window.worker.opened.connect(opened.append)
+    place = dialog.page.list.visualItemRect(item).center()
+    QTest.mouseClick(dialog.page.list.viewport(), LEFT, pos=place)
+    QTest.mouseDClick(dialog.page.list.viewport(), LEFT, pos=place)
+    qtbot.waitUntil(lambda: [info.name for info in opened] == [name])
+    assert window.sources.dialog is None
+
+
+def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_path):
+    gone = f"mcap:{tmp_path / 'gone.mcap'}"
+    window.settings.add_recent("sources", gone)
+    dialog = open_dialog(window, qtbot, RECENT)
+    texts = [dialog.page.list.item(row).text() for row in range(dialog.page.list.count())]
+    row = next(row for row, text in enumerate(texts) if text.startswith(gone))
+    assert "it was moved or deleted" in texts[row]
+    dialog.page.list.setCurrentRow(row)
+    assert str(tmp_path / "gone.mcap") in dialog.note.text()
+    dialog.page.list.setFocus()
+    QTest.keyClick(dialog.page.list, Qt.Key.Key_Delete)
+    assert gone not in window.settings.recent("sources")
+    assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
+
+
+# Files and others
+
+
+def test_each_kind_begins_a_name(window, qtbot):
+    dialog = open_dialog(window, qtbot, FILES)
+    kinds = dialog.page.kinds
+    forms = [kinds.topLevelItem(row).text(0) for row in range(kinds.topLevelItemCount())]
+    row = forms.index("mcap:PATH")
+    kinds.setCurrentItem(kinds.topLevelItem(row))
+    QTest.keyClick(kinds, Qt.Key.Key_Return)
+    assert dialog.name.text() == "mcap:"
