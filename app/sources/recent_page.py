@@ -53,7 +53,7 @@ class RecentPage(SourcePage):
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
         """Remove the selected source from the list."""
-        if event is not None and event.key() == Qt.Key.Key_Delete and self.list.hasFocus():
+        if event is not None and event.key() == Qt.Key.Key_Delete:
             self._remove()
             return
         super().keyPressEvent(event)
