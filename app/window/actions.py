@@ -90,8 +90,11 @@ class Actions:
     show_tactile: QAction
     show_patch: QAction
     reset_view: QAction
+    front_view: QAction
     top_view: QAction
     side_view: QAction
+    zoom_to_patch: QAction
+    copy_view: QAction
     shortcuts: QAction
     about: QAction
 
@@ -202,9 +205,16 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         show_proximity=action("&Proximity view", shortcut="Ctrl+1", checkable=True),
         show_tactile=action("&Tactile view", shortcut="Ctrl+2", checkable=True),
         show_patch=action("Contact patch &view", shortcut="Ctrl+3", checkable=True),
-        reset_view=action("&Reset views", "Look along the cameras' axes with everything in view", "R"),
+        reset_view=action("&Reset views", "Look obliquely, with membrane and patch in view", "R"),
+        front_view=action("&Front view", "Look along the optical axis of the proximity camera", "V"),
         top_view=action("T&op view", "Look from above", "T"),
         side_view=action("&Side view", "Look from the side", "S"),
+        zoom_to_patch=action("&Zoom to patch", "Zoom in on the contact patch, keeping the direction", "Z"),
+        copy_view=action(
+            "&Copy view as picture",
+            "Copy the view or image under the mouse, else the one with the focus, at its size on the screen",
+            "Ctrl+Shift+C",
+        ),
         shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
         about=action("&About Tactune"),
     )
@@ -250,7 +260,10 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
     _fill_edit_menu(_menu(bar, "&Edit"), actions)
 
     view = _menu(bar, "&View")
-    view.addActions([actions.reset_view, actions.top_view, actions.side_view])
+    view.addActions(
+        [actions.reset_view, actions.front_view, actions.top_view, actions.side_view, actions.zoom_to_patch]
+    )
+    view.addAction(actions.copy_view)
     view.addSeparator()
     view.addActions([actions.show_proximity, actions.show_tactile, actions.show_patch])
     view.addSeparator()
@@ -320,7 +333,7 @@ _MOUSE = (
     ("Drag in a view", "orbit all views"),
     ("Shift + drag, middle button", "pan"),
     ("Wheel", "zoom, in views and images"),
-    ("Double click in a view", "reset the view"),
+    ("Double click in a view or image", "enlarge it, or go back"),
     ("Drag the line between A and B", "move the wipe while presets are compared"),
     ("Click or drag in the time strip", "seek"),
     ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),

@@ -44,6 +44,7 @@ from ..worker.worker import Worker
 from .actions import THEMES, make_actions, make_menus, show_about, show_shortcuts
 from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
+from .enlarged import Enlarged
 from .eyedropper import Eyedropper
 from .files import FileFlows
 from .findings import FindingsControl
@@ -188,6 +189,7 @@ class MainWindow(QMainWindow):
         self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
         self.addToolBar(self.toolbar)
         self.left = StripSplitter(self.views, self.strip)
+        self.enlarged = Enlarged(self.views, self.strip, self.actions_)
         self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(self.left)
         self.beside = QSplitter(Qt.Orientation.Vertical)
@@ -459,6 +461,7 @@ class MainWindow(QMainWindow):
         self.set_theme(cast(ThemeChoice, theme if theme in THEMES else "system"), remember=False)
 
     def _remember_layout(self) -> None:
+        self.enlarged.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
         settings.set("window/across", self.across.saveState())
@@ -474,9 +477,10 @@ class MainWindow(QMainWindow):
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Play or pause when nothing else takes the space bar; end a comparison when nothing else takes Esc."""
+        """Play or pause when nothing else takes the space bar; go back or end a comparison with Esc."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.context.comparison.end()
+            if not self.enlarged.back():
+                self.context.comparison.end()
             return
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():
             self.actions_.play.trigger()

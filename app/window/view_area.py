@@ -5,15 +5,28 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
-from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
+import numpy as np
+from PyQt6.QtCore import QByteArray, QPoint, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
-from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QLabel, QSlider, QSplitter, QToolButton, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QComboBox,
+    QHBoxLayout,
+    QLabel,
+    QMenu,
+    QSlider,
+    QSplitter,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
 
+from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig
 from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import (
     Legend,
     Theme,
+    behind_legend,
     depth_legend,
     difference_legend,
     overlap_legend,
@@ -23,10 +36,12 @@ from ...widgets.basics.colormaps import (
 from ...widgets.basics.controls import caption
 from ...widgets.basics.wipe import Wipe
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
+from ...widgets.clouds.cloud_view import BackendChoice, link_cameras
+from ...widgets.clouds.inspect_view import InspectView
 from ..worker.rendering import VALUE_ROWS, patch_difference_limit, patch_difference_lut
-from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result
+from ..worker.results import CloudName, ColorBy, ComparedFrame, ComparedSide, Rendered, Result, SourceInfo
 from .actions import Actions
+from .framing import membrane_and_patch, patch_points
 
 _PANES = 4
 #: Height of titles, legends and readout around the images, in pixels.
@@ -83,6 +98,8 @@ TITLES = {
     CloudName.PATCH: "Contact patch",
 }
 POINT_SIZES = (1, 8)
+#: Share of a view that the patch takes after *Zoom to patch*.
+_PATCH_FILL = 0.6
 _NO_TACTILE_CAMERA = "This recording has no tactile camera"
 _ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
@@ -112,7 +129,15 @@ class ViewArea(QWidget):
 
     def __init__(self, actions: Actions, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self.views = {name: CloudView(title, backend) for name, title in TITLES.items()}
+        self.views = {name: InspectView(title, backend) for name, title in TITLES.items()}
+        self.toggles = {
+            CloudName.PROXIMITY: actions.show_proximity,
+            CloudName.TACTILE: actions.show_tactile,
+            CloudName.PATCH: actions.show_patch,
+        }
+        self._actions = actions
+        self._result: Result | None = None
+        self._framed: SourceInfo | None = None
         link_cameras(list(self.views.values()))
         self._legends: dict[CloudName, object] = {}
         self._legend_lines = 1
@@ -123,6 +148,8 @@ class ViewArea(QWidget):
         for view in self.views.values():
             self.splitter.addWidget(view)
             view.wipeDragged.connect(self.wipeDragged)
+            view.set_focus_finder(self._focus)
+            view.menuRequested.connect(self._show_menu)
         self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = QComboBox()
         self.color_by.setAccessibleName("Colour by")
@@ -142,15 +169,17 @@ class ViewArea(QWidget):
         layout.setSpacing(2)
         layout.addLayout(self._choices(actions))
         layout.addWidget(self.splitter, 1)
-        for name, action in (
-            (CloudName.PROXIMITY, actions.show_proximity),
-            (CloudName.TACTILE, actions.show_tactile),
-            (CloudName.PATCH, actions.show_patch),
-        ):
+        for name, action in self.toggles.items():
             action.toggled.connect(lambda shown, name=name: self._show_view(name, shown))
-        actions.reset_view.triggered.connect(lambda: self._any_view().look_from("reset"))
-        actions.top_view.triggered.connect(lambda: self._any_view().look_from("top"))
-        actions.side_view.triggered.connect(lambda: self._any_view().look_from("side"))
+        for action, viewpoint in (
+            (actions.reset_view, "reset"),
+            (actions.front_view, "front"),
+            (actions.top_view, "top"),
+            (actions.side_view, "side"),
+        ):
+            action.triggered.connect(lambda _, viewpoint=viewpoint: self._any_view().look_from(viewpoint))
+        actions.zoom_to_patch.triggered.connect(self._zoom_to_patch)
+        actions.zoom_to_patch.setEnabled(False)
         self._resize_points(self.point_size.value())
 
     @property
@@ -168,10 +197,14 @@ class ViewArea(QWidget):
 
     def visible_clouds(self) -> frozenset[CloudName]:
         """Return the views that are not hidden."""
+        if self.isHidden():
+            return frozenset()
         return frozenset(name for name, view in self.views.items() if not view.isHidden())
 
     def show_result(self, result: Result, theme: Theme, wipe: Wipe | None = None) -> None:
         """Show the clouds of a result with their legends, of two compared presets on both sides of the wipe."""
+        self._result = result
+        self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         self._shows_difference = result.compared is not None and result.compared.difference is not None
         self.set_wipe(wipe)
         if result.compared is not None:
@@ -181,6 +214,30 @@ class ViewArea(QWidget):
                 cloud, message = _shown(name, result, result.source.rig)
                 self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
         self._fit_legends()
+        if result.source is not self._framed:  # once for each source, so that playing never moves the camera
+            self._framed = result.source
+            self._any_view().refocus()
+
+    def _focus(self) -> Float64Array:
+        """Return what the views frame by themselves, from the frame on the screen."""
+        return np.empty((0, 3)) if self._result is None else membrane_and_patch(self._result)
+
+    def _zoom_to_patch(self) -> None:
+        points = patch_points(None if self._result is None else self._result.patch)
+        if len(points):
+            self._any_view().zoom_to(points, _PATCH_FILL)
+
+    def _show_menu(self, at: QPoint) -> None:
+        """Show the context menu of a view."""
+        menu = QMenu(self)
+        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
+        menu.setToolTipsVisible(True)
+        actions = self._actions
+        menu.addActions([actions.reset_view, actions.front_view, actions.top_view, actions.side_view])
+        menu.addAction(actions.zoom_to_patch)
+        menu.addSeparator()
+        menu.addAction(actions.copy_view)
+        menu.popup(at)
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide every view between two compared presets; the view of their difference stays whole."""
@@ -249,10 +306,16 @@ class ViewArea(QWidget):
         row.addWidget(self.point_size)
         row.addStretch(1)
         row.addWidget(QLabel("View"))
-        for text, action in (("Reset", actions.reset_view), ("Top", actions.top_view), ("Side", actions.side_view)):
+        for text, action in (
+            ("Reset", actions.reset_view),
+            ("Front", actions.front_view),
+            ("Top", actions.top_view),
+            ("Side", actions.side_view),
+            ("Patch", actions.zoom_to_patch),
+        ):
             button = QToolButton()
+            action.setIconText(text)
             button.setDefaultAction(action)
-            button.setText(text)
             row.addWidget(button)
         return row
 
@@ -269,7 +332,7 @@ class ViewArea(QWidget):
         for view in self.views.values():
             view.set_point_size(size)
 
-    def _any_view(self) -> CloudView:
+    def _any_view(self) -> InspectView:
         """Return any visible view; the cameras of the others follow it."""
         return next((view for view in self.views.values() if not view.isHidden()), self.views[CloudName.PATCH])
 
@@ -284,15 +347,16 @@ class ViewArea(QWidget):
 
 def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, rendered: Rendered) -> Legend:
     """Return the legend of a view for a choice of colours."""
-    near, far = (round(limit, 3) for limit in rendered.depth_range_m)
-    if name is CloudName.TACTILE:
+    tactile = name is CloudName.TACTILE
+    near, far = (round(limit, 3) for limit in (rendered.tactile_range_m if tactile else rendered.depth_range_m))
+    if tactile:
         return depth_legend(near, far)
     if color_by is ColorBy.PROVENANCE:
         return provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH})
     if color_by is ColorBy.DIFFERENCE:
         return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
     if name is CloudName.PROXIMITY:
-        return depth_legend(near, far)
+        return depth_legend(near, far) + behind_legend()
     return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + patch_legend(theme)[1:]
 
 

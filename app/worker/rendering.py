@@ -20,9 +20,11 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.model.intrinsics import Intrinsics
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
+from ...core.sources.base import CameraRole
 from ...widgets.basics.colormaps import (
     Theme,
     depth_lut,
+    depth_lut_faint_behind,
     difference_index,
     difference_lut,
     overlap_index,
@@ -122,7 +124,11 @@ _SMALLEST_SPAN_M = 0.02
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """One frame with everything that decides how it is drawn."""
+    """One frame with everything that decides how it is drawn.
+
+    ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
+    along the tactile camera's axis; None stands for the same.
+    """
 
     frame: SensorFrame
     patch: ContactPatch | None
@@ -131,6 +137,7 @@ class Scene:
     color_by: ColorBy
     theme: Theme
     depth_range_m: tuple[float, float]
+    tactile_range_m: tuple[float, float] | None = None
 
     @property
     def accepted(self) -> float:
@@ -143,7 +150,7 @@ class Renderer:
 
     def __init__(self) -> None:
         self._rig: Rig | None = None
-        self._depth_range_m: tuple[float, float] | None = None
+        self._ranges_m: dict[CameraRole, tuple[float, float]] = {}
 
     def render(
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
@@ -151,7 +158,7 @@ class Renderer:
         """Return the wanted images; without a patch, only those that need none."""
         sample_m = membrane_sample_m(frame, preset, rig)
         scene = self._scene(frame, patch, preset, rig, wanted, sample_m)
-        depth_range_m = scene.depth_range_m
+        depth_range_m, tactile_range_m = scene.depth_range_m, scene.tactile_range_m or scene.depth_range_m
         clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
         for cloud in clouds.values():
             if cloud is not None:
@@ -159,7 +166,7 @@ class Renderer:
         strip = None
         if wanted.strip:
             strip = draw_strip(
-                frame, patch, preset, rig, depth_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
+                frame, patch, preset, rig, tactile_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
             )
         no_contact, no_contact_action = "", ""
         if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds:
@@ -173,6 +180,7 @@ class Renderer:
             else None,
             median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
+            tactile_range_m=tactile_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
             accepted=scene.accepted,
             no_contact=no_contact,
@@ -181,7 +189,7 @@ class Renderer:
 
     def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
         """Take a preset's depths into the range of the colours, so that another preset's are drawn alike."""
-        self._stable_depth_range(rig, membrane_sample_m(frame, preset, rig))
+        self._stable_ranges(frame, preset, rig, membrane_sample_m(frame, preset, rig))
 
     def render_difference(
         self,
@@ -210,20 +218,29 @@ class Renderer:
         sample_m: Float32Array,
     ) -> Scene:
         theme: Theme = "dark" if wanted.dark else "light"
-        return Scene(frame, patch, preset, rig, wanted.color_by, theme, self._stable_depth_range(rig, sample_m))
+        ranges = self._stable_ranges(frame, preset, rig, sample_m)
+        return Scene(frame, patch, preset, rig, wanted.color_by, theme, *ranges)
 
-    def _stable_depth_range(self, rig: Rig, sample_m: Float32Array) -> tuple[float, float]:
-        """Return a depth range that only widens while the source stays the same."""
+    def _stable_ranges(
+        self, frame: SensorFrame, preset: Preset, rig: Rig, sample_m: Float32Array
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the ends of the depth colours along the axes of both cameras."""
         if rig is not self._rig:
-            self._rig, self._depth_range_m = rig, None
+            self._rig, self._ranges_m = rig, {}
+        seen_by_proximity_m = membrane_along_proximity_m(frame, preset, rig, sample_m)
+        return self._widened("proximity", seen_by_proximity_m), self._widened("tactile", sample_m)
+
+    def _widened(self, camera: CameraRole, sample_m: Float32Array) -> tuple[float, float]:
+        """Return a depth range that only widens while the source stays the same."""
+        before = self._ranges_m.get(camera)
         if len(sample_m) == 0:
-            return self._depth_range_m or (0.0, 1.0)
+            return before or (0.0, 1.0)
         near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
         span = max(far - near, _SMALLEST_SPAN_M)
         near, far = max(near - _NEARER * span, 0.0), far + _FARTHER * span
-        if self._depth_range_m is not None:
-            near, far = min(near, self._depth_range_m[0]), max(far, self._depth_range_m[1])
-        self._depth_range_m = near, far
+        if before is not None:
+            near, far = min(near, before[0]), max(far, before[1])
+        self._ranges_m[camera] = near, far
         return near, far
 
 
@@ -253,9 +270,22 @@ def membrane_sample_m(frame: SensorFrame, preset: Preset, rig: Rig) -> Float32Ar
     return np.asarray(sample[valid_depth(sample)] * np.float32(scale) + np.float32(offset))
 
 
+def membrane_along_proximity_m(frame: SensorFrame, preset: Preset, rig: Rig, sample_m: Float32Array) -> Float32Array:
+    """Return the depths of `membrane_sample_m` along the proximity camera's axis; unchanged where no pose is known."""
+    seen = valid_depth(frame.tactile_depth[::_SAMPLE, ::_SAMPLE])
+    try:
+        x, y, z, offset = tactile_pose(preset.alignment, rig)[2].astype(np.float32)
+    except TactuneError:
+        return sample_m
+    if not seen.any():
+        return sample_m
+    rays = _rays_of_every(rig.tactile.intrinsics, _SAMPLE)[seen]
+    return np.asarray(sample_m * (rays @ np.array([x, y], np.float32) + z) + offset)
+
+
 def proximity_view(scene: Scene) -> DepthCloud:
     """Return the proximity cloud, coloured by depth, relative difference or provenance."""
-    patch, index, lut = scene.patch, None, depth_lut()
+    patch, index, lut = scene.patch, None, depth_lut_faint_behind()
     if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
         index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
     elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
@@ -279,7 +309,7 @@ def tactile_view(scene: Scene) -> DepthCloud | None:
         pose=pose.astype(np.float64),
         depth_scale=alignment.depth_scale,
         depth_offset_m=alignment.depth_offset_m,
-        depth_range_m=scene.depth_range_m,
+        depth_range_m=scene.tactile_range_m or scene.depth_range_m,
     )
 
 
@@ -330,7 +360,6 @@ def _proximity_cloud(scene: Scene, index: Uint8Array | None, lut: Uint8Array, co
         index=index,
         depth_range_m=scene.depth_range_m,
         count=count,
-        framed=False,
     )
 
 
@@ -402,6 +431,5 @@ def patch_depth_lut(theme: Theme) -> Uint8Array:
 def _half_relief(lut: Uint8Array, theme: Theme) -> Uint8Array:
     """Return every other row of the context's shades, then every other row of a table: uint8 (256, 4)."""
     mixed = np.concatenate([patch_lut(theme)[::2], lut[::2]])
-    mixed[VALUE_ROWS - 1] = mixed[VALUE_ROWS - 2]  # the last shade is the colour of contact
     mixed.flags.writeable = False
     return mixed

@@ -138,9 +138,10 @@ class Histogram:
 class Rendered:
     """The images of one frame; those that are not visible are missing.
 
-    ``verdicts`` are the `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative
-    difference up to which the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty,
-    ``no_contact_action`` names the window's action that may help.
+    ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
+    along the tactile camera's axis. ``verdicts`` are the `Provenance` values that occur, if points are coloured by
+    them. ``accepted`` is the relative difference up to which the contact test treats depths as equal. ``no_contact``
+    says why a visible patch is empty, ``no_contact_action`` names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -148,6 +149,7 @@ class Rendered:
     histogram: Histogram | None = None
     median_distance_m: float = float("nan")
     depth_range_m: tuple[float, float] = (0.0, 1.0)
+    tactile_range_m: tuple[float, float] = (0.0, 1.0)
     verdicts: frozenset[Provenance] = frozenset()
     accepted: float = 0.0
     no_contact: str = ""

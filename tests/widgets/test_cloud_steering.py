@@ -198,5 +198,5 @@ def test_linked_views_frame_all_their_clouds(qtbot: QtBot) -> None:
 
 
 def test_an_unknown_viewpoint_is_refused(qtbot: QtBot) -> None:
-    with pytest.raises(ValueError, match="choose one of reset, top, side"):
+    with pytest.raises(ValueError, match="choose one of reset, front, top, side"):
         shown(qtbot, CloudView("V", "software")).look_from("bottom")  # type: ignore[arg-type]

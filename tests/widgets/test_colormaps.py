@@ -117,7 +117,7 @@ def test_patch_index_shades_the_context_by_depth_and_marks_contact() -> None:
 
 def test_legends_name_both_ends() -> None:
     (near, near_color), _, (far, far_color) = colormaps.depth_legend(0.2, 0.32)
-    assert (near, far) == ("0.200 m", "0.320 m")
+    assert (near, far) == ("200 mm", "320 mm")
     assert near_color.lightness() > far_color.lightness()
     assert [text for text, _ in colormaps.difference_legend(0.03)] == ["−10%", "within ±3.0%", "+10%"]
 

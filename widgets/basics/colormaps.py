@@ -46,6 +46,8 @@ _DIFFERENCE_MAP = "CET-D13"
 #: Colour map outside the tolerance band; the pale centre of the map would vanish on a light background.
 _DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.35, 0.85
 _CANDIDATE_RGB = (245, 158, 120)
+#: Opacity of what lies behind the range of the depth colours, such as a wall behind the object.
+_BEHIND_ALPHA = 56
 _UNDEFINED_RGBA = (128, 128, 128, 70)
 
 _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
@@ -99,10 +101,24 @@ def depth_lut() -> Uint8Array:
     return _frozen(_sample(_DEPTH_MAP, np.linspace(*_DEPTH_PART, 256)))
 
 
+@cache
+def depth_lut_faint_behind() -> Uint8Array:
+    """Return the depth colours of a view, faint behind the far end: uint8 (256, 4)."""
+    lut = depth_lut().copy()
+    lut[255, 3] = _BEHIND_ALPHA
+    return _frozen(lut)
+
+
+def behind_legend() -> Legend:
+    """Return the legend of the last row of `depth_lut_faint_behind`."""
+    red, green, blue, alpha = (int(channel) for channel in depth_lut_faint_behind()[255])
+    return [("behind", QColor(red, green, blue, alpha))]
+
+
 def depth_legend(near_m: float, far_m: float) -> Legend:
     """Return the near, central and far depth colours, labelled in millimetres."""
     return [
-        (f"{near_m + share * (far_m - near_m):.3f} m", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)
+        (f"{1e3 * (near_m + share * (far_m - near_m)):.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)
     ]
 
 
@@ -197,11 +213,15 @@ def _shades(near: float, far: float) -> Uint8Array:
 
 @cache
 def patch_lut(theme: Theme) -> Uint8Array:
-    """Return the colours of `patch_index`: uint8 (256, 4). Contact stands out from a faint gray relief."""
+    """Return the colours of `patch_index`: uint8 (256, 4).
+
+    Contact stands out from a faint gray relief; what lies behind the relief's range is fainter still.
+    """
     near, far = _RELIEF_GRAY[theme]
     lut = np.full((256, 4), 255, np.uint8)
     lut[:CONTACT_ROW, :3] = np.rint(np.linspace(near, far, CONTACT_ROW))[:, None]
     lut[CONTACT_ROW, :3] = CONTACT_RGB
+    lut[CONTACT_ROW - 1, 3] = _BEHIND_ALPHA
     return _frozen(lut)
 
 
@@ -219,6 +239,7 @@ def overlap_lut(theme: Theme) -> Uint8Array:
     """Return the colours of `overlap_index`: uint8 (256, 4)."""
     lut = patch_lut(theme).copy()
     lut[BOTH_ROW:, :3] = _BOTH_RGB[theme], ONLY_A_RGB, ONLY_B_RGB
+    lut[BOTH_ROW - 1 :, 3] = _BEHIND_ALPHA, 255, 255, 255
     return _frozen(lut)
 
 

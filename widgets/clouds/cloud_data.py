@@ -44,9 +44,6 @@ class DepthCloud:
     count : int or None
         The number of points that a view states, where it is not the number of points drawn
         (a patch over its context). None: the number of points drawn.
-    framed : bool
-        Whether views frame this cloud by themselves; where no linked view has a cloud to frame, they
-        frame all. A far background is better left out.
 
     Raises
     ------
@@ -64,7 +61,6 @@ class DepthCloud:
     index: Uint8Array | None = None
     depth_range_m: tuple[float, float] = (0.0, 1.0)
     count: int | None = None
-    framed: bool = True
 
     def __post_init__(self) -> None:
         _check("depth", self.depth, np.uint16, (None, None))

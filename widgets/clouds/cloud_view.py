@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from math import pi, radians
 from typing import Literal
 
@@ -21,6 +21,7 @@ from PyQt6.QtGui import (
 )
 from PyQt6.QtWidgets import QPushButton, QVBoxLayout, QWidget
 
+from ...core.model.arrays import Float64Array
 from ..basics.wipe import Wipe
 from .cloud_data import DepthCloud
 from .cloud_labels import CloudHeader, LegendLine
@@ -48,7 +49,12 @@ _ZOOM_KEYS: dict[int, float] = {
     Qt.Key.Key_Equal: _ZOOM_STEP,
     Qt.Key.Key_Minus: 1 / _ZOOM_STEP,
 }
-_VIEWPOINT_KEYS: dict[int, Viewpoint] = {Qt.Key.Key_R: "reset", Qt.Key.Key_T: "top", Qt.Key.Key_S: "side"}
+_VIEWPOINT_KEYS: dict[int, Viewpoint] = {
+    Qt.Key.Key_R: "reset",
+    Qt.Key.Key_V: "front",
+    Qt.Key.Key_T: "top",
+    Qt.Key.Key_S: "side",
+}
 
 
 class CloudView(QWidget):
@@ -69,7 +75,7 @@ class CloudView(QWidget):
     #: Help on mouse and keys, shown as the tooltip.
     HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
     <b>double click</b> to reset.</p>
-    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
+    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side.</p>"""
 
     #: The camera moved (user, call or linked view); carries the `ViewCamera`.
     cameraChanged = pyqtSignal(object)
@@ -84,6 +90,8 @@ class CloudView(QWidget):
         self._message, self._right_message = "", ""
         self._steered = False
         self._companions: list[CloudView] = []
+        self._find_focus: Callable[[], Float64Array] | None = None
+        self._focus: Float64Array | None = None
         self._resized = QTimer(self)
         self._resized.setSingleShot(True)
         self._resized.timeout.connect(self._frame_after_resize)
@@ -246,10 +254,34 @@ class CloudView(QWidget):
         """Move the camera and those of linked views; automatic framing ends."""
         self._move(camera, steered=True)
 
+    def set_focus_finder(self, find: Callable[[], Float64Array]) -> None:
+        """Frame the points (N, 3) that ``find`` returns, in metres, instead of the clouds.
+
+        It is called by `refocus` and when somebody resets the view, so a frame alone never moves the camera.
+        """
+        self._find_focus = find
+
+    def refocus(self) -> None:
+        """Find the points to frame again and frame them, keeping the direction; for all linked views."""
+        self._look_for_focus()
+        self._frame(self.camera(), steered=False)
+
+    def _look_for_focus(self) -> None:
+        if self._find_focus is not None:
+            focus = self._find_focus()
+            for view in (self, *self._companions):
+                view._focus = focus
+
+    def zoom_to(self, points: Float64Array, fill: float) -> None:
+        """Let points (N, 3), in metres, take a share of this view, keeping the direction; automatic framing ends."""
+        self.set_camera(self.camera().framing(points, self._canvas.width(), self._canvas.height(), fill))
+
     def look_from(self, viewpoint: Viewpoint) -> None:
         """Turn to a named viewpoint and frame the cloud."""
         if viewpoint not in VIEWPOINTS:
             raise ValueError(f"there is no viewpoint {viewpoint!r}; choose one of {', '.join(VIEWPOINTS)}")
+        if viewpoint == "reset":
+            self._look_for_focus()
         self._frame(self.camera().looking_from(viewpoint), steered=viewpoint != "reset")
 
     def fit(self) -> None:
@@ -258,9 +290,10 @@ class CloudView(QWidget):
 
     def _frame(self, camera: ViewCamera, steered: bool) -> None:
         clouds = [cloud for view in (self, *self._companions) if (cloud := view.cloud()) is not None]
-        framed = [cloud for cloud in clouds if cloud.framed and cloud.point_count] or clouds
-        if framed:
-            points = np.concatenate([cloud.points(_FRAMING_STEP) for cloud in framed])
+        if self._focus is not None and len(self._focus):
+            camera = camera.framing(self._focus, self._canvas.width(), self._canvas.height())
+        elif clouds:
+            points = np.concatenate([cloud.points(_FRAMING_STEP) for cloud in clouds])
             camera = camera.framing(points, self._canvas.width(), self._canvas.height())
         self._move(camera, steered)
 

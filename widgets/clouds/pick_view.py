@@ -74,7 +74,7 @@ class PickView(CloudView):
     <p>With handles: drag an <b>arrow</b> to move along it, a <b>ring</b> to turn about its axis;
     <b>Ctrl + drag</b> moves across the view, <b>Ctrl + Shift + drag</b> turns; <b>Ctrl + arrows or page keys</b> move
     by 0.5 mm, with <b>Shift</b> they turn by 0.5°.</p>
-    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>T</b> top, <b>S</b> side.</p>"""
+    <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side.</p>"""
 
     pointClicked = pyqtSignal(int, object)
     missed = pyqtSignal()

@@ -11,11 +11,12 @@ import numpy.typing as npt
 
 from ...core.model.arrays import Float64Array
 
-Viewpoint = Literal["reset", "top", "side"]
+Viewpoint = Literal["reset", "front", "top", "side"]
 
 #: Azimuth and elevation of the named viewpoints, radians.
 VIEWPOINTS: dict[str, tuple[float, float]] = {
     "reset": (radians(-28.0), radians(24.0)),
+    "front": (0.0, 0.0),
     "top": (0.0, pi / 2),
     "side": (radians(90.0), 0.0),
 }
@@ -24,7 +25,7 @@ VIEWPOINTS: dict[str, tuple[float, float]] = {
 NEAR, FAR = 0.02, 50.0
 
 #: Share of the view that a framed cloud may fill.
-_FILL = 0.92
+FILL = 0.92
 
 #: Percentiles that count as the edges of a cloud, so that flying pixels do not affect framing.
 _EDGES = (0.5, 99.5)
@@ -122,7 +123,7 @@ class ViewCamera:
         azimuth, elevation = VIEWPOINTS[viewpoint]
         return replace(self, azimuth=azimuth, elevation=elevation)
 
-    def framing(self, points: npt.ArrayLike, width: int, height: int) -> Self:
+    def framing(self, points: npt.ArrayLike, width: int, height: int, fill: float = FILL) -> Self:
         """Move so that the points fill the view, keeping the direction of view.
 
         Parameters
@@ -131,13 +132,15 @@ class ViewCamera:
             Metres. With none the camera stays where it is.
         width, height : int
             Size of the view; only their ratio matters.
+        fill : float
+            Share of the view that the points take.
         """
         points = np.asarray(points, dtype=np.float64)
         if len(points) == 0:
             return self
         axes = self.axes()
         along = points @ axes.T
-        half_width, half_height = 0.5 * _FILL * np.array([width, height]) / self._focal(width, height)
+        half_width, half_height = 0.5 * fill * np.array([width, height]) / self._focal(width, height)
         x, x_distance = _frame_one_axis(along[:, 0], along[:, 2], float(half_width))
         y, y_distance = _frame_one_axis(along[:, 1], along[:, 2], float(half_height))
         eye_back = max(x_distance, y_distance)

@@ -35,8 +35,8 @@ _EMPTY = {
 class ImageStrip(QWidget):
     """Shows a `RenderedStrip`; zoom, pan and the crosshair are shared by all panes.
 
-    Wheel zooms, a drag pans, a double click shows all again. With the keyboard: arrows move the crosshair
-    (Shift by ten pixels), Enter clicks the colour image there, + and - zoom, 0 shows all.
+    Wheel zooms, a drag pans, 0 shows all again. With the keyboard: arrows move the crosshair
+    (Shift by ten pixels), Enter clicks the colour image there, + and - zoom.
 
     Signals
     -------
@@ -139,7 +139,12 @@ class ImageStrip(QWidget):
 
     def width_hint(self) -> int:
         """Return the width of the whole image in screen pixels, for `render_strip`."""
-        return max(1, round(self.panes["color"].scale() * self._size[0]))
+        return max(1, round(max(pane.scale() for pane in self._shown_panes()) * self._size[0]))
+
+    def _shown_panes(self) -> list[ImagePane]:
+        """Return the panes that are not hidden; all if none is shown."""
+        shown = [pane for pane in self.panes.values() if not pane.isHidden()]
+        return shown or list(self.panes.values())
 
     def reset_view(self) -> None:
         """Show the whole images."""
@@ -185,7 +190,6 @@ class ImageStrip(QWidget):
     def _connect_pane(self, name: str, pane: ImagePane) -> None:
         pane.hovered.connect(self._point_at)
         pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
-        pane.doubleClicked.connect(self.reset_view)
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
         pane.viewMoved.connect(self._view_moved)
         pane.resized.connect(self._pane_resized)
@@ -215,7 +219,7 @@ class ImageStrip(QWidget):
 
     def _fit_headers(self) -> None:
         """Give all headers two lines if one needs them; panes of equal height zoom alike."""
-        crowded = any(pane.header.full_width() > pane.width() for pane in self.panes.values())
+        crowded = any(pane.header.full_width() > pane.width() for pane in self._shown_panes())
         for pane in self.panes.values():
             pane.header.set_lines(2 if crowded else 1)
 
