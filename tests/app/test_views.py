@@ -141,6 +141,6 @@ def test_going_back_keeps_hidden_what_the_person_hid(window, qtbot):
     QTest.mouseDClick(canvas(window, PATCH), LEFT)
     assert not window.views.views[PROXIMITY].isVisible()
     QTest.mouseDClick(canvas(window, PATCH), LEFT)
-    qtbot.waitUntil(lambda: window.views.views[PROXIMITY].isVisible())
+    qtbot.waitUntil(window.views.views[PROXIMITY].isVisible)
     assert not window.views.views[TACTILE].isVisible()
     assert not window.strip.isVisible()

@@ -117,9 +117,8 @@ def behind_legend() -> Legend:
 
 def depth_legend(near_m: float, far_m: float) -> Legend:
     """Return the near, central and far depth colours, labelled in millimetres."""
-    return [
-        (f"{1e3 * (near_m + share * (far_m - near_m)):.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)
-    ]
+    span_mm = 1e3 * (far_m - near_m)
+    return [(f"{1e3 * near_m + share * span_mm:.0f} mm", _color(depth_lut(), 255 * share)) for share in (0.0, 0.5, 1.0)]
 
 
 def difference_index(relative_difference: Float32Array, limit: float = DIFFERENCE_LIMIT) -> Uint8Array:
