@@ -17,6 +17,7 @@ from ..core.errors import ExportError, TactuneError
 from ..core.model.files import atomic_path
 from ..core.preset import Preset
 from ..core.sources.presets import load_preset
+from ..widgets.basics.icons import app_icon
 from ..widgets.basics.theme import ThemeChoice
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
@@ -137,6 +138,8 @@ def make_application() -> QApplication:
     application = QApplication(sys.argv[:1])
     application.setApplicationName("tactune")
     application.setApplicationDisplayName("Tactune")
+    application.setDesktopFileName("tactune")
+    application.setWindowIcon(app_icon())
     return application
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QFont
 from PyQt6.QtWidgets import (
     QButtonGroup,
     QCheckBox,
@@ -22,6 +21,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.calibration import CalibrationReport
 from ...core.calibration.report import ModelQuality
+from ...widgets.basics.theme import text_font
 from ...widgets.plots.calibration_plots import Residual, ResidualPlot, round_limit
 from .fitting import Outcome
 from .session import ModelChoice, Session, SessionState
@@ -113,9 +113,7 @@ class _ModelColumn(QGroupBox):
         quality = None if report is None else report.quality.get(self._name)
         recommended = report is not None and report.recommended == self._name and quality is not None
         self.setTitle(_TITLES[self._name] + ("  ·  recommended" if recommended else ""))
-        font = QFont(self.font())
-        font.setBold(recommended)
-        self.subtitle.setFont(font)
+        self.subtitle.setFont(text_font("body", bold=recommended))
         for number, label in zip(_NUMBERS, self.values, strict=True):
             value = None if quality is None else number.value(quality)
             label.setText(_shown(value, number))
@@ -147,9 +145,7 @@ class ModelPage(QWidget):
         self._session = session
         self.reason = QLabel()
         self.reason.setWordWrap(True)
-        font = QFont(self.reason.font())
-        font.setPointSizeF(font.pointSizeF() * 1.15)
-        self.reason.setFont(font)
+        self.reason.setFont(text_font("title"))
         self.choices = QButtonGroup(self)
         self.fit_depth = QCheckBox("Correct the tactile depth (scale and offset)")
         self.fit_depth.setToolTip(

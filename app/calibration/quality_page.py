@@ -8,7 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pyqtgraph as pg
-from PyQt6.QtGui import QFont, QShowEvent
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QButtonGroup, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 from scipy.interpolate import LinearNDInterpolator
 
@@ -18,6 +18,7 @@ from ...core.calibration.report import grade
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame
 from ...widgets.basics.controls import AccentButton
+from ...widgets.basics.theme import TextSize, text_font
 from ...widgets.images.image_pane import ColorBar
 from ...widgets.images.point_image import PointImage
 from ...widgets.plots.calibration_plots import CoverageGrid
@@ -107,13 +108,13 @@ class QualityPage(QWidget):
         self.map = PointImage(_MAP_TITLE)
         self.map.set_loupe_wanted(False)
         self.units = QButtonGroup(self)
-        self.grade = _words(1.3, bold=True)
-        self.why = _words(1.0)
-        self.step = _words(1.1, bold=True)
+        self.grade = _words("title", bold=True)
+        self.why = _words()
+        self.step = _words(bold=True)
         self.numbers = QGridLayout()
         self.numbers.setVerticalSpacing(4)
         self.numbers.setHorizontalSpacing(16)
-        self.warnings = _words(1.0)
+        self.warnings = _words()
         self.coverage = CoverageGrid()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(8, 6, 8, 4)
@@ -269,11 +270,8 @@ class QualityPage(QWidget):
         self.map.set_marks(marks)
 
 
-def _words(factor: float, bold: bool = False) -> QLabel:
+def _words(size: TextSize = "body", bold: bool = False) -> QLabel:
     label = QLabel()
     label.setWordWrap(True)
-    font = QFont(label.font())
-    font.setPointSizeF(font.pointSizeF() * factor)
-    font.setBold(bold)
-    label.setFont(font)
+    label.setFont(text_font(size, bold=bold))
     return label

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QCloseEvent, QFont
+from PyQt6.QtGui import QCloseEvent
 from PyQt6.QtWidgets import QComboBox, QDialog, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.calibration.recheck import Drift, recheck
@@ -15,7 +15,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import Preset
 from ...core.rig.drift import DepthChange, MembraneDrift, compare_with_untouched
 from ...core.rig.untouched import load_untouched
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import make_verdict, push_button
 from ...widgets.images.marks import Mark, MarkKind
 from ...widgets.images.point_image import PointImage
 from ..worker.jobs import Job
@@ -78,13 +78,10 @@ class RecheckWindow(QDialog):
         self._job = Job(self)
         self.sentence = QLabel(_CHECKING)
         self.sentence.setWordWrap(True)
-        font = QFont(self.sentence.font())
-        font.setPointSizeF(1.2 * font.pointSizeF())
-        font.setBold(True)
-        self.sentence.setFont(font)
+        make_verdict(self.sentence)
         self.membrane = QLabel()
         self.membrane.setWordWrap(True)
-        self.membrane.setFont(font)
+        make_verdict(self.membrane)
         self.membrane.setToolTip(
             "Change of the membrane's tactile and proximity depth since the preset's untouched frame"
         )

@@ -7,12 +7,12 @@ from functools import partial
 from typing import Final
 
 from PyQt6.QtCore import QObject, Qt, QTimer, pyqtSignal
-from PyQt6.QtGui import QFont, QKeyEvent
+from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QDialog, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
 from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
-from ...widgets.basics.controls import ProgressBar, caption, frame_count, push_button
+from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.message_bar import Severity
 from ...widgets.images.image_pane import ImagePane
@@ -73,10 +73,7 @@ class CaptureWindow(QDialog):
 
     def _make_controls(self) -> None:
         self.headline = QLabel("Nothing may touch the membrane")
-        font = QFont(self.headline.font())
-        font.setPointSizeF(1.3 * font.pointSizeF())
-        font.setBold(True)
-        self.headline.setFont(font)
+        make_verdict(self.headline)
         simulated = _SIMULATED if self._feed.info.name.startswith("sim:") else ""
         self.advice = QLabel(_ADVICE + simulated)
         self.advice.setWordWrap(True)

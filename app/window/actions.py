@@ -22,8 +22,8 @@ from PyQt6.QtWidgets import (
 )
 
 from ...widgets.basics.controls import dialog_buttons
+from ...widgets.basics.icons import icon
 from ..worker.playback import SPEEDS
-from .icons import icon
 
 StandardKey = QKeySequence.StandardKey
 THEMES = ("system", "light", "dark")
@@ -117,7 +117,7 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         if shortcut is not None:
             made.setShortcut(QKeySequence(shortcut))
         if icon_name:
-            made.setIcon(icon(icon_name))
+            made.setIcon(icon(icon_name, "recording" if icon_name == "record" else ""))
         made.setCheckable(checkable)
         plain = text.split("\t", maxsplit=1)
         keys = made.shortcut().toString() or (plain[1] if len(plain) > 1 else "")
@@ -128,23 +128,34 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
     redo = undo_stack.createRedoAction(parent, "&Redo")
     assert undo is not None and redo is not None
     undo.setShortcut(QKeySequence(StandardKey.Undo))
+    undo.setIcon(icon("undo"))
+    redo.setIcon(icon("redo"))
     redo.setShortcuts([QKeySequence("Ctrl+Shift+Z"), QKeySequence("Ctrl+Y")])
     made = Actions(
-        new_preset=action("&New preset", shortcut=StandardKey.New),
+        new_preset=action("&New preset", "", StandardKey.New, "plus"),
         open_preset=action("Open pre&set…", shortcut="Ctrl+Shift+O"),
-        save=action("&Save preset", shortcut=StandardKey.Save),
+        save=action("&Save preset", "", StandardKey.Save, "content-save-outline"),
         save_as=action("Save preset &as…", shortcut="Ctrl+Shift+S"),
         details=action("Name and no&tes…", "Edit the preset's name and notes", "F2"),
-        export_patch=action("&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "export"),
+        export_patch=action(
+            "&Export patch…", "Save the patch of this frame as a point cloud", "Ctrl+E", "tray-arrow-down"
+        ),
         export_recording=action(
             "Export recordin&g…", "Save the frames between the in and out marks, or all, as a recording", "Ctrl+Shift+E"
         ),
         export_patches=action(
             "Export pa&tches…", "Save the patch of each frame between the in and out marks, or of all, as PLY files"
         ),
-        calibrate=action("&Calibrate…", "Align both cameras: click points, check and save the result", "Ctrl+K"),
+        calibrate=action(
+            "&Calibrate…", "Align both cameras: click points, check and save the result", "Ctrl+K", "crosshairs-gps"
+        ),
         recheck=action("&Re-check calibration", "Check the alignment on this frame", "Ctrl+Shift+K"),
-        open_source=action("&Open…", "Open cameras, a recording, the simulator or another source", StandardKey.Open),
+        open_source=action(
+            "&Open…",
+            "Open cameras, a recording, the simulator or another source",
+            StandardKey.Open,
+            "folder-open-outline",
+        ),
         watch_drift=action(
             "&Watch for drift",
             "Look once in 10 s whether a camera of a live source moved, the pressure changed or a lens is dirty, "
@@ -155,20 +166,26 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         measure_noise=action(
             "&Measure noise and bias…", "Measure the noise of both cameras and the bias between them, for the preset"
         ),
-        findings=action("&Findings…", "List what is wrong with this frame or preset, and what mends it", "Ctrl+F"),
+        findings=action(
+            "&Findings…", "List what is wrong with this frame or preset, and what mends it", "Ctrl+F", "alert-outline"
+        ),
         capture_untouched=action(
             "Capture u&ntouched frame…",
             "Capture the untouched membrane, which some methods and the re-check need",
             "Ctrl+Shift+R",
         ),
-        cameras=action("&Connect cameras…", "Choose the two cameras among those connected and open them", "F3"),
-        camera_settings=action("Ca&mera settings…", "Exposure, laser and other settings, stored in the preset", "F4"),
+        cameras=action(
+            "&Connect cameras…", "Choose the two cameras among those connected and open them", "F3", "camera-outline"
+        ),
+        camera_settings=action(
+            "Ca&mera settings…", "Exposure, laser and other settings, stored in the preset", "F4", "cog-outline"
+        ),
         record=action("&Record", "Record every frame of the source, or finish the recording", "F9", "record", True),
         recordings_folder=action("Recordings fo&lder…", "Choose the folder for recordings"),
         quit=action("&Quit", shortcut="Ctrl+Q"),
         undo=undo,
         redo=redo,
-        history=action("&History…", "List every step; click one to go back or forward to it", "Ctrl+H"),
+        history=action("&History…", "List every step; click one to go back or forward to it", "Ctrl+H", "history"),
         changes_since_save=action(
             "&What changed since save", "Compare the preset as it was saved with the present one", "Ctrl+D"
         ),
@@ -184,21 +201,23 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
         examples=action(
             "&Examples of contact…", "Mark untouched frames and paint contact, for better suggestions", "Ctrl+L"
         ),
-        suggest_all=action("&Suggest all…", "Propose values for all sections, each with its evidence", "Ctrl+J"),
+        suggest_all=action(
+            "&Suggest all…", "Propose values for all sections, each with its evidence", "Ctrl+J", "lightbulb-outline"
+        ),
         play=action("&Play\tSpace", icon_name="play"),
-        previous=action("Pre&vious frame", "Pause and go one frame back", ",", "previous"),
-        next=action("&Next frame", "Pause and go one frame forward", ".", "next"),
+        previous=action("Pre&vious frame", "Pause and go one frame back", ",", "skip-previous"),
+        next=action("&Next frame", "Pause and go one frame forward", ".", "skip-next"),
         first=action("&First frame", "Go to the first frame", "Ctrl+Home"),
-        loop=action("&Loop", "Repeat a recording when it ends", "L", "loop", checkable=True),
-        freeze=action("Free&ze", "Hold this frame while tuning; a live source continues", "F", "freeze", True),
+        loop=action("&Loop", "Repeat a recording when it ends", "L", "repeat", checkable=True),
+        freeze=action("Free&ze", "Hold this frame while tuning; a live source continues", "F", "snowflake", True),
         go_to=action("&Go to…", "Type a frame number, or a time in seconds such as 12.4 s", "Ctrl+G"),
-        mark_in=action("&In mark", "Start the part to export, tune or record at this frame", "I", "in"),
-        mark_out=action("&Out mark", "End the part to export, tune or record with this frame", "O", "out"),
-        clear_marks=action("&Clear in and out", "Remove the in and out marks", "Shift+I", "clear"),
-        add_marker=action("Add &marker", "Add a marker at this frame", "M", "flag"),
+        mark_in=action("&In mark", "Start the part to export, tune or record at this frame", "I", "contain-start"),
+        mark_out=action("&Out mark", "End the part to export, tune or record with this frame", "O", "contain-end"),
+        clear_marks=action("&Clear in and out", "Remove the in and out marks", "Shift+I", "close"),
+        add_marker=action("Add &marker", "Add a marker at this frame", "M", "flag-outline"),
         next_marker=action("N&ext marker", "Go to the next marker", "N"),
         previous_marker=action("Previous mar&ker", "Go to the marker before", "Shift+N"),
-        markers=action("M&arkers…", "List the markers: go to, rename, delete", "Ctrl+M", "list"),
+        markers=action("M&arkers…", "List the markers: go to, rename, delete", "Ctrl+M", "format-list-bulleted"),
         show_time=action("&Time strip", "Show area, points, time or IoU over time", "Ctrl+Shift+T", checkable=True),
         show_strip=action("&Images", "Show the images below the views", "Ctrl+I", checkable=True),
         show_panel=action("Para&meters", "Show the parameter panel", "Ctrl+P", checkable=True),
@@ -215,8 +234,8 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Copy the view or image under the mouse, else the one with the focus, at its size on the screen",
             "Ctrl+Shift+C",
         ),
-        shortcuts=action("&Keyboard shortcuts", shortcut="F1"),
-        about=action("&About Tactune"),
+        shortcuts=action("&Keyboard shortcuts", shortcut="F1", icon_name="keyboard-outline"),
+        about=action("&About Tactune", icon_name="information-outline"),
     )
     for checkable in (made.loop, made.watch_drift, made.show_strip, made.show_time, made.show_panel):
         checkable.setChecked(True)

@@ -7,8 +7,8 @@ from PyQt6.QtGui import QAction
 from PyQt6.QtWidgets import QDialog, QLabel, QUndoView, QVBoxLayout, QWidget
 
 from ...widgets.basics.dialogs import bring_up
+from ...widgets.basics.icons import icon
 from ..document.document import Document
-from .icons import icon
 
 
 class HistoryWindow(QDialog):
@@ -20,7 +20,7 @@ class HistoryWindow(QDialog):
         self.addActions(undo_actions)
         self.view = QUndoView(document.undo_stack)
         self.view.setEmptyLabel("As opened")
-        self.view.setCleanIcon(icon("saved"))
+        self.view.setCleanIcon(icon("check"))
         self.view.setIconSize(QSize(12, 12))
         self.view.setAccessibleName("Steps of the undo history")
         self.view.setToolTip("Click a step to go back or forward to it; the mark shows what is saved")

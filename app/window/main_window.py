@@ -16,7 +16,8 @@ from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
 from ...widgets.basics.dialogs import Dialogs, local_files
 from ...widgets.basics.message_bar import MessageBar, Severity
-from ...widgets.basics.theme import ThemeChoice, apply_theme, theme_name
+from ...widgets.basics.style import apply_theme
+from ...widgets.basics.theme import ThemeChoice, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel

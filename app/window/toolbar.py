@@ -10,10 +10,10 @@ from pathlib import Path
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtWidgets import QHBoxLayout, QMenu, QPushButton, QSizePolicy, QToolBar, QToolButton, QWidget
 
+from ...widgets.basics.icons import icon
 from ...widgets.parameters.number_slider import JumpSlider
 from ..worker.playback import PlaybackState
 from .actions import Actions, Menus
-from .icons import icon
 from .position import PositionEntry
 
 
@@ -131,7 +131,7 @@ class ToolBar(QToolBar):
         """Give Qt's button for hidden actions an icon that follows the theme, and a name."""
         extension = self.findChild(QToolButton, "qt_toolbar_ext_button")
         assert extension is not None
-        extension.setIcon(icon("more"))
+        extension.setIcon(icon("chevron-double-right"))
         extension.setToolTip("More actions")
         extension.setAccessibleName("More actions")
 

@@ -11,7 +11,8 @@ from pytestqt.qtbot import QtBot
 
 from contrast import contrast_ratio
 from tactune.widgets.basics.stale_badge import BADGE_COLORS
-from tactune.widgets.basics.theme import ThemeName, apply_theme, theme_colors
+from tactune.widgets.basics.style import apply_theme
+from tactune.widgets.basics.theme import ThemeName, theme_colors
 from tactune.widgets.clouds import gl_backend
 from tactune.widgets.clouds.cloud_view import CloudView
 from tactune.widgets.images.image_pane import ImagePane

@@ -2,11 +2,14 @@ from __future__ import annotations
 
 import pyqtgraph as pg
 import pytest
-from PyQt6.QtGui import QPalette
-from PyQt6.QtWidgets import QApplication, QCheckBox, QRadioButton, QWidget
+from PyQt6.QtCore import QRect, Qt
+from PyQt6.QtGui import QIcon, QPalette
+from PyQt6.QtWidgets import QApplication, QCheckBox, QPushButton, QRadioButton, QVBoxLayout, QWidget
 
 from contrast import contrast_ratio
-from tactune.widgets.basics.theme import ACCENT, apply_theme, theme_colors, theme_name
+from tactune.widgets.basics.icons import app_icon, icon
+from tactune.widgets.basics.style import apply_theme
+from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
 from tactune.widgets.images.image_pane import ImagePane
 from tactune.widgets.parameters.parameter_row import MessageLabel
 from tactune.widgets.plots.histogram import DifferenceHistogram
@@ -37,6 +40,14 @@ def test_the_accent_stands_out_and_carries_text(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("background", ["window", "base", "button"])
+@pytest.mark.parametrize("line", ["outline", "focus"])
+def test_fields_grooves_and_the_focus_are_seen(name: str, background: str, line: str) -> None:
+    colors = theme_colors(name)
+    assert contrast_ratio(getattr(colors, line), getattr(colors, background)) >= 3.0
+
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) -> None:
     widget = QWidget()
     qtbot.addWidget(widget)
@@ -48,7 +59,6 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
     assert widget.palette().color(QPalette.ColorRole.Window).name() == colors.window
     assert widget.palette().color(QPalette.ColorRole.Highlight).name() == ACCENT
     assert pg.getConfigOption("background") == colors.base
-    assert qapp.style().name() == "fusion"
 
 
 def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
@@ -68,6 +78,46 @@ def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot)
 def test_system_resolves_to_a_theme(qapp: QApplication) -> None:
     assert apply_theme(qapp, "system") in NAMES
     assert theme_name() in NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_ring_shows_where_the_keyboard_acts(qapp: QApplication, qtbot, name: str) -> None:
+    apply_theme(qapp, name)
+    window = QWidget()
+    qtbot.addWidget(window)
+    layout = QVBoxLayout(window)
+    for text in ("One", "Two"):
+        layout.addWidget(QPushButton(text))
+    one, two = window.findChildren(QPushButton)
+    two.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+    with qtbot.waitActive(window):
+        window.show()
+    ring, colors = QRect(two.geometry()).adjusted(-2, -2, 2, 2), theme_colors()
+
+    def edges() -> set[str]:
+        image = window.grab(ring).toImage()
+        return {image.pixelColor(x, y).name() for x, y in ((20, 0), (20, 1), (0, 10), (1, 10))}
+
+    one.setFocus()
+    assert edges() == {colors.window}
+    qtbot.keyClick(one, Qt.Key.Key_Tab)
+    qtbot.waitUntil(lambda: edges() == {colors.focus})
+    qtbot.keyClick(two, Qt.Key.Key_Backtab)
+    qtbot.waitUntil(lambda: edges() == {colors.window})
+    apply_theme(qapp, "light")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_an_icon_takes_the_theme_s_colours(qapp: QApplication, name: str) -> None:
+    apply_theme(qapp, name)
+    made, record, colors = icon("play"), icon("record", "recording"), theme_colors()
+    centres = [
+        picture.pixmap(16, 16, mode).toImage().pixelColor(8, 8).name()
+        for picture, mode in ((made, QIcon.Mode.Normal), (made, QIcon.Mode.Disabled), (record, QIcon.Mode.Normal))
+    ]
+    assert centres == [colors.text, colors.disabled, colors.recording]
+    assert not app_icon().pixmap(32, 32).isNull()
+    apply_theme(qapp, "light")
 
 
 @pytest.mark.parametrize("name", NAMES)

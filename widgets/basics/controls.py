@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFont, QIcon, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QColor, QIcon, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QDialogButtonBox,
     QFrame,
@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .theme import theme_colors
+from .theme import text_font, theme_colors
 
 
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
@@ -60,10 +60,7 @@ def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBo
 
 def make_verdict(label: QLabel) -> None:
     """Show a label larger and in bold: the sentence that states the result."""
-    font = QFont(label.font())
-    font.setPointSizeF(1.15 * font.pointSizeF())
-    font.setBold(True)
-    label.setFont(font)
+    label.setFont(text_font("title", bold=True))
 
 
 class ProgressBar(QProgressBar):
@@ -174,9 +171,7 @@ class CollapsibleSection(QFrame):
         self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
         self.button.setAccessibleName(f"{title} section")
         self.button.setToolTip(f"Fold or unfold {title.lower()}")
-        font = QFont(self.button.font())
-        font.setBold(True)
-        self.button.setFont(font)
+        self.button.setFont(text_font("body", bold=True))
 
         header = QFrame()
         header.setAutoFillBackground(True)

@@ -1,20 +1,25 @@
-"""Light and dark theme: Fusion with a palette, named colours for painting, and pyqtgraph settings."""
+"""Light and dark theme: palette, named colours, three sizes of text, and one grid of 4 px."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Final, Literal
 
-import pyqtgraph as pg
-from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtGui import QColor, QFont, QPalette
 from PyQt6.QtWidgets import QApplication
 
 ThemeChoice = Literal["light", "dark", "system"]
 ThemeName = Literal["light", "dark"]
+TextSize = Literal["caption", "body", "title"]
 
 #: The one accent colour: selections, slider grooves, the tolerance band. White text on it is readable.
 ACCENT = "#1a72e0"
+
+#: Spacings and margins are multiples of this, in px.
+GRID: Final = 4
+
+#: The three sizes of text, as shares of the desktop's.
+_TEXT_SIZES: Final[dict[TextSize, float]] = {"caption": 0.9, "body": 1.0, "title": 1.2}
 
 
 @dataclass(frozen=True)
@@ -22,8 +27,9 @@ class ThemeColors:
     """Named colours of a theme, as ``#rrggbb``.
 
     ``muted`` is for secondary text, ``accent_text`` for text in the accent's hue, ``error`` for refused values,
-    ``warning`` for findings;
-    ``outside`` paints what lies outside a band, ``accent`` what lies inside.
+    ``warning`` for findings, ``recording`` for the dot of a recording.
+    ``border`` separates areas; ``outline`` bounds fields and grooves, ``focus`` the one with the keyboard, and ``knob``
+    fills a slider's handle. ``outside`` paints what lies outside a band, ``accent`` what lies inside.
     """
 
     window: str
@@ -31,6 +37,9 @@ class ThemeColors:
     alternate: str
     button: str
     border: str
+    outline: str
+    focus: str
+    knob: str
     text: str
     muted: str
     disabled: str
@@ -38,6 +47,7 @@ class ThemeColors:
     error: str
     warning: str
     outside: str
+    recording: str = "#d64545"
     accent: str = ACCENT
     on_accent: str = "#ffffff"
 
@@ -47,8 +57,11 @@ _THEMES: dict[ThemeName, ThemeColors] = {
         window="#f3f4f6",
         base="#ffffff",
         alternate="#e9ebee",
-        button="#e9ebee",
-        border="#b4bac2",
+        button="#ffffff",
+        border="#c9ced5",
+        outline="#767e88",
+        focus=ACCENT,
+        knob="#ffffff",
         text="#1b2026",
         muted="#545d68",
         disabled="#8b939c",
@@ -62,7 +75,10 @@ _THEMES: dict[ThemeName, ThemeColors] = {
         base="#16191e",
         alternate="#262b32",
         button="#2d333b",
-        border="#4a525d",
+        border="#3d444d",
+        outline="#78818d",
+        focus="#78b0ff",
+        knob="#16191e",
         text="#e7eaee",
         muted="#a7b0bb",
         disabled="#747d88",
@@ -72,9 +88,6 @@ _THEMES: dict[ThemeName, ThemeColors] = {
         outside="#7b8591",
     ),
 }
-
-#: Widgets with boxes to tick; they paint no background of their own.
-_WITH_BOXES = ("QCheckBox", "QRadioButton", "QTableView")
 
 _state: dict[str, ThemeName] = {"name": "light"}
 
@@ -89,37 +102,22 @@ def theme_colors(name: ThemeName | None = None) -> ThemeColors:
     return _THEMES[name or theme_name()]
 
 
-def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
-    """Apply a theme to the whole application and return the resolved one.
+def text_font(size: TextSize, *, bold: bool = False) -> QFont:
+    """Return the application's font in one of the three sizes."""
+    font = QApplication.font()
+    font.setPointSizeF(font.pointSizeF() * _TEXT_SIZES[size])
+    font.setBold(bold)
+    return font
 
-    Widgets that paint with `theme_colors` repaint on the ``PaletteChange`` event that follows.
-    With ``"system"`` the theme follows the desktop, also when that changes later.
-    """
-    hints = app.styleHints()
-    name: ThemeName = cast(ThemeName, choice)
-    if choice == "system":
-        name = "dark" if hints is not None and hints.colorScheme() == Qt.ColorScheme.Dark else "light"
-    app.setProperty("tactune_theme_choice", choice)
-    if hints is not None and not app.property("tactune_follows_desktop"):
-        app.setProperty("tactune_follows_desktop", True)
-        hints.colorSchemeChanged.connect(lambda _: _follow_desktop(app))
+
+def set_theme(name: ThemeName) -> ThemeColors:
+    """Make a theme the current one and return its colours."""
     _state["name"] = name
-    colors = _THEMES[name]
-    pg.setConfigOptions(background=colors.base, foreground=colors.text)
-    if app.property("tactune_style") != "fusion":
-        app.setStyle("Fusion")
-        app.setProperty("tactune_style", "fusion")
-    palette = make_palette(colors)
-    app.setPalette(palette)
-    # Fusion outlines boxes in a darker shade of the window's colour, which would hardly be seen.
-    palette.setColor(QPalette.ColorRole.Window, QColor(colors.muted))
-    for kind in _WITH_BOXES:
-        app.setPalette(palette, kind)
-    return name
+    return _THEMES[name]
 
 
 def make_palette(colors: ThemeColors) -> QPalette:
-    """Build the palette that Fusion paints a theme with."""
+    """Build the palette of a theme."""
     role = QPalette.ColorRole
     palette = QPalette()
     for target, value in {
@@ -152,8 +150,3 @@ def make_palette(colors: ThemeColors) -> QPalette:
     palette.setColor(disabled, role.Highlight, QColor(colors.border))
     palette.setColor(disabled, role.HighlightedText, QColor(colors.text))
     return palette
-
-
-def _follow_desktop(app: QApplication) -> None:
-    if app.property("tactune_theme_choice") == "system":
-        apply_theme(app, "system")

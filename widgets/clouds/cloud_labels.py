@@ -6,10 +6,11 @@ import re
 from html import escape
 
 from PyQt6.QtCore import QRectF, QSize, Qt
-from PyQt6.QtGui import QColor, QFont, QFontInfo, QFontMetricsF, QPainter, QPaintEvent, QPalette, QResizeEvent
+from PyQt6.QtGui import QColor, QFontMetricsF, QPainter, QPaintEvent, QPalette, QResizeEvent
 from PyQt6.QtWidgets import QLabel, QSizePolicy, QWidget
 
 from ..basics.controls import ElidedLabel
+from ..basics.theme import text_font
 
 _MARGIN, _TOP, _GAP = 2, 2, 8
 #: Horizontal padding of the title, in pixels.
@@ -90,9 +91,7 @@ class LegendLine(QWidget):
         self._entries: list[tuple[str, QColor]] = []
         self._lines = 1
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
-        font = QFont(self.font())
-        font.setPointSizeF(QFontInfo(font).pointSizeF() * 0.9)
-        self.setFont(font)
+        self.setFont(text_font("caption"))
 
     def value(self) -> list[tuple[str, QColor]]:
         """Return the entries."""

@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
-from PyQt6.QtGui import QColor, QFont, QFontInfo, QFontMetricsF, QPainter, QPalette, QPen
+from PyQt6.QtGui import QColor, QFontMetricsF, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import palette_theme
 from ..basics.stale_badge import paint_badge
+from ..basics.theme import text_font
 from ..basics.wipe import Wipe, paint_wipe
 from .cloud_data import DepthCloud
 from .view_camera import ViewCamera
@@ -66,7 +67,7 @@ def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None
     if scene.ornament is not None:
         scene.ornament(painter, widget)
     if scene.wipe is not None:
-        paint_wipe(painter, QRectF(widget.rect()), scene.wipe, _small_font(widget))
+        paint_wipe(painter, QRectF(widget.rect()), scene.wipe, text_font("caption"))
     if scene.note:
         _paint_note(painter, widget, scene.note)
     if scene.message:
@@ -78,7 +79,7 @@ def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
     origin = QPointF(_AXIS_MARGIN, widget.height() - _AXIS_MARGIN)
     right, up, back = camera.axes()
     colors = AXIS_COLORS[palette_theme(widget.palette())]
-    painter.setFont(_small_font(widget, bold=True))
+    painter.setFont(text_font("caption", bold=True))
     for axis in sorted(range(3), key=lambda axis: float(back[axis])):
         direction = QPointF(float(right[axis]), -float(up[axis]))
         tip = origin + direction * _AXIS_LENGTH
@@ -92,13 +93,7 @@ def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
 
 def message_rect(widget: QWidget, message: str) -> QRectF:
     """Return where a message is painted in the middle of a widget."""
-    return QFontMetricsF(_message_font(widget)).boundingRect(_message_room(widget), _MESSAGE_FLAGS, message)
-
-
-def _message_font(widget: QWidget) -> QFont:
-    font = QFont(widget.font())
-    font.setPointSizeF(QFontInfo(font).pointSizeF() * 1.1)
-    return font
+    return QFontMetricsF(text_font("body")).boundingRect(_message_room(widget), _MESSAGE_FLAGS, message)
 
 
 def _message_room(widget: QWidget) -> QRectF:
@@ -106,7 +101,7 @@ def _message_room(widget: QWidget) -> QRectF:
 
 
 def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
-    painter.setFont(_message_font(widget))
+    painter.setFont(text_font("body"))
     room, text = _message_room(widget), message_rect(widget, message)
     plate = widget.palette().color(QPalette.ColorRole.Base)
     plate.setAlpha(215)
@@ -118,7 +113,7 @@ def _paint_message(painter: QPainter, widget: QWidget, message: str) -> None:
 
 
 def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
-    font = _small_font(widget)
+    font = text_font("caption")
     painter.setFont(font)
     painter.setPen(widget.palette().color(QPalette.ColorRole.PlaceholderText))
     room = QRectF(widget.rect()).adjusted(2 * _AXIS_MARGIN, 0.0, -6.0, -4.0)
@@ -127,10 +122,3 @@ def _paint_note(painter: QPainter, widget: QWidget, note: str) -> None:
     fitting = note if metrics.horizontalAdvance(note) <= room.width() else note.partition(":")[0]
     text = metrics.elidedText(fitting, Qt.TextElideMode.ElideRight, room.width())
     painter.drawText(room, int(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignBottom), text)
-
-
-def _small_font(widget: QWidget, bold: bool = False) -> QFont:
-    font = QFont(widget.font())
-    font.setPointSizeF(QFontInfo(font).pointSizeF() * 0.85)
-    font.setBold(bold)
-    return font

@@ -10,7 +10,7 @@ from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButt
 
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
-from ..basics.theme import theme_colors
+from ..basics.theme import text_font, theme_colors
 from .band_slider import RangeEditor, RectangleEditor
 from .finding_line import FindingLine
 from .number_slider import NumberSlider
@@ -107,11 +107,11 @@ class MatrixView(QLabel):
 
     def _show(self) -> None:
         if self._value is None:
-            self.setFont(QFontDatabase.systemFont(QFontDatabase.SystemFont.GeneralFont))
+            self.setFont(text_font("body"))
             self.setText("from the rig")
             return
         font = QFontDatabase.systemFont(QFontDatabase.SystemFont.FixedFont)
-        font.setPointSizeF(font.pointSizeF() * 0.85)
+        font.setPointSizeF(text_font("caption").pointSizeF())
         self.setFont(font)
         self.setText("\n".join(self._line(row) for row in self._value[:3]))
 
