@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from PyQt6.QtWidgets import QWidget
 
 from ..widgets.basics.dialogs import Dialogs
-from ..widgets.basics.message_bar import MessageBar
+from ..widgets.basics.messages import Messages
 from ..widgets.clouds.cloud_view import BackendChoice
 from .document.comparison import Comparison
 from .document.document import Document
@@ -17,6 +17,11 @@ from .settings import Settings
 from .worker.playback import PlaybackState
 from .worker.results import Result
 from .worker.worker import Worker
+
+#: Subject of messages that speak of the open source: opening another one dismisses them.
+SOURCE = "source"
+#: Subject of messages on how a task ended, such as an export: the next task dismisses them.
+TASK = "task"
 
 
 class Context(QObject):
@@ -30,8 +35,8 @@ class Context(QObject):
         The preset being edited, its file and its undo history.
     worker : Worker
         Playback, camera settings and recording. `result` is its newest frame.
-    messages : MessageBar
-        The messages above the main window's views.
+    messages : Messages
+        The messages over the main window's views.
     dialogs : Dialogs
         File dialogs and questions over the main window.
     settings : Settings
@@ -71,7 +76,7 @@ class Context(QObject):
         self,
         document: Document,
         worker: Worker,
-        messages: MessageBar,
+        messages: Messages,
         dialogs: Dialogs,
         settings: Settings,
         data_folder: Path,

@@ -16,8 +16,8 @@ from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
 from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.message_bar import Severity
-from ..context import Context
+from ...widgets.basics.messages import Severity
+from ..context import SOURCE, Context
 from ..document.comparison import PRESENT, Side
 from ..worker.jobs import Job, Progress
 from ..worker.results import SourceInfo
@@ -371,7 +371,7 @@ class SuggestControl(QObject):
         """Make suggestions for a section, or for all, and show them."""
         context = self._context
         if context.result is None:
-            context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME)
+            context.messages.show_message("suggest", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
         if self.window is None:
             self.window = SuggestWindow(context, self.gather, self.open_examples)

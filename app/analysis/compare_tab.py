@@ -9,7 +9,7 @@ from PyQt6.QtWidgets import QComboBox, QHBoxLayout, QSplitter
 
 from ...core.methods.registry import method_names, method_problems
 from ...widgets.basics.controls import caption, push_button
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_name
 from ..context import Context
 from ..worker.results import Result

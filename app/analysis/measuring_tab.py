@@ -15,7 +15,7 @@ from ...core.model.frames import SensorFrame
 from ...core.preset import Preset, UntouchedRecord
 from ...core.rig.untouched import FoundUntouched
 from ...widgets.basics.controls import ElidedLabel, ProgressBar
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..document.document import Document
 from ..worker.jobs import Job
@@ -158,7 +158,7 @@ class MeasuringTab(AnalysisTab):
         self.untouched = UntouchedSearch(context.document, self)
         self._writing = Job(self)
         self.status = ElidedLabel(waiting)
-        self.messages = MessageBar()
+        self.messages = Messages(self)
         self.progress = ProgressBar("Preparing the untouched frame")
         self.progress.hide()
         self.export = QPushButton("&Export…")
@@ -178,7 +178,6 @@ class MeasuringTab(AnalysisTab):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(row)
-        layout.addWidget(self.messages)
         layout.addWidget(sheet, 1)
 
     def _export_folder(self) -> Path:

@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 from ...core.model.frames import SensorFrame
 from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...widgets.basics.controls import caption, frame_count, push_button
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.jobs import Job
 from ..worker.results import Result, SourceInfo

@@ -15,7 +15,7 @@ from ...core.model.frames import Matrix4
 from ...core.scan.paint import PaintSettings
 from ...core.scan.pose import load_transform, pair_errors_m, save_transform
 from ...core.scan.scan import UNITS_M
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ..worker.jobs import Job
 from ..worker.results import Result
 from .truth_state import MIN_PAIRS, FrozenPatch, Place, Side, TruthKeeper, TruthSession, TruthState

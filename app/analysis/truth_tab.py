@@ -28,7 +28,7 @@ from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import ProgressBar, caption, make_verdict, push_button
 from ...widgets.basics.dialogs import local_files
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.messages import Messages, Severity
 from ..context import Context
 from ..worker.results import Result
 from .tab import AnalysisTab
@@ -62,7 +62,7 @@ class TruthTab(AnalysisTab):
         self.flow = TruthFlow(context.data_folder / "scans", self._preset_name, self)
         self.views = TruthViews(self.flow, context.cloud_backend)
         self.paint, self.align, self.result = PaintPanel(), AlignPanel(), ResultPanel()
-        self.messages = MessageBar()
+        self.messages = Messages(self)
         self.open_button = push_button(
             "&Open scan…", "Open the object's painted scan: PLY or OBJ with colours (or drop it here)"
         )
@@ -111,7 +111,6 @@ class TruthTab(AnalysisTab):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(self._top())
-        layout.addWidget(self.messages)
         layout.addWidget(self.guide)
         layout.addWidget(across, 1)
 

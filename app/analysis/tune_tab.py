@@ -26,7 +26,7 @@ from ...core.tuning.measure import OBJECTIVES
 from ...core.tuning.space import Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button
 from ...widgets.basics.fields import field_spec, format_number
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.messages import Messages, Severity
 from ...widgets.plots.trade_off import Dot, TradeOffPlot
 from ..context import Context
 from ..document.comparison import Side
@@ -60,7 +60,8 @@ class TuneTab(AnalysisTab):
         self._has_truth: bool | None = None
         self._previewed: tuple[Side, Side] | None = None
         self.run = TuneRun(context.data_folder / "searches", self)
-        self.plot, self.status, self.messages = TradeOffPlot(), ElidedLabel(_WAITING), MessageBar()
+        self.plot, self.status = TradeOffPlot(), ElidedLabel(_WAITING)
+        self.messages = Messages(self.plot)
         self.fields: dict[str, QCheckBox] = {}
         self._axes: dict[str, Axis] = {}
         self.objective, self.trials, self.frames = QComboBox(), QSpinBox(), QSpinBox()
@@ -154,7 +155,6 @@ class TuneTab(AnalysisTab):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addLayout(row)
-        layout.addWidget(self.messages)
         layout.addWidget(across, 1)
 
     def _connect(self) -> None:

@@ -12,7 +12,7 @@ from PyQt6.QtWidgets import QDialog, QLabel, QTabWidget, QVBoxLayout, QWidget
 
 from ...core.model.plugins import load_plugin, load_plugins
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.errors import explain, guarded
 from .tab import TABS, AnalysisTab, TabKind

@@ -18,9 +18,9 @@ from ...core.calibration.report import grade
 from ...core.errors import TactuneError
 from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button, show_accent
 from ...widgets.basics.dialogs import Dialogs, bring_up
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
-from ..context import Context
+from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed, WorkerFeed
 from .check_page import CheckPage
@@ -95,7 +95,6 @@ class CalibrationWizard(QDialog):
         self.keeper = Keeper(self.session, folder, self)
         self.fitter = Fitter(self.session, self)
         self.collector = Collector(feed, self)
-        self.messages = MessageBar()
         self.frames = FramesPage(self.session, feed, self.collector)
         self.points = PointsPage(self.session, snap)
         self.model = ModelPage(self.session)
@@ -146,12 +145,16 @@ class CalibrationWizard(QDialog):
             footer.addWidget(push)
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setMinimumWidth(120)
+        area = QWidget()
+        inside = QVBoxLayout(area)
+        inside.setContentsMargins(0, 0, 0, 0)
+        inside.addWidget(self.stack)
+        self.messages = Messages(area)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(6, 6, 6, 6)
         layout.setSpacing(4)
         layout.addLayout(steps)
-        layout.addWidget(self.messages)
-        layout.addWidget(self.stack, 1)
+        layout.addWidget(area, 1)
         layout.addLayout(footer)
 
     def _connect(self) -> None:
@@ -490,8 +493,9 @@ class CalibrationLauncher(QObject):
         """Open the wizard on the current source, or bring it to the front."""
         context = self._context
         if context.result is None:
-            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
+        context.messages.clear_subject(TASK)
         if self.wizard is None:
             self._feed = WorkerFeed(context.worker, context.result, context.playback, self)
             self.wizard = CalibrationWizard(
@@ -510,7 +514,7 @@ class CalibrationLauncher(QObject):
         """Check the preset's alignment on the current frame."""
         context = self._context
         if context.result is None:
-            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME)
+            context.messages.show_message("calibration", Severity.WARNING, _NO_FRAME, subject=SOURCE)
             return
         if self.recheck is None:
             self.recheck = RecheckWindow(context.window)

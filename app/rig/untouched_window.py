@@ -14,10 +14,10 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.rig.untouched import MAX_FRAMES, UNTOUCHED_FRAMES
 from ...widgets.basics.controls import ProgressBar, caption, frame_count, make_verdict, push_button
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ...widgets.images.image_pane import ImagePane
 from ..calibration.pictures import picture
-from ..context import Context
+from ..context import SOURCE, Context
 from ..document.document import Document
 from ..document.untouched_store import UntouchedStore
 from ..worker.feed import FrameFeed, WorkerFeed
@@ -285,7 +285,10 @@ class UntouchedControls(QObject):
         context = self._context
         if context.result is None:
             context.messages.show_message(
-                "untouched", Severity.WARNING, "There is no frame to capture yet: open a source first."
+                "untouched",
+                Severity.WARNING,
+                "There is no frame to capture yet: open a source first.",
+                subject=SOURCE,
             )
             return
         if self.window is None:

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction
 
 from ...core.rig.watch import INTERVAL_S, SUBJECTS, Watchdog, WatchReport
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.jobs import Job
 from .untouched_capture import UntouchedKeeper

@@ -9,7 +9,7 @@ from PyQt6.QtCore import QObject
 from ...core.preset import CamerasSection, Preset
 from ...core.sources.base import CameraOption, CameraRole
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ..context import Context
 from ..worker.results import SourceInfo, SourceState
 from .cameras_page import CAMERA_SCHEMES, CAMERAS

@@ -12,9 +12,9 @@ from ...core.evaluation.time_series import FrameValues, Series, frame_values
 from ...core.preset import Preset
 from ...core.sources.registry import opens_by_name
 from ...widgets.basics.dialogs import bring_up
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ...widgets.plots.time_strip import CURVES, LIVE_S, TimeStrip
-from ..context import Context
+from ..context import SOURCE, Context
 from ..worker.results import Result, SourceInfo
 from .marker_list import MarkerList
 from .marks import MarksKeeper
@@ -76,7 +76,9 @@ class Timeline(QObject):
         self._job.found.connect(self._found)
         self._job.ended.connect(self._ended)
         self.keeper.changed.connect(lambda _: self._show_marks())
-        self.keeper.told.connect(lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence))
+        self.keeper.told.connect(
+            lambda sentence: context.messages.show_message("markers", Severity.WARNING, sentence, subject=SOURCE)
+        )
 
     @property
     def series(self) -> Series | None:

@@ -7,7 +7,7 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QHBoxLayout, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QWidget
 
 from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import SourceError
@@ -17,16 +17,16 @@ from ...core.recording.writer import export_mcap
 from ...core.sources.base import FrameSource
 from ...core.sources.registry import open_source
 from ...widgets.basics.controls import ProgressBar, push_button
-from ...widgets.basics.message_bar import Severity
-from ..context import Context
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
 from ..worker.jobs import Job, Progress
 
 #: Exports the frames of a range from an open source, and returns what was written as a sentence.
 _Export = Callable[[FrameSource, range, Progress], str]
 
 
-class ExportBar(QWidget):
-    """A line with the progress of an export and a Cancel button; hidden while nothing is exported."""
+class ExportBar(QFrame):
+    """The progress of an export and a Cancel button; hidden while nothing is exported."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -34,7 +34,7 @@ class ExportBar(QWidget):
         self.progress.setAccessibleName("Progress of the export")
         self.cancel = push_button("Cancel", "Cancel the export")
         layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 2, 4, 2)
+        layout.setContentsMargins(8, 4, 4, 4)
         layout.addWidget(self.progress, 1)
         layout.addWidget(self.cancel)
         self.hide()
@@ -49,7 +49,9 @@ class FrameExport(QObject):
         self._job = Job(self)
         self._job.progress.connect(bar.progress.show_share)
         self._job.busyChanged.connect(bar.setVisible)
-        self._job.done.connect(lambda sentence: context.messages.show_message("export", Severity.INFO, sentence))
+        self._job.done.connect(
+            lambda sentence: context.messages.show_message("export", Severity.INFO, sentence, subject=TASK)
+        )
         self._job.failed.connect(self._failed)
         bar.cancel.clicked.connect(self._job.cancel)
 
@@ -106,12 +108,15 @@ class FrameExport(QObject):
                 source.seek(frames.start)
                 return export(source, frames, progress)
 
-        self._context.messages.clear("export")
+        self._context.messages.clear_subject(TASK)
         self._job.start(work)
 
     def _failed(self, sentence: str) -> None:
         self._context.messages.show_message(
-            "export", Severity.ERROR if sentence else Severity.INFO, sentence or "The export was cancelled."
+            "export",
+            Severity.ERROR if sentence else Severity.INFO,
+            sentence or "The export was cancelled.",
+            subject=TASK,
         )
 
 

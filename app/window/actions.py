@@ -95,6 +95,7 @@ class Actions:
     side_view: QAction
     zoom_to_patch: QAction
     copy_view: QAction
+    messages: QAction
     shortcuts: QAction
     about: QAction
 
@@ -234,6 +235,12 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Copy the view or image under the mouse, else the one with the focus, at its size on the screen",
             "Ctrl+Shift+C",
         ),
+        messages=action(
+            "&Messages…",
+            "Go to the message over the views, or list all messages of this start",
+            "F12",
+            "message-text-outline",
+        ),
         shortcuts=action("&Keyboard shortcuts", shortcut="F1", icon_name="keyboard-outline"),
         about=action("&About Tactune", icon_name="information-outline"),
     )
@@ -295,7 +302,7 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
         [actions.calibrate, actions.recheck, actions.watch_drift, actions.check_cameras, actions.measure_noise]
     )
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
-    _menu(bar, "&Help").addActions([actions.shortcuts, actions.about])
+    _menu(bar, "&Help").addActions([actions.messages, actions.shortcuts, actions.about])
     return Menus(preset, recent_presets, shipped, themes, speeds)
 
 

@@ -12,8 +12,8 @@ from PyQt6.QtCore import QObject, pyqtSignal
 from ...core.errors import TactuneError
 from ...core.preset.file import shipped_presets
 from ...core.sources.presets import load_preset
-from ...widgets.basics.message_bar import Severity
-from ..context import Context
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
 from ..document.comparison import PRESENT, Side, Sides, take_over
 from .actions import Actions
 from .comparison_panel import ComparisonPanel, Offer, Shown
@@ -197,7 +197,7 @@ class ComparisonControl(QObject):
         try:
             side = Side(name, load_preset(place))
         except TactuneError as error:
-            self._context.messages.show_message("comparison", Severity.ERROR, str(error))
+            self._context.messages.show_message("comparison", Severity.ERROR, str(error), subject=TASK)
             self._offer(index)
         else:
             self._choose(index, side)

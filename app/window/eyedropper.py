@@ -9,11 +9,11 @@ from PyQt6.QtCore import QObject
 
 from ...core.model.clouds import valid_depth
 from ...widgets.basics.gestures import new_gesture
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ...widgets.images.eyedropper import EyedropperError, HsvRanges, Mode, pick
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ..context import Context
+from ..context import SOURCE, Context
 from ..worker.rendering import aligned_color
 
 
@@ -56,7 +56,7 @@ class Eyedropper(QObject):
         try:
             ranges = pick(image, u, v, present, cast(Mode, self._mode))
         except EyedropperError as error:
-            self._messages.show_message("eyedropper", Severity.WARNING, str(error))
+            self._messages.show_message("eyedropper", Severity.WARNING, str(error), subject=SOURCE)
             return
         self._messages.clear("eyedropper")
         picked: dict[str, object] = {

@@ -13,8 +13,8 @@ from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
 from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.presets import load_preset
-from ...widgets.basics.message_bar import MessageBar, Severity
-from ..context import Context
+from ...widgets.basics.messages import Messages, Severity
+from ..context import SOURCE, TASK, Context
 from ..document.recovery import Autosave, UnsavedWork, unsaved_work
 from ..sources.paths import recording_name
 from ..worker.results import Result
@@ -79,6 +79,7 @@ class FileFlows(QObject):
             Severity.INFO,
             f"This recording contains the preset {preset.name!r}; {self._document.preset.name!r} is in use.",
             [("Use recorded preset", lambda: self.guarded(lambda: self._document.new(preset)))],
+            subject=SOURCE,
         )
 
     def open_preset_dialog(self) -> None:
@@ -207,7 +208,7 @@ class FileFlows(QObject):
         try:
             action()
         except TactuneError as error:
-            self._messages.show_message("file", Severity.ERROR, str(error))
+            self._messages.show_message("file", Severity.ERROR, str(error), subject=TASK)
             return False
         return True
 
@@ -245,11 +246,12 @@ class _Export(QRunnable):
             self._report.written.emit(f"Frame {number}: {len(patch.points)} points written to {self._path}.")
 
 
-def export_patch(result: Result, path: Path, messages: MessageBar) -> None:
+def export_patch(result: Result, path: Path, messages: Messages) -> None:
     """Write the patch of a result in the background and report the outcome."""
+    messages.clear_subject(TASK)
     report = _Report(messages)
-    report.written.connect(lambda sentence: messages.show_message("export", Severity.INFO, sentence))
-    report.failed.connect(lambda sentence: messages.show_message("export", Severity.ERROR, sentence))
+    report.written.connect(lambda sentence: messages.show_message("export", Severity.INFO, sentence, subject=TASK))
+    report.failed.connect(lambda sentence: messages.show_message("export", Severity.ERROR, sentence, subject=TASK))
     for signal in (report.written, report.failed):
         signal.connect(report.deleteLater)
     pool = QThreadPool.globalInstance()

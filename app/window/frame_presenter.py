@@ -10,12 +10,12 @@ from PyQt6.QtCore import QObject, QTimer
 from ...core.contact.pipeline import ContactPatch
 from ...core.model.provenance import Provenance
 from ...core.sources.base import CameraHealth, CameraRole
-from ...widgets.basics.message_bar import Severity
+from ...widgets.basics.messages import Severity
 from ...widgets.basics.theme import theme_name
 from ...widgets.basics.wipe import Wipe
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
-from ..context import Context
+from ..context import SOURCE, Context
 from ..worker.results import CloudName, Result, SourceState
 from .status import FrameStatus
 from .toolbar import Transport
@@ -152,14 +152,12 @@ class FramePresenter(QObject):
         """Discard the frame before another source."""
         self._context.result = None
         self._shown_warnings = ()
-        for key in ("problem", "rig"):
-            self._messages.clear(key)
         self.show_state(SourceState())
 
     def show_state(self, state: SourceState) -> None:
         """Show the state of the source: badges over old images, other problems as a message."""
         self._state = state
-        self._messages.state("health", Severity.WARNING, source_sentence(state))
+        self._messages.state("health", Severity.WARNING, source_sentence(state), SOURCE)
         self._status.show_state(state)
         self._show_badges()
         if state.stale:
@@ -218,8 +216,8 @@ class FramePresenter(QObject):
         if said == self._shown_warnings:
             return
         self._shown_warnings = said
-        self._messages.state("problem", Severity.ERROR, result.problem)
-        self._messages.state("rig", Severity.WARNING, " ".join(result.warnings))
+        self._messages.state("problem", Severity.ERROR, result.problem, SOURCE)
+        self._messages.state("rig", Severity.WARNING, " ".join(result.warnings), SOURCE)
 
     def _hovered(self, u: int, v: int) -> None:
         self._pixel = u, v

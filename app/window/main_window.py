@@ -14,8 +14,9 @@ from ...core.advice.suggest import SECTIONS
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
-from ...widgets.basics.dialogs import Dialogs, local_files
-from ...widgets.basics.message_bar import MessageBar, Severity
+from ...widgets.basics.dialogs import Dialogs, bring_up, local_files
+from ...widgets.basics.message_history import MessageHistory
+from ...widgets.basics.messages import Messages, Severity
 from ...widgets.basics.style import apply_theme
 from ...widgets.basics.theme import ThemeChoice, theme_name
 from ...widgets.clouds.cloud_view import BackendChoice
@@ -25,7 +26,7 @@ from ...widgets.plots.time_strip import TimeStrip
 from ..advice.window import ALL, SuggestControl
 from ..analysis.window import AnalysisLauncher
 from ..calibration.wizard import CalibrationLauncher
-from ..context import Context
+from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..document.recovery import Autosave
 from ..rig.check_window import CameraChecks
@@ -100,11 +101,12 @@ class MainWindow(QMainWindow):
         self.autosave = Autosave(self.document, data_folder, self)
         self.error_hook = ErrorHook(self)
         self.actions_ = make_actions(self, self.document.undo_stack)
-        self.messages = MessageBar()
         self.opening = OpeningBar()
         self.recording_bar = RecordingBar()
         self.export_bar = ExportBar()
         self.views = ViewArea(self.actions_, backend)
+        self.messages = Messages(self.views)
+        self.worker.opened.connect(self._forget_source)  # before the parts below speak of the new one
         self.strip = ImageStrip()
         self.time_strip = TimeStrip()
         self.panel = ParameterPanel(suggestible=SECTIONS)
@@ -207,11 +209,13 @@ class MainWindow(QMainWindow):
         column = QVBoxLayout(centre)
         column.setContentsMargins(2, 2, 2, 0)
         column.setSpacing(2)
-        for bar_above in (self.time_strip, self.messages, self.opening, self.recording_bar, self.export_bar):
-            column.addWidget(bar_above)
+        column.addWidget(self.time_strip)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
+        for job in (self.opening, self.recording_bar, self.export_bar):
+            self.messages.pin(job)
         self.setStatusBar(self.status)
+        self.message_history = MessageHistory(self)
         self.setAcceptDrops(True)
         self.setMinimumSize(900, 600)
 
@@ -228,6 +232,7 @@ class MainWindow(QMainWindow):
         document.presetChanged.connect(lambda preset: self.worker.set_preset(preset, document.untouched_home))
         document.presetChanged.connect(panel.set_preset)
         document.presetChanged.connect(self._show_document)
+        document.presetChanged.connect(lambda _: self.messages.clear("refused"))
         document.fileChanged.connect(self._show_document)
         document.baselineChanged.connect(panel.set_baseline)
         document.refused.connect(self._refused)
@@ -244,7 +249,7 @@ class MainWindow(QMainWindow):
         worker.opening.connect(self.opening.show_progress)
         worker.opened.connect(self._opened)
         worker.openFailed.connect(self._open_failed)
-        worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR))
+        worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR, subject=SOURCE))
         worker.recovered.connect(partial(self.messages.clear, "worker"))
         worker.playbackChanged.connect(transport.show_state)
         worker.stateChanged.connect(self.presenter.show_state)
@@ -293,6 +298,7 @@ class MainWindow(QMainWindow):
         actions.show_panel.toggled.connect(self._show_beside)
         actions.history.triggered.connect(self.history.show_steps)
         actions.show_panel.toggled.connect(self._send_wanted)
+        actions.messages.triggered.connect(self._show_messages)
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
@@ -334,6 +340,11 @@ class MainWindow(QMainWindow):
         """Offer the unsaved work of a window that crashed."""
         self.file_flows.offer_unsaved_work()
 
+    def _show_messages(self) -> None:
+        if not self.messages.focus_newest():
+            self.message_history.refresh()
+            bring_up(self.message_history)
+
     # Sources
 
     def open_source(self, name: str) -> None:
@@ -347,19 +358,22 @@ class MainWindow(QMainWindow):
 
     def open_request(self, request: SourceRequest) -> None:
         """Open a source that the request makes."""
-        self.messages.clear("source")
+        self.messages.clear_subject(TASK)
         if self.result is None:
             self.views.show_message(_OPENING)
         self.worker.open(request)
 
-    def _opened(self, info: SourceInfo) -> None:
-        self.opening.hide()
-        self.messages.clear("source")
-        self.messages.clear("worker")
+    def _forget_source(self, info: SourceInfo) -> None:
+        """Discard what is shown of the former source, unless a frame of the new one has arrived first."""
         if self.result is None or self.result.source is not info:
+            self.messages.clear_subject(SOURCE)
+            self.panel.clear_errors()
             self.presenter.forget()
             self.actions_.export_patch.setEnabled(False)
             self.views.show_message(_OPENING)
+
+    def _opened(self, info: SourceInfo) -> None:
+        self.opening.hide()
         self.settings.add_recent(RECENT, info.name)
         self.toolbar.show_source(info.name)
         self.status.show_source(info)
@@ -369,7 +383,7 @@ class MainWindow(QMainWindow):
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
         if sentence and not self.sources.take_failure(name, sentence):
-            self.messages.show_message("source", Severity.ERROR, sentence)
+            self.messages.show_message("source", Severity.ERROR, sentence, subject=TASK)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
 
@@ -422,7 +436,7 @@ class MainWindow(QMainWindow):
         if path in self.panel.rows:
             self.panel.show_error(path, sentence)
         else:
-            self.messages.show_message("refused", Severity.ERROR, sentence)
+            self.messages.show_message("refused", Severity.ERROR, sentence, subject=TASK)
 
     # Theme and layout
 
@@ -478,9 +492,9 @@ class MainWindow(QMainWindow):
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Play or pause when nothing else takes the space bar; go back or end a comparison with Esc."""
+        """Space plays or pauses; Esc dismisses the newest message, else goes back or ends a comparison."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            if not self.enlarged.back():
+            if not self.messages.dismiss_newest() and not self.enlarged.back():
                 self.context.comparison.end()
             return
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():

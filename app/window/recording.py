@@ -12,13 +12,13 @@ from threading import Thread
 
 from PyQt6.QtCore import QEvent, QObject, QTimer, QUrl, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QDesktopServices, QPalette
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QPushButton, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
 from ...core.recording.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel
-from ...widgets.basics.message_bar import Offer, Severity
+from ...widgets.basics.messages import Offer, Severity
 from ...widgets.basics.theme import theme_colors
-from ..context import Context
+from ..context import TASK, Context
 from ..settings import default_recordings_folder
 from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
@@ -28,8 +28,8 @@ from ..worker.results import SourceState
 _MIN_RATE = 1e5
 
 
-class RecordingBar(QWidget):
-    """A line above the views; hidden while nothing is being recorded.
+class RecordingBar(QFrame):
+    """The numbers of a recording and a Stop button; hidden while nothing is being recorded.
 
     Signals
     -------
@@ -55,14 +55,18 @@ class RecordingBar(QWidget):
         self.stop = QPushButton("Stop")
         self.stop.setToolTip("Finish the recording (F9)")
         self.stop.clicked.connect(self.stopRequested)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 2, 4, 2)
-        layout.setSpacing(14)
-        layout.addWidget(self._dot)
-        layout.addWidget(self._name, 1)
-        for label in (self._time, self._frames, self._size, self._dropped, self._room):
-            layout.addWidget(label)
-        layout.addWidget(self.stop)
+        title, numbers = QHBoxLayout(), QHBoxLayout()
+        title.addWidget(self._dot)
+        title.addWidget(self._name, 1)
+        title.addWidget(self.stop)
+        for label in (self._time, self._frames, self._size, self._dropped):
+            numbers.addWidget(label)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 4, 4, 4)
+        layout.setSpacing(2)
+        layout.addLayout(title)
+        layout.addLayout(numbers)
+        layout.addWidget(self._room)
         self._losses = False
         self._recolor()
         self.hide()
@@ -216,7 +220,7 @@ class RecordingControl(QObject):
                 f"{size(MIN_FREE_TO_START)} to start: free some space, or choose another folder."
             )
             return
-        self._messages.clear("recording")
+        self._messages.clear_subject(TASK)
         self._worker.start_recording(new_name(folder, datetime.now()))
 
     def stop(self) -> None:
@@ -249,7 +253,7 @@ class RecordingControl(QObject):
 
     def _failed(self, sentence: str) -> None:
         self._show_action()
-        self._messages.show_message("recording", Severity.ERROR, sentence)
+        self._messages.show_message("recording", Severity.ERROR, sentence, subject=TASK)
 
     def _show_progress(self) -> None:
         status = self._worker.recorder.status()
@@ -298,7 +302,9 @@ class RecordingControl(QObject):
         if end.reason:
             sentence += f" It ended because {end.reason.rstrip('.')}."
         well = not (status.dropped or status.error or end.reason)
-        self._messages.show_message("recording", Severity.INFO if well else Severity.WARNING, sentence, offers)
+        self._messages.show_message(
+            "recording", Severity.INFO if well else Severity.WARNING, sentence, offers, subject=TASK
+        )
 
     def _source_opened(self) -> None:
         self._lost = self._lost_before = 0

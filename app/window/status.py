@@ -6,7 +6,7 @@ import time
 from collections.abc import Mapping
 
 from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QHBoxLayout, QLabel, QProgressBar, QPushButton, QStatusBar, QWidget
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QStatusBar, QVBoxLayout, QWidget
 
 from ...widgets.basics.controls import ElidedLabel
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
@@ -124,8 +124,8 @@ class FrameStatus(QStatusBar):
         return label
 
 
-class OpeningBar(QWidget):
-    """A line with a progress bar and a Cancel button; hidden while nothing is being opened.
+class OpeningBar(QFrame):
+    """What is being opened, a progress bar and a Cancel button; hidden while nothing is being opened.
 
     Signals
     -------
@@ -137,6 +137,7 @@ class OpeningBar(QWidget):
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._label = QLabel()
+        self._label.setWordWrap(True)
         self._bar = QProgressBar()
         self._bar.setRange(0, 1000)
         self._bar.setTextVisible(False)
@@ -144,11 +145,14 @@ class OpeningBar(QWidget):
         self._bar.setAccessibleName("Progress of opening")
         self.cancel = QPushButton("Cancel")
         self.cancel.clicked.connect(self.cancelled)
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 2, 4, 2)
+        row = QHBoxLayout()
+        row.addWidget(self._bar, 1)
+        row.addWidget(self.cancel)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 4, 4, 4)
+        layout.setSpacing(4)
         layout.addWidget(self._label)
-        layout.addWidget(self._bar, 1)
-        layout.addWidget(self.cancel)
+        layout.addLayout(row)
         self.hide()
 
     def show_progress(self, name: str, fraction: float, text: str) -> None:

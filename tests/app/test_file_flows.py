@@ -34,7 +34,7 @@ from tactune.core.preset.file import save_preset
 from tactune.core.recording import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
-from tactune.widgets.basics.message_bar import Message
+from tactune.widgets.basics.messages import Message
 from tiny_sensor import TinySource, at_rest, tiny_rig
 
 

@@ -8,7 +8,7 @@ from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QApplication, QFileDialog, QLabel, QLineEdit, QMessageBox, QPushButton
 
 from tactune.app.worker.reading import SourceRequest
-from tactune.widgets.basics.message_bar import Message
+from tactune.widgets.basics.messages import Message
 from tiny_sensor import at_rest
 
 LEFT = Qt.MouseButton.LeftButton

@@ -155,6 +155,11 @@ class ParameterPanel(QScrollArea):
         self.sections[_section_of(path)].set_collapsed(False)
         self._refresh()
 
+    def clear_errors(self) -> None:
+        """Remove the sentences on refused values."""
+        for row in self.rows.values():
+            row.message.show_sentence("")
+
     def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
         """Show findings below the rows of their fields, by dotted path, and none below the others."""
         for path, row in self.rows.items():

@@ -25,7 +25,7 @@ from tactune.core.preset import Preset
 from tactune.core.sources.base import FrameSource, Health, Progress
 from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source
-from tactune.widgets.basics.message_bar import Message
+from tactune.widgets.basics.messages import Message
 
 
 class Noted(ProcessSource):

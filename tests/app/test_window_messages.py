@@ -1,0 +1,75 @@
+"""Messages of the main window go when what they speak of is no longer true; nothing is pushed aside."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication
+
+from hands import show_source
+from tactune.app.worker.reading import SourceRequest
+from tactune.core.errors import SourceError
+from tactune.widgets.basics.messages import Severity
+from tiny_sensor import TinySource
+
+
+def fail_to_open(window, qtbot):
+    def broken(_):
+        raise SourceError("bag:/x.bag: damaged")
+
+    window.open_request(SourceRequest("bag:/x.bag", broken))
+    qtbot.waitUntil(lambda: window.messages.message("source") is not None)
+
+
+def other_source(window, qtbot, name):
+    source = TinySource()
+    source.name = name
+    show_source(qtbot, window, source)
+
+
+def test_a_refused_source_is_told_until_the_next_task_such_as_a_recording(window, qtbot, tmp_path):
+    fail_to_open(window, qtbot)
+    window.settings.set("folder/recordings", str(tmp_path / "recordings"))
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: window.recording.running)
+    assert window.messages.message("source") is None
+    QTest.keyClick(window, Qt.Key.Key_F9)
+    qtbot.waitUntil(lambda: not window.recording.running)
+
+
+def test_the_red_sentence_of_a_field_goes_with_another_source(window, qtbot):
+    window.panel.show_error("tolerance.t", "t is too large")
+    message = window.panel.rows["tolerance.t"].message
+    assert message.isVisibleTo(window.panel)
+    other_source(window, qtbot, "another")
+    assert not message.text()
+
+
+def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, qtbot):
+    window.messages.show_message("export", Severity.ERROR, "The disk is full.", subject="task")
+    window.messages.show_message("worker", Severity.ERROR, "Frame 2 is damaged.", subject="source")
+    window.messages.show_message("defect", Severity.ERROR, "The membrane burst.")
+    other_source(window, qtbot, "another")
+    assert window.messages.sentences() == ["The membrane burst."]
+
+
+def test_messages_and_progress_leave_the_views_where_they_are(window, qtbot):
+    before = window.views.geometry()
+    fail_to_open(window, qtbot)
+    window.opening.show_progress("sim:slow", 0.4, "pressing")
+    QApplication.processEvents()
+    assert window.opening.isVisible() and window.messages.message("source").isVisible()
+    assert window.views.geometry() == before
+    assert window.views.rect().contains(window.messages.geometry())
+
+
+def test_escape_dismisses_and_the_key_of_messages_goes_to_them_or_lists_all(window, qtbot):
+    fail_to_open(window, qtbot)
+    QTest.keyClick(window, Qt.Key.Key_F12)
+    assert window.messages.isAncestorOf(QApplication.focusWidget())
+    window.views.setFocus()
+    QTest.keyClick(window, Qt.Key.Key_Escape)
+    assert window.messages.sentences() == []
+    QTest.keyClick(window, Qt.Key.Key_F12)
+    qtbot.waitUntil(window.message_history.isVisible)
+    assert "bag:/x.bag: damaged" in window.message_history.text.toPlainText()

@@ -1,0 +1,121 @@
+"""Messages over the views: they push nothing, notes go by themselves, errors stay, and all are kept in a list."""
+
+import pytest
+from PyQt6.QtCore import QEvent, QPoint, QPointF, Qt
+from PyQt6.QtGui import QEnterEvent
+from PyQt6.QtTest import QTest
+from PyQt6.QtWidgets import QApplication, QFrame, QToolButton, QVBoxLayout, QWidget
+
+from hands import press
+from tactune.widgets.basics import messages as module
+from tactune.widgets.basics.message_history import MessageHistory
+from tactune.widgets.basics.messages import Messages, Severity
+
+LEFT = Qt.MouseButton.LeftButton
+
+
+@pytest.fixture
+def views(qtbot):
+    """A widget with messages over it, beside another that must not move."""
+    window = QWidget()
+    window.over, window.below = QWidget(), QFrame()
+    layout = QVBoxLayout(window)
+    layout.addWidget(window.over, 1)
+    layout.addWidget(window.below, 1)
+    window.messages = Messages(window.over)
+    window.resize(600, 700)
+    qtbot.addWidget(window)
+    window.show()
+    qtbot.waitExposed(window)
+    return window
+
+
+@pytest.fixture
+def quick(monkeypatch):
+    monkeypatch.setattr(module, "NOTE_MS", 30)
+    monkeypatch.setattr(module, "CHARACTER_MS", 0)
+
+
+def test_messages_push_nothing_aside_and_stay_inside(views):
+    before = views.over.geometry(), views.below.geometry()
+    for key in "abcde":
+        views.messages.show_message(key, Severity.ERROR, f"{key}: " + "a long sentence " * 20)
+    QApplication.processEvents()
+    assert (views.over.geometry(), views.below.geometry()) == before
+    assert views.over.rect().contains(views.messages.geometry())
+    for message in map(views.messages.message, "abcde"):
+        assert not message.isVisible() or message.height() >= message.heightForWidth(message.width())
+
+
+def test_the_newest_three_are_on_the_screen_the_newest_on_top_and_errors_before_notes(views):
+    views.messages.show_message("error", Severity.ERROR, "Error.")
+    for key in "abc":
+        views.messages.show_message(key, Severity.INFO, f"{key}.")
+    QApplication.processEvents()
+    shown = {key: views.messages.message(key) for key in ("error", "a", "b", "c")}
+    assert [key for key, message in shown.items() if message.isVisible()] == ["error", "b", "c"]
+    assert shown["c"].y() < shown["b"].y() < shown["error"].y()
+
+
+def test_a_note_goes_by_itself_and_stays_in_the_list(views, quick, qtbot):
+    views.messages.show_message("note", Severity.INFO, "Written to a.ply.")
+    views.messages.show_message("answer", Severity.INFO, "Recorded.", [("Open", lambda: None)])
+    views.messages.show_message("error", Severity.ERROR, "Damaged.")
+    qtbot.waitUntil(lambda: views.messages.sentences() == ["Recorded.", "Damaged."])
+    history = MessageHistory(views)
+    qtbot.addWidget(history)
+    history.refresh()
+    lines = history.text.toPlainText().splitlines()[:3]
+    assert [line[10:] for line in lines] == ["Error: Damaged.", "Note: Recorded.", "Note: Written to a.ply."]
+
+
+def test_a_note_stays_while_the_pointer_is_on_it(views, quick, qtbot):
+    views.messages.show_message("note", Severity.INFO, "Written to a.ply.")
+    message = views.messages.message("note")
+    place = QPointF(5, 5)
+    QApplication.sendEvent(message, QEnterEvent(place, place, message.mapToGlobal(place)))
+    qtbot.wait(200)
+    assert views.messages.message("note") is message
+    QApplication.sendEvent(message, QEvent(QEvent.Type.Leave))
+    qtbot.waitUntil(lambda: views.messages.message("note") is None)
+
+
+def test_a_message_is_dismissed_by_its_cross_by_escape_and_with_its_subject(views):
+    for key in ("cross", "escape"):
+        views.messages.show_message(key, Severity.ERROR, key)
+    views.messages.show_message("left", Severity.ERROR, "left", subject="other")
+    views.messages.show_message("of", Severity.ERROR, "of the source", subject="source")
+    views.messages.clear_subject("source")
+    assert views.messages.sentences() == ["cross", "escape", "left"]
+    views.messages.clear("left")
+    assert views.messages.focus_newest()
+    QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Escape)
+    assert views.messages.sentences() == ["cross"]
+    [cross] = views.messages.message("cross").findChildren(QToolButton)
+    QTest.mouseClick(cross, LEFT, pos=QPoint(4, 4))
+    assert views.messages.sentences() == [] and not views.messages.isVisible()
+
+
+def test_a_message_that_waited_comes_when_there_is_room(views):
+    for key in "abcd":
+        views.messages.show_message(key, Severity.WARNING, key, [("Mend", lambda: None)])
+    QApplication.processEvents()
+    assert not views.messages.message("a").isVisible()
+    press(views.messages.message("d"), "Mend")
+    QApplication.processEvents()
+    assert views.messages.message("a").isVisible()
+
+
+def test_the_progress_of_a_job_stands_below_the_messages(views):
+    job = QFrame()
+    job.hide()
+    job.setMinimumHeight(30)
+    views.messages.pin(job)
+    job.show()
+    views.messages.show_message("a", Severity.INFO, "a")
+    QApplication.processEvents()
+    assert job.isVisible() and job.y() > views.messages.message("a").y()
+    views.messages.clear("a")
+    job.hide()
+    QApplication.processEvents()
+    assert not views.messages.isVisible()

@@ -1,0 +1,346 @@
+"""Messages over a window's views: notes, warnings and errors with buttons that answer them. They push nothing aside."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from html import escape
+
+from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
+from PyQt6.QtGui import QColor, QEnterEvent, QHideEvent, QKeyEvent, QPalette, QShowEvent
+from PyQt6.QtWidgets import (
+    QApplication,
+    QFrame,
+    QHBoxLayout,
+    QLabel,
+    QPlainTextEdit,
+    QPushButton,
+    QToolButton,
+    QVBoxLayout,
+    QWidget,
+)
+
+#: Messages on the screen at once; older ones wait.
+LIMIT = 3
+#: Width of a message, and its distance from the edge of the views, in pixels.
+_WIDTH_PX, _MARGIN_PX, _GAP_PX = 400, 8, 4
+#: A note stays for this time and the time to read its characters, in ms.
+NOTE_MS, CHARACTER_MS = 4000, 60
+_HISTORY = 500
+_SHOWN_OR_HIDDEN = (QEvent.Type.ShowToParent, QEvent.Type.HideToParent)
+
+
+class Severity(StrEnum):
+    """Severity of a message, shown as a coloured stripe and as its first word."""
+
+    INFO = "Note"
+    WARNING = "Warning"
+    ERROR = "Error"
+
+
+_STRIPES = {Severity.INFO: "#3b82c4", Severity.WARNING: "#d9930d", Severity.ERROR: "#d64545"}
+
+Offer = tuple[str, Callable[[], None]]
+
+
+@dataclass(frozen=True)
+class Said:
+    """A message of this start: when it was shown, and what it said."""
+
+    at: datetime
+    severity: Severity
+    sentence: str
+    details: str = ""
+
+
+#: The messages of all windows since the start, oldest first.
+HISTORY: deque[Said] = deque(maxlen=_HISTORY)
+
+
+def make_card(frame: QFrame) -> None:
+    """Give a frame over the views a background and an outline."""
+    frame.setFrameShape(QFrame.Shape.StyledPanel)
+    frame.setAutoFillBackground(True)
+    frame.setBackgroundRole(QPalette.ColorRole.AlternateBase)
+
+
+def _stripe(color: str) -> QFrame:
+    stripe = QFrame()
+    stripe.setFixedWidth(5)
+    stripe.setAutoFillBackground(True)
+    stripe.setBackgroundRole(QPalette.ColorRole.Window)
+    palette = stripe.palette()
+    palette.setColor(QPalette.ColorRole.Window, QColor(color))
+    stripe.setPalette(palette)
+    return stripe
+
+
+class Message(QFrame):
+    """One sentence with its buttons, optional details, and a button that dismisses it.
+
+    A note without buttons goes by itself, but not while the pointer or the focus is on it.
+    """
+
+    def __init__(
+        self, said: Said, subject: str, offers: Sequence[Offer], close: Callable[[], None], parent: QWidget
+    ) -> None:
+        super().__init__(parent)
+        self.sentence, self.subject = said.sentence, subject
+        self.lasts = bool(offers) or said.severity is not Severity.INFO
+        self._close = close
+        self._goes = QTimer(self)
+        self._goes.setSingleShot(True)
+        self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(said.sentence))
+        self._goes.timeout.connect(close)
+        self.setAccessibleName(f"{said.severity}: {said.sentence}")
+        make_card(self)
+
+        text = QLabel(f"<b>{said.severity}.</b> {escape(said.sentence)}")
+        text.setTextFormat(Qt.TextFormat.RichText)
+        text.setWordWrap(True)
+        text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        dismiss = QToolButton()
+        dismiss.setText("✕")
+        dismiss.setAutoRaise(True)
+        dismiss.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        dismiss.setToolTip("Dismiss this message (Esc)")
+        dismiss.setAccessibleName("Dismiss")
+        dismiss.clicked.connect(close)
+        first = QHBoxLayout()
+        first.addWidget(text, 1)
+        first.addWidget(dismiss, 0, Qt.AlignmentFlag.AlignTop)
+        body = QVBoxLayout()
+        body.setContentsMargins(8, 4, 4, 4)
+        body.setSpacing(4)
+        body.addLayout(first)
+        answers: list[QWidget] = [self._details_button(said.details, body)] if said.details else []
+        for name, action in offers:
+            button = QPushButton(name)
+            button.setAutoDefault(False)
+            button.clicked.connect(close)
+            button.clicked.connect(lambda _=False, action=action: action())
+            answers.append(button)
+        if answers:
+            row = QHBoxLayout()
+            row.addStretch(1)
+            for answer in answers:
+                row.addWidget(answer)
+            body.addLayout(row)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(0)
+        layout.addWidget(_stripe(_STRIPES[said.severity]))
+        layout.addLayout(body, 1)
+
+    def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:
+        shown = QPlainTextEdit(details)
+        shown.setReadOnly(True)
+        shown.setMaximumHeight(160)
+        shown.hide()
+        body.addWidget(shown)
+        button = QToolButton()
+        button.setText("Details")
+        button.setCheckable(True)
+        button.toggled.connect(shown.setVisible)
+        return button
+
+    def run(self) -> None:
+        """Begin, or begin again, the time after which a note goes."""
+        if not self.lasts and not self.underMouse() and not self._has_focus():
+            self._goes.start()
+
+    def _has_focus(self) -> bool:
+        focus = QApplication.focusWidget()
+        return focus is not None and self.isAncestorOf(focus)
+
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Begin the time of a note."""
+        super().showEvent(event)
+        self.run()
+
+    def hideEvent(self, event: QHideEvent | None) -> None:
+        """Stop the time of a note that waits."""
+        self._goes.stop()
+        super().hideEvent(event)
+
+    def enterEvent(self, event: QEnterEvent | None) -> None:
+        """Stay while the pointer is here."""
+        self._goes.stop()
+        super().enterEvent(event)
+
+    def leaveEvent(self, event: QEvent | None) -> None:
+        """Go some time after the pointer left."""
+        super().leaveEvent(event)
+        self.run()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Dismiss with Esc while the focus is here."""
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self._close()
+        else:
+            super().keyPressEvent(event)
+
+
+class Messages(QWidget):
+    """The messages at the lower left over a widget, the newest on top. A message replaces an older one of its key.
+
+    At most `LIMIT` are shown, fewer if the widget is low. The others wait, notes that go by themselves behind the
+    rest. `HISTORY` keeps all.
+
+    Parameters
+    ----------
+    over : QWidget
+        The messages stand over this widget.
+    """
+
+    def __init__(self, over: QWidget) -> None:
+        super().__init__(over)
+        self._over = over
+        self._messages: dict[str, Message] = {}
+        self._pinned: list[QFrame] = []
+        over.installEventFilter(self)
+        self.hide()
+
+    def show_message(
+        self,
+        key: str,
+        severity: Severity,
+        sentence: str,
+        offers: Sequence[Offer] = (),
+        details: str = "",
+        subject: str = "",
+    ) -> None:
+        """Show a sentence until it is dismissed, answered or replaced; a note without buttons also goes by itself.
+
+        Parameters
+        ----------
+        key : str
+            Identifies the matter; a newer message of the same key replaces this one.
+        severity : Severity
+        sentence : str
+        offers : sequence of (button text, action)
+            Buttons; pressing one dismisses the message.
+        details : str
+            Shown on request, such as a traceback.
+        subject : str
+            What the message speaks of, such as "source"; `clear_subject` dismisses all messages of a subject.
+        """
+        old = self._messages.get(key)
+        if old is not None and old.sentence == sentence:
+            old.run()
+            return
+        self._remove(key)
+        said = Said(datetime.now(), severity, sentence, details)
+        HISTORY.append(said)
+        message = Message(said, subject, offers, lambda: self._dismiss(key), self)
+        self._messages[key] = message
+        self._arrange()
+        self.setAccessibleName(f"{severity}: {sentence}")  # PyQt has no call that announces; a changed name is reported
+
+    def state(self, key: str, severity: Severity, sentence: str, subject: str = "") -> None:
+        """Show a sentence; an empty one dismisses the message."""
+        if sentence:
+            self.show_message(key, severity, sentence, subject=subject)
+        else:
+            self.clear(key)
+
+    def clear(self, key: str) -> None:
+        """Dismiss the message of a key, if there is one."""
+        self._remove(key)
+        self._arrange()
+
+    def clear_subject(self, subject: str) -> None:
+        """Dismiss the messages of a subject, because what they speak of is no longer there."""
+        for key in [key for key, message in self._messages.items() if message.subject == subject]:
+            self._remove(key)
+        self._arrange()
+
+    def dismiss_newest(self) -> bool:
+        """Dismiss the message on top; return whether there was one."""
+        shown = self._shown()
+        if shown:
+            self._dismiss(shown[0])
+        return bool(shown)
+
+    def focus_newest(self) -> bool:
+        """Give the message on top the focus, on its first button; return whether there is one."""
+        shown = self._shown()
+        if shown:
+            message = self._messages[shown[0]]
+            buttons = [*message.findChildren(QPushButton), *message.findChildren(QToolButton)]
+            buttons[0].setFocus(Qt.FocusReason.ShortcutFocusReason)
+        return bool(shown)
+
+    def pin(self, frame: QFrame) -> None:
+        """Put a frame, such as the progress of a job, below the messages; it is there while it is not hidden."""
+        make_card(frame)
+        hidden = frame.isHidden()
+        self._pinned.append(frame)
+        frame.setParent(self)
+        frame.setHidden(hidden)
+        frame.installEventFilter(self)
+
+    def sentences(self) -> list[str]:
+        """Return the sentences of all messages, oldest first, those that wait too."""
+        return [message.sentence for message in self._messages.values()]
+
+    def message(self, key: str) -> Message | None:
+        """Return the message of a key, or None."""
+        return self._messages.get(key)
+
+    def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
+        """Follow the size of the widget below, and pinned frames that come and go."""
+        kind = event.type() if event is not None else None
+        if kind == QEvent.Type.Resize if watched is self._over else kind in _SHOWN_OR_HIDDEN:
+            self._arrange()
+        return False
+
+    def event(self, event: QEvent | None) -> bool:
+        """Follow the sizes of messages and pinned frames."""
+        if event is not None and event.type() == QEvent.Type.LayoutRequest:
+            self._arrange()
+        return super().event(event)
+
+    def _shown(self) -> list[str]:
+        """Return the keys of the messages on the screen, the newest first."""
+        return [key for key in reversed(self._messages) if not self._messages[key].isHidden()]
+
+    def _dismiss(self, key: str) -> None:
+        message = self._messages.get(key)
+        focus = QApplication.focusWidget()
+        if message is not None and focus is not None and message.isAncestorOf(focus):
+            self._over.setFocus()
+        self.clear(key)
+
+    def _remove(self, key: str) -> None:
+        message = self._messages.pop(key, None)
+        if message is not None:
+            message.hide()
+            message.deleteLater()
+
+    def _arrange(self) -> None:
+        """Show as many messages as there is room for, at the lower left."""
+        newest = list(reversed(self._messages.values()))
+        pinned = [frame for frame in self._pinned if not frame.isHidden()]
+        width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
+        room = self._over.height() - 2 * _MARGIN_PX
+        shown = sorted(newest, key=lambda message: not message.lasts)[:LIMIT]  # stable: the newest first of each kind
+        heights = {frame: _height(frame, width) + _GAP_PX for frame in (*newest, *pinned)}
+        while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:
+            shown.pop()
+        y = 0
+        for frame in (*newest, *pinned):
+            frame.setVisible(frame in shown or frame in pinned)
+            if not frame.isHidden():
+                frame.setGeometry(0, y, width, heights[frame] - _GAP_PX)
+                y += heights[frame]
+        self.setGeometry(_MARGIN_PX, room + _MARGIN_PX - y, width, y)
+        self.setVisible(y > 0)
+        self.raise_()
+
+
+def _height(frame: QFrame, width: int) -> int:
+    return frame.heightForWidth(width) if frame.hasHeightForWidth() else frame.sizeHint().height()
