@@ -239,7 +239,6 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "&Messages…",
             "Go to the message over the views, or list all messages of this start",
             "F12",
-            "message-text-outline",
         ),
         shortcuts=action("&Keyboard shortcuts", shortcut="F1", icon_name="keyboard-outline"),
         about=action("&About Tactune", icon_name="information-outline"),
