@@ -7,6 +7,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
+from colour_vision import EYES, nearest
 from tactune.core.model.provenance import Provenance
 from tactune.widgets.basics import colormaps
 from tactune.widgets.basics.colormaps import Theme
@@ -65,6 +66,13 @@ def test_the_band_is_one_colour_and_ends_at_t(t: float) -> None:
     assert np.linalg.norm(lab([below])[0] - lab([above])[0]) > 20, "the sign is seen"
 
 
+@pytest.mark.parametrize("eye", EYES)
+def test_the_band_and_both_signs_are_told_apart_with_any_colour_vision(eye: str) -> None:
+    lut = colormaps.difference_lut(0.03)
+    rows = {"low end": 1, "below": 85, "band": 128, "above": 171, "high end": 255}
+    assert nearest({name: lut[row, :3] for name, row in rows.items()}, eye)[0] > 8
+
+
 def test_a_wide_tolerance_fills_the_whole_difference_table() -> None:
     lut = colormaps.difference_lut(0.5)
     assert len(np.unique(lut[1:], axis=0)) == 1
@@ -76,6 +84,23 @@ def test_every_provenance_has_its_own_colour(theme: Theme) -> None:
     distances = {(a, b): float(np.linalg.norm(colors[a] - colors[b])) for a, b in combinations(Provenance, 2)}
     closest = min(distances, key=lambda pair: distances[pair])
     assert distances[closest] > 4, f"{closest[0].label} and {closest[1].label} look the same"
+
+
+@pytest.mark.parametrize("eye", EYES)
+@pytest.mark.parametrize("theme", THEMES)
+def test_drop_reasons_and_contact_are_told_apart_with_any_colour_vision(theme: Theme, eye: str) -> None:
+    lut = colormaps.provenance_lut(theme)
+    context = {
+        Provenance.NO_PROXIMITY_DEPTH,
+        Provenance.OUTSIDE_REGION,
+        Provenance.OUTSIDE_RANGE,
+        Provenance.OUTSIDE_TOLERANCE,
+    }
+    strong = {provenance: lut[provenance, :3] for provenance in Provenance if provenance not in context}
+    assert nearest(strong, eye)[0] > 20
+    for provenance in context:
+        for reason, rgb in strong.items():
+            assert nearest({provenance: lut[provenance, :3], reason: rgb}, eye)[0] > 15
 
 
 @pytest.mark.parametrize("theme", THEMES)

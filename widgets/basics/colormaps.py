@@ -1,6 +1,7 @@
 """The colours of depth, of the relative difference and of provenance, and their legends.
 
-Depth and relative difference use perceptually uniform maps. Contact has one fixed colour everywhere.
+Depth and relative difference use perceptually uniform maps. All are told apart with any colour vision.
+Contact has one fixed colour everywhere.
 """
 
 from __future__ import annotations
@@ -42,20 +43,22 @@ ONLY_A_ROW: Final = 254
 ONLY_B_ROW: Final = 255
 
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
-_DIFFERENCE_MAP = "CET-D13"
+#: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
+_DIFFERENCE_MAP = "CET-CBD1"
 #: Colour map outside the tolerance band; the pale centre of the map would vanish on a light background.
-_DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.35, 0.85
+_DIFFERENCE_STARTS, _DIFFERENCE_ENDS = 0.3, 0.85
 _CANDIDATE_RGB = (245, 158, 120)
 #: Opacity of what lies behind the range of the depth colours, such as a wall behind the object.
 _BEHIND_ALPHA = 56
 _UNDEFINED_RGBA = (128, 128, 128, 70)
 
+#: Found by a search for the largest distance in CIE L*a*b* between any two, with any colour vision.
 _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
-    Provenance.NO_TACTILE_DEPTH: (70, 150, 215),
+    Provenance.NO_TACTILE_DEPTH: (68, 198, 252),
     Provenance.MASKED: (190, 95, 165),
-    Provenance.OUTLIER: (205, 160, 0),
-    Provenance.SMALL_CLUSTER: (0, 150, 115),
-    Provenance.RIM: (150, 80, 50),
+    Provenance.OUTLIER: (219, 198, 0),
+    Provenance.SMALL_CLUSTER: (15, 147, 98),
+    Provenance.RIM: (147, 53, 32),
     Provenance.CONTACT: CONTACT_RGB,
 }
 _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
@@ -148,7 +151,7 @@ def difference_lut(t: float = 0.03, limit: float = DIFFERENCE_LIMIT) -> Uint8Arr
     """Return the colours of relative differences: uint8 (256, 4).
 
     Inside the band from ``-t`` to ``t`` lies one pale tint of the contact colour: these pixels pass
-    the tolerance test. Outside, a diverging map: green where the tactile depth is the smaller one.
+    the tolerance test. Outside, a calm diverging map: ochre where the tactile depth is the smaller one.
     """
     relative = (np.arange(256) - 128.0) * (limit / 127.0)
     beyond = np.clip((np.abs(relative) - t) / max(limit - t, 1e-9), 0.0, 1.0)
