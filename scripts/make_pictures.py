@@ -136,10 +136,8 @@ def calibrated() -> Iterator[tuple[Stage, CalibrationWizard]]:
         assert wizard is not None
         wizard.frames.take.click()
         made.wait(lambda: wizard.session.state.snapshots, "snapshot")
-        wizard.go_to(wizard.pages.index(wizard.helpers))
-        wizard.helpers.search.click()
-        made.wait(wizard.helpers.accept.isEnabled, "proposal")
-        wizard.helpers.accept.click()
+        wizard.go_to(wizard.pages.index(wizard.points))
+        wizard.points.finder.search.click()
         made.wait(lambda: wizard.outcome.report, "fit")
         yield made, wizard
 
@@ -156,6 +154,7 @@ def quality() -> None:
     """The quality of the calibration."""
     with calibrated() as (made, wizard):
         wizard.go_to(wizard.pages.index(wizard.quality))
+        made.wait(lambda: not wizard.quality.map.empty_label.text(), "map")
         made.settle()
         save(wizard, "quality")
 
