@@ -393,7 +393,6 @@ def total(typing: Any, a: Any) -> Any:
     return a.scalar(a), emit
 
 
-_on_stack: Any = cgutils.alloca_once
 _fill_in: Any = populate_array
 _TRIPLE: Any = types.UniTuple
 
@@ -404,7 +403,8 @@ def _make_scratch(scalar: Any, count: int) -> Any:
 
         def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
             element = context.get_data_type(scalar)
-            memory = _on_stack(builder, ir.ArrayType(element, count))
+            with builder.goto_entry_block():  # numba's own alloca_once writes zeros, which costs LLVM half a minute
+                memory = builder.alloca(ir.ArrayType(element, count))
             memory.align = 64
             size = context.get_constant(types.intp, scalar.bitwidth // 8)
             length = context.get_constant(types.intp, count)
