@@ -24,6 +24,7 @@ from ...core.model.arrays import Float64Array
 from ...core.model.frames import Rig
 from ...core.model.provenance import Provenance
 from ...widgets.basics.colormaps import (
+    LATE_VERDICTS,
     Legend,
     Theme,
     behind_legend,
@@ -32,6 +33,8 @@ from ...widgets.basics.colormaps import (
     overlap_legend,
     patch_legend,
     provenance_legend,
+    real_color_legend,
+    tactile_use_legend,
 )
 from ...widgets.basics.controls import caption
 from ...widgets.basics.wipe import Wipe
@@ -109,7 +112,9 @@ _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
     ColorBy.DEPTH: "Depth in all views, including the patch",
     ColorBy.DIFFERENCE: "(dp - dt) / dp: how closely both cameras agree",
-    ColorBy.PROVENANCE: "Why each point was kept or dropped",
+    ColorBy.PROVENANCE: "Proximity: why each point was kept or dropped. Tactile: what each point was used for. "
+    "Patch: contact, and what the last steps dropped",
+    ColorBy.REAL: "The colours of both cameras' own images; in the patch view on contact only",
 }
 
 
@@ -349,15 +354,27 @@ def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, render
     """Return the legend of a view for a choice of colours."""
     tactile = name is CloudName.TACTILE
     near, far = (round(limit, 3) for limit in (rendered.tactile_range_m if tactile else rendered.depth_range_m))
+    around = patch_legend(theme)[1:]
+    if color_by is ColorBy.PROVENANCE and rendered.verdicts:
+        return {
+            CloudName.PROXIMITY: provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH}),
+            CloudName.TACTILE: tactile_use_legend(theme),
+            CloudName.PATCH: provenance_legend(theme, rendered.verdicts & {*LATE_VERDICTS}) + around,
+        }[name]
+    if color_by is ColorBy.REAL:
+        unknown, behind = real_color_legend()
+        return {
+            CloudName.PROXIMITY: [unknown, behind],
+            CloudName.TACTILE: [unknown],
+            CloudName.PATCH: [unknown, *around],
+        }[name]
     if tactile:
         return depth_legend(near, far)
-    if color_by is ColorBy.PROVENANCE:
-        return provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH})
     if color_by is ColorBy.DIFFERENCE:
         return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)
     if name is CloudName.PROXIMITY:
         return depth_legend(near, far) + behind_legend()
-    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + patch_legend(theme)[1:]
+    return patch_legend(theme) if color_by is ColorBy.CONTACT else depth_legend(near, far) + around
 
 
 def _patch_difference_legend(t: float, theme: Theme) -> Legend:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, lru_cache
 
 import cv2
@@ -22,6 +22,9 @@ from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.sources.base import CameraRole
 from ...widgets.basics.colormaps import (
+    BEHIND_ROW,
+    LATE_VERDICTS,
+    NO_COLOR_ROW,
     Theme,
     depth_lut,
     depth_lut_faint_behind,
@@ -32,9 +35,12 @@ from ...widgets.basics.colormaps import (
     patch_index,
     patch_lut,
     provenance_lut,
+    real_color_lut,
+    tactile_use_lut,
 )
 from ...widgets.clouds.cloud_data import DepthCloud
 from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
+from .point_colors import Palette, tactile_use
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 
 
@@ -88,15 +94,22 @@ def aligned_color(
     A pixel without depth is looked up at the depth ``typical_m``, so its colour is slightly displaced;
     pixels outside the colour camera's view are black.
     """
+    return _seen_color(frame, rig, depth_m, valid, typical_m, stride)[0]
+
+
+def _seen_color(
+    frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float, stride: int = 1
+) -> tuple[Uint8Array, BoolArray]:
+    """Return `aligned_color`, and whether the colour camera sees each pixel: bool (h, w)."""
     if rig.proximity_color is None:
-        return frame.proximity_color[::stride, ::stride]
+        return frame.proximity_color[::stride, ::stride], np.ones(depth_m.shape, np.bool_)
     rays = _rays_of_every(rig.proximity.intrinsics, stride)
     points = np.empty((*depth_m.shape, 3), np.float32)
     points[..., 2] = np.where(valid, depth_m, np.float32(typical_m))
     np.multiply(rays, points[..., 2:], out=points[..., :2])
     pixels = _pixels(depth_m.size)
-    colors, _ = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
-    return colors.reshape(*depth_m.shape, 3)
+    colors, seen = colors_at(points.reshape(-1, 3), pixels, frame.proximity_color, rig)
+    return colors.reshape(*depth_m.shape, 3), seen.reshape(depth_m.shape)
 
 
 @lru_cache(maxsize=8)
@@ -122,12 +135,16 @@ _NEARER, _FARTHER = 0.1, 0.75
 _SMALLEST_SPAN_M = 0.02
 
 
+def _new_palettes() -> dict[CameraRole, Palette]:
+    return {"proximity": Palette(), "tactile": Palette()}
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One frame with everything that decides how it is drawn.
 
     ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
-    along the tactile camera's axis; None stands for the same.
+    along the tactile camera's axis; None stands for the same. ``palettes`` hold real colours.
     """
 
     frame: SensorFrame
@@ -138,6 +155,7 @@ class Scene:
     theme: Theme
     depth_range_m: tuple[float, float]
     tactile_range_m: tuple[float, float] | None = None
+    palettes: dict[CameraRole, Palette] = field(default_factory=_new_palettes)
 
     @property
     def accepted(self) -> float:
@@ -151,6 +169,7 @@ class Renderer:
     def __init__(self) -> None:
         self._rig: Rig | None = None
         self._ranges_m: dict[CameraRole, tuple[float, float]] = {}
+        self._palettes = _new_palettes()
 
     def render(
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
@@ -219,14 +238,14 @@ class Renderer:
     ) -> Scene:
         theme: Theme = "dark" if wanted.dark else "light"
         ranges = self._stable_ranges(frame, preset, rig, sample_m)
-        return Scene(frame, patch, preset, rig, wanted.color_by, theme, *ranges)
+        return Scene(frame, patch, preset, rig, wanted.color_by, theme, *ranges, palettes=self._palettes)
 
     def _stable_ranges(
         self, frame: SensorFrame, preset: Preset, rig: Rig, sample_m: Float32Array
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the ends of the depth colours along the axes of both cameras."""
         if rig is not self._rig:
-            self._rig, self._ranges_m = rig, {}
+            self._rig, self._ranges_m, self._palettes = rig, {}, _new_palettes()
         seen_by_proximity_m = membrane_along_proximity_m(frame, preset, rig, sample_m)
         return self._widened("proximity", seen_by_proximity_m), self._widened("tactile", sample_m)
 
@@ -284,28 +303,40 @@ def membrane_along_proximity_m(frame: SensorFrame, preset: Preset, rig: Rig, sam
 
 
 def proximity_view(scene: Scene) -> DepthCloud:
-    """Return the proximity cloud, coloured by depth, relative difference or provenance."""
+    """Return the proximity cloud, coloured by depth, relative difference, provenance or the camera's colours."""
     patch, index, lut = scene.patch, None, depth_lut_faint_behind()
     if patch is not None and scene.color_by is ColorBy.DIFFERENCE:
         index, lut = difference_index(patch.relative_difference), difference_lut(scene.accepted)
     elif patch is not None and scene.color_by is ColorBy.PROVENANCE:
         cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
         return replace(cloud, depth=_depth_with_patch(scene, patch))
+    elif scene.color_by is ColorBy.REAL:
+        index, lut = _proximity_colors(scene)
     return _proximity_cloud(scene, index, lut)
 
 
 def tactile_view(scene: Scene) -> DepthCloud | None:
-    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose."""
+    """Return the tactile cloud in the proximity frame, depth correction included; None without a pose.
+
+    It is coloured by depth, by what its pixels were used for, or by the camera's colours.
+    """
     alignment, camera = scene.preset.alignment, scene.rig.tactile
     try:
         pose = tactile_pose(alignment, scene.rig)
     except TactuneError:
         return None
+    index, lut = None, depth_lut()
+    if scene.color_by is ColorBy.PROVENANCE and scene.patch is not None:
+        index = tactile_use(scene.frame, scene.patch, alignment, scene.rig)
+        lut = tactile_use_lut(scene.theme)
+    elif scene.color_by is ColorBy.REAL:
+        index, lut = _tactile_colors(scene)
     return DepthCloud(
         depth=scene.frame.tactile_depth,
         depth_unit_m=camera.depth_unit_m,
         rays=ray_table(camera.intrinsics),
-        lut=depth_lut(),
+        lut=lut,
+        index=index,
         pose=pose.astype(np.float64),
         depth_scale=alignment.depth_scale,
         depth_offset_m=alignment.depth_offset_m,
@@ -321,14 +352,39 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     if scene.color_by is ColorBy.CONTACT:
         index, lut = _relief(scene, patch.mask), patch_lut(scene.theme)
     elif scene.color_by is ColorBy.PROVENANCE:
-        index, lut = patch.provenance, provenance_lut(scene.theme)
+        late = np.isin(patch.provenance, LATE_VERDICTS)
+        index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
+    elif scene.color_by is ColorBy.REAL:
+        rows, colors = _proximity_colors(scene)
+        index = _over_relief(scene, rows, patch.mask)
+        lut = np.concatenate([patch_lut(scene.theme)[::2], colors[:VALUE_ROWS]])
     elif scene.color_by is ColorBy.DIFFERENCE:
         limit = patch_difference_limit(scene.accepted)
-        index = _over_relief(scene, difference_index(patch.relative_difference, limit), patch.mask)
+        index = _over_relief(scene, difference_index(patch.relative_difference, limit) >> np.uint8(1), patch.mask)
         lut = patch_difference_lut(limit, scene.theme)
     else:
-        index, lut = _over_relief(scene, _depth_rows(scene), patch.mask), patch_depth_lut(scene.theme)
+        index, lut = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask), patch_depth_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
+
+
+def _proximity_colors(scene: Scene) -> tuple[Uint8Array, Uint8Array]:
+    """Return the row of a table of real colours for every proximity pixel, and the table."""
+    near_m, far_m = scene.depth_range_m
+    counts = scene.frame.proximity_depth
+    depth_m = counts * np.float32(scene.rig.proximity.depth_unit_m)
+    colors, seen = _seen_color(scene.frame, scene.rig, depth_m, valid_depth(counts), (near_m + far_m) / 2)
+    rows, lut = scene.palettes["proximity"].index(colors)
+    rows[~seen] = NO_COLOR_ROW
+    rows[depth_m > far_m] = BEHIND_ROW
+    return rows, lut
+
+
+def _tactile_colors(scene: Scene) -> tuple[Uint8Array, Uint8Array]:
+    """Return the row of a table of real colours for every tactile pixel, and the table."""
+    image, shape = scene.frame.tactile_color, scene.frame.tactile_depth.shape
+    if image is None or image.shape[:2] != shape:
+        return np.full(shape, NO_COLOR_ROW, np.uint8), real_color_lut(np.empty((0, 3), np.uint8))
+    return scene.palettes["tactile"].index(image)
 
 
 def patch_difference_view(a: Scene, b: Scene) -> DepthCloud:
@@ -410,10 +466,13 @@ def _relief(scene: Scene, contact: BoolArray) -> Uint8Array:
     return patch_index(contact, scene.frame.proximity_depth, near, far)
 
 
-def _over_relief(scene: Scene, rows: Uint8Array, contact: BoolArray) -> Uint8Array:
-    """Return rows of a table made by `_half_relief`: values within the patch, shades around it."""
-    shades = _relief(scene, contact) >> 1
-    return np.asarray(np.where(contact, (rows >> 1) + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)))
+def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Array:
+    """Return rows of a table whose lower half are the shades of the context and whose upper half are values.
+
+    ``rows`` from 0 to 127 are values, used where ``within``.
+    """
+    shades = _relief(scene, within) >> 1
+    return np.asarray(np.where(within, rows + np.uint8(VALUE_ROWS), np.minimum(shades, VALUE_ROWS - 1)), np.uint8)
 
 
 @lru_cache(maxsize=16)
@@ -426,6 +485,12 @@ def patch_difference_lut(limit: float, theme: Theme) -> Uint8Array:
 def patch_depth_lut(theme: Theme) -> Uint8Array:
     """Return the colours of depth within a patch (the upper half), over its context."""
     return _half_relief(depth_lut(), theme)
+
+
+@cache
+def patch_provenance_lut(theme: Theme) -> Uint8Array:
+    """Return the colours of `LATE_VERDICTS` (the upper half), over their context."""
+    return np.concatenate([patch_lut(theme)[::2], provenance_lut(theme)[:VALUE_ROWS]])
 
 
 def _half_relief(lut: Uint8Array, theme: Theme) -> Uint8Array:

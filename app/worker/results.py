@@ -103,6 +103,7 @@ class ColorBy(StrEnum):
     DEPTH = "depth"
     DIFFERENCE = "relative difference"
     PROVENANCE = "provenance"
+    REAL = "real colour"
 
 
 @dataclass(frozen=True)

@@ -132,6 +132,7 @@ def test_colours_have_a_legend(window, qtbot, choice):
         ColorBy.DEPTH: [" m", "not touching"],
         ColorBy.DIFFERENCE: ["−3.0%", "below 0", "+3.0%"],
         ColorBy.PROVENANCE: ["contact", "not touching"],
+        ColorBy.REAL: ["no colour known", "not touching"],
     }[choice]
 
     def explained():
@@ -143,17 +144,17 @@ def test_colours_have_a_legend(window, qtbot, choice):
 
 def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(window, qtbot):
     views = list(window.views.views.values())
+
+    def canvases() -> set[int]:
+        return {view.findChild(QWidget, "canvas").height() for view in views}
+
+    (high,) = canvases()
     window.views.choose_colors(ColorBy.PROVENANCE)
     qtbot.waitUntil(lambda: bool(window.result.rendered.verdicts))
     few, many = (
         replace(window.result, rendered=replace(window.result.rendered, verdicts=frozenset(verdicts)))
         for verdicts in ([Provenance.CONTACT], Provenance)
     )
-
-    def canvases() -> set[int]:
-        return {view.findChild(QWidget, "canvas").height() for view in views}
-
-    (high,) = canvases()
     window.views.show_result(many, "light")
     qtbot.waitUntil(lambda: canvases() != {high} and len(canvases()) == 1)
     (low,) = canvases()

@@ -42,6 +42,15 @@ BOTH_ROW: Final = 253
 ONLY_A_ROW: Final = 254
 ONLY_B_ROW: Final = 255
 
+#: The rows of a table of real colours after those of the palette: no colour known, behind the depth range.
+NO_COLOR_ROW: Final = 126
+BEHIND_ROW: Final = 127
+
+#: The rows of what a tactile pixel was used for; row 0: not compared.
+USED_ROW: Final = 1
+AGREED_ROW: Final = 2
+TOUCHING_ROW: Final = 3
+
 _DEPTH_MAP, _DEPTH_PART = "viridis", (0.96, 0.14)
 #: Blue, white, ochre: made for colour-blind people (P. Kovesi, CET perceptually uniform colour maps).
 _DIFFERENCE_MAP = "CET-CBD1"
@@ -61,6 +70,7 @@ _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.RIM: (147, 53, 32),
     Provenance.CONTACT: CONTACT_RGB,
 }
+_NO_COLOR_RGB = (128, 128, 132)
 _CONTEXT_RGB: dict[str, dict[Provenance, tuple[int, int, int]]] = {
     "light": {
         Provenance.NO_PROXIMITY_DEPTH: (242, 242, 242),
@@ -182,6 +192,53 @@ def provenance_lut(theme: Theme) -> Uint8Array:
     for provenance, rgb in (_CONTEXT_RGB[theme] | _REASON_RGB).items():
         lut[provenance] = (*rgb, 255)
     return _frozen(lut)
+
+
+#: Verdicts on points that agreed in distance; later steps decided.
+LATE_VERDICTS: Final = (
+    Provenance.CONTACT,
+    Provenance.RIM,
+    Provenance.MASKED,
+    Provenance.OUTLIER,
+    Provenance.SMALL_CLUSTER,
+)
+
+_USE_NAMES = {
+    TOUCHING_ROW: "in contact",
+    AGREED_ROW: "agreed, dropped later",
+    USED_ROW: "not touching",
+    0: "not compared",
+}
+
+
+@cache
+def tactile_use_lut(theme: Theme) -> Uint8Array:
+    """Return the colours of what tactile pixels were used for: uint8 (256, 4)."""
+    lut = np.zeros((256, 4), np.uint8)
+    lut[0] = (*_REASON_RGB[Provenance.NO_TACTILE_DEPTH], 255)
+    lut[USED_ROW] = (*_CONTEXT_RGB[theme][Provenance.OUTSIDE_TOLERANCE], 255)
+    lut[AGREED_ROW] = (*_REASON_RGB[Provenance.OUTLIER], 255)
+    lut[TOUCHING_ROW] = (*CONTACT_RGB, 255)
+    return _frozen(lut)
+
+
+def tactile_use_legend(theme: Theme) -> Legend:
+    """Return the legend of `tactile_use_lut`."""
+    return [(name, _color(tactile_use_lut(theme), row)) for row, name in _USE_NAMES.items()]
+
+
+def real_color_lut(palette: Uint8Array) -> Uint8Array:
+    """Return up to 126 colours, RGB (N, 3), with the rows for *no colour* and *behind*: uint8 (256, 4)."""
+    lut = np.zeros((256, 4), np.uint8)
+    lut[: len(palette), :3], lut[: len(palette), 3] = palette, 255
+    lut[NO_COLOR_ROW] = (*_NO_COLOR_RGB, 255)
+    lut[BEHIND_ROW] = (*_NO_COLOR_RGB, _BEHIND_ALPHA)
+    return _frozen(lut)
+
+
+def real_color_legend() -> Legend:
+    """Return the legend of the two rows of `real_color_lut` that are no colour of the scene."""
+    return [("no colour known", QColor(*_NO_COLOR_RGB)), ("behind", QColor(*_NO_COLOR_RGB, _BEHIND_ALPHA))]
 
 
 def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float) -> Uint8Array:

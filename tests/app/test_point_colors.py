@@ -1,0 +1,136 @@
+"""Real colours and provenance in the three views, chosen by keys as a person does."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
+
+from hands import show_source
+from tactune.app.worker.point_colors import Palette
+from tactune.app.worker.results import CloudName, ColorBy
+from tactune.core.model.provenance import Provenance
+from tactune.widgets.basics.colormaps import CONTACT_RGB
+from tiny_sensor import MEMBRANE_RGB, TinySource, tiny_frame
+
+PATCH, TACTILE, PROXIMITY = CloudName.PATCH, CloudName.TACTILE, CloudName.PROXIMITY
+OBJECT_RGB = (200, 40, 40)
+
+
+class ColoredSource(TinySource):
+    """The tactile camera has colours, too: green left, yellow right. A wall stands behind the upper rows."""
+
+    def __init__(self):
+        super().__init__()
+        self.name = "colored"
+
+    def read(self, index):
+        frame = tiny_frame(index, self.rig)
+        color = np.zeros((*frame.tactile_depth.shape, 3), np.uint8)
+        color[:, :32], color[:, 32:] = (20, 160, 30), (230, 220, 20)
+        depth = frame.proximity_depth.copy()
+        depth[:8] = round(2.0 / self.rig.proximity.depth_unit_m)
+        return replace(frame, proximity_depth=depth, tactile_color=color)
+
+
+def choose(window, qtbot, color_by):
+    box = window.views.color_by
+    box.setFocus()
+    QTest.keyClick(box, Qt.Key.Key_Home)
+    for _ in range(list(ColorBy).index(color_by)):
+        QTest.keyClick(box, Qt.Key.Key_Down)
+    assert window.views.chosen_colors() is color_by
+    legend = window.views.views[TACTILE].legend
+    qtbot.waitUntil(lambda: not legend()[0][0].endswith("mm"))
+
+
+def colors_of(window, name):
+    """The colour of every pixel of a cloud, RGBA: int (H, W, 4)."""
+    cloud = window.views.views[name].cloud()
+    return cloud.lut[cloud.rows()].astype(int)
+
+
+def test_real_colours_are_those_of_each_camera(make_window, qtbot):
+    window = make_window()
+    show_source(qtbot, window, ColoredSource(), 3)
+    choose(window, qtbot, ColorBy.REAL)
+    proximity, tactile, patch = (colors_of(window, name) for name in (PROXIMITY, TACTILE, PATCH))
+    contact = window.result.patch.mask
+    assert np.abs(tactile[:, :32, :3] - (20, 160, 30)).max() <= 8
+    assert np.abs(tactile[:, 32:, :3] - (230, 220, 20)).max() <= 8
+    assert np.abs(proximity[contact][:, :3] - OBJECT_RGB).max() <= 8
+    assert np.abs(proximity[24, 20, :3] - MEMBRANE_RGB).max() <= 8
+    assert np.abs(patch[contact][:, :3] - OBJECT_RGB).max() <= 8
+    red, green, blue = patch[24, 20, :3]
+    assert red == green == blue, "around the patch is a grey relief"
+    assert proximity[3, 30, 3] < 128, "the wall behind is faint"
+    assert "behind" in [text for text, _ in window.views.views[PROXIMITY].legend()]
+
+
+def test_a_camera_without_colours_is_grey_and_the_legend_says_so(window, qtbot):
+    choose(window, qtbot, ColorBy.REAL)
+    (name, gray), *_ = window.views.views[TACTILE].legend()
+    assert name == "no colour known"
+    assert (colors_of(window, TACTILE)[..., :3] == gray.getRgb()[:3]).all()
+
+
+def test_a_palette_follows_a_change_of_light_but_not_noise():
+    random = np.random.default_rng(0)
+    scene = random.integers(0, 256, (6, 6, 3)).astype(np.uint8).repeat(20, axis=0).repeat(20, axis=1)
+    palette = Palette()
+
+    def error(image):
+        rows, lut = palette.index(image)
+        return np.abs(lut[rows, :3].astype(int) - image).mean()
+
+    assert error(scene) < 6
+    learnt = palette.index(scene)[1]
+    noisy = np.clip(scene + random.normal(0, 3, scene.shape), 0, 255).astype(np.uint8)
+    assert error(noisy) < 8
+    assert palette.index(noisy)[1] is learnt
+    assert error(255 - scene) < 10
+    assert palette.index(255 - scene)[1] is not learnt
+
+
+def test_in_provenance_each_view_answers_its_own_question(window, qtbot):
+    window.document.edit("mask.enabled", True)
+    window.document.edit("mask.hue", (175, 5))
+    choose(window, qtbot, ColorBy.PROVENANCE)
+    window.document.edit("region.rectangle", (0, 0, 64, 24))
+    window.document.edit("region.enabled", True)
+    qtbot.waitUntil(lambda: window.result.preset == window.document.preset)
+    names = {name: [text for text, _ in view.legend()] for name, view in window.views.views.items()}
+    verdicts = window.result.patch.provenance
+    assert {Provenance.OUTSIDE_REGION, Provenance.OUTSIDE_TOLERANCE} < set(np.unique(verdicts))
+    assert "out of region" in names[PROXIMITY] and "out of region" not in names[PATCH]
+    assert names[TACTILE] == ["in contact", "agreed, dropped later", "not touching", "not compared"]
+    assert names[PATCH][-1] == "not touching"
+    tactile, patch = colors_of(window, TACTILE), colors_of(window, PATCH)
+    shown = {text: color.getRgb()[:3] for text, color in window.views.views[TACTILE].legend()}
+    in_contact = verdicts == Provenance.CONTACT
+    assert (tactile[in_contact][:, :3] == shown["in contact"]).all()
+    assert (patch[in_contact][:, :3] == CONTACT_RGB).all()
+    assert (tactile[30:, :, :3] == shown["not compared"]).all(), "outside the region nothing is compared"
+    assert (tactile[2:6, 2:6, :3] == shown["not touching"]).all()
+    late = verdicts == Provenance.MASKED
+    assert in_contact.any() != late.any(), "the mask takes all or nothing of the disc"
+
+
+@pytest.mark.parametrize("dropped", ["mask", "cluster"])
+def test_the_patch_view_shows_what_late_steps_dropped(window, qtbot, dropped):
+    choose(window, qtbot, ColorBy.PROVENANCE)
+    disc = window.result.patch.mask
+    if dropped == "mask":
+        values = {"mask.enabled": True, "mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)}
+    else:
+        values = {"outliers.min_cluster_area_mm2": 1e5}
+    window.document.edit_many(values, 1, "Drop the disc")
+    qtbot.waitUntil(lambda: window.result.preset == window.document.preset and not window.result.patch.mask.any())
+    name = {"mask": "masked", "cluster": "small cluster"}[dropped]
+    patch = {text: color.getRgb()[:3] for text, color in window.views.views[PATCH].legend()}
+    tactile = {text: color.getRgb()[:3] for text, color in window.views.views[TACTILE].legend()}
+    assert (colors_of(window, PATCH)[disc][:, :3] == patch[name]).all()
+    assert (colors_of(window, TACTILE)[disc][:, :3] == tactile["agreed, dropped later"]).all()
