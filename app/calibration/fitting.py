@@ -222,7 +222,7 @@ class Fitter(QObject):
     def refit(self) -> None:
         """Fit again if any input of the fit has changed."""
         state, rig = self._session.state, self._session.rig
-        asked = (state.complete_pairs, state.choices.model, state.choices.fit_depth)
+        asked = (state.complete_pairs, state.choices.model, state.choices.depth_fit)
         if asked == self._asked:
             return
         self._asked = asked
@@ -254,7 +254,7 @@ def fit(state: SessionState, rig: Rig) -> Outcome:
         correspondences(state, rig),
         rig,
         model=state.choices.model,
-        depth_scale=state.choices.fit_depth,
+        depth_fit=state.choices.depth_fit,
         membrane=_membrane(state, rig),
     )
     return outcome_of(pairs, report)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import (
     QButtonGroup,
-    QCheckBox,
+    QComboBox,
     QGridLayout,
     QGroupBox,
     QHBoxLayout,
@@ -20,7 +20,9 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.calibration import CalibrationReport
+from ...core.calibration.depth_advice import DEPTH_WORDS
 from ...core.calibration.report import ModelQuality
+from ...widgets.basics.controls import caption
 from ...widgets.basics.theme import text_font
 from ...widgets.plots.calibration_plots import Residual, ResidualPlot, round_limit
 from .fitting import Outcome
@@ -147,12 +149,18 @@ class ModelPage(QWidget):
         self.reason.setWordWrap(True)
         self.reason.setFont(text_font("title"))
         self.choices = QButtonGroup(self)
-        self.fit_depth = QCheckBox("Correct the tactile depth (scale and offset)")
-        self.fit_depth.setToolTip(
-            "Also fit a scale and an offset (mm) of the tactile depth. They are determined by points clicked in "
-            "the depth image at contact; with clicks in colour images only, the scale rests on the rig's stated "
-            "baseline"
+        self.depth_fit = QComboBox()
+        self.depth_fit.setAccessibleName("Correction of the tactile depth")
+        self.depth_fit.setToolTip(
+            "Also fit an offset (mm) and a scale (no unit) of the tactile depth. Points that span depth determine the "
+            "offset. The scale needs points clicked in the depth image at contact; without them it rests on the rig's "
+            "stated baseline"
         )
+        self.depth_fit.addItem("Recommended", "auto")
+        for kind, words in DEPTH_WORDS.items():
+            self.depth_fit.addItem(words.capitalize(), kind)
+        self.depth_reason = QLabel()
+        self.depth_reason.setWordWrap(True)
         self.warnings = QLabel()
         self.warnings.setWordWrap(True)
         self.columns = {name: _ModelColumn(name) for name in _MODELS}
@@ -164,7 +172,8 @@ class ModelPage(QWidget):
             self.choices.addButton(button, number)
             row.addWidget(button)
         row.addSpacing(20)
-        row.addWidget(self.fit_depth)
+        row.addWidget(caption("Correct the tactile &depth", self.depth_fit))
+        row.addWidget(self.depth_fit)
         row.addStretch(1)
         columns = QHBoxLayout()
         for name in ("rigid", "homography"):
@@ -173,13 +182,16 @@ class ModelPage(QWidget):
         layout.setContentsMargins(8, 6, 8, 4)
         layout.addWidget(self.reason)
         layout.addLayout(row)
+        layout.addWidget(self.depth_reason)
         layout.addLayout(columns, 1)
         layout.addWidget(self.warnings)
         self.choices.idClicked.connect(
             lambda number: session.choose(f"Take: {_CHOICES[number][1]}", model=_CHOICES[number][0])
         )
-        self.fit_depth.clicked.connect(
-            lambda on: session.choose(f"Correct the depth: {'on' if on else 'off'}", fit_depth=on)
+        self.depth_fit.activated.connect(
+            lambda _: session.choose(
+                f"Correct the depth: {self.depth_fit.currentText()}", depth_fit=self.depth_fit.currentData()
+            )
         )
         session.changed.connect(self._show_state)
         self._show_state(session.state)
@@ -192,6 +204,7 @@ class ModelPage(QWidget):
             self.reason.setText(outcome.sentence or "No pairs yet: click at least four, preferably eight.")
         else:
             self.reason.setText(report.reason)
+        self.depth_reason.setText("" if report is None else report.depth_advice.reason)
         self.warnings.setText("" if report is None else " ".join(f"Note: {words}" for words in report.warnings))
         self.warnings.setVisible(bool(self.warnings.text()))
         limit = _common_limit(report)
@@ -203,7 +216,7 @@ class ModelPage(QWidget):
         button = self.choices.button(number)
         assert button is not None
         button.setChecked(True)
-        self.fit_depth.setChecked(state.choices.fit_depth)
+        self.depth_fit.setCurrentIndex(self.depth_fit.findData(state.choices.depth_fit))
 
 
 def _common_limit(report: CalibrationReport | None) -> float:
@@ -223,10 +236,9 @@ def _extra_words(report: CalibrationReport, quality: ModelQuality) -> str:
         words.append(f"Pose known to {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.2f}°.")
         pose = report.rigid.pose
         if sigma["scale"] is not None:
-            words.append(
-                f"Tactile depth × {pose.scale:.4f} ± {sigma['scale']:.4f}, "
-                f"{1e3 * pose.offset_m:+.2f} ± {sigma['offset_mm']:.2f} mm."
-            )
+            words.append(f"Tactile depth × {pose.scale:.4f} ± {sigma['scale']:.4f}.")
+        if sigma["offset_mm"] is not None:
+            words.append(f"Tactile depth {1e3 * pose.offset_m:+.2f} ± {sigma['offset_mm']:.2f} mm.")
     if quality.excluded:
         words.append(f"Left out because they disagree: {', '.join(quality.excluded[:12])}.")
     return " ".join(words)

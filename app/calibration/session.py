@@ -10,6 +10,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, ConfigDict
 from PyQt6.QtCore import QObject, pyqtSignal
 
+from ...core.calibration.calibrate import DepthChoice
 from ...core.model.frames import Rig, SensorFrame
 from ..document.history import History
 
@@ -72,7 +73,7 @@ class Choices(_Frozen):
     marker_share: float = 0.7
     dictionary: str = "DICT_4X4_250"
     model: ModelChoice = "auto"
-    fit_depth: bool = False
+    depth_fit: DepthChoice = "auto"
     set_tolerance: bool = False
 
 

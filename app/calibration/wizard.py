@@ -310,6 +310,8 @@ class CalibrationWizard(QDialog):
             worse = self._is_worse(report)
             findings["Points"] = f"{count_pairs(len(rejected), 'rejected')}." if rejected else ""
             findings["Model"] = "" if report.model == report.recommended else report.reason
+            if report.rigid is not None and report.depth_fit != report.depth_advice.depth_fit:
+                findings["Model"] = report.depth_advice.reason
             findings["Quality"] = "" if judged.startswith(("Good", "Usable")) else judged
             findings["Save"] = "The new calibration is worse than the present alignment." if worse else ""
         return findings

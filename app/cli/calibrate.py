@@ -28,6 +28,16 @@ class Model(StrEnum):
     RIGID = "rigid"
 
 
+class DepthChoice(StrEnum):
+    """The correction of the tactile depth that is fitted."""
+
+    AUTO = "auto"
+    NONE = "none"
+    OFFSET = "offset"
+    SCALE = "scale"
+    BOTH = "both"
+
+
 def calibrate(
     *,
     points: Annotated[
@@ -38,9 +48,10 @@ def calibrate(
         str, typer.Option("--rig", metavar="FILE|SOURCE", help="A rig.json, a preset that has a rig, or a source.")
     ],
     model: Annotated[Model, typer.Option(help="auto: fit both and take the better one.")] = Model.AUTO,
-    depth_scale: Annotated[
-        bool, typer.Option("--depth-scale", help="Also fit a scale and an offset of the tactile depth.")
-    ] = False,
+    depth_fit: Annotated[
+        DepthChoice,
+        typer.Option("--depth-fit", help="Also fit an offset and a scale of the tactile depth. auto: as recommended."),
+    ] = DepthChoice.AUTO,
     as_json: Annotated[bool, typer.Option("--json", help="Print the report as JSON.")] = False,
     out: Annotated[
         Path | None,
@@ -59,7 +70,7 @@ def calibrate(
     base = None
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
-    report = fit(pairs, cameras, model.value, depth_scale=depth_scale)
+    report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
     if as_json:

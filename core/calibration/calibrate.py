@@ -14,6 +14,7 @@ from ..model.arrays import BoolArray, Float64Array
 from ..model.frames import Rig
 from ..preset import now
 from .correspondences import Correspondence, enabled_pairs, pixel_arrays
+from .depth_advice import advise_depth_fit
 from .homography import CLICK_SIGMA_PX, HomographyFit, fit_homography
 from .quality import (
     PatchEffect,
@@ -25,10 +26,11 @@ from .quality import (
     uncertainty_map,
 )
 from .report import CalibrationReport, ModelName, ModelQuality, PairQuality, verdict
-from .rigid import RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
+from .rigid import DepthFit, RigidFit, RigidPoints, color_pose, color_to_depth_pixels, fit_rigid, ray_seen
 from .robust import FOLDS, LEAVE_ONE_OUT
 
 Model = Literal["auto", "homography", "rigid"]
+DepthChoice = DepthFit | Literal["auto"]
 
 #: Distance assumed for colour clicks without depth and pose, metres.
 _PLANE_M = 0.30
@@ -43,7 +45,7 @@ def calibrate(
     rig: Rig,
     model: Model = "auto",
     *,
-    depth_scale: bool = False,
+    depth_fit: DepthChoice = "none",
     membrane: npt.ArrayLike | None = None,
 ) -> CalibrationReport:
     """Fit both models to correspondences and report their quality.
@@ -55,8 +57,8 @@ def calibrate(
     rig : Rig
     model : {"auto", "homography", "rigid"}
         The model to use; the other one is also fitted if possible.
-    depth_scale : bool
-        Let the rigid fit correct the tactile depth by a scale and an offset.
+    depth_fit : {"none", "offset", "scale", "both", "auto"}
+        Let the rigid fit correct the tactile depth, with ``"auto"`` as `advise_depth_fit` recommends.
     membrane : array_like, shape (M, 3), optional
         Places (tactile u, v in pixels, depth in metres) over which the alignment is judged. Default: a grid over the
         tactile image at the depths of the points.
@@ -69,7 +71,9 @@ def calibrate(
     pairs = enabled_pairs(correspondences)
     _refuse_repeated(pairs)
     _, tactile, depth = pixel_arrays(pairs)
-    rigid, refused_rigid = _try_rigid(pairs, rig, depth_scale)
+    advice = advise_depth_fit(rigid_points(pairs), rig)
+    fitted_depth = advice.depth_fit if depth_fit == "auto" else depth_fit
+    rigid, refused_rigid = _try_rigid(pairs, rig, fitted_depth)
     clicked = depth_pixels(pairs, rig, rigid)
     homography, refused_homography = _try_homography(tactile, clicked, rigid, depth)
     refused = {"homography": refused_homography, "rigid": refused_rigid}
@@ -96,7 +100,9 @@ def calibrate(
         refused={name: text for name, text in refused.items() if text},
         coverage=covered,
         verdict=verdict(quality[chosen], covered, with_place[used], rig),
-        warnings=tuple(_warnings(pairs, rigid, rig, depth_scale)),
+        depth_fit=fitted_depth,
+        depth_advice=advice,
+        warnings=tuple(_warnings(pairs, rigid, rig, fitted_depth)),
         pairs=tuple(correspondences),
         rig=rig,
         date=now(),
@@ -135,7 +141,7 @@ def depth_pixels(pairs: Sequence[Correspondence], rig: Rig, rigid: RigidFit | No
     return np.asarray(np.where(in_color[:, None], color_to_depth_pixels(rig, proximity, distance), proximity))
 
 
-def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_scale: bool) -> tuple[RigidFit | None, str]:
+def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_fit: DepthFit) -> tuple[RigidFit | None, str]:
     points = rigid_points(pairs)
     if len(points.tactile) < 4 and len(pairs) >= 4:
         return None, (
@@ -143,7 +149,7 @@ def _try_rigid(pairs: list[Correspondence], rig: Rig, depth_scale: bool) -> tupl
             "click where the tactile camera sees depth"
         )
     try:
-        return fit_rigid(points, rig, depth_scale=depth_scale), ""
+        return fit_rigid(points, rig, depth_fit=depth_fit), ""
     except CalibrationError as error:
         return None, str(error)
 
@@ -307,9 +313,9 @@ def _refuse_repeated(pairs: list[Correspondence]) -> None:
         seen[place] = pair.id
 
 
-def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, depth_scale: bool) -> list[str]:
+def _warnings(pairs: list[Correspondence], rigid: RigidFit | None, rig: Rig, depth_fit: DepthFit) -> list[str]:
     warnings = []
-    if depth_scale and rigid is not None and all(pair.proximity_depth_m is None for pair in pairs):
+    if depth_fit in {"scale", "both"} and rigid is not None and all(pair.proximity_depth_m is None for pair in pairs):
         prior = "a prior near 1" if rig.T_proximity_tactile is None else "the rig's stated baseline"
         warnings.append(
             f"clicks alone do not determine the depth scale, so it rests on {prior}; give proximity_depth_m to points "

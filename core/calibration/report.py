@@ -17,9 +17,10 @@ from ..model.frames import Rig
 from ..preset import AlignmentSection, HomographyAlignment, Preset, RigidAlignment, now
 from ..preset.alignment import CalibrationRecord, ClickedPair, ModelSummary, SnapshotRecord
 from .correspondences import Correspondence
+from .depth_advice import DepthAdvice
 from .homography import HomographyFit
 from .quality import Coverage, PatchEffect, UncertaintyMap
-from .rigid import RigidFit
+from .rigid import DepthFit, RigidFit
 
 ModelName = Literal["homography", "rigid"]
 #: Expected alignment error over the membrane, pixels, up to which a calibration is good, and usable.
@@ -152,6 +153,10 @@ class CalibrationReport:
     coverage : Coverage
     verdict : str
         Grade and next step, in words.
+    depth_fit : {"none", "offset", "scale", "both"}
+        The correction of the tactile depth that the rigid fit contains.
+    depth_advice : DepthAdvice
+        The correction that is recommended, and why.
     warnings : tuple of str
     pairs : tuple of Correspondence
         All given correspondences, including disabled ones.
@@ -168,6 +173,8 @@ class CalibrationReport:
     refused: Mapping[str, str]
     coverage: Coverage
     verdict: str
+    depth_fit: DepthFit
+    depth_advice: DepthAdvice
     warnings: tuple[str, ...]
     pairs: tuple[Correspondence, ...]
     rig: Rig
@@ -187,6 +194,8 @@ class CalibrationReport:
             "reason": self.reason,
             "homography": None if self.homography is None else self.homography.H_p_t.tolist(),
             "T_proximity_tactile": None if rigid is None else rigid.T_proximity_tactile.tolist(),
+            "depth_fit": self.depth_fit,
+            "depth_advice": vars(self.depth_advice),
             "depth_scale": None if rigid is None else rigid.pose.scale,
             "depth_offset_m": None if rigid is None else rigid.pose.offset_m,
             "pose_uncertainty": None if rigid is None else _pose_uncertainty(rigid),
@@ -283,7 +292,7 @@ class CalibrationReport:
 
     def words(self) -> str:
         """Return the whole report as text."""
-        lines = [f"Model: {self.model}. {self.reason}", "", _table(self)]
+        lines = [f"Model: {self.model}. {self.reason}", self.depth_advice.reason, "", _table(self)]
         chosen = self.chosen
         lines += [f"Not fitted, {name}: {reason}" for name, reason in self.refused.items()]
         if self.rigid is not None:
@@ -327,22 +336,21 @@ def _pose_words(rigid: RigidFit) -> str:
     sigma = _pose_uncertainty(rigid)
     text = f"Pose: uncertain by {sigma['translation_mm']:.2f} mm and {sigma['rotation_deg']:.3f} degrees (one sigma)"
     if sigma["scale"] is not None:
-        text += (
-            f"; tactile depth x {rigid.pose.scale:.4f} +- {sigma['scale']:.4f}, "
-            f"{1e3 * rigid.pose.offset_m:+.2f} mm +- {sigma['offset_mm']:.2f} mm"
-        )
+        text += f"; tactile depth x {rigid.pose.scale:.4f} +- {sigma['scale']:.4f}"
+    if sigma["offset_mm"] is not None:
+        text += f"; tactile depth {1e3 * rigid.pose.offset_m:+.2f} mm +- {sigma['offset_mm']:.2f} mm"
     return text
 
 
 def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
     covariance: Float64Array = rigid.covariance
     variance = np.diag(covariance)
-    scaled = len(variance) == 8
+    scale, offset_m = rigid.depth_sigma
     return {
         "rotation_deg": math.degrees(math.sqrt(variance[:3].sum())),
         "translation_mm": 1e3 * math.sqrt(variance[3:6].sum()),
-        "scale": math.sqrt(variance[6]) if scaled else None,
-        "offset_mm": 1e3 * math.sqrt(variance[7]) if scaled else None,
+        "scale": scale,
+        "offset_mm": None if offset_m is None else 1e3 * offset_m,
     }
 
 

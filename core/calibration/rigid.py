@@ -5,14 +5,16 @@ or of the proximity colour camera through the factory extrinsics; both kinds may
 perspective-n-point (SQPnP; Terzakis and Lourakis 2020), with outliers removed by P3P samples. Refinement: maximum
 likelihood with noise in both clicks and in the depth (`maximum_likelihood`).
 
-With ``depth_scale`` the tactile depth is corrected to ``scale * raw + offset``. Clicks alone leave the scale open:
-scene and baseline can grow together without moving a pixel. It is determined by distances that the proximity camera
-measures at contact (``proximity_depth_m``), otherwise by the rig's stated baseline.
+With ``depth_fit`` the tactile depth is corrected to ``scale * raw + offset``, or by one of the two. Clicks alone leave
+the scale open: scene and baseline can grow together without moving a pixel. It is determined by distances that the
+proximity camera measures at contact (``proximity_depth_m``), otherwise by the rig's stated baseline. Clicks that span
+depth determine the offset, because it bends parallax over depth.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Literal, get_args
 
 import cv2
 import numpy as np
@@ -26,6 +28,12 @@ from .correspondences import check_space, on_a_line, spread
 from .homography import CLICK_SIGMA_PX
 from .maximum_likelihood import UNMEASURED, Linearised, Measurements, Prior, inverse_information
 from .robust import Problem, RobustFit, fit_robustly, left_out_residuals_px
+
+#: Which correction of the tactile depth is fitted.
+DepthFit = Literal["none", "offset", "scale", "both"]
+DEPTH_FITS: tuple[DepthFit, ...] = get_args(DepthFit)
+#: Index of the fitted corrections among scale and offset.
+_FREE: dict[DepthFit, tuple[int, ...]] = {"none": (), "offset": (1,), "scale": (0,), "both": (0, 1)}
 
 _NEWTON_STEPS = 8
 _DIFFERENCE_PX = 0.5
@@ -189,7 +197,7 @@ class RigidFit:
 
     @property
     def parameters(self) -> int:
-        """Number of fitted parameters: 6, or 8 with a depth scale."""
+        """Number of fitted parameters: 6, and one each for scale and offset."""
         return len(self.fit.solution.information)
 
     @property
@@ -204,9 +212,16 @@ class RigidFit:
 
     @property
     def covariance(self) -> Float64Array:
-        """Covariance of rotation vector (rad), translation (m) and, if fitted, scale and offset (m)."""
+        """Covariance of rotation vector (rad), translation (m) and, where fitted, scale and offset (m)."""
         solution = self.fit.solution
         return np.asarray(solution.noise_factor**2 * inverse_information(solution.information))
+
+    @property
+    def depth_sigma(self) -> tuple[float | None, float | None]:
+        """Standard deviations of scale (no unit) and offset (m); None where not fitted."""
+        free, sigma = self.problem.free, np.sqrt(np.diag(self.covariance))[6:].tolist()
+        scale, offset = (sigma[free.index(i)] if i in free else None for i in (0, 1))
+        return scale, offset
 
     def left_out_residuals_px(self) -> Float64Array:
         """Return each pair's residual (N, 2) under the fit of the other pairs; nan if they determine no model."""
@@ -257,10 +272,10 @@ class RigidProblem(Problem[Pose]):
         points: RigidPoints,
         rig: Rig,
         sigmas: Float64Array,
-        depth_scale: bool,
+        depth_fit: DepthFit,
     ) -> None:
         sigma_tactile_px, sigma_proximity_px, sigma_depth_m = sigmas
-        self.points, self.rig, self.depth_scale = points, rig, depth_scale
+        self.points, self.rig, self.free = points, rig, _FREE[depth_fit]
         count = len(points.tactile)
         poses = np.stack([np.eye(4), color_pose(rig)])
         self.camera_rotation, self.camera_translation = poses[:, :3, :3], poses[:, :3, 3]
@@ -294,19 +309,18 @@ class RigidProblem(Problem[Pose]):
         self.start_rays = self._rays_of_depth_camera()
         _, self.area = spread(points.proximity)
         self.largest_px = self.largest_rms_px = _MAX_PX
-        self.prior = Prior(self._prior_residuals) if depth_scale else None
+        self.prior = Prior(self._prior_residuals) if self.free else None
 
     def transform(self, theta: Pose, places: Float64Array) -> tuple[Float64Array, Float64Array, Float64Array]:
         """Map places (ray and raw depth) to proximity points, with derivatives (N, 3, P) and (N, 3, 3)."""
         depth = theta.scale * places[:, 2] + theta.offset_m
         rays = np.column_stack([places[:, :2], np.ones(len(places))]) @ theta.rotation.T
         turned = rays * depth[:, None]
-        by_theta = np.zeros((len(places), 3, 8 if self.depth_scale else 6))
+        by_theta = np.zeros((len(places), 3, 6 + len(self.free)))
         by_theta[:, :, :3] = -_cross_matrices(turned)
         by_theta[:, :, 3:6] = np.eye(3)
-        if self.depth_scale:
-            by_theta[:, :, 6] = rays * places[:, 2:]
-            by_theta[:, :, 7] = rays
+        for column, which in enumerate(self.free, 6):
+            by_theta[:, :, column] = rays if which else rays * places[:, 2:]
         by_place = np.empty((len(places), 3, 3))
         by_place[:, :, :2] = theta.rotation[:, :2] * depth[:, None, None]
         by_place[:, :, 2] = rays * theta.scale
@@ -329,9 +343,9 @@ class RigidProblem(Problem[Pose]):
         """Rotate about and translate along the proximity axes."""
         turn = Rotation.from_rotvec(step[:3]).as_matrix()
         moved = replace(theta, rotation=turn @ theta.rotation, translation=theta.translation + step[3:6])
-        if self.depth_scale:
-            moved = replace(moved, scale=theta.scale + step[6], offset_m=theta.offset_m + step[7])
-        return moved
+        corrected = np.array([theta.scale, theta.offset_m])
+        corrected[list(self.free)] += step[6:]
+        return replace(moved, scale=float(corrected[0]), offset_m=float(corrected[1]))
 
     def start(self, used: BoolArray) -> Pose | None:
         """Solve SQPnP on the used pairs."""
@@ -388,16 +402,19 @@ class RigidProblem(Problem[Pose]):
         return np.ascontiguousarray(np.where(self.measurements.camera[:, None] == 1, moved[:, :2] / moved[:, 2:], seen))
 
     def _prior_residuals(self, theta: Pose) -> tuple[Float64Array, Float64Array]:
-        residuals = [(theta.scale - 1.0) / _SCALE_SIGMA, theta.offset_m / _OFFSET_SIGMA_M]
-        derivative = np.zeros((3, 8))
-        derivative[0, 6], derivative[1, 7] = 1.0 / _SCALE_SIGMA, 1.0 / _OFFSET_SIGMA_M
+        """Return how far scale and offset are from none, and, if the scale is fitted, the baseline from the stated."""
+        apart, sigma = (theta.scale - 1.0, theta.offset_m), (_SCALE_SIGMA, _OFFSET_SIGMA_M)
+        residuals = [apart[which] / sigma[which] for which in self.free]
+        derivative = np.zeros((len(self.free) + 1, 6 + len(self.free)))
+        for row, which in enumerate(self.free):
+            derivative[row, 6 + row] = 1.0 / sigma[which]
         stated = self.rig.T_proximity_tactile
-        if stated is None:
-            return np.array(residuals), derivative[:2]
+        if stated is None or 0 not in self.free:
+            return np.array(residuals), derivative[:-1]
         baseline = float(np.linalg.norm(theta.translation))
         stated_baseline = float(np.linalg.norm(np.asarray(stated)[:3, 3]))
         residuals.append((baseline - stated_baseline) / BASELINE_SIGMA_M)
-        derivative[2, 3:6] = theta.translation / (baseline * BASELINE_SIGMA_M)
+        derivative[-1, 3:6] = theta.translation / (baseline * BASELINE_SIGMA_M)
         return np.array(residuals), derivative
 
 
@@ -408,7 +425,8 @@ def fit_rigid(
     sigma_tactile_px: float = CLICK_SIGMA_PX,
     sigma_proximity_px: float = CLICK_SIGMA_PX,
     sigma_depth_m: float = TACTILE_DEPTH_SIGMA_M,
-    depth_scale: bool = False,
+    depth_fit: DepthFit = "none",
+    like: RigidFit | None = None,
 ) -> RigidFit:
     """Fit the tactile camera's pose in the proximity frame; outliers are left out.
 
@@ -420,21 +438,26 @@ def fit_rigid(
     sigma_tactile_px, sigma_proximity_px, sigma_depth_m : float
         Noise of clicks and of the tactile depth. Their ratios weigh the measurements; their common size is replaced by
         the observed noise if there are surplus pairs.
-    depth_scale : bool
-        Also fit a scale and an offset of the tactile depth.
+    depth_fit : {"none", "offset", "scale", "both"}
+        Corrections of the tactile depth that are also fitted.
+    like : RigidFit, optional
+        Take the inliers and the noise of this fit to the same points, to compare with it.
 
     Raises
     ------
     CalibrationError
         There are fewer than four pairs with depth, the points are collinear, or the pairs do not agree on one pose.
     """
-    least = MIN_POINTS + (1 if depth_scale else 0)
-    name = f"rigid alignment{' with depth scale' if depth_scale else ''}"
+    free = _FREE[depth_fit]
+    least = MIN_POINTS + (1 if free else 0)
+    name = f"rigid alignment{' with depth correction' if free else ''}"
     check_space(points.places, points.proximity, least, name)
     stated, observed = np.array([sigma_tactile_px, sigma_proximity_px, sigma_depth_m]), 1.0
     known: BoolArray | None = None
-    for _ in range(_NOISE_ROUNDS if depth_scale else 1):
-        problem = RigidProblem(points, rig, observed * stated, depth_scale)
+    if like is not None:
+        known, observed = like.used, like.noise_factor
+    for _ in range(_NOISE_ROUNDS if free and like is None else 1):
+        problem = RigidProblem(points, rig, observed * stated, depth_fit)
         fit = fit_robustly(problem, known)
         known, observed = fit.used, max(observed * fit.solution.noise_factor, _MIN_NOISE)
     return RigidFit(

@@ -265,8 +265,6 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     finder.columns.setValue(10)
     finder.rows.setValue(7)
     QTest.mouseClick(finder.search, LEFT)
-    QTest.mouseClick(wizard.next, LEFT)
-    assert wizard.stack.currentIndex() == 1 and "not complete" in wizard.messages.message("next").sentence
     qtbot.waitUntil(lambda: len(wizard.session.state.pairs) == 70)
     first = wizard.session.state.pairs[0]
     assert first.tactile == pytest.approx((first.proximity[0] - 8, first.proximity[1]), abs=0.05)
@@ -286,6 +284,25 @@ def test_a_chessboard_is_found_and_undone(open_wizard, feed, frames, qtbot):
     QTest.mouseClick(finder.search, LEFT)
     qtbot.waitUntil(lambda: "circles is seen" in finder.words.text())
     assert not wizard.session.state.pairs
+
+
+def test_next_waits_for_the_search_and_the_search_can_be_cancelled(open_wizard, feed, frames, qtbot, monkeypatch):
+    def endless(choices, snapshots, rig, progress):
+        while True:
+            progress(0.5, "Searching")
+
+    monkeypatch.setattr("tactune.app.calibration.finder.find_pairs", endless)
+    wizard = open_wizard()
+    wizard.session.add_snapshot(chessboard_snapshot(frames, feed))
+    wizard.go_to(1)
+    QTest.keyClick(wizard, Qt.Key.Key_F, Qt.KeyboardModifier.ControlModifier)
+    finder = wizard.points.finder
+    qtbot.waitUntil(finder.cancel.isVisible)
+    QTest.mouseClick(wizard.next, LEFT)
+    assert wizard.stack.currentIndex() == 1 and "not complete" in wizard.messages.message("next").sentence
+    QTest.mouseClick(finder.cancel, LEFT)
+    qtbot.waitUntil(lambda: "Cancelled" in finder.words.text())
+    assert finder.search.isEnabled() and not wizard.session.state.pairs
 
 
 def test_one_button_is_primary_at_one_place_on_every_page(open_wizard, scene, frames, feed, qtbot):
@@ -325,11 +342,15 @@ def test_every_page_is_undone(open_wizard, scene, frames, feed, qtbot):
     QTest.mouseClick(homography, LEFT, pos=QPoint(8, homography.height() // 2))
     qtbot.waitUntil(lambda: wizard.outcome.report.model == "homography")
     assert wizard.steps.button(2).text().endswith("!")
+    wizard.model.depth_fit.setFocus()
+    QTest.keyClicks(wizard.model.depth_fit, "Offset o")
+    qtbot.waitUntil(lambda: wizard.outcome.report.depth_fit == "offset")
+    assert "an offset would be" in wizard.model.depth_reason.text()
     wizard.go_to(SAVE)
     box = wizard.check.set_tolerance
     QTest.mouseClick(box, LEFT, pos=QPoint(8, box.height() // 2))
     assert "Set t" in wizard.undo.toolTip()
-    for _ in range(4):
+    for _ in range(5):
         QTest.keyClick(wizard, Qt.Key.Key_Z, Qt.KeyboardModifier.ControlModifier)
     assert wizard.session.state == before
     assert not box.isChecked() and wizard.frames.average.value() == 10

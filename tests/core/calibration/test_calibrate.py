@@ -150,11 +150,21 @@ def test_pairs_that_agree_on_two_alignments_are_refused(rig):
 
 
 def test_a_depth_scale_without_proximity_depths_is_warned_about(rig):
-    assert "do not determine the depth scale" in calibrate(clicked(rig), rig, depth_scale=True).warnings[0]
+    assert "do not determine the depth scale" in calibrate(clicked(rig), rig, depth_fit="both").warnings[0]
+
+
+def test_a_depth_correction_is_fitted_as_recommended_or_asked_for(rig):
+    report = calibrate(clicked(rig, 20), rig, depth_fit="auto")
+    assert report.depth_fit == report.depth_advice.depth_fit == "none"
+    assert report.rigid.pose.offset_m == 0.0
+    report = calibrate(clicked(rig, 20), rig, depth_fit="offset")
+    assert report.to_json()["depth_fit"] == "offset"
+    assert not any("scale" in words for words in report.warnings)
+    assert report.apply_to(Preset()).alignment.depth_offset_m == report.rigid.pose.offset_m != 0.0
 
 
 def test_a_fit_that_no_preset_allows_is_refused(rig):
-    report = calibrate(clicked(rig, 20), rig, depth_scale=True)
+    report = calibrate(clicked(rig, 20), rig, depth_fit="both")
     wild = replace(report, rigid=replace(report.rigid, pose=replace(report.rigid.pose, scale=1.4)))
     with pytest.raises(CalibrationError, match=r"depth_scale is 1\.4"):
         wild.apply_to(Preset())

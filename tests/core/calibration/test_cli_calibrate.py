@@ -51,7 +51,7 @@ def test_words_hold_the_verdict(run, files, model):
 
 
 def test_depth_scale_is_reported(run, files):
-    _, out, _ = run("--points", files / "points.csv", "--rig", files / "rig.json", "--depth-scale", "--json")
+    _, out, _ = run("--points", files / "points.csv", "--rig", files / "rig.json", "--depth-fit", "both", "--json")
     assert json.loads(out)["depth_scale"] == pytest.approx(1.0, abs=1e-3)
 
 

@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from simulated_clicks import (
     ClickNoise,
@@ -13,6 +15,7 @@ from simulated_clicks import (
     judged_places,
     make_clicks,
 )
+from tactune.core.calibration.depth_advice import advise_depth_fit
 from tactune.core.calibration.quality import bound_95
 from tactune.core.calibration.rigid import RigidPoints, fit_rigid
 from tactune.core.errors import CalibrationError
@@ -99,7 +102,7 @@ def biased(points, scale, offset_m):
 
 def test_a_depth_bias_is_recovered_from_the_stated_baseline(rig):
     clicks = make_clicks(rig, 14, 3, CLEAN, color_share=0.5)
-    fit = fit_rigid(biased(clicks.noisy, 1.02, 0.003), rig, depth_scale=True)
+    fit = fit_rigid(biased(clicks.noisy, 1.02, 0.003), rig, depth_fit="both")
     assert fit.pose.scale == pytest.approx(1.02, abs=1e-3)
     assert fit.pose.offset_m == pytest.approx(0.003, abs=5e-4)
     assert np.abs(fit.T_proximity_tactile - np.array(rig.T_proximity_tactile)).max() < 1e-4
@@ -113,11 +116,32 @@ def test_proximity_depth_at_contact_measures_the_scale_without_a_stated_pose(rig
     points = (rays * clicks.true.tactile_depth_m[:, None] - depth[:3, 3]) @ depth[:3, :3]
     noise = 0.001 * np.random.default_rng(0).standard_normal(20)
     measured = biased(replace(clicks.noisy, proximity_depth_m=points[:, 2] + noise), 1.03, 0.002)
-    fit = fit_rigid(measured, unknown, depth_scale=True)
+    fit = fit_rigid(measured, unknown, depth_fit="both")
     sigma = np.sqrt(np.diag(fit.covariance))
     assert abs(fit.pose.scale - 1.03) < 4 * sigma[6]
     corrected = fit.pose.scale * measured.tactile_depth_m + fit.pose.offset_m
     assert np.abs(corrected - clicks.true.tactile_depth_m).max() < 0.003
+
+
+@settings(max_examples=12, deadline=None)
+@given(amount=st.floats(-1.0, 1.0), only=st.sampled_from(["offset", "scale"]), seed=st.integers(0, 50))
+def test_an_offset_or_a_scale_alone_is_recovered(rig, amount, only, seed):
+    scale, offset_m = (1.0, 0.01 * amount) if only == "offset" else (1.0 + 0.04 * amount, 0.0)
+    points = biased(make_clicks(rig, 40, seed, CLEAN, color_share=0.5).noisy, scale, offset_m)
+    pose = fit_rigid(points, rig, depth_fit=only).pose
+    assert pose.scale == pytest.approx(scale, abs=1e-3)
+    assert pose.offset_m == pytest.approx(offset_m, abs=1e-3)
+    assert (pose.scale == 1.0) if only == "offset" else (pose.offset_m == 0.0)
+
+
+@pytest.mark.parametrize(("offset_m", "advised"), [(0.0, "none"), (0.015, "offset")])
+def test_an_offset_is_recommended_only_beyond_chance(rig, offset_m, advised):
+    noise = ClickNoise(0.07, 0.07, 0.0003)
+    for seed in range(4):
+        points = biased(make_clicks(rig, 150, seed, noise, color_share=0.5).noisy, 1.0, offset_m)
+        advice = advise_depth_fit(points, rig)
+        assert advice.depth_fit == advised, advice.reason
+        assert "mm" in advice.reason
 
 
 @pytest.mark.parametrize(
