@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
 from ...core.calibration.recheck import clearly_larger, replacement
 from ...core.model.frames import SensorFrame
 from ...core.preset import AlignmentSection, Preset
-from ...widgets.basics.controls import AccentButton
+from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.theme import theme_name
 from ...widgets.clouds.cloud_view import BackendChoice, CloudView, link_cameras
 from ...widgets.images.point_image import PointImage
@@ -81,6 +81,9 @@ class CheckPage(QWidget):
             "Set the tolerance t (no unit) to the smallest that this calibration supports; the membrane contact "
             "test has no t"
         )
+        self.export = push_button(
+            "Export report…", "Write verdict, numbers and pictures of the new calibration into one HTML file"
+        )
         self._make_controls()
         self._lay_out()
         self._connect()
@@ -125,7 +128,10 @@ class CheckPage(QWidget):
         column.addLayout(tools)
         column.addWidget(self.image, 1)
         column.addWidget(self.table)
-        column.addWidget(self.set_tolerance)
+        last = QHBoxLayout()
+        last.addWidget(self.set_tolerance, 1)
+        last.addWidget(self.export)
+        column.addLayout(last)
         right = QSplitter(Qt.Orientation.Vertical)
         for name in ("new", "present"):
             right.addWidget(self.clouds[name])
@@ -164,6 +170,7 @@ class CheckPage(QWidget):
         """Show a new fit."""
         self._outcome = outcome
         self._areas = ("–", "–")
+        self.export.setEnabled(outcome.report is not None)
         self._show_tolerance()
         self._draw()
 

@@ -23,6 +23,7 @@ from ...widgets.clouds.cloud_view import BackendChoice
 from ..context import SOURCE, TASK, Context
 from ..document.document import Document
 from ..worker.feed import FrameFeed, WorkerFeed
+from ..worker.jobs import Job
 from .check_page import CheckPage
 from .fitting import Fitter, Outcome, at_least, correspondences, missing_pairs, pairs_of
 from .frames_page import MOVED_LIMIT_M, FramesPage
@@ -32,6 +33,7 @@ from .pictures import snap, tactile_depth_at
 from .points_page import PointsPage
 from .quality_page import QualityPage
 from .recheck_window import RecheckWindow
+from .report_file import write_report
 from .session import ProximityImage, Session, SessionState, count_pairs, count_snapshots
 from .snapshots import Collector
 
@@ -95,6 +97,7 @@ class CalibrationWizard(QDialog):
         self.keeper = Keeper(self.session, folder, self)
         self.fitter = Fitter(self.session, self)
         self.collector = Collector(feed, self)
+        self._export = Job(self)
         self.frames = FramesPage(self.session, feed, self.collector)
         self.points = PointsPage(self.session, snap)
         self.model = ModelPage(self.session)
@@ -176,6 +179,9 @@ class CalibrationWizard(QDialog):
         self.leave.clicked.connect(self.close)
         self.points.importRequested.connect(self._import_dialog)
         self.points.exportRequested.connect(self._export_dialog)
+        self.check.export.clicked.connect(self._report_dialog)
+        self._export.done.connect(self._report_written)
+        self._export.failed.connect(self._report_failed)
         self.keeper.failed.connect(lambda words: self.messages.show_message("keeping", Severity.WARNING, words))
         self.fitter.fitted.connect(self._show_outcome)
         self._document.refused.connect(self._refused)
@@ -371,6 +377,27 @@ class CalibrationWizard(QDialog):
             return
         self.messages.show_message("file", Severity.INFO, f"The pairs were written to {path}.")
 
+    def export_report(self, path: Path) -> None:
+        """Write the quality report as HTML, on another thread."""
+        outcome, snapshot, rig = self.outcome, self.session.state.snapshot, self.session.rig
+        report, alignment, name = outcome.report, outcome.alignment, self._document.preset.name
+        if report is None or alignment is None:
+            return
+        self.check.export.setEnabled(False)
+        self._export.start(lambda _: write_report(path, report, alignment, name, snapshot, rig))
+
+    def _report_written(self, path: Path) -> None:
+        self.check.export.setEnabled(True)
+        self.messages.show_message("file", Severity.INFO, f"The report was written to {path}.")
+
+    def _report_failed(self, words: str) -> None:
+        self.check.export.setEnabled(True)
+        self.messages.show_message("file", Severity.ERROR, words)
+
+    def _report_dialog(self) -> None:
+        suggested = (self._document.path or Path()).parent / "quality.html"
+        self._dialogs.save_file("Export quality report", suggested, ["HTML (*.html)"], self.export_report)
+
     def _import_dialog(self) -> None:
         path, _ = QFileDialog.getOpenFileName(self, "Import points", "", _FILTERS, options=self._options())
         if path:
@@ -449,6 +476,7 @@ class CalibrationWizard(QDialog):
         """Save the state and cancel running jobs."""
         self.collector.close()
         self.fitter.close()
+        self._export.stop()
         for page in (self.points.finder, self.quality, self.check):
             page.close_jobs()
         self.keeper.close()

@@ -57,10 +57,15 @@ def calibrate(
         Path | None,
         typer.Option("--out", "-o", metavar="PRESET", help="Write the alignment into this preset, new or existing."),
     ] = None,
+    html: Annotated[
+        Path | None,
+        typer.Option("--report", metavar="FILE.html", help="Write the quality report with pictures of the residuals."),
+    ] = None,
 ) -> None:
     """Fit the alignment to clicked points and report its quality."""
     from ...core.calibration import calibrate as fit
     from ...core.calibration import read_points
+    from ...core.calibration.html_report import write_html
     from ...core.preset import Preset
     from ...core.preset.file import save_preset
     from ...core.sources.presets import load_preset
@@ -73,12 +78,14 @@ def calibrate(
     report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
+    if html is not None:
+        write_html(html, report, points.stem if base is None else base.name)
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:
         typer.echo(report.words())
-        if out is not None:
-            typer.echo(f"wrote {out}")
+        for path in filter(None, (out, html)):
+            typer.echo(f"wrote {path}")
 
 
 def recheck(

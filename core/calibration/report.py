@@ -306,28 +306,31 @@ class CalibrationReport:
             mark = "" if pair.used else "  left out: disagrees with the others"
             lines.append(
                 f"  {pair.id:>6}  {pair.residual_u:8.2f} {pair.residual_v:8.2f} {pair.residual_px:8.2f} "
-                f"{_shown(pair.left_out_px, 8)}  {_shown(pair.residual_mm, 7)}{mark}"
+                f"{shown(pair.left_out_px, 8)}  {shown(pair.residual_mm, 7)}{mark}"
             )
         lines += [f"Warning: {warning}" for warning in self.warnings]
         return "\n".join([*lines, "", f"Verdict: {self.verdict}"])
 
 
+#: Title, unit and value of the numbers that both models are compared by.
+NUMBERS: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
+    ("residual, RMS", "px", lambda q: q.rms_px),
+    ("worst residual", "px", lambda q: q.worst_px),
+    ("cross-validated", "px", lambda q: q.cross_validated_px),
+    ("expected alignment error", "px", lambda q: q.alignment_px),
+    ("  its 95 % bound", "px", lambda q: q.alignment_bound_95_px),
+    ("expected alignment error", "mm", lambda q: q.alignment_mm),
+    ("patch boundary error", "mm", lambda q: q.effect.boundary_mm),
+    ("supported tolerance t", "", lambda q: q.effect.supported_tolerance),
+    ("condition number", "", lambda q: q.condition),
+)
+
+
 def _table(report: CalibrationReport) -> str:
-    rows: tuple[tuple[str, str, Callable[[ModelQuality], float | None]], ...] = (
-        ("residual, RMS", "px", lambda q: q.rms_px),
-        ("worst residual", "px", lambda q: q.worst_px),
-        ("cross-validated", "px", lambda q: q.cross_validated_px),
-        ("expected alignment error", "px", lambda q: q.alignment_px),
-        ("  its 95 % bound", "px", lambda q: q.alignment_bound_95_px),
-        ("expected alignment error", "mm", lambda q: q.alignment_mm),
-        ("patch boundary error", "mm", lambda q: q.effect.boundary_mm),
-        ("supported tolerance t", "", lambda q: q.effect.supported_tolerance),
-        ("condition number", "", lambda q: q.condition),
-    )
     names = list(report.quality)
     lines = ["".join([f"{'':32}", *(f"{name:>12}" for name in names)])]
-    for title, unit, value in rows:
-        cells = [_shown(value(report.quality[name]), 12, 4 if not unit else 2) for name in names]
+    for title, unit, value in NUMBERS:
+        cells = [shown(value(report.quality[name]), 12, 4 if not unit else 2) for name in names]
         lines.append("".join([f"{title + (f' ({unit})' if unit else ''):32}", *cells]))
     return "\n".join(lines)
 
@@ -354,7 +357,8 @@ def _pose_uncertainty(rigid: RigidFit) -> dict[str, float | None]:
     }
 
 
-def _shown(value: float | None, width: int, decimals: int = 2) -> str:
+def shown(value: float | None, width: int, decimals: int = 2) -> str:
+    """Format a number to a width in characters; a dash for an unknown one."""
     return f"{'-':>{width}}" if value is None or math.isnan(value) else f"{value:{width}.{decimals}f}"
 
 

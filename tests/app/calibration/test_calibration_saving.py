@@ -6,7 +6,8 @@ import numpy as np
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
 
-from hands import answer_question, press
+from hands import answer_question, press, type_path
+from html_pages import HtmlPage
 from pairs import with_pairs
 from tactune.core.sources.presets import load_preset
 
@@ -99,6 +100,26 @@ def test_next_and_save_say_what_is_missing(open_wizard, scene, frames, feed, doc
     assert "1 pair; 3 pairs more" in sentence() and document.undo_stack.count() == 0
     fitted(qtbot, wizard, with_pairs(scene, frames, feed))
     assert wizard.messages.message("next") is None
+
+
+def test_the_quality_report_holds_numbers_and_pictures(open_wizard, scene, frames, feed, document, qtbot, tmp_path):
+    wizard = open_wizard()
+    wizard.go_to(SAVE)
+    assert not wizard.check.export.isEnabled()
+    fitted(qtbot, wizard, careless(with_pairs(scene, frames, feed), 0.3))
+    QTest.mouseClick(wizard.check.export, LEFT)
+    type_path(qtbot, tmp_path / "quality.html")
+    qtbot.waitUntil(lambda: wizard.messages.message("file") is not None, timeout=30_000)
+    page, report = HtmlPage(tmp_path / "quality.html"), wizard.outcome.report
+    assert report.verdict in page.text and "tiny" in page.text and "serial t1" in page.text
+    assert f"{report.chosen.alignment_mm:.2f}" in page.text
+    assert len(page.images) == 5
+    seen = next(image for title, image in page.images.items() if title.startswith("Tactile camera"))
+    assert np.abs(seen[..., ::-1].astype(int) - frames[1.0].tactile_color).mean() < 10, "drawn over the snapshot"
+
+    wizard.export_report(tmp_path)
+    qtbot.waitUntil(lambda: "no ordinary file" in wizard.messages.message("file").sentence)
+    assert wizard.check.export.isEnabled()
 
 
 def test_save_preset_saves_the_file_too(open_wizard, scene, frames, feed, document, qtbot, tmp_path):

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from html_pages import HtmlPage
 from rigs import save_rig
 from simulated_clicks import ClickNoise, make_clicks
 from tactune.core.calibration import write_points
@@ -48,6 +49,18 @@ def test_words_hold_the_verdict(run, files, model):
     assert status == 0
     assert "Verdict: " in out
     assert "supported tolerance t" in out
+
+
+def test_the_report_is_one_file_with_its_numbers_and_pictures(run, files, tmp_path):
+    path = tmp_path / "quality.html"
+    status, out, _ = run("--points", files / "points.csv", "--rig", files / "rig.json", "--report", path, "--json")
+    assert status == 0
+    page, found = HtmlPage(path), json.loads(out)
+    assert found["verdict"] in page.text
+    for name in ("rms_px", "cross_validated_px", "alignment_px", "alignment_bound_95_px", "boundary_error_mm"):
+        assert f"{found[name]:.2f}" in page.text
+    assert f"{found['supported_tolerance']:.4f}" in page.text
+    assert len(page.images) == 3 and all(image.std() > 0 for image in page.images.values())
 
 
 def test_depth_scale_is_reported(run, files):
