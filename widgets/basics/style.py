@@ -27,6 +27,7 @@ from PyQt6.QtWidgets import (
 )
 
 from .theme import GRID, ThemeChoice, ThemeName, make_palette, set_theme, theme_colors
+from .tooltips import TipWrapper, is_tip
 
 _Primitive = QStyle.PrimitiveElement
 _Control = QStyle.ControlElement
@@ -86,6 +87,13 @@ class ControlStyle(QProxyStyle):
 
     def __init__(self) -> None:
         super().__init__("Fusion")
+        self._tips = TipWrapper(self)
+
+    def polish(self, target: Any) -> Any:
+        """Let tooltips wrap."""
+        if isinstance(target, QWidget) and is_tip(target):
+            self._tips.watch(target)
+        return super().polish(target)
 
     def pixelMetric(
         self, metric: QStyle.PixelMetric, option: QStyleOption | None = None, widget: QWidget | None = None

@@ -1,0 +1,83 @@
+"""Every tooltip is wrapped at about 60 characters: of widgets, menu entries, table headers and cells."""
+
+from __future__ import annotations
+
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QHelpEvent
+from PyQt6.QtWidgets import QApplication, QLabel, QMenu, QTableWidget, QTableWidgetItem, QToolTip
+
+from tactune.widgets.basics.style import apply_theme
+
+LONG = "The share of the estimated rim that is eroded, because the membrane leaves the object at a tangent. " * 3
+SHORT = "Frames per second"
+WIDEST_PX = 420
+
+
+@pytest.fixture(autouse=True)
+def theme(qtbot):
+    apply_theme(QApplication.instance(), "light")
+    yield
+    QToolTip.hideText()
+    qtbot.waitUntil(lambda: not QToolTip.isVisible())
+
+
+def tip_at(qtbot, widget, place):
+    """Rest the pointer at a place of a widget; return the label in which Qt shows the tooltip."""
+    event = QHelpEvent(QHelpEvent.Type.ToolTip, place, widget.mapToGlobal(place))
+    QApplication.sendEvent(widget, event)
+    qtbot.waitUntil(QToolTip.isVisible)
+    [tip] = [label for label in QApplication.topLevelWidgets() if label.inherits("QTipLabel") and label.isVisible()]
+    return tip
+
+
+def assert_readable(tip, text):
+    assert tip.text() == text
+    assert tip.width() <= WIDEST_PX
+    words = tip.fontMetrics().boundingRect(0, 0, tip.width(), 9999, Qt.TextFlag.TextWordWrap, text)
+    assert tip.height() >= words.height()
+    assert tip.screen().geometry().contains(tip.geometry())
+
+
+def test_a_widget_and_another_right_after_it(qtbot):
+    for text, lines in ((LONG, 4), (SHORT, 1), (LONG, 4)):
+        label = QLabel("value")
+        qtbot.addWidget(label)
+        label.setToolTip(text)
+        label.show()
+        tip = tip_at(qtbot, label, QPoint(2, 2))
+        assert_readable(tip, text)
+        assert (tip.height() > 3 * tip.fontMetrics().height()) == (lines > 1)
+
+
+def test_a_menu_entry(qtbot):
+    menu = QMenu()
+    qtbot.addWidget(menu)
+    menu.setToolTipsVisible(True)
+    menu.addAction("Watch").setToolTip(LONG)
+    menu.popup(QPoint(20, 20))
+    assert_readable(tip_at(qtbot, menu, QPoint(12, 12)), LONG)
+    menu.close()
+
+
+def test_a_table_header_and_a_cell(qtbot):
+    table = QTableWidget(1, 1)
+    qtbot.addWidget(table)
+    for item in (header := QTableWidgetItem("Error"), cell := QTableWidgetItem("0.1")):
+        item.setToolTip(LONG)
+    table.setHorizontalHeaderItem(0, header)
+    table.setItem(0, 0, cell)
+    table.show()
+    assert_readable(tip_at(qtbot, table.horizontalHeader().viewport(), QPoint(10, 5)), LONG)
+    QToolTip.hideText()
+    assert_readable(tip_at(qtbot, table.viewport(), QPoint(10, 5)), LONG)
+
+
+def test_at_the_lower_edge_of_the_screen_it_stays_inside(qtbot):
+    label = QLabel("value")
+    qtbot.addWidget(label)
+    label.setToolTip(LONG * 2)
+    screen = QApplication.primaryScreen().geometry()
+    label.setGeometry(screen.right() - 60, screen.bottom() - 40, 50, 30)
+    label.show()
+    assert_readable(tip_at(qtbot, label, QPoint(2, 20)), LONG * 2)
