@@ -212,8 +212,8 @@ class MainWindow(QMainWindow):
         column.addWidget(self.time_strip)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
-        for job in (self.opening, self.recording_bar, self.export_bar):
-            self.messages.pin(job)
+        for part in (self.opening, self.recording_bar, self.export_bar, self.status.details):
+            self.messages.pin(part)
         self.setStatusBar(self.status)
         self.message_history = MessageHistory(self)
         self.setAcceptDrops(True)
@@ -252,6 +252,9 @@ class MainWindow(QMainWindow):
         worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR, subject=SOURCE))
         worker.recovered.connect(partial(self.messages.clear, "worker"))
         worker.playbackChanged.connect(transport.show_state)
+        worker.playbackChanged.connect(self.status.show_playback)
+        worker.recordingStarted.connect(lambda _: self.status.show_recording(True))
+        worker.recordingEnded.connect(lambda _: self.status.show_recording(False))
         worker.stateChanged.connect(self.presenter.show_state)
         transport.seekRequested.connect(worker.seek)
         transport.held.connect(worker.set_held)

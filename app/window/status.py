@@ -1,25 +1,127 @@
-"""The status bar: source, rates, stage times and patch area; and the progress of opening a source."""
+"""The status bar: state, source, frame rate and patch area; a panel with the other numbers; the progress of opening."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
 
-from PyQt6.QtCore import pyqtSignal
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QProgressBar, QPushButton, QStatusBar, QVBoxLayout, QWidget
+from PyQt6.QtCore import Qt, pyqtSignal
+from PyQt6.QtGui import QKeyEvent, QShowEvent
+from PyQt6.QtWidgets import (
+    QFrame,
+    QGridLayout,
+    QHBoxLayout,
+    QLabel,
+    QProgressBar,
+    QPushButton,
+    QStatusBar,
+    QVBoxLayout,
+    QWidget,
+)
 
 from ...widgets.basics.controls import ElidedLabel
+from ..worker.playback import PlaybackState
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
 #: Interval between updates while frames play, in seconds.
 INTERVAL_S = 0.2
+#: Times below this are shown as 0: the stage is cached or was skipped.
 _MIN_SHOWN_MS = 0.05
-#: If the times of all stages need a larger share of the bar's width, only their sum is shown.
-_MAX_SHARE = 0.45
+
+_DETAILS = {
+    "Shown": "Frames per second drawn in this window",
+    "Computed": "Frames per second processed; higher than shown where the views are slower",
+    "Dropped": "Frames not drawn because a newer one was ready, or lost in transfer",
+    "Unmatched": "Images without a partner from the other camera in time",
+    "Skew": "Tactile minus proximity time stamp, in milliseconds",
+    "Patch": "Points of the patch, and the number of frames that were averaged",
+    "Stages": "Milliseconds of processing per stage; a stage that is cached or skipped is left out",
+    "Reading": "Milliseconds for reading the frame from the source",
+    "Drawing": "Milliseconds for drawing images and clouds for the window",
+}
+
+
+class FrameDetails(QFrame):
+    """The numbers of the newest frame that the status bar does not show: rates, losses, skew and times."""
+
+    closed = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.setAccessibleName("Details of the frame")
+        self.numbers: dict[str, QLabel] = {}
+        self._result: Result | None = None
+        self._shown_fps = 0.0
+        grid = QGridLayout(self)
+        grid.setContentsMargins(8, 4, 8, 4)
+        grid.setVerticalSpacing(0)
+        grid.setColumnStretch(1, 1)
+        for row, (name, tip) in enumerate(_DETAILS.items()):
+            number = self.numbers[name] = QLabel()
+            number.setWordWrap(True)
+            number.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+            title = QLabel(name)
+            for label in (title, number):
+                label.setToolTip(tip)
+                grid.addWidget(label, row, 0 if label is title else 1, Qt.AlignmentFlag.AlignTop)
+        stages = self.numbers["Stages"]
+        stages.setMinimumHeight(2 * stages.fontMetrics().lineSpacing())  # two lines at most, so that nothing moves
+        self.hide()
+
+    def show_result(self, result: Result, shown_fps: float) -> None:
+        """Show the numbers of a result; while the panel is closed they are only kept."""
+        self._result, self._shown_fps = result, shown_fps
+        if self.isVisible():
+            self._fill()
+
+    def showEvent(self, event: QShowEvent | None) -> None:
+        """Show the newest numbers."""
+        super().showEvent(event)
+        self._fill()
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Close with Esc while the focus is here."""
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.closed.emit()
+        else:
+            super().keyPressEvent(event)
+
+    def _fill(self) -> None:
+        result = self._result
+        if result is None:
+            return
+        patch, runs = result.patch, result.playback.running
+        stages = {} if patch is None else patch.stage_ms
+        computed = [f"{stage} {ms:.1f}" for stage, ms in stages.items() if ms >= _MIN_SHOWN_MS]
+        points = "none" if patch is None else f"{len(patch.points):,} points"
+        if patch is not None and patch.averaged_frames > 1:
+            points += f", mean of {patch.averaged_frames} frames"
+        for name, text in {
+            "Shown": f"{self._shown_fps:.0f} fps" if runs else "paused",
+            "Computed": f"{result.processed_fps:.0f} fps" if runs else "paused",
+            "Dropped": str(result.dropped),
+            "Unmatched": str(result.unmatched),
+            "Skew": f"{1e3 * result.frame.skew_s:.1f} ms",
+            "Patch": points,
+            "Stages": f"{' + '.join(computed)} = {sum(stages.values()):.1f} ms" if computed else "unchanged",
+            "Reading": f"{result.read_ms:.1f} ms",
+            "Drawing": f"{result.render_ms:.1f} ms",
+        }.items():
+            if self.numbers[name].text() != text:
+                self.numbers[name].setText(text)
 
 
 class FrameStatus(QStatusBar):
-    """Shows the numbers of the newest result, a few times a second."""
+    """What the source does, frame rate and patch area, a few times a second.
+
+    Attributes
+    ----------
+    state : QPushButton
+        The state in words; opens and closes `details`.
+    details : FrameDetails
+        The other numbers; the window puts it over the views.
+    findings : QPushButton
+        The number of findings.
+    """
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -27,6 +129,16 @@ class FrameStatus(QStatusBar):
         self.setContentsMargins(0, 0, 8, 0)
         self._shown_rate = RateMeter()
         self._last_s = 0.0
+        self._playback, self._stale, self._recording = PlaybackState(), False, False
+        self.details = FrameDetails()
+        self.state = QPushButton("No source")
+        self.state.setFlat(True)
+        self.state.setCheckable(True)
+        self.state.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+        self.state.setToolTip("Rates, dropped frames, skew and times of the stages")
+        self.state.toggled.connect(self.details.setVisible)
+        self.details.closed.connect(lambda: self.state.setChecked(False))
+        self.addWidget(self.state)
         self._source = ElidedLabel()
         self.addWidget(self._source, 1)
         self.findings = QPushButton()
@@ -34,18 +146,7 @@ class FrameStatus(QStatusBar):
         self.findings.setToolTip("What is wrong with this frame or preset, and what mends it (Ctrl+F)")
         self.findings.hide()
         self.addPermanentWidget(self.findings)
-        self._rates = self._number("00 shown / 00 processed fps", "Frames per second drawn, and processed")
-        self._dropped = self._number(
-            "0000 dropped",
-            "Dropped: frames not drawn because a newer one was ready, or lost in transfer\n"
-            "Unmatched: images without a partner from the other camera in time",
-        )
-        self._stages = self._number(
-            "fusion 00.0  equilibrium 0.0  edge 0.0  clusters 0.0 ms",
-            "Milliseconds per stage; 0 is cached or skipped",
-        )
-        self._skew = self._number("skew 00.0 ms", "Skew: tactile minus proximity time stamp, in milliseconds")
-        self._points = self._number("000,000 points", "Points of the patch")
+        self._rate = self._number("000 fps", "Frames per second drawn")
         self._area = self._number("patch 0000.0 cm²", "Area of the patch, projected along the optical axis")
 
     @property
@@ -57,8 +158,8 @@ class FrameStatus(QStatusBar):
         """Show length, name and cameras of the source."""
         rig = info.rig
         cameras = " + ".join(f"{camera.model} {camera.serial}".strip() for camera in (rig.proximity, rig.tactile))
-        length = "live" if info.length is None else f"{info.length} frame{'' if info.length == 1 else 's'}"
-        self._source.setText(f"{length}, {info.name}, {cameras}")
+        length = "" if info.length is None else f", {info.length} frame{'' if info.length == 1 else 's'}"
+        self._source.setText(f"{info.name}{length}, {cameras}")
 
     def show_findings(self, count: int) -> None:
         """Show the number of findings; the button is hidden while there is none."""
@@ -66,61 +167,56 @@ class FrameStatus(QStatusBar):
         self.findings.setVisible(count > 0)
 
     def show_state(self, state: SourceState) -> None:
-        """Show that no frame comes."""
-        if state.stale:
-            self._rates.setText("no frames")
+        """Show whether frames come."""
+        self._stale = state.stale
+        self._show_words()
 
-    def _show_losses(self, dropped: int, unmatched: int) -> None:
-        self._dropped.setText(f"{dropped} dropped" + (f", {unmatched} unmatched" if unmatched else ""))
+    def show_playback(self, state: PlaybackState) -> None:
+        """Show whether the source plays."""
+        self._playback = state
+        if not state.running:
+            self._rate.setText("")
+        self._show_words()
+
+    def show_recording(self, running: bool) -> None:
+        """Show whether a recording is being made."""
+        self._recording = running
+        self._show_words()
 
     def show_result(self, result: Result) -> None:
-        """Count a frame as shown. Points and area are those of the views; the other numbers wait for `INTERVAL_S`."""
+        """Count a frame as shown. The area is that of the views; the other numbers wait for `INTERVAL_S`."""
         self._shown_rate.tick()
-        patch = result.patch
-        self._points.setText("" if patch is None else f"{len(patch.points):,} points")
-        self._area.setText("" if patch is None else f"patch {result.area_mm2 / 100:.1f} cm²")
+        self._area.setText("" if result.patch is None else f"patch {result.area_mm2 / 100:.1f} cm²")
         now = time.perf_counter()
         running = result.playback.running
         if running and now - self._last_s < INTERVAL_S:
             return
         self._last_s = now
-        rates = f"{self.shown_fps:.0f} shown / {result.processed_fps:.0f} processed fps" if running else "paused"
-        self._rates.setText(rates)
-        self._show_losses(result.dropped, result.unmatched)
-        self._skew.setText(f"skew {1e3 * result.frame.skew_s:.1f} ms")
-        if patch is None:
-            self._stages.setText("")
-            return
-        times, averaged = patch.stage_ms, patch.averaged_frames
-        mean = f"mean of {averaged} frames  " if averaged > 1 else ""
-        self._stages.setText(mean + self._in_words(times))
-        self._stages.setToolTip(
-            "Milliseconds per stage (0: cached or skipped)\n"
-            + "\n".join(f"{stage}: {ms:.2f}" for stage, ms in times.items())
-            + f"\nreading: {result.read_ms:.2f}\ndrawing for the window: {result.render_ms:.2f}"
-        )
+        self._rate.setText(f"{self.shown_fps:.0f} fps" if running else "")
+        self.details.show_result(result, self.shown_fps)
 
-    def _in_words(self, times: Mapping[str, float]) -> str:
-        """Return the time of each stage; if that is too long for the bar, the sum and the slowest stage."""
-        computed = [f"{stage} {ms:.1f}" for stage, ms in times.items() if ms >= _MIN_SHOWN_MS]
-        if not computed:
-            return "unchanged"
-        each = "  ".join(computed) + " ms"
-        if self.fontMetrics().horizontalAdvance(each) <= _MAX_SHARE * self.width():
-            return each
-        longest = max(times, key=lambda stage: times[stage])
-        return f"{sum(times.values()):.1f} ms ({longest} {times[longest]:.1f})"
+    def _show_words(self) -> None:
+        """Show the state in one or two words."""
+        playback = self._playback
+        if self._stale:
+            words = "No frames"
+        elif playback.frozen:
+            words = "Frozen"
+        elif not playback.running:
+            words = "Paused"
+        else:
+            words = "Live" if playback.length is None else "Playing"
+        text = f"Recording, {words.lower()}" if self._recording else words
+        if text != self.state.text():
+            self.state.setText(text)
+            self.state.setAccessibleName(f"{text}: details of the frame")
 
     def _number(self, widest: str, tip: str) -> QLabel:
         """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
-        label = self._label("", tip)
+        label = QLabel()
+        label.setToolTip(tip)
         label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
         self.addPermanentWidget(label)
-        return label
-
-    def _label(self, text: str, tip: str) -> QLabel:
-        label = QLabel(text)
-        label.setToolTip(tip)
         return label
 
 

@@ -6,20 +6,20 @@ from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
+from PyQt6.QtCore import Qt
+from PyQt6.QtTest import QTest
 from PyQt6.QtWidgets import QLabel, QToolButton
 
 from contrast import contrast_ratio
 from tactune.app.window.status import FrameStatus
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
-from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.app.worker.results import SourceInfo, SourceState, Wanted
 from tactune.core.preset import Preset
 from tactune.widgets.basics.theme import theme_colors
 from tiny_sensor import tiny_frame, tiny_rig
 
 TIMES = {"average": 2.0, "fusion": 2.5, "equilibrium": 6.6, "edge": 0.4, "clusters": 0.8, "points": 0.5}
-EACH = "average 2.0  fusion 2.5  equilibrium 6.6  edge 0.4  clusters 0.8  points 0.5 ms"
-SUM = "12.8 ms (equilibrium 6.6)"
 
 
 @pytest.mark.parametrize("theme", ["dark", "light"])
@@ -49,51 +49,76 @@ def result():
 def bar(qtbot):
     made = FrameStatus()
     qtbot.addWidget(made)
+    qtbot.addWidget(made.details)
+    made.show()
     return made
 
 
-def texts(bar, result, times) -> set[str]:
+def give(bar, result, times=TIMES, **changes):
     patch = SimpleNamespace(points=result.patch.points, averaged_frames=1, stage_ms=times)
-    bar.show_result(replace(result, patch=patch))
-    return {label.text() for label in bar.findChildren(QLabel)}
-
-
-@pytest.mark.parametrize(("width_px", "shown", "not_shown"), [(1000, SUM, EACH), (1920, EACH, SUM)])
-def test_the_times_of_the_stages_are_summed_up_where_they_do_not_fit(bar, result, width_px, shown, not_shown):
-    bar.resize(width_px, 24)
-    found = texts(bar, result, TIMES)
-    assert shown in found and not_shown not in found
+    bar.show_result(replace(result, patch=patch, **changes))
 
 
 @pytest.mark.parametrize(
     ("times", "shown"),
     [
-        ({"fusion": 1.5, "outliers": 0.4, "clusters": 0.0}, "fusion 1.5  outliers 0.4 ms"),
+        (TIMES, "average 2.0 + fusion 2.5 + equilibrium 6.6 + edge 0.4 + clusters 0.8 + points 0.5 = 12.8 ms"),
+        ({"fusion": 1.5, "outliers": 0.4, "clusters": 0.0}, "fusion 1.5 + outliers 0.4 = 1.9 ms"),
         (dict.fromkeys(TIMES, 0.0), "unchanged"),
     ],
 )
-def test_stages_that_took_no_time_are_left_out(bar, result, times, shown):
-    bar.resize(1280, 24)
-    assert shown in texts(bar, result, times)
+def test_the_panel_names_the_times_of_the_stages_that_took_time(bar, result, times, shown):
+    QTest.keyClick(bar.state, Qt.Key.Key_Space)
+    give(bar, result, times, dropped=3, unmatched=5)
+    said = {name: label.text() for name, label in bar.details.numbers.items()}
+    assert said["Stages"] == shown
+    assert (said["Dropped"], said["Unmatched"], said["Skew"]) == ("3", "5", "2.0 ms")
 
 
-def test_points_and_area_are_those_of_the_frame_in_the_views_while_frames_play(bar, result):
-    running = replace(result, playback=PlaybackState(playing=True))
-    count = len(result.patch.points)
-    for points in (count, 0, count):  # faster than the other numbers change
-        patch = SimpleNamespace(points=result.patch.points[:points], averaged_frames=1, stage_ms=TIMES)
-        bar.show_result(replace(running, patch=patch, area_mm2=points / 10))
-        shown = {label.text() for label in bar.findChildren(QLabel)}
-        assert {f"{points:,} points", f"patch {points / 1000:.1f} cm²"} <= shown
+def test_the_panel_is_written_only_while_it_is_open(bar, result):
+    give(bar, result, dropped=3)
+    assert bar.details.numbers["Dropped"].text() == ""
+    QTest.mouseClick(bar.state, Qt.MouseButton.LeftButton)
+    assert bar.details.numbers["Dropped"].text() == "3"
+    QTest.mouseClick(bar.state, Qt.MouseButton.LeftButton)
+    give(bar, result, dropped=4)
+    assert not bar.details.isVisible() and bar.details.numbers["Dropped"].text() == "3"
 
 
-@pytest.mark.parametrize("width_px", [1000, 1280, 1920])
+def test_the_area_is_that_of_the_frame_in_the_views_while_frames_play(bar, result):
+    running = PlaybackState(playing=True)
+    for area_cm2 in (4.0, 0.0, 4.5):  # faster than the other numbers change
+        give(bar, result, playback=running, area_mm2=100 * area_cm2)
+        assert f"patch {area_cm2:.1f} cm²" in {label.text() for label in bar.findChildren(QLabel)}
+
+
+def test_the_state_is_said_in_a_word_or_two(bar):
+    said = []
+    for state in (
+        PlaybackState(length=8, playing=True),
+        PlaybackState(length=8),
+        PlaybackState(playing=True),
+        PlaybackState(playing=True, frozen=True),
+    ):
+        bar.show_playback(state)
+        said.append(bar.state.text())
+    assert said == ["Playing", "Paused", "Live", "Frozen"]
+    bar.show_recording(True)
+    bar.show_state(SourceState(stale=True))
+    assert bar.state.text() == "Recording, no frames"
+
+
+@pytest.mark.parametrize("width_px", [900, 1280, 1920])
 def test_no_number_is_cut_off(bar, result, width_px):
     bar.resize(width_px, 24)
-    bar.show()
-    texts(bar, result, TIMES)
+    bar.show_findings(12)
+    bar.show_recording(True)
+    bar.show_playback(PlaybackState(length=8, playing=True))
+    give(bar, result, playback=PlaybackState(length=8, playing=True), area_mm2=123456)
     bar.layout().activate()
     for label in bar.findChildren(QLabel):
         if label.text() and type(label) is QLabel:
             assert label.width() >= label.fontMetrics().horizontalAdvance(label.text())
             assert label.geometry().right() < bar.width()
+    for button in (bar.state, bar.findings):
+        assert button.width() >= button.sizeHint().width()

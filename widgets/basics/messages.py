@@ -90,6 +90,7 @@ class Message(QFrame):
         super().__init__(parent)
         self.sentence, self.subject = said.sentence, subject
         self.lasts = bool(offers) or said.severity is not Severity.INFO
+        self.rank = 0 if said.severity is Severity.ERROR else 1 if self.lasts else 2
         self._close = close
         self._goes = QTimer(self)
         self._goes.setSingleShot(True)
@@ -187,8 +188,8 @@ class Message(QFrame):
 class Messages(QWidget):
     """The messages at the lower left over a widget, the newest on top. A message replaces an older one of its key.
 
-    At most `LIMIT` are shown, fewer if the widget is low. The others wait, notes that go by themselves behind the
-    rest. `HISTORY` keeps all.
+    At most `LIMIT` are shown, fewer if the widget is low; errors come first, notes that go by themselves last. The
+    others wait. `HISTORY` keeps all.
 
     Parameters
     ----------
@@ -327,7 +328,7 @@ class Messages(QWidget):
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
         room = self._over.height() - 2 * _MARGIN_PX
-        shown = sorted(newest, key=lambda message: not message.lasts)[:LIMIT]  # stable: the newest first of each kind
+        shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
         heights = {frame: _height(frame, width) + _GAP_PX for frame in (*newest, *pinned)}
         while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:
             shown.pop()
