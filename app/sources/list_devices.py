@@ -7,19 +7,25 @@ import sys
 from dataclasses import asdict
 
 from ...core.errors import TactuneError
+from ...core.sources.cameras.camera import StreamLens
 
 
 def main() -> int:
     """Write ``{"devices": [...], "hint": clause, "problems": [clause, ...]}`` or ``{"problem": clause}`` to stdout.
 
-    The three are those of `list_devices`; a device has the fields of `DeviceInfo`.
+    The three are those of `list_devices`; a device has the fields of `DeviceInfo`. With the argument ``--lenses`` it
+    has also ``lenses``, each with ``kind``, ``depth_unit_m`` and the fields of `Intrinsics`.
     """
-    from ...core.sources.cameras.drivers import list_devices
+    from ...core.sources.cameras.drivers import list_devices, list_lenses
 
     try:
         devices, hint, problems = list_devices()
+        described = [asdict(device) for device in devices]
+        if "--lenses" in sys.argv:
+            lenses = list_lenses()
+            described = [each | {"lenses": _as_json(lenses.get(each["serial"], []))} for each in described]
         answer: dict[str, object] = {
-            "devices": [asdict(device) for device in devices],
+            "devices": described,
             "hint": hint,
             "problems": problems,
         }
@@ -27,6 +33,13 @@ def main() -> int:
         answer = {"problem": str(error)}
     sys.stdout.write(json.dumps(answer) + "\n")
     return 0
+
+
+def _as_json(lenses: list[StreamLens]) -> list[dict[str, object]]:
+    return [
+        {"kind": lens.kind, "depth_unit_m": lens.depth_unit_m, **lens.intrinsics.model_dump(mode="json")}
+        for lens in lenses
+    ]
 
 
 if __name__ == "__main__":

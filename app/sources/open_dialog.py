@@ -22,7 +22,6 @@ from ...core.errors import SourceError
 from ...widgets.basics.controls import ProgressBar, caption, dialog_buttons, push_button
 from ...widgets.basics.theme import theme_colors
 from .page import SourcePage
-from .search import sentence_of
 
 _SIZE = (820, 560)
 
@@ -106,6 +105,11 @@ class OpenDialog(QDialog):
         page.setFocus()
         self.focusNextChild()
 
+    def open_name(self, name: str) -> None:
+        """Ask for a source as if its name were typed and Open pressed."""
+        self.name.setText(name)
+        self._open()
+
     def show_progress(self, share: float, words: str) -> None:
         """Show how far the source is opened."""
         self.progress.setRange(0, 100 if share > 0 else 0)
@@ -114,7 +118,7 @@ class OpenDialog(QDialog):
     def show_failure(self, sentence: str, lacks_rig: bool = False) -> None:
         """Say why the source was not opened; ``lacks_rig`` offers *Create rig…*."""
         self._set_busy(False)
-        self._say(sentence_of(sentence), error=True)
+        self._say(sentence, error=True)
         self.create_rig.setVisible(lacks_rig)
         (self.create_rig if lacks_rig else self.name).setFocus()
 
@@ -137,6 +141,9 @@ class OpenDialog(QDialog):
         self.progress.hide()
         self.create_rig.hide()
         self._allow(False)
+        button = self.buttons.button(QDialogButtonBox.StandardButton.Open)
+        if button is not None:
+            button.setDefault(True)
         self.resize(*_SIZE)
 
     def _page_chosen(self, row: int) -> None:
@@ -163,7 +170,7 @@ class OpenDialog(QDialog):
                 with QSignalBlocker(page):
                     known = page.show_name(text.strip())
             except SourceError as error:
-                self._say(sentence_of(str(error)), error=True)
+                self._say(str(error), error=True)
                 known = True
             if known:
                 self._switch_to(page)

@@ -5,20 +5,34 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Any
 
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
+from ...core.model.intrinsics import Intrinsics
+
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
-_PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
+PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
 _DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
 
 
 @dataclass(frozen=True)
+class FoundLens:
+    """The factory calibration of one image size of a camera; ``kind`` is "depth" or "color"."""
+
+    kind: str
+    depth_unit_m: float
+    intrinsics: Intrinsics
+
+
+@dataclass(frozen=True)
 class FoundCamera:
-    """A connected camera; fields that it does not report are empty."""
+    """A connected camera; fields that it does not report are empty.
+
+    ``lenses`` is found only if the search asks for it.
+    """
 
     model: str
     serial: str
@@ -26,6 +40,7 @@ class FoundCamera:
     usb: str = ""
     problem: str = ""
     role: str = ""
+    lenses: tuple[FoundLens, ...] = ()
 
     @property
     def sees_proximity(self) -> bool:
@@ -51,7 +66,7 @@ class CameraSearch(QObject):
     found = pyqtSignal(object, str)
     failed = pyqtSignal(str)
 
-    def __init__(self, parent: QObject | None = None, arguments: Sequence[str] = _PROGRAM) -> None:
+    def __init__(self, parent: QObject | None = None, arguments: Sequence[str] = PROGRAM) -> None:
         super().__init__(parent)
         self._arguments = list(arguments)
         self._process = QProcess(self)
@@ -104,7 +119,7 @@ class CameraSearch(QObject):
             problem = answer.get("problem", "")
             hint = "; ".join(filter(None, [str(answer.get("hint", "")), *answer.get("problems", [])]))
             cameras = [_camera(device) for device in answer.get("devices", [])]
-        except (ValueError, IndexError, AttributeError, TypeError):
+        except (ValueError, LookupError, AttributeError, TypeError):
             self._fail(f"The search for cameras gave no answer: {_DOCTOR}.")
             return
         if problem:
@@ -126,5 +141,11 @@ def sentence_of(words: str) -> str:
 
 
 def _camera(device: dict[str, Any]) -> FoundCamera:
-    texts = {field.name: str(device.get(field.name, "") or "") for field in fields(FoundCamera)}
-    return FoundCamera(**texts)
+    texts = {
+        name: str(device.get(name, "") or "") for name in ("model", "serial", "firmware", "usb", "problem", "role")
+    }
+    lenses = []
+    for lens in device.get("lenses", []):
+        fields = {name: lens[name] for name in Intrinsics.model_fields}
+        lenses.append(FoundLens(lens["kind"], float(lens["depth_unit_m"]), Intrinsics(**fields)))
+    return FoundCamera(**texts, lenses=tuple(lenses))

@@ -386,7 +386,7 @@ class MainWindow(QMainWindow):
     def _open_failed(self, name: str, sentence: str) -> None:
         self.opening.hide()
         if sentence and not self.sources.take_failure(name, sentence):
-            self.messages.show_message("source", Severity.ERROR, sentence, subject=TASK)
+            self.messages.show_message("source", Severity.ERROR, sentence, self.sources.offers(name), subject=TASK)
         if self.result is None:
             self.views.show_message(_NO_SOURCE)
 

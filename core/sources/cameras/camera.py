@@ -149,6 +149,23 @@ class DeviceInfo:
         return f"{self.model} (serial {self.serial})"
 
 
+@dataclass(frozen=True)
+class StreamLens:
+    """The factory calibration of one image size.
+
+    Attributes
+    ----------
+    kind : {"depth", "color"}
+    intrinsics : Intrinsics
+    depth_unit_m : float
+        Length of one count of the camera's depth images.
+    """
+
+    kind: Kind
+    intrinsics: Intrinsics
+    depth_unit_m: float
+
+
 class Camera(ABC):
     """One opened camera.
 
@@ -253,6 +270,10 @@ class CameraDriver(ABC):
     def serials(self) -> list[str]:
         """Return the serial numbers of the connected devices; asked twice a second while a camera is silent."""
         return [info.serial for info in self.devices()]
+
+    def lenses(self, serial: str) -> list[StreamLens]:
+        """Return the lens of every image size of a device, without streaming; empty if the driver does not tell."""
+        return []
 
     @abstractmethod
     def open(self, serial: str, role: CameraRole) -> Camera:

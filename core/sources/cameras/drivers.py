@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 
 from ...errors import PluginError, SourceError, TactuneError
 from ...model.plugins import load_plugin_class, load_plugins
 from ...preset import CamerasSection
 from ..base import CameraRole
-from .camera import CameraDriver, DeviceInfo
+from .camera import CameraDriver, DeviceInfo, StreamLens
 
 GROUP = "tactune.cameras"
 
@@ -73,6 +74,15 @@ def list_devices() -> tuple[list[DeviceInfo], str, list[str]]:
         raise SourceError("; ".join([str(error), *problems])) from error
     devices = sorted((info for _, info in found), key=lambda info: (info.role != "proximity", info.model, info.serial))
     return devices, "; ".join(filter(None, (driver.hint() for driver in drivers))), [*failures, *problems]
+
+
+def list_lenses() -> dict[str, list[StreamLens]]:
+    """Return the lenses of all connected devices by serial number; a driver that fails gives none."""
+    lenses: dict[str, list[StreamLens]] = {}
+    for driver, info in connected_devices(camera_drivers()[0])[0]:
+        with suppress(Exception):  # another package's driver may raise anything
+            lenses[info.serial] = driver.lenses(info.serial)
+    return lenses
 
 
 def choose(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,7 +14,7 @@ from ...errors import SourceError
 from ...model.frames import DepthCamera, Matrix4, rigid_transform
 from ...model.intrinsics import Distortion, Intrinsics
 from ..base import CameraOption, CameraRole
-from ..cameras.camera import Calibration, Camera, DeviceInfo, Image
+from ..cameras.camera import Calibration, Camera, DeviceInfo, Image, StreamLens
 
 WIDTH, HEIGHT, RATE_HZ = 640, 480, 30
 _FORMATS = {"depth": "z16", "color": "rgb8"}
@@ -263,6 +264,23 @@ def _read_calibration(streams: dict[str, _Stream], info: DeviceInfo) -> Calibrat
         return Calibration(camera, _lens(color.profile), _pose(depth.profile, color.profile))
     except (ValidationError, ValueError) as error:
         raise SourceError(f"the {info.title} reports a lens or pose that cannot be ({error}); calibrate it") from error
+
+
+def read_lenses(device: Any) -> list[StreamLens]:
+    """Return the lens of every size of a device's depth and colour images; sizes without one are left out."""
+    found: dict[tuple[str, int, int], Intrinsics] = {}
+    unit_m = 0.0
+    for sensor in device.query_sensors():
+        if sensor.is_depth_sensor():
+            unit_m = float(f"{sensor.as_depth_sensor().get_depth_scale():.7g}")
+        for profile in sensor.get_stream_profiles():
+            kind = profile.stream_type().name
+            if kind not in _FORMATS or not profile.is_video_stream_profile():
+                continue
+            with suppress(RuntimeError, ValueError):  # ValidationError is a ValueError
+                lens = _lens(profile)
+                found.setdefault((kind, lens.width, lens.height), lens)
+    return [StreamLens("depth" if kind == "depth" else "color", lens, unit_m) for (kind, _, _), lens in found.items()]
 
 
 def _lens(profile: Any) -> Intrinsics:

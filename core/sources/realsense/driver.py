@@ -11,7 +11,7 @@ from typing import Any
 
 from ...errors import MissingExtraError, SourceError
 from ..base import CameraRole
-from ..cameras.camera import Camera, CameraDriver, DeviceInfo, StreamMode
+from ..cameras.camera import Camera, CameraDriver, DeviceInfo, StreamLens, StreamMode
 
 #: Returns the driver's objects of the connected devices.
 DeviceQuery = Callable[[], list[Any]]
@@ -53,6 +53,12 @@ class RealSenseDriver(CameraDriver):
             if _serial(device) == serial:
                 return RealSenseCamera(load_driver(), device, describe(device), role)
         raise SourceError(f"the RealSense camera with the serial {serial} is not connected; plug it in")
+
+    def lenses(self, serial: str) -> list[StreamLens]:
+        """Return the lens of every size of depth and colour images."""
+        from .camera import read_lenses
+
+        return [lens for device in self._query() if _serial(device) == serial for lens in read_lenses(device)]
 
     def hint(self) -> str:
         """Return why this version of the driver finds no L515."""

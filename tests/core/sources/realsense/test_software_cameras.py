@@ -74,6 +74,14 @@ def test_devices_are_described_without_being_started():
     assert StreamMode("color", 640, 480, 30, "rgb8") in tactile.modes
 
 
+def test_the_lenses_of_all_sizes_are_read_without_starting():
+    lenses = RealSenseDriver(SoftwareRig().devices).lenses("f0090001")
+    assert {(lens.kind, lens.intrinsics.width) for lens in lenses} == {("depth", 640), ("depth", 320), ("color", 640)}
+    color = next(lens for lens in lenses if lens.kind == "color")
+    assert (color.intrinsics.fx, color.intrinsics.coefficients[1]) == (603.5, -0.25)
+    assert color.depth_unit_m == 0.00025
+
+
 def open_rig(rig: SoftwareRig) -> CameraSource:
     return CameraSource([RealSenseDriver(rig.devices)], scheme="realsense")
 

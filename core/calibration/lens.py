@@ -1,0 +1,211 @@
+"""A camera's lens from pictures of a chessboard, or the nominal one of its model."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+
+from ..errors import CalibrationError
+from ..model.arrays import AnyArray
+from ..model.intrinsics import Distortion, Intrinsics
+from .detect import detect_chessboard
+
+#: Files that count as pictures.
+PICTURE_ENDINGS: Final = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+
+_MIN_PICTURES: Final = 4
+#: Largest RMS distance of corners from where the fitted lens expects them, pixels.
+_MAX_RMS_PX: Final = 1.5
+#: Largest standard deviation of a focal length, as a share of it.
+_MAX_FOCAL_SHARE: Final = 0.02
+#: Views that depth cameras have: angle over the image's width or height, degrees.
+_VIEW_DEG: Final = (10.0, 150.0)
+
+
+@dataclass(frozen=True)
+class CameraModel:
+    """What the maker states about a model.
+
+    Attributes
+    ----------
+    depth_unit_m : float
+        Usual length of one count.
+    views_deg : dict of str to (float, float)
+        Horizontal and vertical field of view of the whole sensor, by the name of the lens.
+    """
+
+    depth_unit_m: float
+    views_deg: Mapping[str, tuple[float, float]]
+
+
+#: Intel's data sheets of the L500 and D400 families.
+MODELS: Final = {
+    "L515": CameraModel(0.00025, {"depth": (70.0, 55.0), "colour": (70.0, 43.0)}),
+    "D405": CameraModel(0.0001, {"depth": (84.0, 58.0), "colour": (84.0, 58.0)}),
+    "D435": CameraModel(0.001, {"depth": (87.0, 58.0), "colour": (69.0, 42.0)}),
+}
+
+
+def nominal_lens(width: int, height: int, view_deg: tuple[float, float]) -> Intrinsics:
+    """Return the lens that a field of view means: centred, square pixels, no distortion.
+
+    The image is the sensor's, scaled, and cropped on two sides if its shape differs; so the larger of the two focal
+    lengths holds.
+    """
+    across, down = (math.tan(math.radians(angle) / 2) for angle in view_deg)
+    focal = max(width / 2 / across, height / 2 / down)
+    return Intrinsics(width=width, height=height, fx=focal, fy=focal, cx=(width - 1) / 2, cy=(height - 1) / 2)
+
+
+def check_lens(lens: Intrinsics, camera: str) -> None:
+    """Raise `CalibrationError` if no depth camera has such a lens; ``camera`` names it in the message."""
+    low, high = _VIEW_DEG
+    for axis, focal, extent in (("fx", lens.fx, lens.width), ("fy", lens.fy, lens.height)):
+        view = 2 * math.degrees(math.atan(extent / 2 / focal))
+        if not low <= view <= high:
+            raise CalibrationError(
+                f"{camera}: {axis} is {focal:.6g} px, a view of {view:.0f} degrees over {extent} px, "
+                f"but depth cameras have {low:.0f} to {high:.0f}; correct it"
+            )
+    for axis, centre, extent in (("cx", lens.cx, lens.width), ("cy", lens.cy, lens.height)):
+        if not 0.25 * extent <= centre <= 0.75 * extent:
+            raise CalibrationError(
+                f"{camera}: {axis} is {centre:.6g} px, far from the centre of {extent} px; correct it"
+            )
+
+
+@dataclass(frozen=True)
+class LensFit:
+    """A lens fitted to pictures of a chessboard.
+
+    Attributes
+    ----------
+    intrinsics : Intrinsics
+        Brown-Conrady distortion.
+    rms_px : float
+        RMS distance of the corners from where the lens expects them.
+    focal_sd_px : float
+        Standard deviation of fx.
+    used : int
+        Number of pictures with a whole board.
+    refused : dict of str to str
+        Why other pictures were left out, by file name.
+    """
+
+    intrinsics: Intrinsics
+    rms_px: float
+    focal_sd_px: float
+    used: int
+    refused: Mapping[str, str]
+
+
+def fit_lens(
+    folder: Path,
+    columns: int,
+    rows: int,
+    size: tuple[int, int] | None = None,
+    progress: Callable[[float, str], None] = lambda share, words: None,
+) -> LensFit:
+    """Fit a lens to the pictures of a chessboard in a folder (Zhang's method, OpenCV's ``calibrateCamera``).
+
+    k3 is left at 0: few pictures do not determine it.
+
+    Parameters
+    ----------
+    folder : Path
+        Pictures by one camera, the board whole and at different tilts.
+    columns, rows : int
+        Inner corners of the board. The size of its squares does not matter.
+    size : (int, int), optional
+        Width and height that the pictures must have, pixels.
+    progress : callable, optional
+
+    Raises
+    ------
+    CalibrationError
+        Too few pictures, another size, or a fit that no one should use; the message states the number.
+    """
+    try:
+        paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in PICTURE_ENDINGS)
+    except OSError as error:
+        raise CalibrationError(f"cannot list {folder}: {error.strerror or error}; choose another folder") from error
+    found: list[AnyArray] = []
+    refused: dict[str, str] = {}
+    for done, path in enumerate(paths):
+        progress(0.9 * done / len(paths), f"{path.name}: looking for the chessboard")
+        try:
+            picture = _read(path)
+            size = size or (picture.shape[1], picture.shape[0])
+            _check_size(picture, size)
+            found.append(detect_chessboard(picture, columns, rows).pixels.astype(np.float32))
+        except CalibrationError as error:
+            refused[path.name] = str(error)
+    if len(found) < _MIN_PICTURES or size is None:
+        why = f" ({name}: {sentence})" if (name := next(iter(refused), "")) and (sentence := refused[name]) else ""
+        raise CalibrationError(
+            f"{folder}: a whole chessboard of {columns} x {rows} inner corners is in {len(found)} of {len(paths)} "
+            f"pictures, but {_MIN_PICTURES} are needed{why}"
+        )
+    progress(0.9, "fitting the lens")
+    fit = _fit(found, columns, rows, size, refused)
+    _refuse_bad(fit, folder)
+    return fit
+
+
+def _fit(found: list[AnyArray], columns: int, rows: int, size: tuple[int, int], refused: dict[str, str]) -> LensFit:
+    board = np.zeros((columns * rows, 3), np.float32)
+    board[:, :2] = np.mgrid[:columns, :rows].T.reshape(-1, 2)
+    guess = np.array([[size[0], 0, (size[0] - 1) / 2], [0, size[0], (size[1] - 1) / 2], [0, 0, 1]], np.float64)
+    rms, K, distortion, _, _, deviations, _, _ = cv2.calibrateCameraExtended(
+        [board] * len(found), found, size, guess, np.zeros(5), flags=cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS
+    )
+    try:
+        lens = Intrinsics(
+            width=size[0],
+            height=size[1],
+            fx=float(K[0, 0]),
+            fy=float(K[1, 1]),
+            cx=float(K[0, 2]),
+            cy=float(K[1, 2]),
+            distortion=Distortion.BROWN_CONRADY,
+            coefficients=tuple(float(value) for value in np.ravel(distortion)[:5]),
+        )
+    except ValueError as error:
+        raise CalibrationError(f"the pictures give no possible lens ({error}); tilt the board between them") from error
+    return LensFit(lens, float(rms), float(np.ravel(deviations)[0]), len(found), refused)
+
+
+def _refuse_bad(fit: LensFit, folder: Path) -> None:
+    if fit.rms_px > _MAX_RMS_PX:
+        raise CalibrationError(
+            f"{folder}: the corners miss the fitted lens by {fit.rms_px:.1f} px (RMS), more than {_MAX_RMS_PX:g} px; "
+            "check that the board is flat, that its size is right and that one camera took all pictures"
+        )
+    if not fit.focal_sd_px <= _MAX_FOCAL_SHARE * fit.intrinsics.fx:
+        raise CalibrationError(
+            f"{folder}: fx is {fit.intrinsics.fx:.0f} +- {fit.focal_sd_px:.0f} px, too uncertain; add pictures with "
+            "the board tilted in other directions"
+        )
+    check_lens(fit.intrinsics, str(folder))
+
+
+def _read(path: Path) -> AnyArray:
+    try:
+        picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+    except (OSError, cv2.error) as error:
+        raise CalibrationError(f"cannot be read ({error})") from error
+    if picture is None:
+        raise CalibrationError("is no picture")
+    return np.asarray(picture)
+
+
+def _check_size(picture: AnyArray, size: tuple[int, int]) -> None:
+    height, width = picture.shape[:2]
+    if (width, height) != size:
+        raise CalibrationError(f"it has {width} x {height} pixels, but {size[0]} x {size[1]} are needed")

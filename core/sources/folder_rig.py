@@ -1,0 +1,117 @@
+"""Folders of images that lack ``rig.json``: what is in them, and writing the file."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from ..errors import ExportError, SourceError
+from ..model.files import atomic_path, user_path
+from ..model.frames import Rig
+from ..model.rig_file import json_text, rig_to_json
+
+RIG_FILE = "rig.json"
+#: The images of a frame: whether it needs each, and its bits.
+IMAGES = {
+    "proximity_depth.png": (True, 16),
+    "proximity_color.png": (True, 8),
+    "tactile_depth.png": (True, 16),
+    "tactile_color.png": (False, 8),
+}
+
+
+@dataclass(frozen=True)
+class FolderImages:
+    """What a folder holds.
+
+    Attributes
+    ----------
+    path : Path
+    frames : int
+        Number of frames.
+    sizes : dict of str to (int, int)
+        Width and height of each image of the first frame, by file name.
+    problem : str
+        Why no rig makes these images a source; empty if one does.
+    """
+
+    path: Path
+    frames: int
+    sizes: Mapping[str, tuple[int, int]]
+    problem: str
+
+    @property
+    def has_own_color_lens(self) -> bool:
+        """Whether the proximity colour image is another camera's than the depth image, by its size."""
+        return self.sizes.get("proximity_color.png") != self.sizes.get("proximity_depth.png")
+
+
+def folder_without_rig(name: str) -> Path | None:
+    """Return the folder that a source's name means, if it holds images of frames but no ``rig.json``; else None."""
+    path = user_path(name.removeprefix("folder:"))
+    try:
+        lacks = path.is_dir() and not (path / RIG_FILE).exists() and _first_frame(path) is not None
+    except OSError:
+        return None
+    return path if lacks else None
+
+
+def find_images(path: Path) -> FolderImages:
+    """Look at the images of a folder's first frame.
+
+    Raises
+    ------
+    SourceError
+        The folder holds no frame, or cannot be read.
+    """
+    try:
+        first = _first_frame(path)
+        if first is None:
+            raise SourceError(f"{path} has no images of frames; they are called {', '.join(IMAGES)}")
+        frames = 1 if first == path else len(_numbered(path))
+        sizes, problems = {}, []
+        for name, (needed, bits) in IMAGES.items():
+            file = first / name
+            if not file.is_file():
+                problems += [f"{name} is missing"] * needed
+                continue
+            image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+            if image is None or image.dtype.itemsize * 8 != bits:
+                problems.append(f"{name} is no PNG image of {bits} bits")
+                continue
+            sizes[name] = (image.shape[1], image.shape[0])
+    except (OSError, cv2.error) as error:
+        raise SourceError(f"cannot read the images in {path}: {error}; check its permissions") from error
+    if sizes.get("tactile_color.png", sizes.get("tactile_depth.png")) != sizes.get("tactile_depth.png"):
+        problems.append("tactile_color.png has another size than tactile_depth.png; align it to the depth image")
+    return FolderImages(path, frames, sizes, f"{first}: {'; '.join(problems)}" if problems else "")
+
+
+def write_rig(path: Path, rig: Rig) -> None:
+    """Write ``rig.json`` into a folder, whole or not at all; one that is there is never replaced.
+
+    Raises
+    ------
+    ExportError
+        There is one already, or the folder cannot be written.
+    """
+    file = path / RIG_FILE
+    if file.exists():
+        raise ExportError(f"{file} is already there; remove it first")
+    with atomic_path(file) as temporary:
+        temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
+
+
+def _first_frame(path: Path) -> Path | None:
+    folders = [path, *_numbered(path)[:1]]
+    return next((folder for folder in folders if any((folder / name).is_file() for name in IMAGES)), None)
+
+
+def _numbered(path: Path) -> list[Path]:
+    numbered = [entry for entry in path.iterdir() if re.fullmatch("[0-9]+", entry.name) and entry.is_dir()]
+    return sorted(numbered, key=lambda folder: int(folder.name))
