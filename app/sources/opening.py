@@ -10,8 +10,8 @@ from PyQt6.QtCore import QObject
 
 from ...core.errors import SourceError
 from ...core.sources.folder_rig import find_images, folder_without_rig
-from ...widgets.basics.message_bar import Severity
-from ..context import Context
+from ...widgets.basics.messages import Severity
+from ..context import TASK, Context
 from ..worker.results import SourceInfo
 from .cameras_page import CamerasPage
 from .files_page import FilesPage
@@ -70,7 +70,7 @@ class OpenControl(QObject):
         try:
             images = find_images(folder)
         except SourceError as error:
-            self._context.messages.show_message("source", Severity.ERROR, str(error))
+            self._context.messages.show_message("source", Severity.ERROR, str(error), subject=TASK)
             return
         self.rig_dialog = RigDialog(images, self._context.dialogs.native, parent)
         self.rig_dialog.created.connect(self._rig_created)
