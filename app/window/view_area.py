@@ -212,6 +212,8 @@ class ViewArea(QWidget):
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         self._shows_difference = result.compared is not None and result.compared.difference is not None
         self.set_wipe(wipe)
+        for view in self.views.values():
+            view.set_running(result.playback.running)
         if result.compared is not None:
             self._show_compared(result.compared, result.source.rig, theme)
         else:

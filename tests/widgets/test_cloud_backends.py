@@ -2,15 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
+import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtWidgets import QHBoxLayout, QWidget
 from pytestqt.qtbot import QtBot
 
-from seen_clouds import FRONT, RED, canvas_of, drag, picture, pixels_of, red_wall, shown
+from seen_clouds import FRONT, GREEN, RED, canvas_of, cloud_of, colored, drag, picture, pixels_of, red_wall, shown
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.widgets.basics.wipe import Wipe
 from tactune.widgets.clouds import gl_backend
+from tactune.widgets.clouds.cloud_data import DepthCloud
 from tactune.widgets.clouds.cloud_view import BackendChoice, CloudView
 from tactune.widgets.clouds.gl_backend import GLCanvas, GLError, GLProbe, GLRenderer
+from tactune.widgets.clouds.software_backend import SoftwareRenderer
 
 
 @pytest.mark.parametrize("choice", ["auto", "opengl"])
@@ -118,3 +125,68 @@ def test_it_survives_moving_to_another_window(
     assert len(pixels_of(picture(view), RED)) > before / 2
     assert len(freed) == (backend == "opengl"), "graphics memory of the former window is freed"
     view.setParent(None)
+
+
+def dense_cloud(every: int = 1, holes: bool = True) -> DepthCloud:
+    """A bent red and green wall of 640 x 480 pixels, denser than the screen, or every n-th row and column of it."""
+    lens = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
+    v, u = np.mgrid[:480, :640]
+    depth = (300 + 20 * np.sin(u / 40)).astype(np.uint16)
+    if holes:
+        depth[::20, ::20] = 0  # a pixel of those that are drawn when the cloud is thinned
+    part = np.s_[::every, ::every]
+    return cloud_of(
+        depth[part],
+        rays=lens.rays()[part],
+        index=((u // 32 + v // 32) % 2).astype(np.uint8)[part],
+        lut=colored(RED, GREEN),
+        depth_range_m=(0.25, 0.35),
+    )
+
+
+def test_running_frames_leave_out_points_that_the_screen_cannot_tell_apart(qtbot: QtBot) -> None:
+    view = shown(qtbot, CloudView("V", "software"))
+    view.set_camera(FRONT)
+    view.set_cloud(dense_cloud())
+    whole = picture(view)
+    view.set_running(True)
+    running = picture(view)
+    assert 0 < (running != whole).any(axis=2).mean() < 0.04, "only edges of squares move"
+    view.set_running(False)
+    assert (picture(view) == whole).all(), "a frame that stands still has all its points"
+    view.set_cloud(dense_cloud(every=2, holes=False))
+    assert (running == picture(view)).all(), "every other row and column, and no holes from single pixels without depth"
+
+
+def test_running_frames_keep_points_that_the_screen_can_tell_apart(qtbot: QtBot) -> None:
+    view = shown(qtbot, CloudView("V", "software"))
+    view.set_camera(replace(FRONT, distance=0.2))
+    view.set_cloud(dense_cloud())
+    whole = picture(view)
+    view.set_running(True)
+    assert (picture(view) == whole).all()
+
+
+def test_a_cloud_that_did_not_change_is_not_drawn_again(qtbot: QtBot, monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn: list[DepthCloud | None] = []
+    render = SoftwareRenderer.render
+    monkeypatch.setattr(
+        SoftwareRenderer, "render", lambda self, cloud, *rest: (drawn.append(cloud), render(self, cloud, *rest))[1]
+    )
+    view = shown(qtbot, CloudView("V", "software"))
+    cloud = red_wall()
+    view.set_cloud(cloud)
+    view.set_camera(FRONT)
+    picture(view)
+    drawn.clear()
+    view.set_cloud(cloud)
+    view.set_badge("old")
+    picture(view)
+    assert drawn == []
+    view.set_wipe(Wipe(0.5, "A", "B"))
+    view.set_right(cloud)
+    picture(view)
+    assert drawn == [], "a cloud that both sides of a wipe share is drawn once"
+    view.set_right(red_wall())
+    picture(view)
+    assert len(drawn) == 1

@@ -12,7 +12,8 @@ import numpy as np
 from ...core.errors import FrameError
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
 
-_HIGHEST_COUNT = 65534
+#: The largest raw count that is a depth.
+HIGHEST_COUNT = 65534
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,9 +92,9 @@ class DepthCloud:
     def drawn(self) -> BoolArray:
         """Return the pixels that appear as points: bool (H, W)."""
         lowest = max(1, int(np.floor(-self.depth_offset_m / self.metres_per_count)) + 1)
-        if lowest > _HIGHEST_COUNT:
+        if lowest > HIGHEST_COUNT:
             return np.zeros(self.depth.shape, np.bool_)
-        drawn = (self.depth >= lowest) & (self.depth <= _HIGHEST_COUNT)
+        drawn = (self.depth >= lowest) & (self.depth <= HIGHEST_COUNT)
         if not self.lut[:, 3].all():
             opaque = (self.lut[:, 3] > 0).astype(np.uint8)
             drawn &= np.asarray(cv2.LUT(self.rows(), opaque)).view(np.bool_)

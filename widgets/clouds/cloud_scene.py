@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 from PyQt6.QtCore import QPointF, QRectF, Qt
-from PyQt6.QtGui import QColor, QFontMetricsF, QPainter, QPalette, QPen
+from PyQt6.QtGui import QColor, QFontMetricsF, QImage, QPainter, QPalette, QPen
 from PyQt6.QtWidgets import QWidget
 
-from ..basics.colormaps import palette_theme
+from ..basics.colormaps import Theme, palette_theme
 from ..basics.stale_badge import paint_badge
 from ..basics.theme import text_font
 from ..basics.wipe import Wipe, paint_wipe
@@ -30,7 +31,8 @@ _MESSAGE_FLAGS = int(Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap)
 class CloudScene:
     """The state that a view shares with the canvas that draws it.
 
-    ``point_size`` is in device-independent pixels; ``message`` is painted when not empty, ``note``
+    ``point_size`` is in device-independent pixels; while ``running``, frames follow each other and points that would
+    lie closer than the screen can show may be left out; ``message`` is painted when not empty, ``note``
     is painted small in the lower right corner; ``badge`` says why the cloud is old, and dims it;
     ``ornament`` paints what a view adds, such as marks, on the canvas. While there is a ``wipe``, ``right`` is
     drawn right of it instead of ``cloud``.
@@ -41,14 +43,18 @@ class CloudScene:
     wipe: Wipe | None = None
     camera: ViewCamera = field(default_factory=ViewCamera)
     point_size: float = 2.0
+    running: bool = False
     message: str = ""
     note: str = ""
     badge: str = ""
     ornament: Callable[[QPainter, QWidget], None] | None = None
 
     def parts(self, width: int) -> tuple[tuple[DepthCloud | None, int, int], tuple[DepthCloud | None, int, int]]:
-        """Return the left and the right cloud with the first column of each and the first one after it."""
-        column = width if self.wipe is None else self.wipe.column(width)
+        """Return the left and the right cloud with the first column of each and the first one after it.
+
+        A cloud that both sides share is drawn once.
+        """
+        column = width if self.wipe is None or self.right is self.cloud else self.wipe.column(width)
         return (self.cloud, 0, column), (self.right, column, width)
 
     @staticmethod
@@ -75,20 +81,35 @@ def paint_overlay(painter: QPainter, widget: QWidget, scene: CloudScene) -> None
 
 
 def _paint_axes(painter: QPainter, widget: QWidget, camera: ViewCamera) -> None:
-    """Paint x, y, z of the proximity frame as seen by the camera, the farthest axis first."""
-    origin = QPointF(_AXIS_MARGIN, widget.height() - _AXIS_MARGIN)
-    right, up, back = camera.axes()
-    colors = AXIS_COLORS[palette_theme(widget.palette())]
+    """Paint x, y, z of the proximity frame as seen by the camera."""
+    theme, letters = palette_theme(widget.palette()), text_font("caption", bold=True).key()
+    image = _axes_image(camera.azimuth, camera.elevation, theme, letters, widget.devicePixelRatioF())
+    painter.drawImage(QPointF(0.0, widget.height() - 2 * _AXIS_MARGIN), image)
+
+
+@lru_cache(maxsize=4)
+def _axes_image(azimuth: float, elevation: float, theme: Theme, _letters: str, ratio: float) -> QImage:
+    """Return the axes on a transparent ground, drawn only when the camera turns: the farthest axis first."""
+    side = round(2 * _AXIS_MARGIN * ratio)
+    image = QImage(side, side, QImage.Format.Format_ARGB32_Premultiplied)
+    image.setDevicePixelRatio(ratio)
+    image.fill(Qt.GlobalColor.transparent)
+    painter = QPainter(image)
+    painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     painter.setFont(text_font("caption", bold=True))
+    origin = QPointF(_AXIS_MARGIN, _AXIS_MARGIN)
+    right, up, back = ViewCamera(azimuth=azimuth, elevation=elevation).axes()
     for axis in sorted(range(3), key=lambda axis: float(back[axis])):
         direction = QPointF(float(right[axis]), -float(up[axis]))
         tip = origin + direction * _AXIS_LENGTH
-        painter.setPen(QPen(colors[axis], 2.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
+        painter.setPen(QPen(AXIS_COLORS[theme][axis], 2.0, Qt.PenStyle.SolidLine, Qt.PenCapStyle.RoundCap))
         painter.drawLine(origin, tip)
         if abs(float(back[axis])) > _FACING:
             continue
         label = QRectF(-8.0, -8.0, 16.0, 16.0).translated(origin + direction * (_AXIS_LENGTH + 7.0))
         painter.drawText(label, Qt.AlignmentFlag.AlignCenter, "xyz"[axis])
+    painter.end()
+    return image
 
 
 def message_rect(widget: QWidget, message: str) -> QRectF:

@@ -174,6 +174,12 @@ class CloudView(QWidget):
         self._scene.point_size = max(1.0, float(size))
         self._canvas.update()
 
+    def set_running(self, running: bool) -> None:
+        """Say whether frames follow each other: a cloud that stands still is drawn with all its points."""
+        if running != self._scene.running:
+            self._scene.running = running
+            self._canvas.update()
+
     def set_legend(self, entries: list[tuple[str, QColor]]) -> None:
         """Set the legend, the most important entry first; the tooltip lists all entries."""
         self._legend.setValue(entries)

@@ -16,13 +16,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from numba import njit, types
-from PyQt6.QtCore import QRectF
+from PyQt6.QtCore import QRectF, Qt
 from PyQt6.QtGui import QImage, QPainter, QPaintEvent
 from PyQt6.QtWidgets import QWidget
 
-from ...core.model.arrays import Uint8Array
+from ...core.model.arrays import Float32Array, Uint8Array, Uint16Array
 from ..basics.colormaps import over_background
-from .cloud_data import DepthCloud
+from .cloud_data import HIGHEST_COUNT, DepthCloud
 from .cloud_scene import CloudScene, paint_overlay
 from .view_camera import FAR, NEAR, ViewCamera
 
@@ -166,6 +166,8 @@ class SoftwareRenderer:
     def __init__(self) -> None:
         self._image = np.empty((0, 0), np.uint32)
         self._pixels = np.empty((0, 0), np.uint32)
+        self._whole_rays: Float32Array | None = None
+        self._rays = np.empty((0, 0, 2), np.float32)
 
     def render(
         self,
@@ -174,6 +176,7 @@ class SoftwareRenderer:
         size: tuple[int, int],
         point_size: int,
         background: tuple[int, int, int],
+        thinned: bool = False,
     ) -> npt.NDArray[np.uint32]:
         """Return the picture as 0xffRRGGBB, uint32 (height, width); it is overwritten by the next call.
 
@@ -183,6 +186,8 @@ class SoftwareRenderer:
             Width and height in physical pixels.
         point_size : int
             Edge length of a point in physical pixels.
+        thinned : bool
+            Draw only every other row and column of the cloud.
         """
         width, height = size
         if self._image.shape != (height, width):
@@ -195,11 +200,12 @@ class SoftwareRenderer:
         if cloud is None:
             self._image.fill(argb)
             return self._image
+        depth, index, rays = self._thinned(cloud) if thinned else (cloud.depth, cloud.index, cloud.rays)
         colors = _packed(over_background(cloud.lut, background))
         scatter(
-            cloud.depth,
-            cloud.rays,
-            _NO_INDEX if cloud.index is None else cloud.index,
+            depth,
+            rays,
+            _NO_INDEX if index is None else index,
             colors,
             (camera.pixel_matrix(width, height) @ cloud.pose).astype(np.float32),
             np.array([cloud.metres_per_count, cloud.depth_offset_m, *cloud.index_from_depth], np.float32),
@@ -209,6 +215,43 @@ class SoftwareRenderer:
         )
         squares(self._pixels, point_size, colors, argb, self._image)
         return self._image
+
+    def _thinned(self, cloud: DepthCloud) -> tuple[Uint16Array, Uint8Array | None, Float32Array]:
+        """Return depth, index and rays of every other row and column.
+
+        A pixel without depth takes that of its neighbour, which would cover its place if all were drawn.
+        """
+        first, beside = np.s_[::2, ::2], np.s_[1::2, 1::2]
+        depth, other = cloud.depth[first].copy(), cloud.depth[beside]
+        near = np.s_[: other.shape[0], : other.shape[1]]
+        missing = depth[near] - np.uint16(1) >= np.uint16(HIGHEST_COUNT)
+        np.copyto(depth[near], other, where=missing)
+        index = None
+        if cloud.index is not None:
+            index = cloud.index[first].copy()
+            np.copyto(index[near], cloud.index[beside], where=missing)
+        if self._whole_rays is not cloud.rays:
+            self._whole_rays, self._rays = cloud.rays, np.ascontiguousarray(cloud.rays[first])
+        return depth, index, self._rays
+
+
+#: Largest distance between drawn points while frames follow each other, as a share of their size: they overlap.
+_APART = 0.75
+
+
+def can_be_thinned(cloud: DepthCloud, camera: ViewCamera, size: tuple[int, int], point_size: int) -> bool:
+    """Return whether the points of every other row and column still overlap on the screen.
+
+    Judged by neighbouring pixels in the middle of the image, at the far end of the cloud's colour scale.
+    """
+    height, width = cloud.depth.shape
+    if min(height, width) < 2:  # free points, in no order
+        return False
+    v, u = height // 2 - 1, width // 2 - 1
+    rays = np.array([(*cloud.rays[v + down, u + right], 1.0) for down, right in ((0, 0), (0, 1), (1, 0))])
+    seen = camera.project(cloud.depth_range_m[1] * rays @ cloud.pose[:3, :3].T + cloud.pose[:3, 3], *size)
+    apart = 2.0 * np.linalg.norm(seen[1:, :2] - seen[0, :2], axis=1)
+    return bool((seen[:, 2] > 0).all() and apart.max() <= _APART * point_size)
 
 
 def _packed(table: Uint8Array) -> npt.NDArray[np.uint32]:
@@ -224,6 +267,8 @@ class _Picture:
         self._renderer = SoftwareRenderer()
         self._drawn: tuple[object, ...] = ()
         self._image = QImage()
+        self._thinned = False
+        self._thinned_for: tuple[object, ...] = ()
 
     def of(
         self,
@@ -232,14 +277,26 @@ class _Picture:
         size: tuple[int, int],
         point_size: int,
         background: tuple[int, int, int],
+        running: bool,
     ) -> QImage:
-        """Return the picture, drawn again only if anything has changed; parameters as of the renderer."""
-        wanted = (cloud, camera, size, point_size, background)
+        """Return the picture, drawn again only if anything has changed; parameters as of the renderer.
+
+        While frames are ``running``, points that would hide each other are left out.
+        """
+        wanted = (cloud, camera, size, point_size, background, running)
         if wanted != self._drawn:
-            buffer: Any = self._renderer.render(cloud, camera, size, point_size, background).data
+            thinned = cloud is not None and running and self._can_be_thinned(cloud, camera, size, point_size)
+            buffer: Any = self._renderer.render(cloud, camera, size, point_size, background, thinned).data
             self._image = QImage(buffer, *size, size[0] * 4, QImage.Format.Format_RGB32)
             self._drawn = wanted
         return self._image
+
+    def _can_be_thinned(self, cloud: DepthCloud, camera: ViewCamera, size: tuple[int, int], point_size: int) -> bool:
+        """Return `can_be_thinned`, computed again only when the view or the range of the colours has changed."""
+        view = camera, size, point_size, cloud.depth_range_m, cloud.depth.shape
+        if view != self._thinned_for:
+            self._thinned_for, self._thinned = view, can_be_thinned(cloud, camera, size, point_size)
+        return self._thinned
 
 
 class SoftwareCanvas(QWidget):
@@ -249,17 +306,18 @@ class SoftwareCanvas(QWidget):
         super().__init__(parent)
         self._scene = scene
         self._pictures = _Picture(), _Picture()
+        self.setAttribute(Qt.WidgetAttribute.WA_OpaquePaintEvent)  # what lies below need not be painted
 
     def paintEvent(self, _event: QPaintEvent | None) -> None:
         """Draw the cloud and the overlays."""
         ratio = self.devicePixelRatioF()
         size = max(1, round(self.width() * ratio)), max(1, round(self.height() * ratio))
         background = self._scene.background(self)
-        points = max(1, round(self._scene.point_size * ratio))
+        camera, points = self._scene.camera, max(1, round(self._scene.point_size * ratio))
         painter = QPainter(self)
         for picture, (cloud, start, stop) in zip(self._pictures, self._scene.parts(size[0]), strict=True):
             if start < stop:
-                image = picture.of(cloud, self._scene.camera, size, points, background)
+                image = picture.of(cloud, camera, size, points, background, self._scene.running)
                 part = QRectF(start, 0, stop - start, size[1])
                 painter.drawImage(QRectF(start / ratio, 0, part.width() / ratio, size[1] / ratio), image, part)
         paint_overlay(painter, self, self._scene)

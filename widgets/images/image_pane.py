@@ -175,7 +175,6 @@ class PixelItem(pg.GraphicsObject):  # type: ignore[misc]  # pyqtgraph has no ty
             if rect != self._rect:
                 self.prepareGeometryChange()
                 self._rect = rect
-        self.update()
 
     def set_split(self, split: float | None) -> None:
         """Set the column from which on the right image is shown; None hides the right image."""
@@ -334,6 +333,8 @@ class ImagePane(QWidget):
         """Show an image of width and height ``size``; see `PixelItem.set_pixels`."""
         self._size = size
         self._pixels.set_pixels(pixels, stride, right)
+        # Not the item: its scene would paint the whole window at once, for each pane and frame.
+        self.view.viewport().update()
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide the visible width between two images, or show only one."""
@@ -347,6 +348,7 @@ class ImagePane(QWidget):
     def set_message(self, text: str) -> None:
         """Set the message that is shown while there is no image."""
         self.empty_label.setText(text)
+        self.empty_label.setVisible(bool(text))
         self.empty_label.setGeometry(self.view.rect())
 
     def set_badge(self, text: str) -> None:
