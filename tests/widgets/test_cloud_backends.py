@@ -128,10 +128,10 @@ def test_it_survives_moving_to_another_window(
 
 
 def dense_cloud(every: int = 1, holes: bool = True) -> DepthCloud:
-    """A bent red and green wall of 640 x 480 pixels, denser than the screen, or every n-th row and column of it."""
+    """A stepped red and green wall of 640 x 480 pixels, denser than the screen, or every n-th row and column of it."""
     lens = Intrinsics(width=640, height=480, fx=460.0, fy=460.0, cx=319.5, cy=239.5)
     v, u = np.mgrid[:480, :640]
-    depth = (300 + 20 * np.sin(u / 40)).astype(np.uint16)
+    depth = np.uint16(300) + 20 * ((u // 2 // 40) % 2).astype(np.uint16)
     if holes:
         depth[::20, ::20] = 0  # a pixel of those that are drawn when the cloud is thinned
     part = np.s_[::every, ::every]
