@@ -277,7 +277,7 @@ class ViewArea(QWidget):
             view.set_message(message)
 
     def _legend_of(self, name: CloudName, rendered: Rendered, theme: Theme) -> Legend:
-        return legend_of(name, self.chosen_colors(), theme, rendered.accepted, rendered)
+        return legend_of(name, rendered.color_by, theme, rendered.accepted, rendered)
 
     def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
         view = self.views[name]

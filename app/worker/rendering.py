@@ -193,6 +193,7 @@ class Renderer:
         by_tolerance = "tolerance" in preset.test.section_names
         return Rendered(
             clouds=clouds,
+            color_by=wanted.color_by,
             strip=strip,
             histogram=difference_histogram(patch, preset.tolerance.t)
             if wanted.histogram and patch and by_tolerance

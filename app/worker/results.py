@@ -139,13 +139,15 @@ class Histogram:
 class Rendered:
     """The images of one frame; those that are not visible are missing.
 
-    ``depth_range_m`` are the ends of the depth colours along the proximity camera's axis, ``tactile_range_m`` those
-    along the tactile camera's axis. ``verdicts`` are the `Provenance` values that occur, if points are coloured by
-    them. ``accepted`` is the relative difference up to which the contact test treats depths as equal. ``no_contact``
-    says why a visible patch is empty, ``no_contact_action`` names the window's action that may help.
+    ``color_by`` is what the clouds' colours mean. ``depth_range_m`` are the ends of the depth colours along the
+    proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``verdicts`` are the
+    `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
+    the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty, ``no_contact_action``
+    names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
+    color_by: ColorBy = ColorBy.CONTACT
     strip: RenderedStrip | None = None
     histogram: Histogram | None = None
     median_distance_m: float = float("nan")

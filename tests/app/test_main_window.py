@@ -154,10 +154,11 @@ def test_all_reasons_are_named_at_1280_and_clouds_stay_equally_large(window, qtb
         for verdicts in ([Provenance.CONTACT], Provenance)
     )
     window.views.show_result(many, "light")
-    qtbot.waitUntil(lambda: canvases() != {high} and len(canvases()) == 1)
+    legends = [view.findChild(LegendLine) for view in views]
+    qtbot.waitUntil(lambda: all(legend.fitting() == len(legend.value()) for legend in legends))
+    qtbot.waitUntil(lambda: all(legend.height() == legend.sizeHint().height() for legend in legends))
+    assert len(canvases()) == 1 and canvases() != {high}
     (low,) = canvases()
-    for view in views:
-        assert view.findChild(LegendLine).fitting() == len(view.legend())
     window.views.show_result(few, "light")
     qtbot.wait(50)
     assert canvases() == {low}, "nothing jumps when a reason does not occur"
