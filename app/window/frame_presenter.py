@@ -206,7 +206,8 @@ class FramePresenter(QObject):
     def _show_readings(self, result: Result) -> None:
         histogram = result.rendered.histogram
         if histogram is not None:
-            self._panel.set_histogram(histogram.counts, histogram.edges, self._context.document.preset.tolerance.t)
+            limit = self._context.document.preset.value(histogram.field)
+            self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit)
         self._panel.set_median_distance_m(result.rendered.median_distance_m)
         self._show_readout()
 

@@ -266,7 +266,8 @@ class MainWindow(QMainWindow):
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
-        self.panel.sections["tolerance"].collapsedChanged.connect(self._send_wanted)
+        for path in self.panel.histograms:
+            self.panel.sections[path.partition(".")[0]].collapsedChanged.connect(self._send_wanted)
 
     def _connect_actions(self) -> None:
         actions, worker, flows = self.actions_, self.worker, self.file_flows
@@ -409,7 +410,7 @@ class MainWindow(QMainWindow):
                 color_by=self.views.chosen_colors(),
                 strip=not self.strip.isHidden(),
                 strip_width=self.strip.width_hint(),
-                histogram=panel and not self.panel.sections["tolerance"].collapsed,
+                histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
                 patch_difference=self.comparison.shows_difference,
             )
@@ -467,10 +468,11 @@ class MainWindow(QMainWindow):
         if not self.restoreGeometry(settings.blob("window/geometry")):
             self.resize_to(*DEFAULT_SIZE)
         if not self.across.restoreState(settings.blob("window/across")):
-            self.across.setSizes([DEFAULT_SIZE[0] - 360, 360])
+            self.across.setSizes([DEFAULT_SIZE[0] - 380, 380])
         self.left.restoreState(settings.blob("window/left"))
         self.views.splitter.restoreState(settings.blob("window/views"))
         self.panel.set_collapsed_sections(settings.text("window/collapsed", _COLLAPSED_AT_FIRST).split(","))
+        self.panel.set_open_folds(settings.text("window/more").split(","))
         self.views.restore(settings.number("view/point_size", 2.0), settings.text("view/color_by"))
         hidden = settings.text("window/hidden").split(",")
         for name in _TOGGLES:
@@ -486,6 +488,7 @@ class MainWindow(QMainWindow):
         settings.set("window/left", self.left.saved_state())
         settings.set("window/views", self.views.splitter.saveState())
         settings.set("window/collapsed", ",".join(self.panel.collapsed_sections()))
+        settings.set("window/more", ",".join(self.panel.open_folds()))
         settings.set("view/point_size", self.views.point_size.value())
         settings.set("view/color_by", self.views.chosen_colors().value)
         hidden = [name for name in _TOGGLES if not getattr(self.actions_, name).isChecked()]

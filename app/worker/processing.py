@@ -152,7 +152,7 @@ class FrameProcessor:
             ComparedSide(
                 replace(side, preset=finder.preset), finder.patch, finder.problem,
                 finder.patch.area_mm2 if finder.patch is not None else 0.0, finder.ms,
-                self._render(finder, frame, rig, wanted if side.follows else replace(wanted, histogram=False)),
+                self._render(finder, frame, rig, wanted if side.follows else replace(wanted, histograms=frozenset())),
             )
             for side, finder in zip(sides, finders, strict=True)
         )  # fmt: skip

@@ -126,6 +126,8 @@ def _pixels(count: int) -> IndexArray:
 VALUE_ROWS = 128
 HISTOGRAM_BINS = 160
 HISTOGRAM_LIMIT = 0.1
+GAP_HISTOGRAM_BINS = 50
+GAP_HISTOGRAM_LIMIT_M = 0.0005
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
 #: The depth colours span these percentiles of the membrane's depth, extended by these shares of the span
@@ -190,14 +192,11 @@ class Renderer:
         no_contact, no_contact_action = "", ""
         if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds:
             no_contact, no_contact_action = why_no_contact(frame, patch, preset, rig)
-        by_tolerance = "tolerance" in preset.test.section_names
         return Rendered(
             clouds=clouds,
             color_by=wanted.color_by,
             strip=strip,
-            histogram=difference_histogram(patch, preset.tolerance.t)
-            if wanted.histogram and patch and by_tolerance
-            else None,
+            histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
             median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
@@ -440,16 +439,28 @@ def patch_difference_limit(t: float) -> float:
     return max(t, 1e-4)
 
 
-def difference_histogram(patch: ContactPatch, t: float) -> Histogram:
-    """Count the relative differences in every other row and column, over a range that shows both ±t lines."""
-    limit = max(HISTOGRAM_LIMIT, 1.5 * t)
-    values = patch.relative_difference[::2, ::2]
+def histogram_of(patch: ContactPatch, preset: Preset, wanted: frozenset[str]) -> Histogram | None:
+    """Count what the limit of the preset's contact test applies to, if the histogram of this field is wanted.
+
+    That is the relative difference, or the gap in equilibrium, in every other row and column.
+    """
+    if preset.contact_test == "tolerance" and "tolerance.t" in wanted:
+        reach = max(HISTOGRAM_LIMIT, 1.5 * preset.tolerance.t)
+        return _counted("tolerance.t", patch.relative_difference, -reach, reach, HISTOGRAM_BINS)
+    if preset.contact_test == "membrane" and "membrane.gap_m" in wanted:
+        gap_m = np.empty((0, 0), np.float32) if patch.membrane is None else patch.membrane.gap_m.get()
+        reach = max(GAP_HISTOGRAM_LIMIT_M, 1.5 * preset.membrane.gap_m)
+        return _counted("membrane.gap_m", gap_m, 0.0, reach, GAP_HISTOGRAM_BINS)
+    return None
+
+
+def _counted(field: str, image: Float32Array, low: float, high: float, bins: int) -> Histogram:
+    values, edges = image[::2, ::2], np.linspace(low, high, bins + 1)
     values = values[np.isfinite(values)]
-    edges = np.linspace(-limit, limit, HISTOGRAM_BINS + 1)
     if len(values) == 0:
-        return Histogram(np.zeros(HISTOGRAM_BINS, np.int64), edges)
-    counts = cv2.calcHist([values[None]], [0], None, [HISTOGRAM_BINS], [-limit, limit])
-    return Histogram(counts.ravel().astype(np.int64), edges)
+        return Histogram(field, np.zeros(bins, np.int64), edges)
+    counts = cv2.calcHist([values[None]], [0], None, [bins], [low, high])
+    return Histogram(field, counts.ravel().astype(np.int64), edges)
 
 
 def _depth_rows(scene: Scene) -> Uint8Array:

@@ -111,6 +111,7 @@ class Wanted:
     """What the window shows now; nothing else is drawn.
 
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
+    ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
     ``patch_difference`` draws the difference of two compared patches.
     """
 
@@ -118,7 +119,7 @@ class Wanted:
     color_by: ColorBy = ColorBy.CONTACT
     strip: bool = True
     strip_width: int = 0
-    histogram: bool = True
+    histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
     patch_difference: bool = False
 
@@ -129,8 +130,9 @@ class Wanted:
 
 @dataclass(frozen=True, eq=False)
 class Histogram:
-    """Counts of the relative differences of one frame; ``edges`` has one entry more."""
+    """Counts in one frame of what a preset field limits, in the field's unit; ``edges`` has one entry more."""
 
+    field: str
     counts: Int64Array
     edges: Float64Array
 

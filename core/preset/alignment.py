@@ -84,6 +84,7 @@ class RigidAlignment(Section):
             "Pose of the tactile camera in the proximity depth frame (4 x 4, metres). "
             "Empty: the factory or nominal pose that the rig states.",
             unit="m",
+            advanced=True,
         ),
     ] = None
 
@@ -103,6 +104,7 @@ class HomographyAlignment(Section):
             "3 x 3 matrix that takes tactile pixels to proximity pixels. "
             "Empty: the homography that the rig's pose induces on the plane below.",
             unit="px",
+            advanced=True,
         ),
     ] = None
     plane_distance_m: Annotated[
@@ -112,6 +114,7 @@ class HomographyAlignment(Section):
             "Distance of the frontal plane that the homography is exact for, used while no matrix is set.",
             unit="m",
             step=0.001,
+            advanced=True,
         ),
         Field(ge=0.05, le=2.0),
     ] = 0.30
@@ -148,7 +151,9 @@ class AlignmentSection(Section):
     homography: HomographyAlignment = HomographyAlignment()
     depth_scale: Annotated[
         float,
-        described("Depth scale", "Factor on the tactile depth that makes both sensors agree.", step=0.001),
+        described(
+            "Depth scale", "Factor on the tactile depth that makes both sensors agree.", step=0.001, advanced=True
+        ),
         Field(ge=0.8, le=1.25),
     ] = 1.0
     depth_offset_m: Annotated[

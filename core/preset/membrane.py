@@ -48,6 +48,7 @@ class MembraneSection(Section):
             unit="m",
             slider=(0.004, 0.04),
             step=0.001,
+            advanced=True,
         ),
         Field(ge=0.001, le=0.2),
     ] = 0.016
@@ -60,6 +61,7 @@ class MembraneSection(Section):
             unit="px",
             slider=(1.0, 12.0),
             step=0.5,
+            advanced=True,
         ),
         Field(ge=0.5, le=30.0),
     ] = 4.0
@@ -69,6 +71,7 @@ class MembraneSection(Section):
             "Correct bias",
             "Subtract the bias between both cameras: the one measured with the rig, corrected in each frame where "
             "contact is large enough to tell it.",
+            advanced=True,
         ),
     ] = True
     min_area_mm2: Annotated[

@@ -16,7 +16,10 @@ _Pixel = Annotated[int, Field(ge=0, le=16384)]
 
 
 def described(title: str, description: str, *, unit: str = "", **extra: Any) -> Any:
-    """Return a field with its presentation in the GUI: title, tooltip, unit and the slider's scale."""
+    """Return a field with its presentation in the GUI: title, tooltip, unit and the slider's scale.
+
+    ``advanced=True`` puts the field behind a fold of the panel.
+    """
     return Field(title=title, description=description, json_schema_extra={"unit": unit, **extra})
 
 

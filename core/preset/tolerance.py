@@ -29,6 +29,7 @@ class ToleranceSection(Section):
         described(
             "Tolerance t",
             "A pixel is in contact where both distances agree within this share of the distance.",
+            unit="share",
             scale="log",
             slider=(0.001, 0.3),
             step=0.001,
@@ -51,6 +52,7 @@ class OutlierSection(Section):
             "PCL counts one less.",
             unit="points",
             slider=(1, 100),
+            advanced=True,
         ),
         Field(ge=1, le=1000),
     ] = 20
@@ -62,6 +64,7 @@ class OutlierSection(Section):
             unit="sigma",
             slider=(0.1, 5.0),
             step=0.1,
+            advanced=True,
         ),
         Field(gt=0.0, le=100.0),
     ] = 2.0

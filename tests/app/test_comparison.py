@@ -104,7 +104,7 @@ def test_what_changed_since_save_from_the_menu(edited, qtbot):
         assert_same(side.patch, ContactPipeline(side.side.preset, RIG).process(edited.result.frame))
     assert len(shown.b.patch.points) > len(shown.a.patch.points)
     assert panel.isVisible()
-    assert [panel.table.item(0, column).text() for column in range(3)] == ["Tolerance t", "0.03", "0.1"]
+    assert [panel.table.item(0, column).text() for column in range(3)] == ["Tolerance t (%)", "3", "10"]
     assert panel.table.rowCount() == 1
     only_b = shown.b.patch.mask & ~shown.a.patch.mask
     depth_m = shown.b.patch.points[only_b[shown.b.patch.mask], 2]
@@ -220,8 +220,8 @@ def test_a_step_of_the_history_a_shipped_preset_and_a_file_can_be_compared(compa
     def side():
         return compared.result.compared.a.side
 
-    choose("Step 1: Tolerance t 0.1")
-    qtbot.waitUntil(lambda: side().name == "Step 1: Tolerance t 0.1")
+    choose("Step 1: Tolerance t 10 %")
+    qtbot.waitUntil(lambda: side().name == "Step 1: Tolerance t 10 %")
     assert side().preset == document.history()[1][1]
     assert compared.comparison_panel.table.rowCount() == 1, "only the outliers differ"
     choose("Shipped: default")
@@ -264,7 +264,7 @@ def test_a_click_in_the_history_goes_back_to_a_step(edited, qtbot):
     qtbot.waitUntil(history.isVisible)
     view = history.view
     assert [view.model().index(row, 0).data() for row in range(3)] == [
-        "As opened", "Tolerance t 0.1", document.undo_stack.text(1),
+        "As opened", "Tolerance t 10 %", document.undo_stack.text(1),
     ]  # fmt: skip
     QTest.mouseClick(view.viewport(), LEFT, pos=view.visualRect(view.model().index(1, 0)).center())
     assert document.preset.tolerance.t == 0.1

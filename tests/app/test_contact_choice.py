@@ -43,8 +43,9 @@ def test_choose_tune_and_undo(window, qtbot):
     assert window.document.undo_stack.undoText() == "Contact test membrane"
     assert tuple(window.result.patch.stage_ms) == MEMBRANE_TEST.step_names
     assert "raise the largest gap" in window.views.views[CloudName.PATCH].message()
-    assert window.result.rendered.histogram is None
-    assert not window.panel.histogram.isVisible()
+    assert window.result.rendered.histogram.field == "membrane.gap_m"
+    assert window.panel.histograms["membrane.gap_m"].isVisible()
+    assert not window.panel.histograms["tolerance.t"].isVisible()
 
     type_gap_mm(window, qtbot, "3")
     assert window.document.preset.membrane.gap_m == 0.003
@@ -60,7 +61,7 @@ def test_choose_tune_and_undo(window, qtbot):
     assert box.value() == "tolerance"
     qtbot.waitUntil(lambda: shows_preset_of_document(window))
     np.testing.assert_array_equal(window.result.patch.points, patch_before.points)
-    assert window.panel.histogram.isVisible()
+    assert window.panel.histograms["tolerance.t"].isVisible()
 
 
 def test_the_patch_is_drawn_at_its_own_points(window, qtbot):

@@ -78,10 +78,10 @@ def test_type_a_number(window, qtbot):
     QTest.mouseClick(entry, LEFT, pos=QPoint(8, entry.height() // 2))
     qtbot.waitUntil(entry.hasFocus)
     entry.selectAll()
-    QTest.keyClicks(entry, "0.05")
+    QTest.keyClicks(entry, "5")
     QTest.keyClick(entry, Qt.Key.Key_Return)
     assert window.document.preset.tolerance.t == 0.05
-    assert window.document.undo_stack.undoText() == "Tolerance t 0.05"
+    assert window.document.undo_stack.undoText() == "Tolerance t 5 %"
 
 
 def test_eyedropper_takes_the_membrane_s_colour_as_one_step(window, qtbot):

@@ -109,7 +109,7 @@ def test_the_patch_is_the_pipeline_s_bit_for_bit(watched, qtbot, preset):
 
 
 def test_only_what_is_looked_at_is_drawn(watched, qtbot):
-    watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), strip=False, histogram=False))
+    watched.worker.set_wanted(Wanted(clouds=frozenset({CloudName.PATCH}), strip=False, histograms=frozenset()))
     watched.open(TinySource(length=1))
     qtbot.waitUntil(lambda: watched.last is not None)
     rendered = watched.last.rendered

@@ -7,15 +7,15 @@ from hypothesis import strategies as st
 from PyQt6.QtCore import QPoint, QPointF, Qt
 from PyQt6.QtTest import QTest
 
-from tactune.widgets.plots.histogram import DifferenceHistogram, split_at
+from tactune.widgets.plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram, split_at
 
 LEFT = Qt.MouseButton.LeftButton
 EDGES = np.linspace(-0.1, 0.1, 41)
 
 
 @pytest.fixture
-def histogram(qtbot, qapp) -> DifferenceHistogram:
-    widget = DifferenceHistogram()
+def histogram(qtbot, qapp) -> LimitHistogram:
+    widget = LimitHistogram(RELATIVE_DIFFERENCE, 0.03)
     qtbot.addWidget(widget)
     widget.resize(320, 120)
     widget.show()
@@ -25,16 +25,16 @@ def histogram(qtbot, qapp) -> DifferenceHistogram:
     return widget
 
 
-def at(histogram: DifferenceHistogram, percent: float) -> QPoint:
+def at(histogram: LimitHistogram, percent: float) -> QPoint:
     box = histogram.plot_widget.getPlotItem().getViewBox()
     return histogram.plot_widget.mapFromScene(box.mapViewToScene(QPointF(percent, 15.0)))
 
 
-def tallest(histogram: DifferenceHistogram) -> float:
+def tallest(histogram: LimitHistogram) -> float:
     return max(curve.getData()[1].max() for curve in histogram.plot_widget.getPlotItem().listDataItems())
 
 
-def drag(histogram: DifferenceHistogram, start: float, *targets: float) -> None:
+def drag(histogram: LimitHistogram, start: float, *targets: float) -> None:
     viewport = histogram.plot_widget.viewport()
     QTest.mouseMove(viewport, at(histogram, start))
     QTest.mousePress(viewport, LEFT, pos=at(histogram, start))
@@ -44,9 +44,9 @@ def drag(histogram: DifferenceHistogram, start: float, *targets: float) -> None:
 
 
 @pytest.mark.parametrize(("start", "target"), [(3.0, 6.0), (-3.0, -6.0), (3.0, -6.0)])
-def test_dragging_a_line_moves_both_in_one_gesture(histogram: DifferenceHistogram, start: float, target: float) -> None:
+def test_dragging_a_line_moves_both_in_one_gesture(histogram: LimitHistogram, start: float, target: float) -> None:
     edits: list[tuple[float, int]] = []
-    histogram.toleranceEdited.connect(lambda t, gesture: edits.append((t, gesture)))
+    histogram.limitEdited.connect(lambda t, gesture: edits.append((t, gesture)))
     drag(histogram, start, (start + target) / 2, target)
     assert edits
     assert edits[-1][0] == pytest.approx(0.06, abs=0.002)
@@ -59,17 +59,17 @@ def test_dragging_a_line_moves_both_in_one_gesture(histogram: DifferenceHistogra
     assert edits[-1][1] != first
 
 
-def test_programmatic_changes_do_not_emit(histogram: DifferenceHistogram) -> None:
+def test_programmatic_changes_do_not_emit(histogram: LimitHistogram) -> None:
     edits: list[float] = []
-    histogram.toleranceEdited.connect(lambda t, _: edits.append(t))
-    histogram.set_tolerance(0.05)
+    histogram.limitEdited.connect(lambda t, _: edits.append(t))
+    histogram.set_limit(0.05)
     histogram.set_data(np.ones(40), EDGES, 0.02)
-    assert histogram.tolerance() == 0.02
+    assert histogram.limit() == 0.02
     assert sorted(line.value() for line in histogram.lines) == [-2.0, 2.0]
     assert edits == []
 
 
-def test_what_arrives_while_hidden_is_drawn_when_shown(qtbot, histogram: DifferenceHistogram) -> None:
+def test_what_arrives_while_hidden_is_drawn_when_shown(qtbot, histogram: LimitHistogram) -> None:
     histogram.hide()
     histogram.set_data(np.full(40, 7), EDGES)
     assert tallest(histogram) == 39
@@ -77,9 +77,30 @@ def test_what_arrives_while_hidden_is_drawn_when_shown(qtbot, histogram: Differe
     assert tallest(histogram) == 7
 
 
-def test_an_empty_histogram_is_no_error(histogram: DifferenceHistogram) -> None:
+def test_an_empty_histogram_is_no_error(histogram: LimitHistogram) -> None:
     histogram.set_data(np.zeros(40), EDGES, 0.0)
-    assert histogram.tolerance() == 0.0
+    assert histogram.limit() == 0.0
+
+
+def test_the_line_of_the_gaps_is_dragged_in_millimetres(qtbot, qapp) -> None:
+    gaps = LimitHistogram(GAP, 0.00005)
+    qtbot.addWidget(gaps)
+    gaps.resize(320, 120)
+    gaps.show()
+    qtbot.waitExposed(gaps)
+    counts = np.r_[9000, np.arange(49, 0, -1)]
+    gaps.set_data(counts, np.linspace(0, 0.0005, 51), 0.00005)
+    qapp.processEvents()
+    (line,) = gaps.lines
+    assert line.value() == pytest.approx(0.05)
+    box = gaps.plot_widget.getPlotItem().getViewBox()
+    assert box.viewRange()[1][1] < 100, "the bar at 0 does not flatten the others"
+    edits: list[float] = []
+    gaps.limitEdited.connect(lambda limit, _: edits.append(limit))
+    drag(gaps, 0.05, 0.1, 0.2)
+    assert edits[-1] == pytest.approx(0.0002, abs=0.00001)
+    drag(gaps, 0.2, 0.1, -0.1)
+    assert edits[-1] == 0.0
 
 
 @given(

@@ -5,8 +5,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tactune.widgets.basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
-from tactune.widgets.images.strip_render import NO_VALUE_RGB, StripImages, depth_range_of, masked_rgb, render_strip
+from tactune.widgets.basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
+from tactune.widgets.images.strip_render import NO_VALUE_RGB, StripImages, depth_range_of, render_strip
 
 HEIGHT, WIDTH = 48, 64
 
@@ -49,7 +49,7 @@ def test_masked_pixels_are_tinted_and_others_are_not() -> None:
     scene = images(mask_overlay=mask)
     shown = rgb(render_strip(scene).panes[0])
     np.testing.assert_array_equal(shown[~mask], scene.color[~mask])
-    expected = 0.4 * scene.color[mask] + 0.6 * np.array(masked_rgb())
+    expected = 0.4 * scene.color[mask] + 0.6 * np.array(MASKED_RGB)
     assert np.abs(shown[mask] - expected).max() <= 1.0
 
 

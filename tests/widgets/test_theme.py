@@ -12,7 +12,7 @@ from tactune.widgets.basics.style import apply_theme
 from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
 from tactune.widgets.images.image_pane import ImagePane
 from tactune.widgets.parameters.parameter_row import MessageLabel
-from tactune.widgets.plots.histogram import DifferenceHistogram
+from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
 
 NAMES = ("light", "dark")
 
@@ -62,7 +62,7 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
 
 
 def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
-    histogram, message = DifferenceHistogram(), MessageLabel()
+    histogram, message = LimitHistogram(RELATIVE_DIFFERENCE, 0.03), MessageLabel()
     pane = ImagePane("Proximity depth")
     for widget in (histogram, message, pane):
         qtbot.addWidget(widget)

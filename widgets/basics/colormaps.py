@@ -24,6 +24,9 @@ Legend = list[tuple[str, QColor]]
 CONTACT_RGB: Final = (232, 70, 22)
 CONTACT_COLOR: Final = QColor(*CONTACT_RGB)
 
+#: What the mask covers, in every view, image and legend of both themes.
+MASKED_RGB: Final = (98, 70, 234)
+
 #: Two compared patches: only A, only B. Blue and orange of Okabe and Ito, told apart with any colour vision.
 ONLY_A_RGB: Final = (0, 114, 178)
 ONLY_B_RGB: Final = (230, 159, 0)
@@ -64,7 +67,7 @@ _UNDEFINED_RGBA = (128, 128, 128, 70)
 #: Found by a search for the largest distance in CIE L*a*b* between any two, with any colour vision.
 _REASON_RGB: dict[Provenance, tuple[int, int, int]] = {
     Provenance.NO_TACTILE_DEPTH: (68, 198, 252),
-    Provenance.MASKED: (190, 95, 165),
+    Provenance.MASKED: MASKED_RGB,
     Provenance.OUTLIER: (219, 198, 0),
     Provenance.SMALL_CLUSTER: (15, 147, 98),
     Provenance.RIM: (147, 53, 32),

@@ -20,6 +20,7 @@ _SHOWN_UNITS: dict[str, tuple[float, str]] = {
     "px": (1.0, " px"),
     "points": (1.0, ""),
     "sigma": (1.0, " σ"),
+    "share": (100.0, " %"),
     "deg/2": (1.0, ""),
 }
 
@@ -30,6 +31,7 @@ _UNIT_WORDS = {
     "px": "pixels",
     "points": "a number of points",
     "sigma": "standard deviations",
+    "share": "per cent",
     "deg/2": "half degrees, 0 to 179",
 }
 
@@ -39,7 +41,7 @@ class FieldSpec:
     """One field of the preset, as a widget shows it.
 
     Bounds, ``slider`` and ``step`` are in the model's unit; a value times ``factor`` is what people read,
-    followed by ``suffix``.
+    followed by ``suffix``. ``advanced`` fields are behind a fold.
     """
 
     path: str
@@ -59,6 +61,7 @@ class FieldSpec:
     wraps: bool = False
     integer: bool = False
     choices: tuple[str, ...] = ()
+    advanced: bool = False
 
     @property
     def name(self) -> str:
@@ -88,9 +91,13 @@ class FieldSpec:
 
     def shown(self, value: float) -> str:
         """Format a number for display, with its unit; rounded, but never to zero."""
+        return self.bare(value) + self.suffix
+
+    def bare(self, value: float) -> str:
+        """Format a number like `shown`, without its unit."""
         number = value * self.factor
         rounded = round(number, self.decimals)
-        return format_number(rounded or float(f"{number:.2g}"), 15) + self.suffix
+        return format_number(rounded or float(f"{number:.2g}"), 15)
 
     def describe(self, value: Any) -> str:
         """Format a value of this field for display."""
@@ -161,6 +168,7 @@ def _read_field(path: str, info: FieldInfo) -> FieldSpec:
         "unit": unit,
         "factor": factor,
         "suffix": suffix,
+        "advanced": bool(extra.get("advanced", False)),
     }
     kind = _kind_of(path, info.annotation)
     if kind == "choice":

@@ -6,13 +6,13 @@ from PyQt6.QtCore import QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
 from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
 
-from ..basics.colormaps import CONTACT_RGB, depth_lut, difference_lut
+from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
 from ..basics.fields import format_number
 from ..basics.wipe import Wipe
 from .image_pane import ARROW_KEYS, ZOOM_KEYS, ColorBar, ImagePane, Rectangle, Swatch
 from .marks import RegionItem
-from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, masked_rgb, render_strip
+from .strip_render import NO_VALUE_RGB, RenderedStrip, StripImages, render_strip
 
 __all__ = ["PANES", "ImageStrip", "RenderedStrip", "StripImages", "render_strip"]
 
@@ -258,7 +258,7 @@ class ImageStrip(QWidget):
         near, far = (format_number(round(end * 1000)) for end in rendered.depth_range_m)
         depth = ColorBar(near, f"{far} mm", depth_lut())
         contact, none = Swatch("contact", CONTACT_RGB), Swatch("no depth", NO_VALUE_RGB)
-        self.panes["color"].header.set_legend(None, (contact, Swatch("masked", masked_rgb())))
+        self.panes["color"].header.set_legend(None, (contact, Swatch("masked", MASKED_RGB)))
         self.panes["proximity"].header.set_legend(depth, (none,))
         self.panes["tactile"].header.set_legend(depth, (none,))
         limit, t = rendered.difference_limit, rendered.tolerance

@@ -9,18 +9,16 @@ from typing import Final
 import cv2
 import numpy as np
 import numpy.typing as npt
-from PyQt6.QtGui import QColor
 
 from ...core.model.arrays import BoolArray, Float32Array, Uint8Array
-from ..basics.colormaps import CONTACT_RGB, DIFFERENCE_LIMIT, depth_lut, difference_index, difference_lut
-from ..basics.theme import ACCENT
+from ..basics.colormaps import CONTACT_RGB, DIFFERENCE_LIMIT, MASKED_RGB, depth_lut, difference_index, difference_lut
 
 _Packed = npt.NDArray[np.uint32]
 
 #: Pixels without a value: a grey that none of the maps contains.
 NO_VALUE_RGB: Final = (104, 104, 110)
 
-#: What the mask covers is mixed with the accent colour by this share.
+#: What the mask covers is mixed with its colour by this share.
 MASK_TINT: Final = 0.6
 
 _SAMPLE_STEP = 8
@@ -150,7 +148,7 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
 def _colored(color: Uint8Array, mask: BoolArray | None, stride: int) -> _Packed:
     bgra = cv2.cvtColor(np.ascontiguousarray(color[::stride, ::stride]), cv2.COLOR_RGB2BGRA)
     if mask is not None:
-        tint = [MASK_TINT * channel for channel in (*masked_rgb()[::-1], 255)]
+        tint = [MASK_TINT * channel for channel in (*MASKED_RGB[::-1], 255)]
         tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
         cv2.copyTo(tinted, np.ascontiguousarray(mask[::stride, ::stride]).view(np.uint8), bgra)
     return np.asarray(bgra, dtype=np.uint8).view(np.uint32)[:, :, 0]
@@ -172,12 +170,6 @@ def _as_bytes(packed: _Packed) -> Uint8Array:
 
 def _pack_rgb(rgb: tuple[int, int, int]) -> np.uint32:
     return np.uint32(0xFF000000 | rgb[0] << 16 | rgb[1] << 8 | rgb[2])
-
-
-def masked_rgb() -> tuple[int, int, int]:
-    """Return the tint of what the mask covers, for a legend."""
-    color = QColor(ACCENT)
-    return color.red(), color.green(), color.blue()
 
 
 @lru_cache(maxsize=1)

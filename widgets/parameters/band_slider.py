@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from PyQt6.QtCore import QEvent, QRectF, QSize, Qt, pyqtSignal
 from PyQt6.QtGui import (
@@ -109,7 +108,7 @@ class BandSlider(QWidget):
 
     def minimumSizeHint(self) -> QSize:
         """Room for both handles and some travel."""
-        return QSize(60, 22)
+        return QSize(40, 22)
 
     def handle_x(self, handle: int) -> float:
         """Return the x of a handle's centre in pixels."""
@@ -357,9 +356,7 @@ class _Entries(QWidget):
     def __init__(self, spec: FieldSpec, names: Sequence[str], parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self.spec = spec
-        # the row's label carries the unit, once
-        bare = replace(spec, suffix="")
-        self.entries = [NumberEntry(bare, title=f"{spec.title}, {name}") for name in names]
+        self.entries = [NumberEntry(spec, title=f"{spec.title}, {name}", shows_unit=False) for name in names]
         for entry in self.entries:
             entry.setButtonSymbols(QAbstractSpinBox.ButtonSymbols.NoButtons)
             entry.edited.connect(self._entry_edited)
@@ -412,6 +409,7 @@ class RangeEditor(_Entries):
         self.slider.edited.connect(self._slider_edited)
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(4)
         layout.addWidget(self.entries[0])
         layout.addWidget(self.slider, 1)
         layout.addWidget(self.entries[1])

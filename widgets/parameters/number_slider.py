@@ -77,9 +77,12 @@ class NumberEntry(QAbstractSpinBox):
     edited = pyqtSignal(object, int)
     refused = pyqtSignal(str)
 
-    def __init__(self, spec: FieldSpec, parent: QWidget | None = None, *, title: str = "") -> None:
+    def __init__(
+        self, spec: FieldSpec, parent: QWidget | None = None, *, title: str = "", shows_unit: bool = True
+    ) -> None:
         super().__init__(parent)
         self._spec = spec
+        self._suffix = spec.suffix if shows_unit else ""
         self._title = title or spec.title
         self._value: float | int = round(spec.slider[0]) if spec.integer else spec.slider[0]
         self._typing = False
@@ -133,8 +136,8 @@ class NumberEntry(QAbstractSpinBox):
         hint = super().sizeHint()
         frame = hint.width() - self._edit.sizeHint().width()
         widest = max(self.fontMetrics().horizontalAdvance(text) for text in self._sample_texts())
-        buttons = 18 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 0
-        return QSize(widest + buttons + 14, hint.height()) if frame else hint
+        around = 32 if self.buttonSymbols() != QAbstractSpinBox.ButtonSymbols.NoButtons else 10
+        return QSize(widest + around, hint.height()) if frame else hint
 
     def minimumSizeHint(self) -> QSize:
         """Never cut off a number."""
@@ -183,17 +186,17 @@ class NumberEntry(QAbstractSpinBox):
     def _sample_texts(self) -> list[str]:
         spec = self._spec
         ends = (*spec.slider, -spec.step if spec.minimum < 0 else spec.step)
-        return [f"{end * spec.factor:.{spec.decimals}f}{spec.suffix}" for end in ends]
+        return [f"{end * spec.factor:.{spec.decimals}f}{self._suffix}" for end in ends]
 
     def _typing_started(self, _: str) -> None:
         self._typing = True
 
     def _show_value(self) -> None:
         self._typing = False
-        self._edit.setText(self._spec.shown(self._value))
+        self._edit.setText(self._spec.bare(self._value) + self._suffix)
         self._edit.setCursorPosition(0)
-        exact = format_number(self._value * self._spec.factor, 15) + self._spec.suffix
-        rounded = "" if exact == self._edit.text() else f"Exactly {exact}. "
+        exact = format_number(self._value * self._spec.factor, 15)
+        rounded = "" if exact == self._spec.bare(self._value) else f"Exactly {exact}{self._spec.suffix}. "
         self.setToolTip(rounded + self._spec.tooltip)
 
     def _commit(self) -> None:
@@ -294,7 +297,7 @@ class JumpSlider(QSlider):
 
 
 class NumberSlider(QWidget):
-    """Edits one number of a preset field with a slider and an entry.
+    """Edits one number of a preset field with a slider and an entry; the unit stands beside it.
 
     `value` is always exactly what was set or what a person chose; the slider only shows the nearest position.
 
@@ -319,10 +322,10 @@ class NumberSlider(QWidget):
         self.slider = JumpSlider()
         self.slider.setRange(0, self._scale.positions)
         self.slider.setPageStep(max(1, self._scale.positions // 10))
-        self.slider.setMinimumWidth(60)
+        self.slider.setMinimumWidth(50)
         self.slider.setAccessibleName(f"{spec.title} slider")
         self.slider.setToolTip(spec.tooltip)
-        self.entry = NumberEntry(spec)
+        self.entry = NumberEntry(spec, shows_unit=False)
 
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

@@ -28,10 +28,11 @@ from ...core.preset.alignment import CalibrationRecord
 from ..basics.controls import CollapsibleSection
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
-from ..plots.histogram import DifferenceHistogram
+from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
+from .advanced_fold import AdvancedFold
 from .band_slider import RangeEditor, groove_colors
 from .finding_line import ShownFinding
-from .parameter_row import ParameterRow
+from .parameter_row import COLUMNS, ParameterRow, align_columns
 
 #: The sections of the panel, top to bottom: part of the preset, title.
 SECTIONS = (
@@ -42,6 +43,9 @@ SECTIONS = (
     ("range", "Range"),
     ("region", "Region"),
 )
+
+#: What the histogram below a field counts, whose lines are the field's value.
+_HISTOGRAMS = {"tolerance.t": RELATIVE_DIFFERENCE, "membrane.gap_m": GAP}
 
 _EYEDROPPERS = {
     "set": (
@@ -96,8 +100,8 @@ class ParameterPanel(QScrollArea):
         self.alignment_info = _note()
         self._test_note = _note()
         self.tolerance_mm = _note()
-        self.histogram = DifferenceHistogram()
-        self.histogram.toleranceEdited.connect(self._histogram_dragged)
+        self.folds: dict[str, AdvancedFold] = {}
+        self.histograms: dict[str, LimitHistogram] = {}
 
         content = QWidget()
         column = QVBoxLayout(content)
@@ -113,20 +117,21 @@ class ParameterPanel(QScrollArea):
             self.sections[name] = section
             column.addWidget(section)
         column.addStretch(1)
+        align_columns(self.rows.values())
         self._order_tabs()
         self.setWidget(content)
         self.setWidgetResizable(True)
         self.setFrameShape(QFrame.Shape.NoFrame)
         self.setHorizontalScrollBarPolicy(Qt.ScrollBarPolicy.ScrollBarAlwaysOff)
         self.setFocusPolicy(Qt.FocusPolicy.NoFocus)
-        self.setMinimumWidth(340)
+        self.setMinimumWidth(360)
         self.setAccessibleName("Parameters")
 
         self._escape = QShortcut(QKeySequence(Qt.Key.Key_Escape), self)
         self._escape.activated.connect(lambda: self._choose_eyedropper("off"))
         self._escape.setEnabled(False)
+        self.set_preset(self._preset)
         self.set_baseline(None)
-        self._refresh()
 
     # --- what is shown -----------------------------------------------------------------------------------------
 
@@ -153,6 +158,7 @@ class ParameterPanel(QScrollArea):
         row.show_value(self._preset.value(path))
         row.message.show_sentence(sentence)
         self.sections[_section_of(path)].set_collapsed(False)
+        self._unfold(path)
         self._refresh()
 
     def clear_errors(self) -> None:
@@ -163,7 +169,14 @@ class ParameterPanel(QScrollArea):
     def show_findings(self, findings: Mapping[str, ShownFinding]) -> None:
         """Show findings below the rows of their fields, by dotted path, and none below the others."""
         for path, row in self.rows.items():
+            if path in findings and not row.finding.sentence:
+                self._unfold(path)
             row.finding.show_finding(findings.get(path))
+
+    def _unfold(self, path: str) -> None:
+        """Open the fold of an advanced field."""
+        if self.rows[path].spec.advanced:
+            self.folds[_section_of(path)].set_open(True)
 
     def set_median_distance_m(self, distance_m: float) -> None:
         """Say at which distance the tolerance is also shown in millimetres; nan hides it."""
@@ -171,18 +184,24 @@ class ParameterPanel(QScrollArea):
             self._median_m = distance_m
             self._show_tolerance_mm()
 
-    def set_histogram(self, counts: AnyArray, edges: npt.NDArray[np.floating], t: float) -> None:
-        """Show the relative differences of the latest frame.
+    def set_histogram(self, path: str, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float) -> None:
+        """Show what a field limits in the latest frame.
 
         Parameters
         ----------
+        path : str
+            The field: ``"tolerance.t"`` or ``"membrane.gap_m"``.
         counts : array, shape (N,)
         edges : array, shape (N + 1,)
-            Relative differences (dp - dt) / dp.
-        t : float
-            The tolerance in force; a line that is being dragged stays with the mouse.
+            In the unit of the field.
+        limit : float
+            The value in force; a line that is being dragged stays with the mouse.
         """
-        self.histogram.set_data(counts, edges, t)
+        self.histograms[path].set_data(counts, edges, limit)
+
+    def open_histograms(self) -> frozenset[str]:
+        """Return the fields whose histograms are not folded away."""
+        return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)
 
     def collapsed_sections(self) -> list[str]:
         """Return which sections are folded, to be remembered."""
@@ -192,6 +211,15 @@ class ParameterPanel(QScrollArea):
         """Fold these sections and unfold the others."""
         for name, section in self.sections.items():
             section.set_collapsed(name in names)
+
+    def open_folds(self) -> list[str]:
+        """Return the sections whose advanced fields are shown, to be remembered."""
+        return [name for name, fold in self.folds.items() if fold.is_open]
+
+    def set_open_folds(self, names: list[str]) -> None:
+        """Show the advanced fields of these sections too."""
+        for name, fold in self.folds.items():
+            fold.set_open(fold.is_open or name in names)
 
     def set_eyedropper(self, mode: str) -> None:
         """Show which eyedropper is in use ("off" for none); never emits."""
@@ -206,7 +234,7 @@ class ParameterPanel(QScrollArea):
             self.alignment_info.setText(
                 f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
                 f"expected error {record.quality.alignment_px:.1f} px, good for t from "
-                f"{record.quality.supported_tolerance:.3f}"
+                f"{self.rows['tolerance.t'].spec.describe(record.quality.supported_tolerance)}"
             )
         self.alignment_info.setVisible(record is not None)
 
@@ -216,29 +244,19 @@ class ParameterPanel(QScrollArea):
         section = CollapsibleSection(title)
         grid = QGridLayout(section.body)
         grid.setContentsMargins(6, 4, 4, 4)
-        grid.setHorizontalSpacing(6)
+        grid.setHorizontalSpacing(5)
         grid.setVerticalSpacing(3)
         grid.setColumnStretch(1, 1)
         for spec in fields_of(name):
-            row = ParameterRow(spec, section)
-            row.edited.connect(self._row_edited)
-            row.finding.pressed.connect(lambda path=spec.path: self.remedyPressed.emit(path))
-            self.rows[spec.path] = row
-            if row.in_header:
-                section.add_header_widget(row.widget)
-                grid.addWidget(row.message, grid.rowCount(), 0, 1, 3)
-                grid.addWidget(row.finding, grid.rowCount(), 0, 1, 3)
-            else:
-                row.add_to(grid)
-            if spec.path == "alignment.model":
-                grid.addWidget(self.alignment_info, grid.rowCount(), 0, 1, 3)
+            self._add_row(ParameterRow(spec, section), section, grid)
+        if name in self.folds:
+            grid.addWidget(self.folds[name], grid.rowCount(), 0, 1, COLUMNS)
         if name == "contact_test":
-            grid.addWidget(self._test_note, grid.rowCount(), 0, 1, 3)
+            grid.addWidget(self._test_note, grid.rowCount(), 0, 1, COLUMNS)
         if name == "mask":
-            grid.addWidget(self._make_eyedropper_bar(), grid.rowCount(), 0, 1, 3)
-        if name == "tolerance":
-            grid.addWidget(self.tolerance_mm, grid.rowCount(), 0, 1, 3)
-            grid.addWidget(self.histogram, grid.rowCount(), 0, 1, 3)
+            line = grid.rowCount()
+            grid.addWidget(QLabel("Eyedropper"), line, 0)
+            grid.addWidget(self._make_eyedropper_bar(), line, 1, 1, COLUMNS - 1)
         reset = QToolButton()
         reset.setText("↺")
         reset.setAutoRaise(True)
@@ -249,6 +267,36 @@ class ParameterPanel(QScrollArea):
         section.add_header_widget(reset)
         self.section_resets[name] = reset
         return section
+
+    def _add_row(self, row: ParameterRow, section: CollapsibleSection, grid: QGridLayout) -> None:
+        """Place a row, and below it what belongs to its field."""
+        path = row.spec.path
+        row.edited.connect(self._row_edited)
+        row.finding.pressed.connect(lambda: self.remedyPressed.emit(path))
+        self.rows[path] = row
+        if row.in_header:
+            section.add_header_widget(row.widget)
+            grid.addWidget(row.message, grid.rowCount(), 0, 1, COLUMNS)
+            grid.addWidget(row.finding, grid.rowCount(), 0, 1, COLUMNS)
+        elif row.spec.advanced:
+            name = _section_of(path)
+            if name not in self.folds:
+                fold = self.folds[name] = AdvancedFold(section.title)
+                fold.grid.setHorizontalSpacing(grid.horizontalSpacing())
+                fold.grid.setVerticalSpacing(grid.verticalSpacing())
+                fold.grid.setColumnStretch(1, 1)
+            self.folds[name].add(row)
+        else:
+            row.add_to(grid)
+        if path == "alignment.model":
+            grid.addWidget(self.alignment_info, grid.rowCount(), 0, 1, COLUMNS)
+        if path == "tolerance.t":
+            self.tolerance_mm.setAlignment(Qt.AlignmentFlag.AlignRight)
+            grid.addWidget(self.tolerance_mm, grid.rowCount(), 0, 1, COLUMNS - 1)
+        if path in _HISTOGRAMS:
+            histogram = self.histograms[path] = LimitHistogram(_HISTOGRAMS[path], row.spec.default)
+            histogram.limitEdited.connect(lambda limit, gesture: self._histogram_dragged(path, limit, gesture))
+            grid.addWidget(histogram, grid.rowCount(), 0, 1, COLUMNS)
 
     def _make_suggest(self, name: str, text: str, tip: str) -> QToolButton:
         button = QToolButton()
@@ -276,7 +324,6 @@ class ParameterPanel(QScrollArea):
         layout = QHBoxLayout(bar)
         layout.setContentsMargins(0, 2, 0, 0)
         layout.setSpacing(4)
-        layout.addWidget(QLabel("Eyedropper"))
         for mode, (text, tooltip) in _EYEDROPPERS.items():
             button = QToolButton()
             button.setText(text)
@@ -298,7 +345,9 @@ class ParameterPanel(QScrollArea):
             header = [row.widget for row in rows if row.in_header]
             suggest = [self.suggests[name]] if name in self.suggests else []
             chain += [section.button, *header, *suggest, self.section_resets[name]]
-            for row in rows:
+            for row in sorted(rows, key=lambda row: row.spec.advanced):
+                if row.spec.advanced and self.folds[name].button not in chain:
+                    chain.append(self.folds[name].button)
                 if not row.in_header:
                     chain += [*row.tab_stops, row.reset, row.finding.button]
             if name == "mask":
@@ -312,11 +361,11 @@ class ParameterPanel(QScrollArea):
         self._refresh()
         self.valueEdited.emit(path, value, gesture)
 
-    def _histogram_dragged(self, t: float, gesture: int) -> None:
-        row = self.rows["tolerance.t"]
-        row.show_value(t)
+    def _histogram_dragged(self, path: str, limit: float, gesture: int) -> None:
+        row = self.rows[path]
+        row.show_value(limit)
         row.message.show_sentence("")
-        self._row_edited("tolerance.t", t, gesture)
+        self._row_edited(path, limit, gesture)
 
     def _reset_section(self, name: str) -> None:
         changed = {
@@ -344,7 +393,7 @@ class ParameterPanel(QScrollArea):
             for row in rows:
                 if row is not enabled:
                     row.set_editable(on)
-            reset.setEnabled(any(row.editor.value() != row.reset_target for row in rows))
+            reset.setVisible(any(row.editor.value() != row.reset_target for row in rows))
             if name == "mask":
                 self._enable_eyedroppers(on)
         model = self.rows["alignment.model"].editor.value()
@@ -355,7 +404,10 @@ class ParameterPanel(QScrollArea):
             self.rows["alignment.homography.H_p_t"].editor.value() is None
         )
         self._show_contact_test(str(self.rows["contact_test"].editor.value()))
-        self.histogram.set_tolerance(float(self.rows["tolerance.t"].editor.value()))
+        for path, histogram in self.histograms.items():
+            histogram.set_limit(float(self.rows[path].editor.value()))
+        for fold in self.folds.values():
+            fold.open_if_changed()
         self._show_tolerance_mm()
         self._paint_mask_colors()
 

@@ -1,8 +1,9 @@
-"""One row of the parameter panel: label, editor, reset button and a line for a refused value."""
+"""One row of the parameter panel: label, editor, unit, reset button and a line for a refused value."""
 
 from __future__ import annotations
 
-from typing import Any, Protocol, cast
+from collections.abc import Collection
+from typing import Any, Final, Protocol, cast
 
 from PyQt6.QtCore import QEvent, QObject, Qt, pyqtBoundSignal, pyqtSignal
 from PyQt6.QtGui import QColor, QFontDatabase, QPalette, QWheelEvent
@@ -167,6 +168,11 @@ class MessageLabel(QLabel):
         self.setPalette(palette)
 
 
+#: Columns of a section's grid: label, editor, unit, reset button.
+COLUMNS: Final = 4
+_RESET_WIDTH = 20
+
+
 class ParameterRow(QObject):
     """The widgets of one field, placed into a section's grid by `add_to`.
 
@@ -182,24 +188,29 @@ class ParameterRow(QObject):
         self.spec = spec
         self.widget = make_editor(spec)
         self.editor = cast(Editor, self.widget)
-        unit = spec.suffix if spec.kind in ("range", "rectangle") else ""
-        self.label = QLabel(f"{spec.title} ({unit.strip()})" if unit else spec.title)
+        self.label = QLabel(spec.title)
         self.label.setBuddy(getattr(self.widget, "entry", self.tab_stops[0]))
         self.label.setToolTip(spec.tooltip)
         if spec.kind == "flag" and not self.in_header:
             cast(FlagEditor, self.widget).setText("")  # the label stands beside it
+        self.unit = QLabel(spec.suffix.strip() if spec.kind in ("number", "range", "rectangle") else "")
+        self.unit.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         self.reset = QToolButton()
         self.reset.setText("↺")
         self.reset.setAutoRaise(True)
+        self.reset.setFixedWidth(_RESET_WIDTH)
         self.reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.reset.setAccessibleName(f"Reset {spec.title.lower()}")
         self.reset.clicked.connect(self._reset)
+        self.reset.hide()
+        self.label.setMinimumHeight(self.reset.sizeHint().height())  # the row keeps its height when it is hidden
         self.message = MessageLabel()
         self.finding = FindingLine()
         self._target: Any = spec.default
         self._grid: QGridLayout | None = None
         self._line = 0
         self._is_wide: bool | None = None
+        self._shown = True
         self.editor.edited.connect(self._edited)
         refused = getattr(self.widget, "refused", None)
         if refused is not None:
@@ -217,25 +228,30 @@ class ParameterRow(QObject):
         return list(getattr(self.widget, "tab_stops", [self.widget]))
 
     def add_to(self, grid: QGridLayout) -> None:
-        """Append the row to a grid of three columns."""
+        """Append the row to a grid of `COLUMNS` columns."""
         line = grid.rowCount()
+        grid.setColumnMinimumWidth(3, _RESET_WIDTH)
         grid.addWidget(self.label, line, 0)
-        grid.addWidget(self.reset, line, 2)
-        grid.addWidget(self.message, line + 2, 0, 1, 3)
-        grid.addWidget(self.finding, line + 3, 0, 1, 3)
+        grid.addWidget(self.unit, line, 2)
+        grid.addWidget(self.reset, line, 3)
+        grid.addWidget(self.message, line + 2, 0, 1, COLUMNS)
+        grid.addWidget(self.finding, line + 3, 0, 1, COLUMNS)
         self._grid, self._line = grid, line
         self._place_editor()
+        self._update_reset(self.widget.isEnabled())
 
     def set_shown(self, shown: bool) -> None:
         """Show or hide the whole row."""
-        for widget in (self.label, self.widget, self.reset):
+        self._shown = shown
+        for widget in (self.label, self.widget, self.unit):
             widget.setVisible(shown)
+        self._update_reset(self.widget.isEnabled())
         self.message.setVisible(shown and bool(self.message.text()))
         self.finding.setVisible(shown and bool(self.finding.sentence))
 
     def set_editable(self, editable: bool) -> None:
         """Grey the row, or not."""
-        for widget in (self.label, self.widget):
+        for widget in (self.label, self.widget, self.unit):
             widget.setEnabled(editable)
         self._update_reset(editable)
 
@@ -266,12 +282,16 @@ class ParameterRow(QObject):
         if wide != self._is_wide:
             self._is_wide = wide
             if wide:
-                self._grid.addWidget(self.widget, self._line + 1, 0, 1, 3)
+                self._grid.addWidget(self.widget, self._line + 1, 0, 1, COLUMNS)
             else:
                 self._grid.addWidget(self.widget, self._line, 1)
 
     def _update_reset(self, editable: bool) -> None:
-        self.reset.setEnabled(editable and self.editor.value() != self._target)
+        """Show the reset button only where it would change something."""
+        wanted = self._shown and editable and self.editor.value() != self._target
+        if not wanted and self.reset.hasFocus():
+            self.tab_stops[0].setFocus()
+        self.reset.setVisible(wanted and self.reset.parentWidget() is not None)
 
     def _edited(self, value: Any, gesture: int) -> None:
         self.message.show_sentence("")
@@ -282,3 +302,16 @@ class ParameterRow(QObject):
         if self.editor.value() != self._target:
             self.show_value(self._target)
             self._edited(self._target, new_gesture())
+
+
+def align_columns(rows: Collection[ParameterRow]) -> None:
+    """Give labels, number fields and units of all rows equal widths, so that columns are aligned across sections."""
+    labels = max(row.label.sizeHint().width() for row in rows)
+    units = max(row.unit.sizeHint().width() for row in rows)
+    sliders = [row.widget for row in rows if isinstance(row.widget, NumberSlider)]
+    entries = max(slider.entry.sizeHint().width() for slider in sliders)
+    for row in rows:
+        row.label.setMinimumWidth(labels)
+        row.unit.setMinimumWidth(units)
+    for slider in sliders:
+        slider.entry.setMinimumWidth(entries)

@@ -1,8 +1,9 @@
-"""The live histogram of relative differences, with the tolerance as two lines to drag."""
+"""The live histogram of what a contact test limits, with the limit as lines to drag."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -16,45 +17,85 @@ from ..basics.fields import format_number
 from ..basics.gestures import GestureClock
 from ..basics.theme import theme_colors
 
-_SMALLEST_T = 0.001
-_LARGEST_T = 1.0
+
+@dataclass(frozen=True)
+class Quantity:
+    """What a histogram counts.
+
+    Attributes
+    ----------
+    name, caption, tip : str
+        For screen readers, in the plot, and as tooltip.
+    factor, unit : float, str
+        A value times the factor is what the axis shows, in this unit.
+    limits : (float, float)
+        Smallest and largest limit that can be dragged.
+    symmetric : bool
+        Whether the limit holds on both sides of zero; else values begin at zero.
+    """
+
+    name: str
+    caption: str
+    tip: str
+    factor: float
+    unit: str
+    limits: tuple[float, float]
+    symmetric: bool
 
 
-class _PercentAxis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
+RELATIVE_DIFFERENCE: Final = Quantity(
+    "Histogram of relative differences",
+    "(dp − dt) / dp",
+    "Relative differences (dp - dt) / dp of the latest frame in percent. "
+    "Points between the lines pass the tolerance test; drag a line to change t.",
+    100.0, "%", (0.001, 1.0), True,
+)  # fmt: skip
+GAP: Final = Quantity(
+    "Histogram of gaps",
+    "gap in equilibrium",
+    "Gaps between membrane and object in the latest frame in millimetres, in the membrane's equilibrium. "
+    "Pixels left of the line are in contact; drag it to change the largest gap. A much taller bar at 0 is cut off.",
+    1000.0, "mm", (0.0, 0.005), False,
+)  # fmt: skip
+
+
+class _Axis(pg.AxisItem):  # type: ignore[misc]  # pyqtgraph has no types
+    def __init__(self, unit: str) -> None:
+        super().__init__("bottom")
+        self._unit = unit
+
     def tickStrings(self, values: list[float], scale: float, spacing: float) -> list[str]:
-        return [f"{format_number(value, 3)} %" for value in values]
+        return [f"{format_number(value, 3)} {self._unit}" for value in values]
 
 
-class DifferenceHistogram(QWidget):
-    """Counts of (dp - dt) / dp in percent; inside +-t in the accent colour.
+class LimitHistogram(QWidget):
+    """Counts of a quantity; what lies within the limit is in the accent colour.
 
     Signals
     -------
-    toleranceEdited(t: float, gesture: int)
-        A line was dragged; the other one mirrors it.
+    limitEdited(limit: float, gesture: int)
+        A line was dragged; in a symmetric histogram the other one mirrors it.
     """
 
-    toleranceEdited = pyqtSignal(float, int)
+    limitEdited = pyqtSignal(float, int)
 
-    def __init__(self, parent: QWidget | None = None) -> None:
+    def __init__(self, quantity: Quantity, limit: float, parent: QWidget | None = None) -> None:
         super().__init__(parent)
-        self._t = 0.03
+        self._quantity = quantity
+        self._limit = limit
         self._counts: Float64Array = np.zeros(1)
-        self._edges: Float64Array = np.array([-0.1, 0.1])
+        self._edges: Float64Array = np.array([-limit if quantity.symmetric else 0.0, limit])
         self._stale = False
         self._clock = GestureClock()
-        self.plot_widget = pg.PlotWidget(axisItems={"bottom": _PercentAxis("bottom")})
+        self.plot_widget = pg.PlotWidget(axisItems={"bottom": _Axis(quantity.unit)})
         self.plot_widget.setFocusPolicy(Qt.FocusPolicy.NoFocus)
         self.plot_widget.setMinimumWidth(200)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.plot_widget)
         self.setFixedHeight(120)
-        self.setAccessibleName("Histogram of relative differences")
-        self.setToolTip(
-            "Relative differences (dp - dt) / dp of the latest frame in percent. "
-            "Points between the lines pass the tolerance test; drag a line to change t."
-        )
+        self.setAccessibleName(quantity.name)
+        self.setToolTip(quantity.tip)
         plot = self._plot = self.plot_widget.getPlotItem()
         plot.setMenuEnabled(False)
         plot.hideButtons()
@@ -64,46 +105,48 @@ class DifferenceHistogram(QWidget):
         plot.getAxis("bottom").setHeight(18)
         self._outside = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
         self._inside = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
-        self.lines = [pg.InfiniteLine(angle=90, movable=True) for _ in range(2)]
+        self.lines = [pg.InfiniteLine(angle=90, movable=True) for _ in range(2 if quantity.symmetric else 1)]
         for item in (self._outside, self._inside, *self.lines):
             plot.addItem(item)
         for line in self.lines:
             line.sigDragged.connect(self._dragged)
             line.sigPositionChangeFinished.connect(self._clock.release)
-        self._caption = pg.TextItem("(dp − dt) / dp", anchor=(0, 0))
-        self._caption.setParentItem(plot.getViewBox())
-        self._caption.setPos(2, 0)
+        self._caption = pg.TextItem(quantity.caption, anchor=(0, 0) if quantity.symmetric else (1, 0))
+        box = plot.getViewBox()
+        self._caption.setParentItem(box)
+        # in the corner away from the tallest bars
+        box.sigResized.connect(lambda: self._caption.setPos(2 if quantity.symmetric else box.width() - 2, 0))
         self._place_lines()
         self._recolor()
 
-    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating], t: float | None = None) -> None:
+    def set_data(self, counts: AnyArray, edges: npt.NDArray[np.floating], limit: float | None = None) -> None:
         """Show other counts.
 
         Parameters
         ----------
         counts : array, shape (N,)
         edges : array, shape (N + 1,)
-            Relative differences, increasing.
-        t : float, optional
+            Increasing.
+        limit : float, optional
             Moves the lines too, unless one is being dragged.
         """
         self._counts = np.asarray(counts, dtype=np.float64)
         self._edges = np.asarray(edges, dtype=np.float64)
-        if t is not None and not self._dragging():
-            self._t = t
+        if limit is not None and not self._dragging():
+            self._limit = limit
             self._place_lines()
         self._draw()
 
-    def set_tolerance(self, t: float) -> None:
+    def set_limit(self, limit: float) -> None:
         """Move the lines; never emits."""
-        if t != self._t:
-            self._t = t
+        if limit != self._limit:
+            self._limit = limit
             self._place_lines()
             self._draw()
 
-    def tolerance(self) -> float:
-        """Return the tolerance that the lines show."""
-        return self._t
+    def limit(self) -> float:
+        """Return the limit that the lines show."""
+        return self._limit
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""
@@ -123,31 +166,35 @@ class DifferenceHistogram(QWidget):
     def _dragged(self, line: Any) -> None:
         if not self._clock.held:
             self._clock.hold()
-        t = min(max(abs(line.value()) / 100.0, _SMALLEST_T), _LARGEST_T)
-        self._t = float(f"{t:.3g}")
+        smallest, largest = self._quantity.limits
+        value = line.value() / self._quantity.factor
+        limit = min(max(abs(value) if self._quantity.symmetric else value, smallest), largest)
+        self._limit = float(f"{limit:.3g}")
         self._place_lines()
         self._draw()
-        self.toleranceEdited.emit(self._t, self._clock.number())
+        self.limitEdited.emit(self._limit, self._clock.number())
 
     def _place_lines(self) -> None:
-        for line, sign in zip(self.lines, (-1, 1), strict=True):
-            line.setValue(sign * self._t * 100.0)
+        for line, sign in zip(self.lines, (1, -1), strict=False):
+            line.setValue(sign * self._limit * self._quantity.factor)
 
     def _draw(self) -> None:
         self._stale = not self.isVisible()
         if self._stale:
             return
-        edges, counts = split_at(self._edges, self._counts, (-self._t, self._t))
+        symmetric, limit = self._quantity.symmetric, self._limit
+        edges, counts = split_at(self._edges, self._counts, (-limit, limit) if symmetric else (limit,))
         centres = (edges[:-1] + edges[1:]) / 2
-        inside = np.where(np.abs(centres) <= self._t, counts, 0.0)
-        percent = edges * 100.0
-        self._outside.setData(percent, counts)
-        self._inside.setData(percent, inside)
-        reach = max(abs(percent[0]), abs(percent[-1]), self._t * 110.0, 0.1)
-        top = float(counts.max(initial=1.0))
+        inside = np.where(np.abs(centres) <= limit, counts, 0.0)
+        shown = edges * self._quantity.factor
+        self._outside.setData(shown, counts)
+        self._inside.setData(shown, inside)
+        reach = max(abs(shown[0]), abs(shown[-1]), 1.1 * limit * self._quantity.factor, 0.1)
+        # with one side, the bar at zero is contact itself, which would flatten all others
+        tallest = 1.05 * counts.max(initial=1.0) if symmetric else 1.3 * self._counts[1:].max(initial=1.0)
         if not self._dragging():  # a scale that moved under the mouse would run away with the line
-            self._plot.getViewBox().setXRange(-reach, reach, padding=0)
-        self._plot.getViewBox().setYRange(0.0, top * 1.05, padding=0)
+            self._plot.getViewBox().setXRange(-reach if symmetric else -0.01 * reach, reach, padding=0)
+        self._plot.getViewBox().setYRange(0.0, tallest, padding=0)
 
     def _recolor(self) -> None:
         colors = theme_colors()

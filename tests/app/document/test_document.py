@@ -18,7 +18,7 @@ def test_an_edit_is_one_step_and_undo_brings_back_the_very_same(document, preset
     document.presetChanged.connect(seen.append)
     assert document.edit("tolerance.t", 0.01)
     assert document.preset.tolerance.t == 0.01
-    assert document.undo_stack.undoText() == "Tolerance t 0.01"
+    assert document.undo_stack.undoText() == "Tolerance t 1 %"
     document.undo_stack.undo()
     assert document.preset is preset
     document.undo_stack.redo()
@@ -33,7 +33,7 @@ def test_one_drag_is_one_step_and_two_drags_are_two(document):
     assert document.undo_stack.count() == 2
     document.undo_stack.undo()
     assert document.preset.tolerance.t == 0.05
-    assert document.undo_stack.undoText() == "Tolerance t 0.05"
+    assert document.undo_stack.undoText() == "Tolerance t 5 %"
     document.undo_stack.undo()
     assert document.preset.tolerance.t == 0.03
 

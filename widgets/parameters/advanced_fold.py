@@ -1,0 +1,60 @@
+"""The fold with the advanced fields of a section."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtWidgets import QGridLayout, QSizePolicy, QToolButton, QVBoxLayout, QWidget
+
+from .parameter_row import ParameterRow
+
+
+class AdvancedFold(QWidget):
+    """A button *More* above rows that few people need; closed at first.
+
+    It opens by itself when one of its values begins to differ from the default, so that no such value is overlooked.
+    """
+
+    def __init__(self, title: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self.rows: list[ParameterRow] = []
+        self._differs = False
+        self.button = QToolButton()
+        self.button.setText("More")
+        self.button.setToolButtonStyle(Qt.ToolButtonStyle.ToolButtonTextBesideIcon)
+        self.button.setAutoRaise(True)
+        self.button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+        self.button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+        self.button.setAccessibleName(f"More of {title.lower()}")
+        self.button.setToolTip(f"Show or hide the fields of {title.lower()} that are seldom changed")
+        self.button.clicked.connect(lambda: self.set_open(not self.is_open))
+        self._body = QWidget()
+        self.grid = QGridLayout(self._body)
+        self.grid.setContentsMargins(0, 0, 0, 0)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(0, 0, 0, 0)
+        layout.setSpacing(2)
+        layout.addWidget(self.button)
+        layout.addWidget(self._body)
+        self.set_open(False)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the rows are shown."""
+        return not self._body.isHidden()
+
+    def set_open(self, opened: bool) -> None:
+        """Show or hide the rows."""
+        self._body.setVisible(opened)
+        self.button.setArrowType(Qt.ArrowType.DownArrow if opened else Qt.ArrowType.RightArrow)
+
+    def add(self, row: ParameterRow) -> None:
+        """Append a row."""
+        row.add_to(self.grid)
+        self.rows.append(row)
+
+    def open_if_changed(self) -> None:
+        """Open the fold if a value differs from the default now and none did before."""
+        differs = any(row.editor.value() != row.spec.default for row in self.rows)
+        if differs and not self._differs:
+            self.set_open(True)
+        self._differs = differs
