@@ -15,6 +15,7 @@ from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
 from ...core.sources.presets import load_preset
+from ...widgets.basics.fields import field_spec
 from .history import History
 from .untouched_store import UntouchedStore
 
@@ -189,13 +190,13 @@ class Document(QObject):
 
 
 def describe_edit(preset: Preset, paths: tuple[str, ...]) -> str:
-    """Describe an edit for the Edit menu, such as ``"Tolerance t 0.012"``."""
+    """Describe an edit for the Edit menu, such as ``"Tolerance t 1.2 %"``."""
     if paths == ("untouched",):
         return "Capture untouched frame"
     if paths == ("noise",):
         return "Measure noise and bias"
     if len(paths) == 1:
-        return f"{field_title(paths[0])} {format_value(preset.value(paths[0]))}"
+        return f"{field_title(paths[0])} {_shown_value(paths[0], preset.value(paths[0]))}"
     if len(paths) == 2:
         return " and ".join(field_title(path) for path in paths).capitalize()
     sections = sorted({path.split(".")[0] for path in paths})
@@ -213,6 +214,15 @@ def field_title(path: str) -> str:
         if not (isinstance(model, type) and issubclass(model, BaseModel)):
             break
     return title
+
+
+def _shown_value(path: str, value: Any) -> str:
+    """Format a value as the panel shows it, with its unit."""
+    with suppress(TypeError):  # a field of a type that the panel does not show
+        spec = field_spec(Preset, path)
+        if spec.kind in ("number", "range"):
+            return spec.describe(value)
+    return format_value(value)
 
 
 def format_value(value: Any) -> str:

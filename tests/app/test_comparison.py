@@ -175,7 +175,7 @@ def test_the_present_side_follows_a_slider(compared, qtbot):
     assert_same(shown.b.patch, ContactPipeline(present, RIG).process(compared.result.frame))
     assert compared.context.comparison.sides[1].preset is present
     assert shown.a.side.preset.tolerance.t == 0.03
-    assert compared.comparison_panel.table.item(0, 2).text() == f"{present.tolerance.t:g}"
+    assert compared.comparison_panel.table.item(0, 2).text() == f"{100 * present.tolerance.t:g}"
 
 
 def test_use_a_is_one_step_and_ends_the_comparison(compared, qtbot):

@@ -26,7 +26,7 @@ def test_a_typed_value_is_undone_while_its_entry_has_the_focus(window, qtbot):
     before = window.document.preset
     entry = window.panel.rows["tolerance.t"].widget.entry
     window.activateWindow()
-    type_into(entry, "0.05")
+    type_into(entry, "5")
     assert window.document.preset.tolerance.t == 0.05
     entry.setFocus()
     QTest.keyClick(entry, Qt.Key.Key_Z, CONTROL)
@@ -43,7 +43,7 @@ def test_a_field_leaves_the_playback_keys_to_the_window(window, qtbot):
     QTest.keyClick(entry, Qt.Key.Key_Space)
     QTest.keyClick(entry, Qt.Key.Key_Comma)
     assert pressed == ["play", "previous"]
-    type_into(entry, "0.05")
+    type_into(entry, "5")
     assert window.document.preset.tolerance.t == 0.05
     assert not entry.hasFocus(), "Return gives the keyboard back"
     QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)

@@ -210,7 +210,7 @@ class ParameterRow(QObject):
         self._grid: QGridLayout | None = None
         self._line = 0
         self._is_wide: bool | None = None
-        self._shown = True
+        self._row_shown = True
         self.editor.edited.connect(self._edited)
         refused = getattr(self.widget, "refused", None)
         if refused is not None:
@@ -242,7 +242,7 @@ class ParameterRow(QObject):
 
     def set_shown(self, shown: bool) -> None:
         """Show or hide the whole row."""
-        self._shown = shown
+        self._row_shown = shown
         for widget in (self.label, self.widget, self.unit):
             widget.setVisible(shown)
         self._update_reset(self.widget.isEnabled())
@@ -288,7 +288,7 @@ class ParameterRow(QObject):
 
     def _update_reset(self, editable: bool) -> None:
         """Show the reset button only where it would change something."""
-        wanted = self._shown and editable and self.editor.value() != self._target
+        wanted = self._row_shown and editable and self.editor.value() != self._target
         if not wanted and self.reset.hasFocus():
             self.tab_stops[0].setFocus()
         self.reset.setVisible(wanted and self.reset.parentWidget() is not None)
