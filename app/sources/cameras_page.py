@@ -28,7 +28,7 @@ _PROBLEM_COLUMN = 4
 class CamerasPage(SourcePage):
     """Lists the connected cameras and asks which is the proximity and which the tactile one."""
 
-    title = "&Cameras"
+    title = "Cameras"
 
     def __init__(self, cameras: CamerasSection, search: CameraSearch, parent: QWidget | None = None) -> None:
         super().__init__(parent)

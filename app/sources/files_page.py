@@ -19,7 +19,7 @@ from .paths import recording_filters, recording_name
 class FilesPage(SourcePage):
     """Asks for a file or folder, and lists every kind of source with its form."""
 
-    title = "F&iles and others"
+    title = "Files and others"
 
     def __init__(self, settings: Settings, native_dialogs: bool, parent: QWidget | None = None) -> None:
         super().__init__(parent)

@@ -52,7 +52,7 @@ class OpenDialog(QDialog):
         self.setWindowTitle("Open")
         self.pages = pages
         self.list = QListWidget()
-        self.list.addItems([page.title.replace("&", "") for page in pages])
+        self.list.addItems([page.title for page in pages])
         self.list.setAccessibleName("Kinds of sources")
         self.list.setToolTip("Where the frames come from")
         self.list.setFixedWidth(150)
@@ -93,17 +93,18 @@ class OpenDialog(QDialog):
         return self.pages[self._stack.currentIndex()]
 
     def start_with(self, name: str) -> None:
-        """Show a name and its page."""
+        """Show a name and its page, the last one if no other knows it."""
         self.name.setText(name)
-        self._typed(name)
-        self.page.come_up()
+        if self._typed(name):
+            self.page.come_up()
+        else:
+            self._switch_to(self.pages[-1])
         self.list.setFocus()
 
     def start_on(self, page: SourcePage) -> None:
         """Show a page and its choice."""
         self.list.setCurrentRow(self.pages.index(page))
-        page.setFocus()
-        self.focusNextChild()
+        self.list.setFocus()
 
     def open_name(self, name: str) -> None:
         """Ask for a source as if its name were typed and Open pressed."""
@@ -162,8 +163,8 @@ class OpenDialog(QDialog):
             self.name.setText(page.name)
             self._say(page.note)
 
-    def _typed(self, text: str) -> None:
-        """Move the page to a typed name, as far as one knows it."""
+    def _typed(self, text: str) -> bool:
+        """Move the page to a typed name; return whether one knows it."""
         self._say("")
         for page in self.pages:
             try:
@@ -174,7 +175,8 @@ class OpenDialog(QDialog):
                 known = True
             if known:
                 self._switch_to(page)
-                return
+                return True
+        return False
 
     def _switch_to(self, page: SourcePage) -> None:
         """Show a page, and leave the name as it is."""

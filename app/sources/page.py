@@ -12,7 +12,7 @@ class SourcePage(QWidget):
     Attributes
     ----------
     title : str
-        In the list of pages, with a mnemonic.
+        In the list of pages.
     name : str
         Name of the chosen source, as `tactune.core.sources.registry.open_source` takes it; empty if none is chosen.
     note : str

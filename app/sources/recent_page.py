@@ -19,7 +19,7 @@ _NONE = "Nothing was open yet."
 class RecentPage(SourcePage):
     """Lists the recent sources, newest first. Those that are gone are grey."""
 
-    title = "&Recent"
+    title = "Recent"
 
     def __init__(self, settings: Settings, thumbnails: Thumbnails, parent: QWidget | None = None) -> None:
         super().__init__(parent)

@@ -14,6 +14,9 @@ from ...core.model.intrinsics import Intrinsics
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
+#: Wait for a killed process, ms.
+_KILL_MS = 200
+_hanging: list[QProcess] = []
 PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
 _DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
 
@@ -69,9 +72,7 @@ class CameraSearch(QObject):
     def __init__(self, parent: QObject | None = None, arguments: Sequence[str] = PROGRAM) -> None:
         super().__init__(parent)
         self._arguments = list(arguments)
-        self._process = QProcess(self)
-        self._process.finished.connect(self._finished)
-        self._process.errorOccurred.connect(self._error_occurred)
+        self._process = self._new_process()
         self._patience = QTimer(self)
         self._patience.setSingleShot(True)
         self._patience.setInterval(PATIENCE_MS)
@@ -94,13 +95,27 @@ class CameraSearch(QObject):
         """Cancel the search."""
         self._answered = True
         self._patience.stop()
-        if self.running:
-            self._process.kill()
-            self._process.waitForFinished(500)
+        self._abandon()
+
+    def _new_process(self) -> QProcess:
+        process = QProcess(self)
+        process.finished.connect(self._finished)
+        process.errorOccurred.connect(self._error_occurred)
+        return process
 
     def _give_up(self) -> None:
         self._fail(f"The camera driver does not answer: unplug the cameras and plug them in again, or {_DOCTOR}.")
-        self._process.kill()
+        self._abandon()
+
+    def _abandon(self) -> None:
+        """Kill the process. One that hangs in the kernel ends later; its object stays, as deleting it would wait."""
+        if self.running:
+            self._process.blockSignals(True)
+            self._process.kill()
+            if not self._process.waitForFinished(_KILL_MS):
+                self._process.setParent(None)
+                _hanging.append(self._process)
+            self._process = self._new_process()
 
     def _error_occurred(self, error: QProcess.ProcessError) -> None:
         if error == QProcess.ProcessError.FailedToStart:

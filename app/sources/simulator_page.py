@@ -26,7 +26,7 @@ _MOVING = "moving"
 class SimulatorPage(SourcePage):
     """Offers every scene with its options. What the chosen scene does not have is disabled."""
 
-    title = "&Simulator"
+    title = "Simulator"
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)

@@ -132,6 +132,9 @@ def test_a_driver_that_hangs_is_given_up(window, answering, qtbot, monkeypatch):
     answering("import time; time.sleep(60)")
     dialog = chooser(window, qtbot)
     qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
+    QTest.keyClick(dialog, Qt.Key.Key_F5)
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("Searching"))
+    qtbot.waitUntil(lambda: dialog.note.text().startswith("The camera driver does not answer"))
 
 
 def test_a_search_that_hangs_does_not_keep_the_dialog(window, answering, qtbot):
