@@ -160,8 +160,7 @@ class PointsPage(QWidget):
     def show_outcome(self, outcome: Outcome) -> None:
         """Show a new fit: residuals, arrows, predicted partner."""
         self._outcome = outcome
-        self.fit_line.setText(outcome.sentence)
-        self.fit_line.setToolTip(outcome.sentence)
+        self.fit_line.setText("" if outcome.report is None else outcome.sentence)
         self.drop.setText(f"Remove {count_pairs(len(outcome.rejected), 'rejected')}")
         self.drop.setVisible(bool(outcome.rejected))
         self._show_points()
@@ -291,8 +290,8 @@ class PointsPage(QWidget):
         )
         if elsewhere:
             return f"{elsewhere} pairs were clicked in the other left image and are not drawn here."
-        first = "" if state.pairs else "Press Find points, or click. "
-        return f"{first}Click a dot in one image, then the same dot in the other. Drag or arrow keys correct."
+        start = "Click" if state.pairs else "Press Find points, or click"
+        return f"{start} a dot in one image, then the same dot in the other. Drag or arrow keys correct."
 
     # Actions
 

@@ -16,7 +16,7 @@ from ...core.calibration import CalibrationReport, Correspondence, read_points, 
 from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
-from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button, show_accent
+from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
@@ -348,7 +348,7 @@ class CalibrationWizard(QDialog):
         action, onward = self.page_actions.get(step), self.save if step == _SAVE else self.next
         for push in (*self.page_actions.values(), self.next, self.save):
             push.setVisible(push in {action, onward})
-            show_accent(push, push is (action if missing and action is not None else onward))
+            push.setDefault(push is (action if missing and action is not None else onward))
 
     # Files
 

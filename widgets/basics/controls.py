@@ -99,16 +99,6 @@ class ProgressBar(QProgressBar):
         return QSize(100, super().minimumSizeHint().height())
 
 
-def show_accent(button: QPushButton, on: bool) -> None:
-    """Fill a button with the accent colour: it is checked, or the page's primary button."""
-    palette = QPalette()
-    if on:
-        colors = theme_colors()
-        palette.setColor(QPalette.ColorRole.Button, QColor(colors.accent).darker(118))
-        palette.setColor(QPalette.ColorRole.ButtonText, QColor(colors.on_accent))
-    button.setPalette(palette)
-
-
 class AccentButton(QPushButton):
     """A checkable button, filled with the accent colour while it is checked."""
 
@@ -120,7 +110,12 @@ class AccentButton(QPushButton):
         self.toggled.connect(self._color)
 
     def _color(self, checked: bool) -> None:
-        show_accent(self, checked)
+        palette = QPalette()
+        if checked:
+            colors = theme_colors()
+            palette.setColor(QPalette.ColorRole.Button, QColor(colors.accent).darker(118))
+            palette.setColor(QPalette.ColorRole.ButtonText, QColor(colors.on_accent))
+        self.setPalette(palette)
 
 
 class ElidedLabel(QLabel):

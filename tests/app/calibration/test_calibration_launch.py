@@ -12,6 +12,7 @@ from pairs import with_pairs
 from tactune.app.settings import Settings
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.worker import SourceRequest
+from tactune.core.contact.alignment import tactile_pose
 from tactune.core.preset import Preset
 from tactune.core.sources.base import SeekableSource
 from tactune.core.sources.presets import load_preset
@@ -115,6 +116,27 @@ def test_a_snapshot_of_a_playing_recording_has_all_its_frames(window, scene, fra
     wizard.frames.start()
     qtbot.waitUntil(lambda: not wizard.collector.busy)
     qtbot.waitUntil(lambda: window.transport.state.playing)
+
+
+def test_six_actions_lead_from_the_window_to_a_good_preset(window, scene, frames, qtbot, tmp_path):
+    window.open_request(SourceRequest("tiny", lambda progress: TinySource(scene, frames)))
+    qtbot.waitUntil(lambda: window.result is not None, timeout=15000)
+    window.document.save(tmp_path / "tiny.json")
+    QTest.keyClick(window, Qt.Key.Key_K, CONTROL)
+    wizard = window.calibration.wizard
+    wizard.session.choose("Frames", average=1)
+    press = lambda button: QTest.mouseClick(button, Qt.MouseButton.LeftButton)  # noqa: E731
+    press(wizard.frames.take)
+    qtbot.waitUntil(lambda: bool(wizard.session.state.snapshots), timeout=15000)
+    press(wizard.next)
+    press(wizard.points.finder.search)
+    qtbot.waitUntil(lambda: wizard.outcome.report is not None and not wizard.fitter.busy, timeout=30000)
+    press(wizard.steps.button(4))
+    press(wizard.save)
+    qtbot.waitUntil(lambda: not window.document.dirty)
+    saved = load_preset(tmp_path / "tiny.json")
+    assert saved.alignment.calibration.verdict.startswith("Good")
+    assert scene.alignment_error_px(tactile_pose(saved.alignment, scene.rig)) < 0.5
 
 
 def test_the_wizard_saves_the_preset_through_the_window(window, scene, frames, feed, qtbot, tmp_path):
