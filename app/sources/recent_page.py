@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 from PyQt6.QtCore import QSize, Qt
 from PyQt6.QtGui import QColor, QIcon, QKeyEvent, QPainter, QPalette, QPixmap
 from PyQt6.QtWidgets import QListWidget, QListWidgetItem, QVBoxLayout, QWidget
 
-from ...core.sources.registry import missing_path
+from ...core.sources.registry import is_recording, missing_path
 from ..settings import Settings
+from ..worker.jobs import Job
 from .page import SourcePage
 from .thumbnails import SIZE, Thumbnails
 
@@ -34,6 +37,8 @@ class RecentPage(SourcePage):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.addWidget(self.list)
+        self._job = Job(self)
+        self._job.progress.connect(self._picture_made)
         self._fill()
         self.list.currentItemChanged.connect(lambda item, _: self._selected(item))
         self.list.itemActivated.connect(lambda _: self.activated.emit())
@@ -44,6 +49,10 @@ class RecentPage(SourcePage):
         if found is not None:
             self.list.setCurrentItem(found)
         return found is not None
+
+    def stop(self) -> None:
+        """Make no more pictures."""
+        self._job.stop()
 
     def come_up(self) -> None:
         """Choose what is selected, the newest at first."""
@@ -59,20 +68,35 @@ class RecentPage(SourcePage):
         super().keyPressEvent(event)
 
     def _fill(self) -> None:
-        empty = QPixmap(*SIZE)
-        empty.fill(QColor(128, 128, 128, 48))
+        lacking = []
         for name in self._settings.recent(RECENT):
-            picture = QPixmap(str(self._thumbnails.path(name)))
             missing = missing_path(name)
-            item = QListWidgetItem(_padded(picture if not picture.isNull() else empty), name)
+            item = QListWidgetItem(name)
             item.setData(Qt.ItemDataRole.UserRole, name)
             item.setToolTip(name)
             if missing is not None:
                 item.setText(f"{name}\n{_MISSING.format(missing)}")
                 item.setForeground(self.palette().color(QPalette.ColorGroup.Disabled, QPalette.ColorRole.Text))
-                item.setIcon(QIcon(item.icon().pixmap(QSize(*SIZE), QIcon.Mode.Disabled)))
                 item.setToolTip(item.text())
+            elif not self._thumbnails.path(name).exists() and is_recording(name):
+                lacking.append(name)
+            self._show_picture(item, gray=missing is not None)
             self.list.addItem(item)
+        if lacking:
+            self._job.start(partial(self._thumbnails.make, lacking))
+
+    def _picture_made(self, _share: float, name: str) -> None:
+        for item in self._items():
+            if item.data(Qt.ItemDataRole.UserRole) == name:
+                self._show_picture(item)
+
+    def _show_picture(self, item: QListWidgetItem, gray: bool = False) -> None:
+        picture = QPixmap(str(self._thumbnails.path(item.data(Qt.ItemDataRole.UserRole))))
+        if picture.isNull():
+            picture = QPixmap(*SIZE)
+            picture.fill(QColor(128, 128, 128, 48))
+        icon = _padded(picture)
+        item.setIcon(QIcon(icon.pixmap(QSize(*SIZE), QIcon.Mode.Disabled)) if gray else icon)
 
     def _items(self) -> list[QListWidgetItem]:
         items = [self.list.item(row) for row in range(self.list.count())]

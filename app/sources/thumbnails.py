@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -12,6 +13,8 @@ import platformdirs
 from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.files import atomic_path
+from ...core.sources.base import Progress
+from ...core.sources.registry import open_source
 
 #: Width and height of a picture, pixels; a picture fits into it.
 SIZE = (160, 90)
@@ -43,6 +46,15 @@ class Thumbnails:
         with suppress(TactuneError, OSError), atomic_path(self.path(name)) as temporary:
             temporary.write_bytes(cv2.imencode(".png", small[:, :, ::-1])[1].tobytes())
         self._remove_old()
+
+    def make(self, names: Sequence[str], progress: Progress) -> None:
+        """Make pictures of the first frames of recordings; ``progress`` gets each name when it is done."""
+        for done, name in enumerate(names, start=1):
+            with suppress(Exception), open_source(name) as source:  # a recording without a picture is listed as well
+                frame = source.next_frame()
+                if frame is not None:
+                    self.keep(name, frame.proximity_color)
+            progress(done / len(names), name)
 
     def _remove_old(self) -> None:
         with suppress(OSError):

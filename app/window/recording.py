@@ -20,6 +20,7 @@ from ...widgets.basics.messages import Offer, Severity
 from ...widgets.basics.theme import theme_colors
 from ..context import TASK, Context
 from ..settings import default_recordings_folder
+from ..sources.recent_page import RECENT
 from ..worker.playback import PlaybackState
 from ..worker.recorder import RecordingEnd
 from ..worker.results import SourceState
@@ -284,6 +285,7 @@ class RecordingControl(QObject):
         status = self._with_lost(end.status)
         offers: list[Offer] = []
         if status.frames:
+            self._context.settings.add_recent(RECENT, f"mcap:{status.path}")
             count = f"{status.frames} frame{'' if status.frames == 1 else 's'}"
             sentence = f"Recorded {status.path.name}: {duration(status.seconds)}, {count}, {size(status.bytes)}."
             offers = [

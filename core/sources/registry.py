@@ -133,6 +133,12 @@ def missing_path(name: str) -> Path | None:
     return next((path for part in rest.split(",") if not (path := user_path(part)).exists()), user_path(rest))
 
 
+def is_recording(name: str) -> bool:
+    """Return whether a source's name means files, which are read at once, not cameras or what is computed."""
+    scheme = name.partition(":")[0]
+    return next((kind.needs != "nothing" for kind in source_kinds() if kind.scheme == scheme), user_path(name).exists())
+
+
 def _load(scheme: str) -> SourceKind:
     kind = load_plugin(GROUP, scheme, SourceKind)
     if kind.scheme != scheme:

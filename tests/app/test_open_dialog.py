@@ -139,24 +139,38 @@ def test_a_click_on_the_toolbar_opens_the_dialog_with_the_present_name(window, q
 # Recent sources
 
 
+def color_in_the_middle(page, row):
+    """RGB of the picture of a row."""
+    picture = page.list.item(row).icon().pixmap(page.list.iconSize()).toImage()
+    return QColor(picture.pixel(picture.width() // 2, picture.height() // 2)).getRgb()[:3]
+
+
+def first_color(source):
+    image = source.next_frame().proximity_color
+    return tuple(image[image.shape[0] // 2, image.shape[1] // 2].tolist())
+
+
 def test_a_recording_that_was_open_has_a_picture_and_opens_by_double_click(make_window, qtbot, recording):
     window = make_window()
     name = f"folder:{recording}"
     window.open_source(name)
     qtbot.waitUntil(lambda: shows(window, name))
     dialog = open_dialog(window, qtbot, RECENT)
-    item = dialog.page.list.item(0)
-    picture = item.icon().pixmap(dialog.page.list.iconSize()).toImage()
-    middle = QColor(picture.pixel(picture.width() // 2, picture.height() // 2))
-    frame = window.result.frame.proximity_color
-    assert middle.getRgb()[:3] == pytest.approx(frame[frame.shape[0] // 2, frame.shape[1] // 2].tolist(), abs=3)
+    assert color_in_the_middle(dialog.page, 0) == pytest.approx(first_color(TinySource()), abs=3)
     opened = []
     window.worker.opened.connect(opened.append)
-    place = dialog.page.list.visualItemRect(item).center()
+    place = dialog.page.list.visualItemRect(dialog.page.list.item(0)).center()
     QTest.mouseClick(dialog.page.list.viewport(), LEFT, pos=place)
     QTest.mouseDClick(dialog.page.list.viewport(), LEFT, pos=place)
     qtbot.waitUntil(lambda: [info.name for info in opened] == [name])
     assert window.sources.dialog is None
+
+
+def test_a_recording_that_was_never_open_gets_a_picture_of_its_first_frame(window, qtbot, recording):
+    name = f"folder:{recording}"
+    window.settings.add_recent("sources", name)
+    page = open_dialog(window, qtbot, RECENT).page
+    qtbot.waitUntil(lambda: color_in_the_middle(page, 0) == pytest.approx(first_color(TinySource()), abs=3))
 
 
 def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_path):

@@ -100,6 +100,7 @@ def test_the_file_can_be_opened_from_the_message(window, cameras, qtbot, folder)
     begin(window, qtbot)
     cameras.give(qtbot, 3)
     end(window, qtbot)
+    assert window.settings.recent("sources")[0] == f"mcap:{next(folder.glob('*.mcap'))}"
     press(window.messages.message("recording"), "Open recording")
     qtbot.waitUntil(lambda: window.result is not None and window.result.source.length == 3)
     assert window.transport.state.seekable
