@@ -257,6 +257,9 @@ class CheckPage(QWidget):
         if not self.isVisible() or frame is None or (self._patch_job.busy and self._feed.playback.playing):
             return
         presets = {"present": self.present_preset(), "new": self.new_preset()}
+        if "–" in self._areas:
+            for view in self.clouds.values():
+                view.set_message("Finding the patch…")
         rig, theme, finders = self._session.rig, theme_name(), self._finders
         self._patch_job.start(
             lambda _: {

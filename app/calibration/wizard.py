@@ -128,8 +128,8 @@ class CalibrationWizard(QDialog):
             steps.addWidget(button)
         steps.addStretch(1)
         self.over = push_button("Start over", "Clear the wizard, after a question; undo restores everything")
-        self.undo = push_button("Undo", "")
-        self.redo = push_button("Redo", "")
+        self.undo = push_button("Undo", "Nothing to undo (Ctrl+Z)")
+        self.redo = push_button("Redo", "Nothing to redo (Ctrl+Shift+Z)")
         for push in (self.over, self.undo, self.redo):
             steps.addWidget(push)
         self.stack = QStackedWidget()
@@ -170,7 +170,11 @@ class CalibrationWizard(QDialog):
             (self.undo, "Undo", "Ctrl+Z", stack.undoTextChanged, stack.canUndoChanged),
             (self.redo, "Redo", "Ctrl+Shift+Z", stack.redoTextChanged, stack.canRedoChanged),
         ):
-            changed.connect(lambda text, push=push, name=name, keys=keys: push.setToolTip(f"{name}: {text} ({keys})"))
+            changed.connect(
+                lambda text, push=push, name=name, keys=keys: push.setToolTip(
+                    f"{name}: {text} ({keys})" if text else f"Nothing to {name.lower()} ({keys})"
+                )
+            )
             can.connect(push.setEnabled)
             push.setEnabled(False)
         self.undo.clicked.connect(stack.undo)

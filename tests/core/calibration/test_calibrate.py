@@ -9,6 +9,7 @@ import pytest
 from simulated_clicks import ClickNoise, judged_places, make_clicks
 from tactune.core.calibration import Correspondence, calibrate
 from tactune.core.calibration.quality import patch_effect
+from tactune.core.calibration.recheck import replacement
 from tactune.core.calibration.report import place_name
 from tactune.core.calibration.rigid import MIN_POINTS
 from tactune.core.contact import pipeline as pipeline_module
@@ -215,3 +216,16 @@ def test_the_record_alone_makes_the_pipeline_repeat_nothing(rig, monkeypatch):
 )
 def test_places_are_named(pixel, words):
     assert place_name(np.array(pixel), (480, 640)) == words
+
+
+@pytest.mark.parametrize(("shift_mm", "boundary_mm"), [((4.0, 0.0, 0.0), 4.0), ((0.0, 0.0, 5.0), 5.0)])
+def test_the_present_alignment_is_judged_by_the_new_one(rig, shift_mm, boundary_mm):
+    report = calibrate(clicked(rig, 40), rig, "rigid")
+    moved = np.array(rig.T_proximity_tactile)
+    moved[:3, 3] += 1e-3 * np.array(shift_mm)
+    errors = replacement(report, Preset().with_value("alignment.rigid.T_proximity_tactile", moved.tolist()))
+    assert not errors.worse
+    assert errors.present.boundary_mm == pytest.approx(boundary_mm, rel=0.25)
+    assert errors.present.supported_tolerance > errors.new.supported_tolerance
+    exact = replacement(report, report.apply_to(Preset()))
+    assert exact.present.boundary_mm == pytest.approx(report.chosen.effect.boundary_mm)
