@@ -174,6 +174,9 @@ class _Screenshot(QObject):
         result = self._window.result
         if result is None:
             return
+        if result.patch is None and not result.problem:  # the contact test is being compiled
+            self._patience.start()
+            return
         still = not result.playback.playing
         if result.processed >= self._after or still:
             self._window.context.frameShown.disconnect(self._frame_shown)

@@ -179,7 +179,7 @@ def run_frames(options: RunOptions) -> None:
     with open_with_progress(options.source, preset.cameras) as source:
         if options.method == FUSION:
             with CliProgress() as progress:
-                warm_up_if_needed(progress.preparing)
+                warm_up_if_needed(progress.preparing, preset)
         step = make_step(options.method, preset, options.preset, source, untouched, warn)
         for sentence in check_rig(preset, source.rig):
             warn(sentence)

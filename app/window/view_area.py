@@ -398,4 +398,4 @@ def _shown(name: CloudName, result: Result | ComparedSide, rig: Rig) -> tuple[De
         return cloud, _NO_DEPTH
     if one_camera:
         return cloud, _ONE_CAMERA
-    return cloud, result.problem if result.patch is None else result.rendered.no_contact
+    return cloud, result.problem or result.rendered.no_contact

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from dataclasses import replace
 
 from ...core.contact.pipeline import ContactPatch, ContactPipeline
@@ -17,14 +18,23 @@ from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, S
 
 
 class PatchFinder:
-    """The pipeline of one preset, made when it is first needed."""
+    """The pipeline of one preset, made when it is first needed.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    missing : callable
+        Returns why a preset's contact test must still wait, as `BackgroundCompiler.missing`; empty if it need not.
+    """
+
+    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
+        self._missing = missing
         self.preset = Preset()
         self.warnings: tuple[str, ...] = ()
         self.patch: ContactPatch | None = None
         #: Why the preset cannot be used with the rig; empty if it can.
         self.problem = ""
+        #: What the patch waits for; empty if for nothing.
+        self.waiting = ""
         self._pipeline: ContactPipeline | None = None
         self._frame: SensorFrame | None = None
         self._step_ms: dict[str, float] = {}
@@ -37,6 +47,10 @@ class PatchFinder:
     def find(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
         """Find the patch, or say why this preset cannot be used with this rig."""
         self.preset = preset
+        self.waiting = self._missing(preset)
+        if self.waiting:
+            self.patch, self.problem, self.warnings = None, "", ()
+            return
         try:
             if self._pipeline is None:
                 self._pipeline = ContactPipeline(preset, rig)
@@ -54,18 +68,25 @@ class PatchFinder:
 
 
 class FrameProcessor:
-    """Holds the pipelines of the present source and counts processed frames."""
+    """Holds the pipelines of the present source and counts processed frames.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    missing : callable
+        As of `PatchFinder`.
+    """
+
+    def __init__(self, missing: Callable[[Preset], str] = lambda preset: "") -> None:
+        self._missing = missing
         self._renderer = Renderer()
-        self._present = PatchFinder()
+        self._present = PatchFinder(missing)
         self._others: list[PatchFinder] = []
         self._processed = 0
         self._rate = RateMeter()
 
     def forget(self) -> None:
         """Discard the pipelines before another source."""
-        self._present, self._others = PatchFinder(), []
+        self._present, self._others = PatchFinder(self._missing), []
 
     def process(
         self,
@@ -133,7 +154,7 @@ class FrameProcessor:
         spare = [finder for finder in self._others if finder not in kept]
         for preset in presets:
             if not any(finder.preset is preset for finder in kept):
-                kept.append(spare.pop() if spare else PatchFinder())
+                kept.append(spare.pop() if spare else PatchFinder(self._missing))
                 kept[-1].preset = preset
         self._others = kept
         for finder in kept:
@@ -165,4 +186,5 @@ class FrameProcessor:
         return ComparedFrame(a, b, patch_overlap(a.patch, b.patch), difference)
 
     def _render(self, finder: PatchFinder, frame: SensorFrame, rig: Rig, wanted: Wanted) -> Rendered:
-        return self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)
+        rendered = self._renderer.render(frame, finder.patch, finder.preset, rig, wanted)
+        return replace(rendered, no_contact=finder.waiting) if finder.waiting else rendered

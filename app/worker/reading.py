@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from threading import Event, Lock, Thread
 from typing import Protocol
 
-from ...core.contact.warmup import warm_up_if_needed
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.sources.base import CameraOption, CameraRole, FrameSource, Health, Progress
@@ -39,7 +38,7 @@ class OpeningCancelledError(TactuneError):
 def open_requested(
     request: SourceRequest, wanted: Callable[[], bool], report: Callable[[float, str], None]
 ) -> FrameSource:
-    """Compile the pipeline if necessary, open a source, and report progress.
+    """Open a source, and report progress.
 
     Raises
     ------
@@ -59,7 +58,6 @@ def open_requested(
             report(fraction, text)
 
     report(0.0, "")
-    warm_up_if_needed(progress)
     source = request.open(progress)
     if not wanted():
         source.close()

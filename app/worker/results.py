@@ -144,8 +144,8 @@ class Rendered:
     ``color_by`` is what the clouds' colours mean. ``depth_range_m`` are the ends of the depth colours along the
     proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``verdicts`` are the
     `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
-    the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty, ``no_contact_action``
-    names the window's action that may help.
+    the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty or what it waits for,
+    ``no_contact_action`` names the window's action that may help.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)

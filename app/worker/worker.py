@@ -22,6 +22,7 @@ from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
 from ...core.sources.base import CameraOption, CameraRole, FrameSource
 from ..document.comparison import Sides
+from .compiling import BackgroundCompiler
 from .errors import explain, guarded
 from .examination import Examination
 from .playback import Playback
@@ -91,7 +92,8 @@ class Worker(QThread):
         self._wanted = Wanted()
         self._compared: Sides | None = None
         self._untouched_home: Path | None = None
-        self._processor = FrameProcessor()
+        self._compiler = BackgroundCompiler(lambda: self._orders.put(lambda: setattr(self, "_redo", True)))
+        self._processor = FrameProcessor(self._compiler.missing)
         self._examination = Examination()
         self._reader: FrameReader | None = None
         self._live: LiveReader | None = None
@@ -214,6 +216,7 @@ class Worker(QThread):
         finally:
             self._close_source()
             self.recorder.close()
+            self._compiler.stop()
 
     def _carry_on(self) -> None:
         """Process what is due: a new frame, or the present one again."""
@@ -428,6 +431,7 @@ class Worker(QThread):
             self.recovered.emit()
         if self._mailbox.put(result):
             self.resultReady.emit()
+        self._compiler.start()  # after the first picture, which compiles, too
         self._examination.note(result, self._untouched_home)
 
     def _fail(self, sentence: str) -> None:

@@ -1,4 +1,4 @@
-"""Compiles every kernel of the pipeline before the first frame, so that no frame waits for it."""
+"""Compiles the kernels of a contact test, or all, before the first frame, so that no frame waits for it."""
 
 from __future__ import annotations
 
@@ -10,39 +10,80 @@ import numpy as np
 from ..model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
 from ..model.intrinsics import Intrinsics
 from ..preset import Preset
-from .kernels import chain as kernels
+from .kernels.chain import classify_rows, find_candidates
 from .kernels.colors import color_lookup
-from .kernels.compiling import Compiled, compiled_so_far, is_kept
-from .kernels.equilibrium import settle
-from .kernels.membrane import find_differences
+from .kernels.compiling import Compiled, compiled_so_far, counting_compiled, is_kept
+from .kernels.membrane import add_to_means, collect_points, find_differences
 from .masking import colors_at, in_hsv_range
-from .outliers.point_search import search_points
+from .outliers.point_search import search_all
 from .outliers.row_search import search_rows
-from .outliers.statistical import below_threshold, compare_with_all
+from .outliers.statistical import below_threshold
 from .pipeline import ContactPipeline
 
 Progress = Callable[[float, str], None]
 
-#: The message while kernels are compiled.
-COMPILING: Final = "Compiling the pipeline for this computer; this happens once"
-
 _WIDTH, _HEIGHT = 96, 64
+#: Number of kernels of a frame, by contact test, and of the average over frames.
+_KERNELS: Final = {"tolerance": 11, "membrane": 10}
+_AVERAGE_KERNELS: Final = 2
 
 
-def is_compiled() -> bool:
-    """Return whether the largest kernels are compiled and cached on disk; compiles nothing."""
-    largest = kernels.find_candidates, search_rows, search_points, color_lookup, find_differences, settle
-    return all(map(is_kept, largest))
+def is_compiled(preset: Preset | None = None) -> bool:
+    """Return whether the largest and the last kernels of a preset's contact test are cached on disk; compiles nothing.
+
+    Without a preset: those of all contact tests, and what the window reads of a patch.
+    """
+    if preset is None:
+        all_tests = (find_candidates, search_rows, search_all, find_differences, collect_points, add_to_means)
+        return all(map(is_kept, (*all_tests, classify_rows, color_lookup)))
+    largest = {"tolerance": (find_candidates, search_all), "membrane": (find_differences, collect_points)}
+    average = (add_to_means,) if preset.averaged_frames > 1 else ()
+    return all(map(is_kept, (*largest[preset.contact_test], *average)))
 
 
-def warm_up_if_needed(progress: Progress) -> None:
-    """Compile the kernels that the first frame would wait for, unless they are compiled."""
-    if not is_compiled():
+def warm_up_if_needed(progress: Progress, preset: Preset | None = None) -> None:
+    """Compile what the first frame of a preset's contact test would wait for, or everything, unless it is compiled."""
+    if is_compiled(preset):
+        return
+    if preset is None:
         warm_up(progress)
+    else:
+        warm_up_test(preset, progress)
+
+
+def warm_up_test(preset: Preset, progress: Progress) -> None:
+    """Compile the kernels of a preset's contact test, and no others.
+
+    Parameters
+    ----------
+    preset : Preset
+    progress : callable
+        Called with the share done, 0 to 1, and a sentence, before the first kernel and after each.
+    """
+    test, averages = preset.contact_test, preset.averaged_frames > 1
+    total = _KERNELS[test] + _AVERAGE_KERNELS * averages
+
+    def tell(done: int) -> None:
+        number = min(done + 1, total)
+        progress(done / total, f"Compiling the {test} test for this computer, once: {number} of {total}")
+
+    tell(0)
+    with counting_compiled(tell):
+        ContactPipeline(_artificial(test, 2 if averages else 1), _rig()).process(_frame(test))
+    progress(1.0, f"The {test} test is compiled")
+
+
+def warm_up_views(test: str) -> None:
+    """Compile what the window reads of a frame, and of its patch by a contact test beside the points."""
+    rig, frame, preset = _rig(), _frame(test), _artificial(test)
+    patch = ContactPipeline(preset, rig).process(frame)
+    _ = patch.provenance, patch.aligned
+    colors_at(patch.points, np.flatnonzero(patch.mask), frame.proximity_color, rig)
+    in_hsv_range(frame.proximity_color, preset.mask)
 
 
 def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
-    """Run every kernel once, on an artificial frame.
+    """Run every kernel once, on artificial frames.
 
     Parameters
     ----------
@@ -54,33 +95,25 @@ def warm_up(progress: Progress = lambda share, words: None) -> Compiled:
     Compiled
         How many kernels were compiled, how many were loaded from disk, and where they are cached.
     """
-    progress(0.05, COMPILING)
-    rig, frame = _rig(), _frame()
-    preset = Preset(contact_test="tolerance").with_values(
-        {"mask.enabled": True, "mask.value": (0, 9), "outliers.min_cluster_area_mm2": 1.0, "tolerance.t": 0.05}
-    )
-    pipeline = ContactPipeline(preset, rig)
-    patch = pipeline.process(frame)
-    points, pixels = patch.points, np.flatnonzero(patch.mask)
-    few = np.arange(min(4, len(points)))
-    means = np.empty(len(points))
-    membrane = preset.with_value("contact_test", "membrane")
-    steps: list[Callable[[], object]] = [
-        lambda: patch.provenance,
-        lambda: patch.aligned,
-        lambda: below_threshold(np.ones(len(points)), 2.0),
-        lambda: compare_with_all(few, points, 2, means),
-        lambda: colors_at(points, pixels, frame.proximity_color, rig),
-        lambda: in_hsv_range(frame.proximity_color, preset.mask),
-        lambda: ContactPipeline(membrane, rig).process(frame).provenance,
-        lambda: ContactPipeline(membrane.with_value("membrane.frames", 2), rig).process(frame).mask,
-        lambda: ContactPipeline(membrane, rig).process(_bulging_frame()).mask,
-    ]
-    for done, step in enumerate(steps):
-        progress((done + 1) / (len(steps) + 1), COMPILING)
-        step()
-    progress(1.0, "The pipeline is compiled")
+    warm_up_test(_artificial("tolerance"), lambda share, words: progress(share / 3, words))
+    warm_up_test(_artificial("membrane", 2), lambda share, words: progress((1 + share) / 3, words))
+    below_threshold(np.ones(10), 2.0)
+    warm_up_views("membrane")
+    progress(1.0, "All contact tests are compiled")
     return compiled_so_far()
+
+
+def _artificial(test: str, frames: int = 1) -> Preset:
+    """Return a preset with which the artificial frames need every kernel of a contact test."""
+    return Preset(contact_test=test).with_values(
+        {
+            "mask.enabled": True,
+            "mask.value": (0, 9),
+            "outliers.min_cluster_area_mm2": 1.0,
+            "tolerance.t": 0.05,
+            "membrane.frames": frames,
+        }
+    )
 
 
 def _rig() -> Rig:
@@ -95,7 +128,12 @@ def _rig() -> Rig:
     )
 
 
-def _frame() -> SensorFrame:
+def _frame(test: str) -> SensorFrame:
+    """Return a frame in which a contact test finds contact, by every kernel that it has."""
+    return _bulging_frame() if test == "membrane" else _ragged_frame()
+
+
+def _ragged_frame() -> SensorFrame:
     """Return a frame whose surface has a smooth and a ragged half, and a lone point."""
     depth = np.full((_HEIGHT, _WIDTH), 3000, np.uint16)
     depth[:, 40:] += np.random.default_rng(0).integers(0, 300, (_HEIGHT, _WIDTH - 40)).astype(np.uint16)

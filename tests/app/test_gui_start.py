@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+from threading import Event
 
 import pytest
 from PyQt6.QtGui import QImage, QImageReader
@@ -14,7 +15,8 @@ from typer.testing import CliRunner
 from tactune.app.cli.common import default_preset
 from tactune.app.cli.main import commands
 from tactune.app.gui import run_gui, start_with
-from tactune.app.worker.reading import OpeningCancelledError, SourceRequest, open_requested
+from tactune.app.worker import compiling
+from tactune.app.worker.results import CloudName
 from tactune.core.contact import warmup
 from tactune.core.errors import ExportError, PresetError
 from tactune.core.preset.file import save_preset
@@ -102,25 +104,47 @@ def test_a_signal_ends_the_window_once_and_keeps_unsaved_work(recording, tmp_pat
     assert '"t": 0.07' in kept.read_text()
 
 
-@pytest.mark.parametrize("compiled", [False, True])
-def test_opening_in_the_window_tells_of_compiling(monkeypatch, compiled):
-    monkeypatch.setattr(warmup, "is_compiled", lambda: compiled)
-    told = []
-    source = open_requested(SourceRequest("it", lambda progress: "source"), lambda: True, lambda *it: told.append(it))
-    assert source == "source"
-    assert (warmup.COMPILING in [text for _, text in told]) is not compiled
+def test_clouds_are_shown_while_the_contact_test_is_compiled(monkeypatch, watched, qtbot):
+    words, go_on = "Compiling the tolerance test for this computer, once: 3 of 11", Event()
+
+    def compile_slowly(progress, preset):
+        assert preset.contact_test == "tolerance"
+        progress(0.2, words)
+        assert go_on.wait(60)
+
+    monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_slowly)
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(lambda: watched.last is not None and watched.last.rendered.no_contact == words)
+    shown = watched.last
+    assert shown.patch is None
+    assert not shown.problem
+    assert shown.rendered.clouds[CloudName.PROXIMITY].point_count > 0
+    go_on.set()
+    qtbot.waitUntil(lambda: watched.last.patch is not None)
+    assert len(watched.last.patch.points) > 0
 
 
-def test_compiling_can_be_cancelled(monkeypatch):
-    monkeypatch.setattr(warmup, "is_compiled", lambda: False)
-    with pytest.raises(OpeningCancelledError):
-        open_requested(SourceRequest("it", lambda progress: "source"), lambda: False, lambda share, text: None)
+def test_a_window_can_be_closed_while_a_contact_test_is_compiled(monkeypatch, watched, qtbot):
+    told = Event()
+
+    def compile_for_ever(progress, preset):
+        while True:
+            progress(0.5, "Compiling")
+            told.set()
+
+    monkeypatch.setattr(compiling, "is_compiled", lambda preset: False)
+    monkeypatch.setattr(compiling, "warm_up_if_needed", compile_for_ever)
+    watched.open(TinySource(length=1))
+    qtbot.waitUntil(told.is_set)
+    watched.worker.shut_down()
+    assert watched.worker.isFinished()
 
 
 @pytest.mark.parametrize("compiled", [False, True])
 def test_running_without_a_window_tells_of_compiling(monkeypatch, compiled):
-    monkeypatch.setattr(warmup, "is_compiled", lambda: compiled)
+    monkeypatch.setattr(warmup, "is_compiled", lambda preset: compiled)
     done = CliRunner().invoke(commands, ["run", "--source", "sim:cup", "--frames", "1", "--json"])
     assert done.exit_code == 0, done.stderr
-    assert (warmup.COMPILING in done.stderr) is not compiled
-    assert warmup.COMPILING not in done.stdout
+    assert ("Compiling the membrane test" in done.stderr) is not compiled
+    assert "Compiling" not in done.stdout

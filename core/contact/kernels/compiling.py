@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -11,6 +13,7 @@ from types import ModuleType
 from typing import Any
 
 from numba import njit
+from numba.core import event
 
 _PACKAGE = f"{__name__.partition('.')[0]}."
 _kernels: list[Any] = []
@@ -91,6 +94,27 @@ def compiled_so_far() -> Compiled:
     folders = {Path(stat.cache_path) for stat, _ in stats if stat.cache_path}
     loaded = sum(sum(stat.cache_hits.values()) for stat, _ in stats)
     return Compiled(loaded, sum(len(kernel.signatures) for _, kernel in stats) - loaded, tuple(sorted(folders)))
+
+
+@contextmanager
+def counting_compiled(told: Callable[[int], object]) -> Iterator[None]:
+    """Call ``told`` with the number of kernels that this thread has compiled inside the block, after each of them."""
+    thread, nested, count = threading.get_ident(), 0, 0
+
+    def listen(happened: Any) -> None:
+        nonlocal nested, count
+        if threading.get_ident() != thread:
+            return
+        nested += 1 if happened.is_start else -1
+        if nested == 0:  # what a kernel calls is compiled as a part of it
+            count += 1
+            told(count)
+
+    class Listener(event.Listener):
+        on_start = on_end = staticmethod(listen)
+
+    with event.install_listener("numba:compile", Listener()):
+        yield
 
 
 def is_kept(compiled: Any) -> bool:

@@ -13,7 +13,7 @@ SUPPORT = Path(__file__).resolve().parents[2] / "support"
 
 PROCESS = """
 import numpy as np
-from tactune.core.contact.warmup import is_compiled, warm_up
+from tactune.core.contact.warmup import is_compiled, warm_up, warm_up_test
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.preset import Preset
 from tiny_sensor import tiny_frame, tiny_rig
@@ -74,6 +74,39 @@ def test_the_command_says_what_it_did():
     assert done.stderr == ""
 
 
+MEMBRANE = {
+    "mark_tiles", "ranges_of_tiles", "spread", "find_differences", "block_means", "bulges", "average_cells",
+    "measure_cells", "link_cells", "settle", "mark_large", "root", "collect_points",
+}  # fmt: skip
+AVERAGE = {"forget_moved", "add_to_means"}
+TOLERANCE = {
+    "mark_tiles", "ranges_of_tiles", "spread", "find_candidates", "lay", "clear", "search_rows", "search_points",
+    "search_all", "part_coordinates", "compare", "compact", "mark_large", "root",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("values", "kernels"),
+    [
+        ({"contact_test": "membrane"}, MEMBRANE),
+        ({"contact_test": "membrane", "membrane.frames": 5}, MEMBRANE | AVERAGE),
+        ({"contact_test": "tolerance"}, TOLERANCE),
+    ],
+)
+def test_only_what_the_contact_test_needs_is_compiled(tmp_path, values, kernels):
+    program = f"""
+preset = Preset().with_values({values!r})
+print(is_compiled(preset), is_compiled())
+told = []
+warm_up_test(preset, lambda share, words: told.append((share, words)))
+print(is_compiled(preset), is_compiled())
+print(told[0][1].rpartition(" ")[2] == str(len(told) - 2), [share for share, _ in told] == sorted(share for share, _ in told))
+"""
+    assert run(program, NUMBA_CACHE_DIR=str(tmp_path)).split() == ["False", "False", "True", "False", "True", "True"]
+    kept = {path.name.rpartition("-")[0].partition(".")[2].lstrip("_") for path in tmp_path.rglob("*.nbi")}
+    assert {name.partition("-")[0] for name in kept} == kernels
+
+
 @pytest.mark.parametrize("values", [{}, {"membrane.frames": 2}, {"membrane.bias": False}])
 def test_no_frame_of_the_membrane_test_waits_for_a_compiler(values):
     program = f"""
@@ -83,9 +116,9 @@ from tactune.core.sources.simulator.scenes import Variant
 from tactune.core.sources.simulator.source import SimulatorSource
 source = SimulatorSource("cup", seed=3, variant=Variant(press="low"))
 frames = [source.read(index) for index in range(2)]
-warm_up()
-before = compiled_so_far()
 preset = load_preset("simulator").with_values({{"contact_test": "membrane", "alignment.model": "rigid"}} | {values!r})
+warm_up_test(preset, lambda share, words: None)
+before = compiled_so_far()
 pipeline = ContactPipeline(preset, source.rig)
 for frame in frames:
     patch = pipeline.process(frame)
