@@ -64,8 +64,8 @@ def warm_up_test(preset: Preset, progress: Progress) -> None:
     total = _KERNELS[test] + _AVERAGE_KERNELS * averages
 
     def tell(done: int) -> None:
-        number = min(done + 1, total)
-        progress(done / total, f"Compiling the {test} test for this computer, once: {number} of {total}")
+        number = min(done + 1, total)  # other threads may compile something else meanwhile
+        progress((number - 0.5) / total, f"Compiling the {test} test for this computer, once: {number} of {total}")
 
     tell(0)
     with counting_compiled(tell):

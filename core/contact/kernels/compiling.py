@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -98,13 +97,11 @@ def compiled_so_far() -> Compiled:
 
 @contextmanager
 def counting_compiled(told: Callable[[int], object]) -> Iterator[None]:
-    """Call ``told`` with the number of kernels that this thread has compiled inside the block, after each of them."""
-    thread, nested, count = threading.get_ident(), 0, 0
+    """Call ``told`` after each kernel that any thread compiles inside the block, with their number."""
+    nested, count = 0, 0  # numba compiles one at a time
 
     def listen(happened: Any) -> None:
         nonlocal nested, count
-        if threading.get_ident() != thread:
-            return
         nested += 1 if happened.is_start else -1
         if nested == 0:  # what a kernel calls is compiled as a part of it
             count += 1

@@ -100,7 +100,8 @@ print(is_compiled(preset), is_compiled())
 told = []
 warm_up_test(preset, lambda share, words: told.append((share, words)))
 print(is_compiled(preset), is_compiled())
-print(told[0][1].rpartition(" ")[2] == str(len(told) - 2), [share for share, _ in told] == sorted(share for share, _ in told))
+shares, words = zip(*told)
+print(words[0].rpartition(" ")[2] == str(len(told) - 2), list(shares) == sorted(shares))
 """
     assert run(program, NUMBA_CACHE_DIR=str(tmp_path)).split() == ["False", "False", "True", "False", "True", "True"]
     kept = {path.name.rpartition("-")[0].partition(".")[2].lstrip("_") for path in tmp_path.rglob("*.nbi")}
