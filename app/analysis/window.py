@@ -93,7 +93,8 @@ class AnalysisWindow(QDialog):
     """
 
     def __init__(self, kinds: Mapping[str, TabKind], context: Context, play: QAction) -> None:
-        super().__init__(context.window)
+        super().__init__()  # a window with a parent would lie over the main window, which it previews
+        context.window.destroyed.connect(self.deleteLater)
         self.setWindowTitle("Analysis – Tactune")
         self.setWindowFlags(Qt.WindowType.Window)
         self._kinds, self._context, self._play = kinds, context, play
@@ -109,8 +110,16 @@ class AnalysisWindow(QDialog):
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 4, 0, 0)
         layout.addWidget(self.tabs)
-        self.resize(1200, 780)
-        self.restoreGeometry(context.settings.blob(_GEOMETRY))
+        self.resize(960, 640)
+        if not self.restoreGeometry(context.settings.blob(_GEOMETRY)):
+            self._stand_aside(context.window)
+
+    def _stand_aside(self, main: QWidget) -> None:
+        """Move to the lower right corner of the screen, where most of the main window's views stay visible."""
+        screen = main.screen()
+        if screen is not None:
+            corner = screen.availableGeometry().bottomRight()
+            self.move(corner.x() - self.width(), corner.y() - self.height())
 
     def open_on(self, name: str) -> None:
         """Come to the front with one of the tabs."""

@@ -22,7 +22,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...widgets.basics.controls import dialog_buttons
-from ...widgets.basics.icons import icon
+from ...widgets.basics.icons import app_icon, icon
 from ..worker.playback import SPEEDS
 
 StandardKey = QKeySequence.StandardKey
@@ -396,6 +396,7 @@ def show_about(parent: QWidget) -> None:
     """Show name, version and licences."""
     box = QMessageBox(parent)
     box.setWindowTitle("About Tactune")
+    box.setIconPixmap(app_icon().pixmap(64, 64))
     box.setText(f"<b>Tactune {version('tactune')}</b>")
     box.setInformativeText(
         "Calibrate and tune a soft-membrane tactile sensor with two depth cameras, then run it headless.\n\n"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QIcon, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QDialogButtonBox,
     QFrame,
@@ -51,10 +51,11 @@ def frame_count(most: int, tip: str, value: int = 1) -> QSpinBox:
 
 
 def dialog_buttons(standard: QDialogButtonBox.StandardButton) -> QDialogButtonBox:
-    """Return a row of standard buttons without the style's icons: its black cross is unseen in the dark theme."""
+    """Return a row of standard buttons; Close is never the primary one."""
     box = QDialogButtonBox(standard)
-    for button in box.buttons():
-        button.setIcon(QIcon())
+    close = box.button(QDialogButtonBox.StandardButton.Close)
+    if close is not None:
+        close.setAutoDefault(False)
     return box
 
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QMimeData
-from PyQt6.QtGui import QIcon
+from PyQt6.QtCore import QMimeData, QSize
 from PyQt6.QtWidgets import (
+    QApplication,
     QDialog,
     QDialogButtonBox,
     QFileDialog,
@@ -23,6 +23,9 @@ from PyQt6.QtWidgets import (
 )
 
 from .controls import dialog_buttons
+
+#: What a window manager may draw around a window.
+_FRAME = QSize(16, 40)
 
 
 class Dialogs:
@@ -64,11 +67,9 @@ class Dialogs:
         box = QMessageBox(QMessageBox.Icon.Warning, title, question, parent=self._parent)
         box.setInformativeText(details)
         agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
-        cancel = box.addButton(QMessageBox.StandardButton.Cancel)
-        assert cancel is not None
-        cancel.setIcon(QIcon())  # the style's red cross is hardly seen in the dark theme
-        box.setDefaultButton(cancel)
-        box.setEscapeButton(cancel)
+        box.addButton(QMessageBox.StandardButton.Cancel)
+        box.setDefaultButton(QMessageBox.StandardButton.Cancel)
+        box.setEscapeButton(QMessageBox.StandardButton.Cancel)
 
         def answered(_: int) -> None:
             agreed = box.clickedButton() is agree
@@ -164,7 +165,10 @@ def local_files(data: QMimeData | None) -> list[Path]:
 
 
 def bring_up(window: QWidget) -> None:
-    """Show a window, or bring it to the front."""
+    """Show a window no larger than the screen, or bring it to the front."""
+    screen = window.screen()
+    if screen is not None and not window.isVisible() and QApplication.platformName() != "offscreen":
+        window.resize(window.size().boundedTo(screen.availableSize() - _FRAME))
     window.show()
     window.raise_()
     window.activateWindow()

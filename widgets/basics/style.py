@@ -108,9 +108,11 @@ class ControlStyle(QProxyStyle):
         widget: QWidget | None = None,
         returnData: QStyleHintReturn | None = None,
     ) -> int:
-        """Let the focus ring lie over its neighbours."""
+        """Let the focus ring lie over its neighbours; leave out the icons of dialog buttons, unseen in the dark."""
         if hint == QStyle.StyleHint.SH_FocusFrame_AboveWidget:
             return 1
+        if hint == QStyle.StyleHint.SH_DialogButtonBox_ButtonsHaveIcons:
+            return 0
         return super().styleHint(hint, option, widget, returnData)
 
     def drawPrimitive(
