@@ -357,6 +357,7 @@ def _comparison_table() -> QTableWidget:
     """Return an empty table of `_ROWS` with the columns New and Present, as high as its rows."""
     table = QTableWidget(len(_ROWS), 2)
     table.setAccessibleName("New and present alignment")
+    table.setToolTip("The new alignment beside the present one")
     table.setHorizontalHeaderLabels(["New", "Present"])
     table.setVerticalHeaderLabels([title for title, _ in _ROWS])
     for row, (_, tip) in enumerate(_ROWS):

@@ -85,6 +85,7 @@ class FramesPage(QWidget):
         self.list = QListWidget()
         self.list.setIconSize(_THUMBNAIL)
         self.list.setAccessibleName("Snapshots")
+        self.list.setToolTip("The snapshots taken; points are clicked in the selected one")
         self.list.setSpacing(2)
         self.remove = push_button("Remove", "Remove the snapshot and the points clicked in it; undo restores both")
         self.span = QLabel()

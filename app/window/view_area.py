@@ -158,6 +158,7 @@ class ViewArea(QWidget):
         self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = QComboBox()
         self.color_by.setAccessibleName("Colour by")
+        self.color_by.setToolTip("What the colours of the points mean")
         for choice in ColorBy:
             self.color_by.addItem(choice.value.capitalize(), choice)
             self.color_by.setItemData(self.color_by.count() - 1, _COLOR_TIPS[choice], Qt.ItemDataRole.ToolTipRole)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette
+from PyQt6.QtGui import QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
     QDialogButtonBox,
     QFrame,
@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .theme import text_font, theme_colors
+from .theme import text_font
 
 
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
@@ -101,22 +101,13 @@ class ProgressBar(QProgressBar):
 
 
 class AccentButton(QPushButton):
-    """A checkable button, filled with the accent colour while it is checked."""
+    """A checkable button; the style fills checked ones with the accent colour."""
 
     def __init__(self, text: str, tip: str, parent: QWidget | None = None) -> None:
         super().__init__(text, parent)
         self.setCheckable(True)
         self.setAutoDefault(False)
         self.setToolTip(tip)
-        self.toggled.connect(self._color)
-
-    def _color(self, checked: bool) -> None:
-        palette = QPalette()
-        if checked:
-            colors = theme_colors()
-            palette.setColor(QPalette.ColorRole.Button, QColor(colors.accent).darker(118))
-            palette.setColor(QPalette.ColorRole.ButtonText, QColor(colors.on_accent))
-        self.setPalette(palette)
 
 
 class ElidedLabel(QLabel):

@@ -86,6 +86,7 @@ class Dialogs:
         dialog.setWindowTitle("Name and notes")
         name_entry, notes_entry = QLineEdit(name), QPlainTextEdit(notes)
         name_entry.setMaxLength(120)
+        name_entry.setToolTip("Name of the preset, at most 120 characters")
         notes_entry.setTabChangesFocus(True)
         buttons = dialog_buttons(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
         buttons.accepted.connect(dialog.accept)

@@ -189,6 +189,7 @@ class PointTable(QTableView):
         self._showing = False
         self.setModel(self._sorted)
         self.setAccessibleName("Point pairs: left is proximity, right is tactile")
+        self.setToolTip("Point pairs and their residuals: left is proximity, right is tactile")
         self.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.setSelectionMode(QAbstractItemView.SelectionMode.ExtendedSelection)
         self.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)

@@ -154,11 +154,11 @@ class ControlStyle(QProxyStyle):
         painter: QPainter | None,
         widget: QWidget | None = None,
     ) -> None:
-        """Draw toolbar, header, tab and progress bar flat, and the words of a primary button in white."""
+        """Draw toolbar, header, tab and progress bar flat, and the words of an accented button in white."""
         if option is None or painter is None:
             return
         match element:
-            case _Control.CE_PushButtonLabel if _primary(widget):
+            case _Control.CE_PushButtonLabel if _accented(widget):
                 option.palette.setColor(QPalette.ColorRole.ButtonText, QColor(theme_colors().on_accent))
                 super().drawControl(element, option, painter, widget)
             case _Control.CE_ToolBar:
@@ -305,20 +305,20 @@ def _rounded(painter: QPainter, rect: QRect, fill: QColor, outline: QColor, radi
     painter.restore()
 
 
-def _primary(widget: QWidget | None) -> bool:
-    """Tell whether this is the enabled button that Enter presses."""
-    return isinstance(widget, QPushButton) and widget.isDefault() and widget.isEnabled()
+def _accented(widget: QWidget | None) -> bool:
+    """Tell whether this is the button that Enter presses, or a checked one."""
+    return isinstance(widget, QPushButton) and widget.isEnabled() and (widget.isDefault() or widget.isChecked())
 
 
 def _button(painter: QPainter, option: QStyleOption, widget: QWidget | None) -> None:
     colors = theme_colors()
-    primary = _primary(widget)
-    fill = QColor(colors.accent) if primary else option.palette.button().color()
-    if option.state & (_State.State_Sunken | _State.State_On):
-        fill = _shaded(fill, 2)
+    accented = _accented(widget)
+    fill = QColor(colors.accent) if accented else option.palette.button().color()
+    if option.state & _State.State_Sunken or (option.state & _State.State_On and not accented):
+        fill = fill.darker(120) if accented else _shaded(fill, 2)
     elif option.state & _State.State_MouseOver and option.state & _State.State_Enabled:
-        fill = _shaded(fill, 1)
-    _rounded(painter, option.rect, fill, fill if primary else _outline(option))
+        fill = fill.darker(110) if accented else _shaded(fill, 1)
+    _rounded(painter, option.rect, fill, fill if accented else _outline(option))
 
 
 def _tool_button(painter: QPainter, option: QStyleOption, widget: QWidget | None) -> None:

@@ -1,0 +1,207 @@
+"""Every window: texts that can be read in both themes, controls for keyboard and screen reader, nothing cut."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+
+import pytest
+from PyQt6.QtCore import QPoint, QRect, QSize, Qt
+from PyQt6.QtGui import QImage
+from PyQt6.QtWidgets import (
+    QAbstractButton,
+    QAbstractItemView,
+    QAbstractScrollArea,
+    QAbstractSlider,
+    QAbstractSpinBox,
+    QApplication,
+    QCheckBox,
+    QComboBox,
+    QDialogButtonBox,
+    QLabel,
+    QLineEdit,
+    QRadioButton,
+    QScrollArea,
+    QScrollBar,
+    QStackedWidget,
+    QTabBar,
+    QTabWidget,
+    QToolButton,
+    QWidget,
+)
+
+from contrast import contrast_ratio
+from tactune.widgets.basics.controls import ElidedLabel
+
+#: The room of a window on a screen of 1024 x 700.
+SMALL = QSize(1008, 660)
+ACTIONS = (
+    "calibrate",
+    "recheck",
+    "check_cameras",
+    "findings",
+    "open_source",
+    "camera_settings",
+    "capture_untouched",
+    "suggest_all",
+    "examples",
+    "history",
+    "messages",
+    "shortcuts",
+    "details",
+    "markers",
+)
+NAMES = ("main", *ACTIONS, "compare", "strain", "truth", "tune")
+#: What needs a tooltip, too; over a view or an image one would be in the way.
+CONTROLS = (QAbstractButton, QComboBox, QLineEdit, QAbstractSpinBox, QAbstractSlider, QAbstractItemView)
+#: Buttons whose words say all.
+PLAIN = ("ok", "cancel", "close", "open", "save", "choose")
+
+
+@pytest.fixture(params=NAMES)
+def shown(request, window, qtbot) -> QWidget:
+    """One window after the other."""
+    if request.param == "main":
+        return window
+    before = set(tops())
+    actions = window.analysis.actions
+    action = actions[request.param] if request.param in actions else getattr(window.actions_, request.param)
+    action.trigger()
+    qtbot.waitUntil(lambda: len(set(tops()) - before) == 1)
+    (made,) = set(tops()) - before
+    return made
+
+
+def tops() -> list[QWidget]:
+    return [widget for widget in QApplication.topLevelWidgets() if widget.isVisible()]
+
+
+def pages(window: QWidget, qtbot) -> Iterator[int]:
+    """Turn to every page of the window's stack, if it has one."""
+    stacks = [stack for stack in window.findChildren(QStackedWidget) if stack.isVisible() and stack.count() > 1]
+    in_tabs = window.findChild(QTabWidget)
+    book = in_tabs or (stacks[0] if stacks else None)
+    for page in range(book.count() if book is not None else 1):
+        if book is not None and book.isVisible():
+            book.setCurrentIndex(page)
+        for _ in range(3):  # a page that was just made lays itself out in steps
+            QApplication.processEvents()
+        yield page
+
+
+def within(window: QWidget, kind: type) -> list:
+    return [widget for widget in window.findChildren(kind) if widget.isVisible() and widget.isEnabled()]
+
+
+def said(widget: QWidget) -> str:
+    """Return the name that Qt gives a screen reader: the accessible one, a button's words, or those of its label."""
+    if widget.accessibleName():
+        return widget.accessibleName()
+    if isinstance(widget, QAbstractButton):
+        return widget.text()
+    return next((label.text() for label in widget.window().findChildren(QLabel) if label.buddy() is widget), "")
+
+
+def described(widget: QWidget) -> str:
+    text = getattr(widget, "text", str)()
+    return f"{type(widget).__name__} {text or said(widget)!r} in {type(widget.parent()).__name__}"
+
+
+def place(widget: QWidget, window: QWidget) -> QRect:
+    """Return what is seen of a widget, in coordinates of the window."""
+    seen = widget.visibleRegion().boundingRect()
+    return seen.translated(widget.mapTo(window, QPoint(0, 0)))
+
+
+def sharpest(image: QImage, rect: QRect) -> float:
+    """Return the contrast of the most different pixel against the most frequent one."""
+    part = image.copy(rect)
+    pixels = Counter(part.pixel(x, y) for x in range(part.width()) for y in range(part.height()))
+    background = pixels.most_common(1)[0][0]
+    return max(contrast_ratio(f"#{pixel & 0xFFFFFF:06x}", f"#{background & 0xFFFFFF:06x}") for pixel in pixels)
+
+
+def test_all_text_can_be_read_in_both_themes(shown, window, qtbot):
+    faint = set()
+    for page, theme in ((page, theme) for page in pages(shown, qtbot) for theme in ("light", "dark")):
+        window.set_theme(theme, remember=False)
+        image = shown.grab().toImage()
+        for widget in [w for kind in (QLabel, QAbstractButton, QComboBox, QLineEdit) for w in within(shown, kind)]:
+            text = widget.currentText() if isinstance(widget, QComboBox) else widget.text()
+            rect = place(widget, shown)
+            if isinstance(widget, (QCheckBox, QRadioButton)):
+                rect.setLeft(rect.left() + 22)  # the box is not the text
+            # One letter may have no stroke that covers a whole pixel.
+            if len(text.strip()) > 1 and rect.width() > 8 and rect.height() > 8 and sharpest(image, rect) < 4.5:
+                faint.add((page, theme, described(widget), round(sharpest(image, rect), 1)))
+    assert not faint
+
+
+def test_every_control_has_a_name_a_tooltip_and_the_keyboard(shown, window, qtbot):
+    nameless, silent, unreached = set(), set(), set()
+    by_menu = {action for action in window.actions_.all() if not action.shortcut().isEmpty()}
+    for _ in pages(shown, qtbot):
+        for widget in controls(shown):
+            reached = bool(widget.focusPolicy() & Qt.FocusPolicy.TabFocus) or (
+                isinstance(widget, QAbstractButton)
+                and (
+                    not widget.shortcut().isEmpty()
+                    or (isinstance(widget, QToolButton) and widget.defaultAction() in by_menu)
+                    or (widget.group() is not None and widget.group().exclusive())  # arrow keys
+                )
+            )
+            in_box = isinstance(widget.parent(), QDialogButtonBox)
+            plain = isinstance(widget, QAbstractButton) and widget.text().replace("&", "").lower() in PLAIN
+            if not said(widget):
+                nameless.add(described(widget))
+            if isinstance(widget, CONTROLS) and not (told(widget, shown) or in_box or plain):
+                silent.add(described(widget))
+            if not reached:
+                unreached.add(described(widget))
+    assert not (nameless or silent or unreached), f"no name: {nameless}\nno tooltip: {silent}\nno key: {unreached}"
+
+
+def told(widget: QWidget, window: QWidget) -> bool:
+    """Tell whether pointing at a widget shows a tooltip, its own or that of what it is part of."""
+    while widget is not window and widget is not None:
+        if widget.toolTip():
+            return True
+        widget = widget.parentWidget()
+    return False
+
+
+def controls(window: QWidget) -> list[QWidget]:
+    """Return what a person can act on; parts of a control do not count."""
+    found = []
+    for widget in within(window, QWidget):
+        part = (
+            isinstance(widget.parent(), (QAbstractSpinBox, QComboBox, QTabBar, QAbstractItemView, QLineEdit))
+            or isinstance(widget, (QScrollBar, QTabBar, QScrollArea, QLabel))
+            or widget.objectName().startswith("qt_")
+            or (isinstance(widget.parent(), QAbstractScrollArea) and widget.parent().viewport() is widget)
+        )
+        takes_keys = widget.focusPolicy() & Qt.FocusPolicy.TabFocus and not isinstance(
+            widget, (QTabWidget, QAbstractScrollArea)
+        )
+        if not part and (isinstance(widget, CONTROLS) or takes_keys):
+            found.append(widget)
+    return found
+
+
+def test_nothing_is_cut_on_a_small_screen(shown, window, qtbot):
+    size = QSize(1024, 700) if shown is window else SMALL
+    shown.resize(shown.size().boundedTo(size))
+    cut = set()
+    for page in pages(shown, qtbot):
+        assert shown.width() <= size.width() and shown.height() <= size.height(), (page, shown.minimumSizeHint())
+        for widget in within(shown, QLabel) + within(shown, QAbstractButton):
+            least = widget.minimumSizeHint()
+            if isinstance(widget, ElidedLabel) or (isinstance(widget, QLabel) and widget.wordWrap()):
+                continue
+            if isinstance(widget, QAbstractButton) and not widget.icon().isNull():
+                continue
+            if isinstance(widget, QAbstractButton):
+                least = widget.fontMetrics().size(Qt.TextFlag.TextShowMnemonic, widget.text())
+            if widget.width() < least.width() or widget.height() < least.height():
+                cut.add((page, described(widget), widget.size(), least))
+    assert not cut
