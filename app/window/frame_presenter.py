@@ -108,7 +108,7 @@ def _metres(value: float) -> str:
     return f"{value:.4f} m" if math.isfinite(value) else "none"
 
 
-#: Interval between updates of histogram and readout while frames play, in seconds.
+#: Interval between updates of the readout while frames play, in seconds.
 READING_INTERVAL_S = 0.1
 #: Interval between updates of the age of an old frame, in milliseconds.
 AGE_INTERVAL_MS = 500
@@ -180,11 +180,12 @@ class FramePresenter(QObject):
             self._strip.set_images(compared.a.rendered.strip, compared.b.rendered.strip)
         elif result.rendered.strip is not None:
             self._strip.set_images(result.rendered.strip)
-        runs = result.playback.running
+        self._show_histogram(result)
         now = time.perf_counter()
-        if not runs or now - self._read_s >= READING_INTERVAL_S:
+        if not result.playback.running or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
-            self._show_readings(result)
+            self._panel.set_median_distance_m(result.rendered.median_distance_m)
+            self._show_readout()
         self._transport.show_state(result.playback)
         self._status.show_result(result)
         self._show_warnings(result)
@@ -203,13 +204,12 @@ class FramePresenter(QObject):
             return None
         return Wipe(self._share, f"A: {compared.a.side.name}", f"B: {compared.b.side.name}")
 
-    def _show_readings(self, result: Result) -> None:
+    def _show_histogram(self, result: Result) -> None:
+        """Show the histogram, which the worker counts less often than frames come."""
         histogram = result.rendered.histogram
         if histogram is not None:
             limit = self._context.document.preset.value(histogram.field)
             self._panel.set_histogram(histogram.field, histogram.counts, histogram.edges, limit)
-        self._panel.set_median_distance_m(result.rendered.median_distance_m)
-        self._show_readout()
 
     def _show_warnings(self, result: Result) -> None:
         """Show problems and warnings once; a dismissed sentence comes back only after a change."""

@@ -215,7 +215,9 @@ class FrameStatus(QStatusBar):
         """Make a label wide enough for its widest text, so that nothing moves as numbers change."""
         label = QLabel()
         label.setToolTip(tip)
-        label.setMinimumWidth(label.fontMetrics().horizontalAdvance(widest))
+        label.setText(widest)
+        label.setFixedSize(label.sizeHint())  # otherwise each number would lay out the whole window again
+        label.clear()
         self.addPermanentWidget(label)
         return label
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 
 import numpy as np
 from PyQt6.QtCore import QByteArray, QPoint, QSignalBlocker, Qt, pyqtSignal
@@ -212,6 +213,7 @@ class ViewArea(QWidget):
         self._result = result
         self._actions.zoom_to_patch.setEnabled(result.patch is not None and len(result.patch.points) > 0)
         self._shows_difference = result.compared is not None and result.compared.difference is not None
+        legends = dict(self._legends)
         self.set_wipe(wipe)
         for view in self.views.values():
             view.set_running(result.playback.running)
@@ -221,7 +223,8 @@ class ViewArea(QWidget):
             for name in result.rendered.clouds:
                 cloud, message = _shown(name, result, result.source.rig)
                 self._show_cloud(name, cloud, message, self._legend_of(name, result.rendered, theme))
-        self._fit_legends()
+        if self._legends != legends:
+            self._fit_legends()
         if result.source is not self._framed:  # once for each source, so that playing never moves the camera
             self._framed = result.source
             self._any_view().refocus()
@@ -278,7 +281,9 @@ class ViewArea(QWidget):
             view.set_message(message)
 
     def _legend_of(self, name: CloudName, rendered: Rendered, theme: Theme) -> Legend:
-        return legend_of(name, rendered.color_by, theme, rendered.accepted, rendered)
+        near, far = rendered.tactile_range_m if name is CloudName.TACTILE else rendered.depth_range_m
+        range_m = round(near, 3), round(far, 3)
+        return legend_of(name, rendered.color_by, theme, rendered.accepted, range_m, rendered.verdicts)
 
     def _show_cloud(self, name: CloudName, cloud: DepthCloud | None, message: str, legend: Legend) -> None:
         view = self.views[name]
@@ -353,16 +358,23 @@ class ViewArea(QWidget):
             self.point_size.setValue(round(point_size))
 
 
-def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, rendered: Rendered) -> Legend:
-    """Return the legend of a view for a choice of colours."""
-    tactile = name is CloudName.TACTILE
-    near, far = (round(limit, 3) for limit in (rendered.tactile_range_m if tactile else rendered.depth_range_m))
+@lru_cache(maxsize=32)
+def legend_of(
+    name: CloudName,
+    color_by: ColorBy,
+    theme: Theme,
+    t: float,
+    range_m: tuple[float, float],
+    verdicts: frozenset[Provenance],
+) -> Legend:
+    """Return the legend of a view for a choice of colours; made again only when one of these changes."""
+    near, far = range_m
     around = patch_legend(theme)[1:]
-    if color_by is ColorBy.PROVENANCE and rendered.verdicts:
+    if color_by is ColorBy.PROVENANCE and verdicts:
         return {
-            CloudName.PROXIMITY: provenance_legend(theme, rendered.verdicts - {Provenance.NO_PROXIMITY_DEPTH}),
+            CloudName.PROXIMITY: provenance_legend(theme, verdicts - {Provenance.NO_PROXIMITY_DEPTH}),
             CloudName.TACTILE: tactile_use_legend(theme),
-            CloudName.PATCH: provenance_legend(theme, rendered.verdicts & {*LATE_VERDICTS}) + around,
+            CloudName.PATCH: provenance_legend(theme, verdicts & {*LATE_VERDICTS}) + around,
         }[name]
     if color_by is ColorBy.REAL:
         unknown, behind = real_color_legend()
@@ -371,7 +383,7 @@ def legend_of(name: CloudName, color_by: ColorBy, theme: Theme, t: float, render
             CloudName.TACTILE: [unknown],
             CloudName.PATCH: [unknown, *around],
         }[name]
-    if tactile:
+    if name is CloudName.TACTILE:
         return depth_legend(near, far)
     if color_by is ColorBy.DIFFERENCE:
         return difference_legend(t) if name is CloudName.PROXIMITY else _patch_difference_legend(t, theme)

@@ -17,6 +17,10 @@ from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
 
+#: Shortest time between two histograms while frames play, seconds: nobody reads them faster.
+HISTOGRAM_INTERVAL_S = 0.1
+
+
 class PatchFinder:
     """The pipeline of one preset, made when it is first needed.
 
@@ -82,6 +86,7 @@ class FrameProcessor:
         self._present = PatchFinder(missing)
         self._others: list[PatchFinder] = []
         self._processed = 0
+        self._counted_s = -HISTOGRAM_INTERVAL_S
         self._rate = RateMeter()
 
     def forget(self) -> None:
@@ -113,6 +118,10 @@ class FrameProcessor:
         started = time.perf_counter()
         if playback.running:
             wanted = wanted.while_running()
+            if started - self._counted_s < HISTOGRAM_INTERVAL_S:
+                wanted = replace(wanted, histograms=frozenset())
+            else:
+                self._counted_s = started
         if compared is None:
             rendered, both = self._render(self._present, frame, info.rig, wanted), None
         else:

@@ -67,13 +67,17 @@ def draw_strip(
     valid = valid_depth(counts)
     depth_m = counts * np.float32(rig.proximity.depth_unit_m)
     color = aligned_color(frame, rig, depth_m, valid, typical_m, stride)
-    nothing = np.full(counts.shape, np.nan, np.float32)
+    if patch is None:
+        measured_m = np.full(counts.shape, np.nan, np.float32)
+        expected_m = np.where(valid, depth_m, measured_m)
+    else:
+        expected_m, measured_m = patch.aligned.expected_m[every], patch.aligned.measured_m[every]
     images = StripImages(
         color=color,
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
-        proximity_m=np.where(valid, depth_m, nothing) if patch is None else patch.aligned.expected_m[every],
-        tactile_m=nothing if patch is None else patch.aligned.measured_m[every],
-        relative=nothing if patch is None else patch.relative_difference[every],
+        proximity_m=expected_m,
+        tactile_m=measured_m,
+        relative=(expected_m - measured_m) / expected_m,
         tolerance=accepted,
         contact=None if patch is None else patch.mask[every],
         depth_range_m=depth_range_m,
@@ -130,9 +134,9 @@ GAP_HISTOGRAM_BINS = 50
 GAP_HISTOGRAM_LIMIT_M = 0.0005
 _IDENTITY = np.eye(4)
 _SAMPLE = 6
-#: The depth colours span these percentiles of the membrane's depth, extended by these shares of the span
+#: The depth colours span these shares of the membrane's depth, extended by these shares of the span
 #: on the near and far side: objects are behind the membrane.
-_PERCENTILES = (1.0, 99.0)
+_ENDS = (0.01, 0.99)
 _NEARER, _FARTHER = 0.1, 0.75
 _SMALLEST_SPAN_M = 0.02
 
@@ -197,7 +201,7 @@ class Renderer:
             color_by=wanted.color_by,
             strip=strip,
             histogram=histogram_of(patch, preset, wanted.histograms) if patch else None,
-            median_distance_m=float(np.median(sample_m)) if len(sample_m) else float("nan"),
+            median_distance_m=_quantiles(sample_m, 0.5)[0] if len(sample_m) else float("nan"),
             depth_range_m=depth_range_m,
             tactile_range_m=tactile_range_m,
             verdicts=verdicts_of(patch) if patch and wanted.color_by is ColorBy.PROVENANCE else frozenset(),
@@ -254,13 +258,20 @@ class Renderer:
         before = self._ranges_m.get(camera)
         if len(sample_m) == 0:
             return before or (0.0, 1.0)
-        near, far = (float(value) for value in np.percentile(sample_m, _PERCENTILES))
+        near, far = _quantiles(sample_m, *_ENDS)
         span = max(far - near, _SMALLEST_SPAN_M)
         near, far = max(near - _NEARER * span, 0.0), far + _FARTHER * span
         if before is not None:
             near, far = min(near, before[0]), max(far, before[1])
         self._ranges_m[camera] = near, far
         return near, far
+
+
+def _quantiles(sample: Float32Array, *shares: float) -> tuple[float, ...]:
+    """Return the elements of a sample that are nearest to these quantiles; several times faster than interpolation."""
+    places = [round(share * (len(sample) - 1)) for share in shares]
+    ordered = np.partition(sample, places)
+    return tuple(float(ordered[place]) for place in places)
 
 
 def why_no_contact(frame: SensorFrame, patch: ContactPatch, preset: Preset, rig: Rig) -> tuple[str, str]:

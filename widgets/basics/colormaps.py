@@ -155,7 +155,7 @@ def difference_index(relative_difference: Float32Array, limit: float = DIFFERENC
     rows = relative_difference * np.float32(127.0 / limit)
     rows += np.float32(128.5)
     np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
-    np.nan_to_num(rows, copy=False, nan=float(UNDEFINED_ROW))
+    np.fmax(rows, np.float32(UNDEFINED_ROW), out=rows)  # takes the place of nan
     return rows.astype(np.uint8)
 
 
@@ -260,7 +260,7 @@ def patch_index(contact: BoolArray, depth: Uint16Array, near: float, far: float)
     uint8, shape (H, W)
         `CONTACT_ROW` for contact, rows below it for the context by depth.
     """
-    rows: Uint8Array = _shades(near, far)[depth]
+    rows: Uint8Array = _shades(near, far).take(depth, mode="clip")  # without this mode, it checks each index
     rows[contact] = CONTACT_ROW
     return rows
 

@@ -166,6 +166,8 @@ class SoftwareRenderer:
     def __init__(self) -> None:
         self._image = np.empty((0, 0), np.uint32)
         self._pixels = np.empty((0, 0), np.uint32)
+        self._lut: Uint8Array | None = None
+        self._background, self._colors = (0, 0, 0), np.empty(0, np.uint32)
         self._whole_rays: Float32Array | None = None
         self._rays = np.empty((0, 0, 2), np.float32)
 
@@ -201,7 +203,10 @@ class SoftwareRenderer:
             self._image.fill(argb)
             return self._image
         depth, index, rays = self._thinned(cloud) if thinned else (cloud.depth, cloud.index, cloud.rays)
-        colors = _packed(over_background(cloud.lut, background))
+        if self._lut is not cloud.lut or self._background != background:
+            self._lut, self._background = cloud.lut, background
+            self._colors = _packed(over_background(cloud.lut, background))
+        colors = self._colors
         scatter(
             depth,
             rays,

@@ -141,7 +141,7 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
     rows = depth_m * np.float32(254.0 / (far - near))
     rows += np.float32(1.5 - near * 254.0 / (far - near))
     np.clip(rows, np.float32(1.0), np.float32(255.0), out=rows)
-    np.nan_to_num(rows, copy=False, nan=0.0)
+    np.fmax(rows, np.float32(0.0), out=rows)  # nan becomes 0
     return rows.astype(np.uint8)
 
 
