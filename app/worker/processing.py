@@ -16,7 +16,6 @@ from .playback import PlaybackState
 from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
-
 #: Shortest time between two histograms while frames play, seconds: nobody reads them faster.
 HISTOGRAM_INTERVAL_S = 0.1
 
