@@ -77,7 +77,7 @@ def draw_strip(
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
         proximity_m=expected_m,
         tactile_m=measured_m,
-        relative=(expected_m - measured_m) / expected_m,
+        relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),
         tolerance=accepted,
         contact=None if patch is None else patch.mask[every],
         depth_range_m=depth_range_m,
