@@ -5,14 +5,14 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import groupby
 from typing import Annotated, Any
 
 import typer
 
 from ...core.errors import SourceError
-from ..doctor.checks import Check, State, run_checks
+from ..doctor.checks import State
 from .common import CliProgress
 
 #: Exit status of ``devices`` if no camera is connected.
@@ -112,38 +112,16 @@ def doctor(
 
     Exit status 0 if no check fails (warnings concern only some uses), 1 if one does.
     """
-    lines = run_checks(all_checks())
+    from ..doctor.report import check_computer, report
+
+    lines = check_computer()
     failed = [line for line in lines if line.state is State.FAIL]
     if as_json:
         typer.echo(json.dumps({"ok": not failed, "checks": [line.to_json() for line in lines]}, indent=2))
     else:
-        for line in lines:
-            typer.echo("\n".join(line.lines()))
-        warned = sum(line.state is State.WARN for line in lines)
-        typer.echo(f"\n{len(lines)} checks: {len(failed)} failed, {warned} with a warning")
+        typer.echo(report(lines))
     if failed:
         raise typer.Exit(FAILED_STATUS)
-
-
-def all_checks() -> Sequence[Callable[[], Sequence[Check]]]:
-    """Return the checks in the order of the report."""
-    from ..doctor import cameras, system
-
-    return (
-        system.check_python,
-        system.check_packages,
-        system.check_compiled_code,
-        system.check_cache_folder,
-        system.check_shared_memory,
-        cameras.check_libraries,
-        cameras.check_driver,
-        cameras.check_all_drivers,
-        cameras.check_udev_rules,
-        cameras.check_cameras,
-        system.check_qt,
-        system.check_qt_libraries,
-        system.check_opengl,
-    )
 
 
 def warmup() -> None:

@@ -1,28 +1,15 @@
-"""The window's actions with their shortcuts, the menus that hold them, and the list of shortcuts."""
+"""The window's actions with their shortcuts, and the menus that hold them."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from html import escape
-from importlib.metadata import version
 
-from PyQt6.QtCore import QT_VERSION_STR, QObject, Qt
+from PyQt6.QtCore import QObject
 from PyQt6.QtGui import QAction, QActionGroup, QKeySequence, QUndoStack
-from PyQt6.QtWidgets import (
-    QDialog,
-    QDialogButtonBox,
-    QLabel,
-    QMenu,
-    QMenuBar,
-    QMessageBox,
-    QScrollArea,
-    QVBoxLayout,
-    QWidget,
-)
+from PyQt6.QtWidgets import QMenu, QMenuBar
 
-from ...widgets.basics.controls import dialog_buttons
-from ...widgets.basics.icons import app_icon, icon
+from ...widgets.basics.icons import icon
 from ..worker.playback import SPEEDS
 
 StandardKey = QKeySequence.StandardKey
@@ -96,7 +83,10 @@ class Actions:
     zoom_to_patch: QAction
     copy_view: QAction
     messages: QAction
+    getting_started: QAction
+    documentation: QAction
     shortcuts: QAction
+    check_computer: QAction
     about: QAction
 
     def all(self) -> list[QAction]:
@@ -240,7 +230,16 @@ def make_actions(parent: QObject, undo_stack: QUndoStack) -> Actions:
             "Go to the message over the views, or list all messages of this start",
             "F12",
         ),
-        shortcuts=action("&Keyboard shortcuts", shortcut="F1", icon_name="keyboard-outline"),
+        getting_started=action(
+            "&Getting started", "Five steps from a source to a saved preset", icon_name="flag-outline"
+        ),
+        documentation=action(
+            "&Documentation", "Open the guide in the browser, without a network", "F1", "help-circle-outline"
+        ),
+        shortcuts=action("&Shortcuts", "All keys and mouse gestures", "Shift+F1", "keyboard-outline"),
+        check_computer=action(
+            "&Check this computer…", "Check packages, camera driver, USB, permissions and graphics, with remedies"
+        ),
         about=action("&About Tactune", icon_name="information-outline"),
     )
     for checkable in (made.loop, made.watch_drift, made.show_strip, made.show_time, made.show_panel):
@@ -301,7 +300,10 @@ def make_menus(bar: QMenuBar, actions: Actions, tabs: Sequence[QAction]) -> Menu
         [actions.calibrate, actions.recheck, actions.watch_drift, actions.check_cameras, actions.measure_noise]
     )
     _menu(bar, "&Analysis").addActions([*tabs, actions.capture_untouched, actions.findings])
-    _menu(bar, "&Help").addActions([actions.messages, actions.shortcuts, actions.about])
+    guide = _menu(bar, "&Help")
+    guide.addActions([actions.getting_started, actions.documentation, actions.shortcuts])
+    guide.addSeparator()
+    guide.addActions([actions.messages, actions.check_computer, actions.about])
     return Menus(preset, recent_presets, shipped, themes, speeds)
 
 
@@ -354,67 +356,6 @@ def _choices(menu: QMenu, entries: list[tuple[str, object]]) -> QActionGroup:
     return group
 
 
-_MOUSE = (
-    ("Drag in a view", "orbit all views"),
-    ("Shift + drag, middle button", "pan"),
-    ("Wheel", "zoom, in views and images"),
-    ("Double click in a view or image", "enlarge it, or go back"),
-    ("Drag the line between A and B", "move the wipe while presets are compared"),
-    ("Click or drag in the time strip", "seek"),
-    ("Eyedropper, then click in the colour image", "set the mask to the membrane's colour"),
-    ("Drop a file or folder", "open a preset or a recording"),
-)
-
-
-def show_shortcuts(parent: QWidget, actions: Sequence[QAction]) -> None:
-    """Show every shortcut and mouse gesture."""
-    rows = [(_keys(action), plain_text(action)) for action in actions]
-    keys = "".join(_row(key, text) for key, text in rows if key)
-    mouse = "".join(_row(gesture, meaning) for gesture, meaning in _MOUSE)
-    dialog = QDialog(parent)
-    dialog.setWindowTitle("Keyboard shortcuts")
-    label = QLabel(f"<h3>Keys</h3><table>{keys}</table><h3>Mouse</h3><table>{mouse}</table>")
-    label.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-    label.setContentsMargins(12, 4, 12, 12)
-    scroll = QScrollArea()
-    scroll.setWidget(label)
-    scroll.setWidgetResizable(True)
-    bar = scroll.verticalScrollBar()
-    if bar is not None:  # the table is as wide as its longest row; it scrolls downwards only
-        scroll.setMinimumWidth(label.sizeHint().width() + bar.sizeHint().width() + 2 * scroll.frameWidth())
-    buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
-    buttons.rejected.connect(dialog.close)
-    layout = QVBoxLayout(dialog)
-    layout.addWidget(scroll)
-    layout.addWidget(buttons)
-    dialog.resize(520, 620)
-    dialog.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-    dialog.open()
-
-
-def show_about(parent: QWidget) -> None:
-    """Show name, version and licences."""
-    box = QMessageBox(parent)
-    box.setWindowTitle("About Tactune")
-    box.setIconPixmap(app_icon().pixmap(64, 64))
-    box.setText(f"<b>Tactune {version('tactune')}</b>")
-    box.setInformativeText(
-        "Calibrate and tune a soft-membrane tactile sensor with two depth cameras, then run it headless.\n\n"
-        f"MIT licence. This window uses Qt {QT_VERSION_STR} through PyQt6 (GPL v3)."
-    )
-    box.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-    box.open()
-
-
-def _keys(action: QAction) -> str:
-    keys = ", ".join(shortcut.toString() for shortcut in action.shortcuts())
-    return keys or action.text().partition("\t")[2]
-
-
 def plain_text(action: QAction) -> str:
     """Return an action's text without mnemonic, shortcut and dots."""
     return action.text().partition("\t")[0].replace("&", "").rstrip("…")
-
-
-def _row(left: str, right: str) -> str:
-    return f'<tr><td style="padding-right: 24px"><b>{escape(left)}</b></td><td>{escape(right)}</td></tr>'

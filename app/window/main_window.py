@@ -43,14 +43,17 @@ from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
 from ..worker.worker import Worker
-from .actions import THEMES, make_actions, make_menus, show_about, show_shortcuts
+from .actions import THEMES, make_actions, make_menus
 from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
+from .computer_window import ComputerWindow
 from .enlarged import Enlarged
 from .eyedropper import Eyedropper
 from .files import FileFlows
 from .findings import FindingsControl
+from .first_steps import FirstSteps, FirstStepsCard
 from .frame_presenter import FramePresenter
+from .help import open_guide, show_about, show_shortcuts
 from .history_window import HistoryWindow
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus, OpeningBar
@@ -212,10 +215,23 @@ class MainWindow(QMainWindow):
         column.addWidget(self.time_strip)
         column.addWidget(self.across, 1)
         self.setCentralWidget(centre)
-        for part in (self.opening, self.recording_bar, self.export_bar, self.status.details):
+        card = FirstStepsCard()
+        self.first_steps = FirstSteps(
+            self.context,
+            card,
+            {
+                "source": self.actions_.open_source.trigger,
+                "calibrate": self.actions_.calibrate.trigger,
+                "mask": partial(self._go_to_section, "mask"),
+                "contact": self.actions_.suggest_all.trigger,
+                "save": self.actions_.save.trigger,
+            },
+        )
+        for part in (self.opening, self.recording_bar, self.export_bar, card, self.status.details):
             self.messages.pin(part)
         self.setStatusBar(self.status)
         self.message_history = MessageHistory(self)
+        self.computer = ComputerWindow(self)
         self.setAcceptDrops(True)
         self.setMinimumSize(900, 600)
 
@@ -306,6 +322,9 @@ class MainWindow(QMainWindow):
         actions.shortcuts.triggered.connect(
             lambda: show_shortcuts(self, [*actions.all(), *self.analysis.actions.values()])
         )
+        actions.getting_started.triggered.connect(self.first_steps.show)
+        actions.documentation.triggered.connect(lambda: open_guide(self.messages))
+        actions.check_computer.triggered.connect(self._check_computer)
         actions.about.triggered.connect(lambda: show_about(self))
         menus = self.menus
         menus.themes.triggered.connect(lambda entry: self.set_theme(entry.data()))
@@ -340,6 +359,10 @@ class MainWindow(QMainWindow):
         actions.show_time.toggled.connect(timeline.set_shown)
         timeline.timesChanged.connect(self.transport.position.set_times)
 
+    def offer_first_steps(self) -> None:
+        """Show the card of the first start, unless it was closed for good."""
+        self.first_steps.offer()
+
     def offer_unsaved_work(self) -> None:
         """Offer the unsaved work of a window that crashed."""
         self.file_flows.offer_unsaved_work()
@@ -348,6 +371,15 @@ class MainWindow(QMainWindow):
         if not self.messages.focus_newest():
             self.message_history.refresh()
             bring_up(self.message_history)
+
+    def _go_to_section(self, name: str) -> None:
+        """Show a section of the parameter panel, with the focus on its first control."""
+        self.actions_.show_panel.setChecked(True)
+        self.panel.go_to(name)
+
+    def _check_computer(self) -> None:
+        bring_up(self.computer)
+        self.computer.check()
 
     # Sources
 
@@ -540,6 +572,7 @@ class MainWindow(QMainWindow):
 
     def shut_down(self) -> None:
         """Close the other windows and stop the worker."""
+        self.computer.close()
         for part in (
             self.watch,
             self.suggest,

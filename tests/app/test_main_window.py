@@ -331,7 +331,7 @@ def test_the_slider_does_not_jump_while_it_is_held(window, qtbot):
 
 
 def test_help_lists_every_shortcut(window, qtbot):
-    QTest.keyClick(window, Qt.Key.Key_F1)
+    QTest.keyClick(window, Qt.Key.Key_F1, Qt.KeyboardModifier.ShiftModifier)
     qtbot.waitUntil(lambda: isinstance(QApplication.activeModalWidget(), QDialog))
     dialog = QApplication.activeModalWidget()
     words = text_of(dialog)

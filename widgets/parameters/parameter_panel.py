@@ -161,6 +161,16 @@ class ParameterPanel(QScrollArea):
         self._unfold(path)
         self._refresh()
 
+    def go_to(self, name: str) -> None:
+        """Unfold a section, scroll it to the top and give its first control the focus."""
+        section = self.sections[name]
+        section.set_collapsed(False)
+        bar = self.verticalScrollBar()
+        if bar is not None:
+            bar.setValue(section.y())
+        first = next(row for path, row in self.rows.items() if _section_of(path) == name)
+        first.tab_stops[0].setFocus(Qt.FocusReason.OtherFocusReason)
+
     def clear_errors(self) -> None:
         """Remove the sentences on refused values."""
         for row in self.rows.values():

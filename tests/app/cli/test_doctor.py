@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError
 
 import pytest
 
-from tactune.app.cli import doctor as cli_doctor
+from tactune.app.doctor import report as doctor_report
 from tactune.app.doctor import system as doctor_system
 from tactune.app.doctor.cameras import check_all_drivers, check_cameras, check_driver, check_libraries, check_udev_rules
 from tactune.app.doctor.checks import Check, Child, State, python_child, run_checks, run_child
@@ -248,7 +248,7 @@ def test_opengl():
 
 def test_the_report_is_lines_with_remedies_or_json_and_its_status_tells(tactune, monkeypatch):
     lines = [Check("Sun", State.OK, "shines"), Check("Moon", State.WARN, "waxes", "Wait.")]
-    monkeypatch.setattr(cli_doctor, "all_checks", lambda: [lambda: lines])
+    monkeypatch.setattr(doctor_report, "all_checks", lambda: [lambda: lines])
     done = tactune("doctor")
     assert done.status == 0
     assert done.out.splitlines()[:3] == [

@@ -1,0 +1,109 @@
+"""The checks of ``tactune doctor`` in a window."""
+
+from __future__ import annotations
+
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QCloseEvent, QColor
+from PyQt6.QtWidgets import (
+    QAbstractItemView,
+    QApplication,
+    QDialog,
+    QDialogButtonBox,
+    QHeaderView,
+    QLabel,
+    QTableWidget,
+    QTableWidgetItem,
+    QVBoxLayout,
+    QWidget,
+)
+
+from ...widgets.basics.controls import dialog_buttons, push_button
+from ...widgets.basics.theme import theme_colors
+from ..doctor.checks import Check, State
+from ..doctor.report import check_computer, report
+from ..worker.jobs import Job
+
+_WORDS = {State.OK: "✓ ok", State.WARN: "! warning", State.FAIL: "✕ failed"}
+_CHECKING = "Checking packages, cameras and graphics; this takes some seconds…"
+
+
+class ComputerWindow(QDialog):
+    """A table of what was checked and found, with a remedy for each problem. The checks run on another thread."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.setWindowTitle("Check this computer")
+        self._lines: list[Check] = []
+        self._job = Job(self)
+        self._job.done.connect(self._show)
+        self._job.failed.connect(self._fail)
+        self.status = QLabel()
+        self.status.setWordWrap(True)
+        self.table = QTableWidget(0, 3)
+        self.table.setHorizontalHeaderLabels(["Check", "Result", "Found, and what to do"])
+        self.table.setAccessibleName("Checks of this computer")
+        self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        self.table.setWordWrap(True)
+        header, rows = self.table.horizontalHeader(), self.table.verticalHeader()
+        assert header is not None and rows is not None
+        header.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        header.setSectionResizeMode(2, QHeaderView.ResizeMode.Stretch)
+        header.setDefaultAlignment(Qt.AlignmentFlag.AlignLeft)
+        rows.hide()
+        rows.setSectionResizeMode(QHeaderView.ResizeMode.ResizeToContents)
+        self.again = push_button("Check &again", "Run all checks again")
+        self.copy = push_button("&Copy as text", "Copy the report to the clipboard, for a question or a report")
+        self.again.clicked.connect(self.check)
+        self.copy.clicked.connect(self._copy)
+        buttons = dialog_buttons(QDialogButtonBox.StandardButton.Close)
+        for button in (self.again, self.copy):
+            buttons.addButton(button, QDialogButtonBox.ButtonRole.ActionRole)
+        buttons.rejected.connect(self.close)
+        layout = QVBoxLayout(self)
+        layout.addWidget(self.status)
+        layout.addWidget(self.table)
+        layout.addWidget(buttons)
+        self.resize(760, 560)
+
+    def check(self) -> None:
+        """Run all checks, unless they run already."""
+        if self._job.busy:
+            return
+        self.status.setText(_CHECKING)
+        self._allow(False)
+        self._job.start(lambda _: check_computer())
+
+    def closeEvent(self, event: QCloseEvent | None) -> None:
+        """Abandon running checks; each ends by itself within its time limit."""
+        self._job.stop()
+        super().closeEvent(event)
+
+    def _show(self, lines: list[Check]) -> None:
+        self._lines = lines
+        colors = theme_colors()
+        shades = {State.WARN: colors.warning, State.FAIL: colors.error}
+        self.table.setRowCount(len(lines))
+        for row, line in enumerate(lines):
+            words = (line.name, _WORDS[line.state], "\n".join(filter(None, (line.found, line.remedy))))
+            for column, text in enumerate(words):
+                item = QTableWidgetItem(text)
+                item.setTextAlignment(Qt.AlignmentFlag.AlignLeft | Qt.AlignmentFlag.AlignTop)
+                if column == 1 and line.state in shades:
+                    item.setForeground(QColor(shades[line.state]))
+                self.table.setItem(row, column, item)
+        self.status.setText(report(lines).splitlines()[-1] + ". Warnings concern only some uses.")
+        self._allow(True)
+
+    def _fail(self, sentence: str) -> None:
+        self.status.setText(sentence)
+        self._allow(True)
+
+    def _allow(self, done: bool) -> None:
+        for button in (self.again, self.copy):
+            button.setEnabled(done)
+
+    def _copy(self) -> None:
+        clipboard = QApplication.clipboard()
+        if clipboard is not None:
+            clipboard.setText(report(self._lines))
