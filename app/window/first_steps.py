@@ -18,9 +18,9 @@ from ..worker.results import SourceInfo
 _CLOSED, _DONE = "first_steps/closed", "first_steps/done"
 #: Name, text of the button, and what the step is for.
 _STEPS = (
-    ("source", "&1  Open a source…", "Cameras, a recording, or a simulated sensor"),
+    ("source", "&1  Open a source…", "Cameras, a recording, or the simulator"),
     ("calibrate", "&2  Calibrate…", "Align both cameras on this sensor"),
-    ("mask", "&3  Set the mask", "Remove the membrane's prints by their colour"),
+    ("mask", "&3  Set the mask", "Remove the prints by their colour"),
     ("contact", "&4  Find contact…", "Suggest values of the contact test"),
     ("save", "&5  Save preset", "The file that a robot runs"),
 )
@@ -64,8 +64,9 @@ class FirstStepsCard(QFrame):
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
             button.setToolTip(what)
             button.clicked.connect(partial(self._press, name))
-            for column, widget in enumerate((tick, button, QLabel(what))):
-                grid.addWidget(widget, row, column)
+            grid.addWidget(tick, row, 0)
+            grid.addWidget(button, row, 1)
+            grid.addWidget(QLabel(what), row, 2, 1, 2)
         self.hide()
 
     def show_done(self, done: set[str]) -> None:
@@ -105,6 +106,7 @@ class FirstSteps(QObject):
         self._first_source = ""
         self._preset, self._saved = context.document.preset, not context.document.dirty
         card.show_done(self._done)
+        self._look()
         card.pressed.connect(lambda name: self._acts[name]())
         card.closed.connect(self._close)
         context.worker.opened.connect(self._opened)

@@ -19,6 +19,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...widgets.basics.controls import ElidedLabel
+from ...widgets.basics.icons import icon
 from ..worker.playback import PlaybackState
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
@@ -133,6 +134,7 @@ class FrameStatus(QStatusBar):
         self.details = FrameDetails()
         self.state = QPushButton("No source")
         self.state.setFlat(True)
+        self.state.setIcon(icon("chevron-up"))
         self.state.setCheckable(True)
         self.state.setFocusPolicy(Qt.FocusPolicy.TabFocus)
         self.state.setToolTip("Rates, dropped frames, skew and times of the stages")

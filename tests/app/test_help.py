@@ -62,9 +62,9 @@ def test_a_closed_window_of_checks_can_check_again(window, qtbot, monkeypatch):
 
 
 @pytest.fixture
-def first_start(make_window, qtbot):
+def first_start(make_window, qtbot, preset):
     """A window as at the first start, standing still at a frame of the simulator."""
-    window = make_window()
+    window = make_window(preset.with_values({"mask.enabled": False}))
     window.offer_first_steps()
     source = TinySource()
     source.name = "sim:cup"
@@ -84,10 +84,6 @@ def done(window):
 def test_the_card_ticks_each_step_when_it_has_happened(first_start, qtbot, tmp_path):
     window = first_start
     assert done(window) == set()
-    window.document.edit("mask.enabled", False)
-    qtbot.waitUntil(lambda: not window.result.preset.mask.enabled)
-    assert done(window) == set()
-
     QTest.mouseClick(card(window).buttons["mask"], LEFT)
     assert window.panel.isAncestorOf(QApplication.focusWidget())
     QTest.keyClick(QApplication.focusWidget(), Qt.Key.Key_Space)
