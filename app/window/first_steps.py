@@ -6,19 +6,18 @@ from collections.abc import Callable, Mapping
 from functools import partial
 from typing import Any
 
-from PyQt6.QtCore import QObject, QSize, Qt, pyqtSignal
+from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
 from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QToolButton, QWidget
 
 from ...core.preset import Preset
-from ...widgets.basics.icons import icon
 from ..context import Context
 from ..worker.results import SourceInfo
 
 _CLOSED, _DONE = "first_steps/closed", "first_steps/done"
 #: Name, text of the button, and what the step is for.
 _STEPS = (
-    ("source", "&1  Open a source…", "Cameras, a recording, or the simulator"),
+    ("source", "&1  Open a source…", "Your cameras or a recording"),
     ("calibrate", "&2  Calibrate…", "Align both cameras on this sensor"),
     ("mask", "&3  Set the mask", "Remove the prints by their colour"),
     ("contact", "&4  Find contact…", "Suggest values of the contact test"),
@@ -58,7 +57,7 @@ class FirstStepsCard(QFrame):
         grid.addWidget(self.cross, 0, 3)
         for row, (name, text, what) in enumerate(_STEPS, start=1):
             tick = self.ticks[name] = QLabel()
-            tick.setFixedWidth(20)
+            tick.setFixedWidth(16)
             button = self.buttons[name] = QPushButton(text)
             button.setAutoDefault(False)
             button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
@@ -73,7 +72,7 @@ class FirstStepsCard(QFrame):
         """Tick these steps."""
         for name, text, _ in _STEPS:
             tick, ticked = self.ticks[name], name in done
-            tick.setPixmap(icon("check").pixmap(QSize(16, 16))) if ticked else tick.clear()
+            tick.setText("✓" if ticked else "")
             words = text.partition("  ")[2].rstrip("…")
             self.buttons[name].setAccessibleName(f"{words}: done" if ticked else words)
 
