@@ -17,6 +17,7 @@ from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import SOURCE, Context
 from ..worker.results import CloudName, Result, SourceState
+from .eyedropper import hsv_words
 from .status import FrameStatus
 from .toolbar import Transport
 from .view_area import ViewArea
@@ -81,16 +82,16 @@ def source_sentence(state: SourceState) -> str:
     return "" if sentence and sentence.rstrip(".") in said else sentence
 
 
-def readout(patch: ContactPatch | None, u: int, v: int) -> str:
-    """Return both distances at a proximity pixel, their difference, the gap, and why it was kept or dropped."""
+def readout(patch: ContactPatch | None, u: int, v: int, color: str = "") -> str:
+    """Return colour and both distances at a proximity pixel, their difference, the gap, and why it was dropped."""
     if patch is None:
-        return ""
+        return color
     height, width = patch.rig.proximity.intrinsics.shape
     if not (0 <= u < width and 0 <= v < height):
         return ""
     expected, measured = float(patch.aligned.expected_m[v, u]), float(patch.aligned.measured_m[v, u])
     relative = float(patch.relative_difference[v, u])
-    parts = [f"({u}, {v})", f"dp {_metres(expected)}", f"dt {_metres(measured)}"]
+    parts = [f"({u}, {v})", *([color] if color else []), f"dp {_metres(expected)}", f"dt {_metres(measured)}"]
     if math.isfinite(relative):
         parts.append(f"(dp − dt) / dp = {relative:+.1%} ({1e3 * (expected - measured):+.1f} mm)")
     verdict = Provenance(int(patch.provenance[v, u]))
@@ -185,6 +186,8 @@ class FramePresenter(QObject):
         if not result.playback.running or now - self._read_s >= READING_INTERVAL_S:
             self._read_s = now
             self._panel.set_median_distance_m(result.rendered.median_distance_m)
+            strip = (result if compared is None else compared.a).rendered.strip
+            self._panel.show_masked_share(None if strip is None else strip.masked_share)
             self._show_readout()
         self._transport.show_state(result.playback)
         self._status.show_result(result)
@@ -229,9 +232,9 @@ class FramePresenter(QObject):
         if result is None:
             self._strip.set_readout("")
         elif result.compared is None:
-            self._strip.set_readout(readout(result.patch, *self._pixel))
+            self._strip.set_readout(readout(result.patch, *self._pixel, hsv_words(result, *self._pixel)))
         else:
             right = self._strip.right_of_wipe(self._pixel[0])
             letter, side = ("B", result.compared.b) if right else ("A", result.compared.a)
-            text = readout(side.patch, *self._pixel)
+            text = readout(side.patch, *self._pixel, hsv_words(result, *self._pixel))
             self._strip.set_readout(text and f"{letter}   {text}")

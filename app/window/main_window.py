@@ -282,6 +282,8 @@ class MainWindow(QMainWindow):
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
+        self.panel.maskViewChanged.connect(self._send_wanted)
+        self.eyedropper.started.connect(self._show_color_image)
         for path in self.panel.histograms:
             self.panel.sections[path.partition(".")[0]].collapsedChanged.connect(self._send_wanted)
 
@@ -442,11 +444,18 @@ class MainWindow(QMainWindow):
                 color_by=self.views.chosen_colors(),
                 strip=not self.strip.isHidden(),
                 strip_width=self.strip.width_hint(),
+                mask_view=self.panel.mask_view(),
                 histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
                 patch_difference=self.comparison.shows_difference,
             )
         )
+
+    def _show_color_image(self) -> None:
+        """Bring up the colour image, which a click is wanted in."""
+        if self.enlarged.shown is not self.strip.panes["color"]:
+            self.enlarged.back()
+        self.actions_.show_strip.setChecked(True)
 
     def _show_comparison(self, running: bool) -> None:
         self.comparison_panel.setVisible(running)

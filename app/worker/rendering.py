@@ -39,7 +39,7 @@ from ...widgets.basics.colormaps import (
     tactile_use_lut,
 )
 from ...widgets.clouds.cloud_data import DepthCloud
-from ...widgets.images.strip_render import RenderedStrip, StripImages, render_strip, stride_for
+from ...widgets.images.strip_render import MaskView, RenderedStrip, StripImages, render_strip, stride_for
 from .point_colors import Palette, tactile_use
 from .results import CloudName, ColorBy, Histogram, Rendered, Wanted
 
@@ -53,6 +53,7 @@ def draw_strip(
     *,
     accepted: float,
     width_hint: int,
+    mask_view: MaskView = MaskView.OVERLAY,
 ) -> RenderedStrip:
     """Return the four images of the strip: colour, expected and measured depth, relative difference.
 
@@ -75,6 +76,7 @@ def draw_strip(
     images = StripImages(
         color=color,
         mask_overlay=in_hsv_range(color, preset.mask) if preset.mask.enabled else None,
+        mask_view=mask_view,
         proximity_m=expected_m,
         tactile_m=measured_m,
         relative=np.asarray((expected_m - measured_m) / expected_m, np.float32),
@@ -107,7 +109,23 @@ def _seen_color(
     """Return `aligned_color`, and whether the colour camera sees each pixel: bool (h, w)."""
     if rig.proximity_color is None:
         return frame.proximity_color[::stride, ::stride], np.ones(depth_m.shape, np.bool_)
-    rays = _rays_of_every(rig.proximity.intrinsics, stride)
+    return _colors_along(_rays_of_every(rig.proximity.intrinsics, stride), frame, rig, depth_m, valid, typical_m)
+
+
+def colors_around(frame: SensorFrame, rig: Rig, u: int, v: int, radius: int, typical_m: float) -> Uint8Array:
+    """Return the `aligned_color` of the pixels around (u, v): uint8, square, smaller at the image's border."""
+    part = np.s_[max(0, v - radius) : v + radius + 1, max(0, u - radius) : u + radius + 1]
+    if rig.proximity_color is None:
+        return frame.proximity_color[part]
+    counts = frame.proximity_depth[part]
+    depth_m = counts * np.float32(rig.proximity.depth_unit_m)
+    rays = ray_table(rig.proximity.intrinsics)[part]
+    return _colors_along(rays, frame, rig, depth_m, valid_depth(counts), typical_m)[0]
+
+
+def _colors_along(
+    rays: Float32Array, frame: SensorFrame, rig: Rig, depth_m: Float32Array, valid: BoolArray, typical_m: float
+) -> tuple[Uint8Array, BoolArray]:
     points = np.empty((*depth_m.shape, 3), np.float32)
     points[..., 2] = np.where(valid, depth_m, np.float32(typical_m))
     np.multiply(rays, points[..., 2:], out=points[..., :2])
@@ -191,7 +209,14 @@ class Renderer:
         strip = None
         if wanted.strip:
             strip = draw_strip(
-                frame, patch, preset, rig, tactile_range_m, accepted=scene.accepted, width_hint=wanted.strip_width
+                frame,
+                patch,
+                preset,
+                rig,
+                tactile_range_m,
+                accepted=scene.accepted,
+                width_hint=wanted.strip_width,
+                mask_view=wanted.mask_view,
             )
         no_contact, no_contact_action = "", ""
         if patch and not len(patch.points) and CloudName.PATCH in wanted.clouds:

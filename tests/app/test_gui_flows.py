@@ -19,6 +19,7 @@ from hands import (
 )
 from tactune.app.worker.worker import SourceRequest
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.widgets.images.strip_render import MaskView
 from tiny_sensor import HEIGHT, MEMBRANE_RGB, WIDTH, TinySource, at_rest, tiny_frame, tiny_rig
 
 
@@ -126,6 +127,52 @@ def test_pick_works_while_the_mask_is_off_and_turns_it_on_in_the_same_step(windo
     window.document.undo_stack.undo()
     assert window.document.preset is before
     assert window.eyedropper.mode == "set", "the next click picks again"
+
+
+def test_while_picking_a_banner_says_what_to_click_and_a_loupe_shows_the_colour(window, qtbot):
+    strip, loupe, pane = window.strip, window.eyedropper.loupe, window.strip.panes["color"]
+    window.actions_.show_strip.trigger()
+    assert not strip.isVisible()
+    pick = window.panel.eyedroppers["set"]
+    window.panel.ensureWidgetVisible(pick)
+    QTest.mouseClick(pick, LEFT)
+    assert strip.isVisible(), "a click there is wanted"
+    assert strip.banner.isVisible()
+    assert "prints" in strip.banner.text.text()
+    assert strip.banner.geometry().left() > pane.geometry().right(), "the image that is clicked is not covered"
+    QApplication.processEvents()
+    for place in ((20, 20), (8, 8)):  # a move to where the pointer is already would be dropped
+        QTest.mouseMove(pane.view.viewport(), image_position(pane, *place).toPoint())
+    qtbot.waitUntil(loupe.isVisible)
+    assert loupe.swatch().getRgb()[:3] == MEMBRANE_RGB
+    assert loupe.text() == "H 116  S 204  V 200"
+    assert loupe.text() in strip.readout.text()
+    for _ in range(2):  # from the membrane to the disc, by keys
+        QTest.keyClick(strip, Qt.Key.Key_Right, Qt.KeyboardModifier.ShiftModifier)
+        QTest.keyClick(strip, Qt.Key.Key_Down, Qt.KeyboardModifier.ShiftModifier)
+    assert loupe.swatch().getRgb()[:3] != MEMBRANE_RGB
+    QTest.mouseClick(strip.banner.done, LEFT)
+    assert window.eyedropper.mode == "off"
+    assert not pick.isChecked()
+    assert not strip.banner.isVisible()
+    assert not loupe.isVisible()
+    QTest.mouseMove(pane.view.viewport(), image_position(pane, 9, 8).toPoint())
+    qtbot.waitUntil(lambda: "H 116  S 204  V 200" in strip.readout.text())
+    assert not loupe.isVisible(), "the colour is told without picking, too"
+
+
+def test_the_mask_is_shown_in_black_and_white_with_its_share(window, qtbot):
+    panel, pane = window.panel, window.strip.panes["color"]
+    assert not panel.masked_share.isVisible()
+    assert not panel.mask_views[MaskView.BLACK_WHITE].isEnabled(), "there is no mask"
+    QTest.mouseClick(panel.eyedroppers["set"], LEFT)
+    QTest.mouseClick(pane.view.viewport(), LEFT, pos=image_position(pane, 8, 8).toPoint())
+    qtbot.waitUntil(panel.masked_share.isVisible)
+    share = np.mean((window.result.frame.proximity_color == MEMBRANE_RGB).all(-1))
+    assert f"{100 * share:.1f} %" in panel.masked_share.text()
+    QTest.mouseClick(panel.mask_views[MaskView.BLACK_WHITE], LEFT)
+    qtbot.waitUntil(lambda: set(np.unique(window.result.rendered.strip.panes[0][4:8, 4:8, :3])) == {255})
+    assert [view for view, button in panel.mask_views.items() if button.isChecked()] == [MaskView.BLACK_WHITE]
 
 
 def test_hovering_says_why_a_pixel_was_kept(window, qtbot):

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactune.core.errors import TactuneError
-from tactune.widgets.images.eyedropper import HsvRanges, neighbourhood, new_ranges, pick, take_sample
+from tactune.widgets.images.eyedropper import HsvRanges, new_ranges, take_sample
 
 FULL = HsvRanges((0, 179), (0, 255), (0, 255))
 
@@ -156,20 +156,3 @@ def test_shrinking_to_nothing_is_refused_in_words() -> None:
     pure[:] = (255, 0, 0)
     with pytest.raises(TactuneError, match="turn the mask off"):
         new_ranges(pure, HsvRanges((0, 0), (255, 255), (255, 255)), "shrink")
-
-
-def test_the_neighbourhood_is_cut_at_the_border() -> None:
-    image = np.zeros((20, 30, 3), np.uint8)
-    assert neighbourhood(image, 15, 10).shape == (7, 7, 3)
-    assert neighbourhood(image, 0, 0).shape == (4, 4, 3)
-    assert neighbourhood(image, 29, 19).shape == (4, 4, 3)
-    with pytest.raises(TactuneError, match=r"\(30, 10\)"):
-        neighbourhood(image, 30, 10)
-
-
-def test_a_pick_uses_the_pixels_at_the_click() -> None:
-    image = np.zeros((40, 40, 3), np.uint8)
-    image[:, 20:] = (200, 30, 40)
-    right = pick(image, 30, 20, FULL, "set")
-    assert right.contains(to_hsv(image[:1, 30:31])).all()
-    assert not right.contains(to_hsv(image[:1, 5:6])).any()

@@ -68,25 +68,6 @@ class Sample:
     median_value: int
 
 
-def pick(image: Uint8Array, u: int, v: int, present: HsvRanges, mode: Mode) -> HsvRanges:
-    """Return the ranges after a click on pixel (u, v) of an RGB image; see `new_ranges`."""
-    return new_ranges(neighbourhood(image, u, v), present, mode)
-
-
-def neighbourhood(image: Uint8Array, u: int, v: int) -> Uint8Array:
-    """Cut the pixels around (u, v) out of an image, fewer at its border.
-
-    Raises
-    ------
-    EyedropperError
-        The image has no such pixel.
-    """
-    height, width = image.shape[:2]
-    if not (0 <= u < width and 0 <= v < height):
-        raise EyedropperError(f"pixel ({u}, {v}) is outside the image of {width} x {height} pixels; click inside it")
-    return image[max(0, v - RADIUS) : v + RADIUS + 1, max(0, u - RADIUS) : u + RADIUS + 1]
-
-
 def new_ranges(rgb: Uint8Array, present: HsvRanges, mode: Mode) -> HsvRanges:
     """Return ranges that a sample sets, expands or shrinks.
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPen, QResizeEvent
-from PyQt6.QtWidgets import QHBoxLayout, QSizePolicy, QVBoxLayout, QWidget
+from PyQt6.QtGui import QKeyEvent, QPainter, QPaintEvent, QPalette, QPen, QResizeEvent
+from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QSizePolicy, QVBoxLayout, QWidget
 
 from ..basics.colormaps import CONTACT_RGB, MASKED_RGB, depth_lut, difference_lut
 from ..basics.controls import ElidedLabel
@@ -32,6 +32,38 @@ _EMPTY = {
 }
 
 
+class _Banner(QFrame):
+    """Says over the top of its parent what to click, with a button *Done*; hidden without words."""
+
+    def __init__(self, parent: QWidget) -> None:
+        super().__init__(parent)
+        self.text = QLabel()
+        self.text.setWordWrap(True)
+        self.done = QPushButton("Done")
+        self.done.setToolTip("End picking (Esc)")
+        self.done.setAutoDefault(False)
+        layout = QHBoxLayout(self)
+        layout.setContentsMargins(8, 4, 4, 4)
+        layout.addWidget(self.text, 1)
+        layout.addWidget(self.done)
+        self.setFrameShape(QFrame.Shape.Box)
+        self.setAutoFillBackground(True)
+        self.setBackgroundRole(QPalette.ColorRole.ToolTipBase)
+        self.hide()
+
+    def show_words(self, words: str) -> None:
+        """Show what to click, or hide with an empty text."""
+        self.text.setText(words)
+        self.setAccessibleName(words)
+        self.setVisible(bool(words))
+
+    def place(self, left: int, width: int) -> None:
+        """Stand at the top of the parent."""
+        if not self.isHidden():
+            self.setGeometry(left, 0, width, max(self.heightForWidth(width), self.sizeHint().height()))
+            self.raise_()
+
+
 class ImageStrip(QWidget):
     """Shows a `RenderedStrip`; zoom, pan and the crosshair are shared by all panes.
 
@@ -50,6 +82,8 @@ class ImageStrip(QWidget):
         Another resolution is needed; a paused frame has to be rendered again.
     wipeDragged(share: float)
         The wipe was dragged in one of the images.
+    pickingDone()
+        *Done* was pressed in the banner.
     """
 
     hovered = pyqtSignal(int, int)
@@ -57,6 +91,7 @@ class ImageStrip(QWidget):
     regionEdited = pyqtSignal(object, int)
     widthHintChanged = pyqtSignal(int)
     wipeDragged = pyqtSignal(float)
+    pickingDone = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -84,6 +119,8 @@ class ImageStrip(QWidget):
         layout.setSpacing(2)
         layout.addLayout(row, 1)
         layout.addWidget(self.readout)
+        self.banner = _Banner(self)
+        self.banner.done.clicked.connect(self.pickingDone)
         self.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Expanding)
         self.reset_view()
 
@@ -132,9 +169,13 @@ class ImageStrip(QWidget):
         for region in self.regions.values():
             region.set_rectangle(rectangle)
 
-    def set_picking(self, picking: bool) -> None:
-        """Show a picking cursor on the colour image, or the normal one."""
-        shape = Qt.CursorShape.CrossCursor if picking else Qt.CursorShape.ArrowCursor
+    def set_picking(self, words: str) -> None:
+        """Say in a banner what to click in the colour image, which gets a picking cursor; empty words end that."""
+        self.banner.show_words(words)
+        self._place_banner()
+        if words:
+            self.setFocus()
+        shape = Qt.CursorShape.CrossCursor if words else Qt.CursorShape.ArrowCursor
         self.panes["color"].view.viewport().setCursor(shape)
 
     def width_hint(self) -> int:
@@ -231,6 +272,13 @@ class ImageStrip(QWidget):
         """Adapt the headers to the new width."""
         super().resizeEvent(event)
         self._fit_headers()
+        self._place_banner()
+
+    def _place_banner(self) -> None:
+        """Put the banner over the other images, or over an enlarged colour image."""
+        color = self.panes["color"].geometry()
+        left = color.right() + 4 if color.right() < self.width() / 2 else color.left()
+        self.banner.place(left, self.width() - left - 4)
 
     def _zoom(self, factor: float) -> None:
         """Zoom about the crosshair, or about the centre."""

@@ -26,12 +26,14 @@ _DISTANCE = 26
 class Loupe(QWidget):
     """Shows the surroundings of a place in an image, enlarged, with a crosshair.
 
-    A ring marks the snapped place; the line below tells the cursor's pixel, or what a click snaps to.
+    A ring marks the snapped place; the line below tells the cursor's pixel, its colour, or what a click snaps to.
     """
 
     def __init__(self, parent: QWidget) -> None:
         super().__init__(parent)
         self._pixels: Uint8Array | None = None
+        self._corner = (0, 0)
+        self._swatch: QColor | None = None
         self._place = (0.0, 0.0)
         self._snapped: tuple[float, float] | None = None
         self._words = ""
@@ -43,14 +45,14 @@ class Loupe(QWidget):
         """A square and a line of text."""
         return QSize(EDGE, EDGE + _LINE)
 
-    def set_pixels(self, pixels: Uint8Array | None) -> None:
-        """Take the image, uint8 (h, w, 4) as ``QImage.Format_RGB32`` has it."""
-        self._pixels = pixels
+    def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
+        """Take the image, or the part of it that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
+        self._pixels, self._corner = pixels, corner
         self.update()
 
     def show_at(self, cursor: QPointF, place: tuple[float, float]) -> None:
         """Magnify an image place and move beside the cursor (parent coordinates), inside the parent."""
-        self._place, self._snapped, self._words = place, None, ""
+        self._place, self._snapped, self._swatch, self._words = place, None, None, ""
         parent = self.parentWidget()
         assert parent is not None
         x = cursor.x() + _DISTANCE
@@ -69,6 +71,15 @@ class Loupe(QWidget):
         """Mark the position that a click would set, and say in words what is there."""
         self._snapped, self._words = place, words
         self.update()
+
+    def set_color(self, color: QColor, words: str) -> None:
+        """Say in the line which colour the pixel has, beside a swatch of it."""
+        self._swatch, self._words = color, words
+        self.update()
+
+    def swatch(self) -> QColor | None:
+        """Return the colour of the swatch; None without one."""
+        return self._swatch
 
     def text(self) -> str:
         """Return the line below the image."""
@@ -93,7 +104,11 @@ class Loupe(QWidget):
             painter.setPen(QPen(COLORS[MarkKind.PENDING], 2))
             painter.drawEllipse(QPointF(middle + u * scale, middle + v * scale), 5, 5)
         painter.setPen(QColor(colors.text))
-        painter.drawText(QRectF(0, EDGE, EDGE, _LINE), Qt.AlignmentFlag.AlignCenter, self.text())
+        line = QRectF(0, EDGE, EDGE, _LINE)
+        if self._swatch is not None:
+            painter.fillRect(QRectF(5, EDGE + 4, 2 * _LINE, _LINE - 8), self._swatch)
+            line.setLeft(2 * _LINE + 8)
+        painter.drawText(line, Qt.AlignmentFlag.AlignCenter, self.text())
         painter.setPen(QPen(QColor(colors.border), 1))
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.drawRect(QRectF(0.5, 0.5, self.width() - 1, self.height() - 1))
@@ -103,7 +118,7 @@ class Loupe(QWidget):
             return
         height, width = self._pixels.shape[:2]
         scale = EDGE / SPAN
-        left, top = self._place[0] - SPAN / 2, self._place[1] - SPAN / 2
+        left, top = (at - begin - SPAN / 2 for at, begin in zip(self._place, self._corner, strict=True))
         first_u, last_u = max(0, floor(left + 0.5)), min(width, ceil(left + SPAN + 0.5))
         first_v, last_v = max(0, floor(top + 0.5)), min(height, ceil(top + SPAN + 0.5))
         if first_u >= last_u or first_v >= last_v:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import StrEnum
 from functools import lru_cache
 from typing import Final
 
@@ -26,6 +27,14 @@ _RANGE_STEP_M = 0.01
 _KERNEL = np.ones((5, 5), np.uint8)  # a rim of two pixels: one alone gets lost when the image is shown smaller
 
 
+class MaskView(StrEnum):
+    """How the colour image shows what the mask covers."""
+
+    COLOR = "Colour"
+    OVERLAY = "Overlay"
+    BLACK_WHITE = "Black/white"
+
+
 @dataclass(frozen=True, eq=False)
 class StripImages:
     """One frame's images, all in proximity depth pixels, (H, W).
@@ -36,6 +45,7 @@ class StripImages:
         RGB, already aligned to depth.
     mask_overlay : bool (H, W) or None
         Where the colour is the mask's.
+    mask_view : MaskView
     proximity_m, tactile_m : float32 (H, W)
         Depth in metres; nan where there is none.
     relative : float32 (H, W)
@@ -56,6 +66,7 @@ class StripImages:
     tolerance: float
     contact: BoolArray | None = None
     depth_range_m: tuple[float, float] | None = None
+    mask_view: MaskView = MaskView.OVERLAY
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,6 +80,8 @@ class RenderedStrip:
         memory. Pixel (i, j) shows image pixel (i, j) times ``stride``. None where there is no image.
     size : (int, int)
         Width and height of the image itself.
+    masked_share : float or None
+        Share of the drawn pixels that have the mask's colour; None without a mask.
     """
 
     panes: tuple[Uint8Array | None, Uint8Array | None, Uint8Array | None, Uint8Array | None]
@@ -77,6 +90,7 @@ class RenderedStrip:
     depth_range_m: tuple[float, float]
     tolerance: float
     difference_limit: float
+    masked_share: float | None = None
 
 
 def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
@@ -94,9 +108,10 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
     depth_range_m = images.depth_range_m or depth_range_of(images.proximity_m, images.tactile_m)
     limit = max(DIFFERENCE_LIMIT, 2.0 * images.tolerance)
 
+    mask = images.mask_overlay
     outline = None if images.contact is None else _outline(images.contact[::stride, ::stride])
     packed = [
-        None if images.color is None else _colored(images.color, images.mask_overlay, stride),
+        None if images.color is None else _colored(images.color, images.mask_overlay, images.mask_view, stride),
         _lookup(_depth_index(images.proximity_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
         _lookup(_depth_index(images.tactile_m[::stride, ::stride], depth_range_m), _packed_depth_lut()),
         _lookup(
@@ -116,6 +131,7 @@ def render_strip(images: StripImages, width_hint: int = 0) -> RenderedStrip:
         depth_range_m=depth_range_m,
         tolerance=images.tolerance,
         difference_limit=limit,
+        masked_share=None if mask is None else float(np.count_nonzero(mask) / mask.size),
     )
 
 
@@ -145,9 +161,11 @@ def _depth_index(depth_m: Float32Array, range_m: tuple[float, float]) -> Uint8Ar
     return rows.astype(np.uint8)
 
 
-def _colored(color: Uint8Array, mask: BoolArray | None, stride: int) -> _Packed:
+def _colored(color: Uint8Array, mask: BoolArray | None, view: MaskView, stride: int) -> _Packed:
+    if mask is not None and view is MaskView.BLACK_WHITE:
+        return np.where(mask[::stride, ::stride], _pack_rgb((255, 255, 255)), _pack_rgb((0, 0, 0)))
     bgra = cv2.cvtColor(np.ascontiguousarray(color[::stride, ::stride]), cv2.COLOR_RGB2BGRA)
-    if mask is not None:
+    if mask is not None and view is MaskView.OVERLAY:
         tint = [MASK_TINT * channel for channel in (*MASKED_RGB[::-1], 255)]
         tinted = cv2.add(cv2.convertScaleAbs(bgra, alpha=1.0 - MASK_TINT), np.array(tint))
         cv2.copyTo(tinted, np.ascontiguousarray(mask[::stride, ::stride]).view(np.uint8), bgra)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from itertools import pairwise
 
 import numpy as np
 import numpy.typing as npt
 from pydantic import BaseModel
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QKeySequence, QPalette, QShortcut
+from PyQt6.QtGui import QColor, QKeySequence, QPalette, QShortcut
 from PyQt6.QtWidgets import (
     QFrame,
     QGridLayout,
@@ -25,9 +25,11 @@ from PyQt6.QtWidgets import (
 from ...core.model.arrays import AnyArray
 from ...core.preset import CONTACT_TESTS, Preset
 from ...core.preset.alignment import CalibrationRecord
+from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
+from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .advanced_fold import AdvancedFold
 from .band_slider import RangeEditor, groove_colors
@@ -57,6 +59,13 @@ _EYEDROPPERS = {
 }
 
 
+_MASK_VIEWS = {
+    MaskView.COLOR: "Show the colour image as it is",
+    MaskView.OVERLAY: "Tint what the mask covers in the colour image",
+    MaskView.BLACK_WHITE: "Show what the mask covers in white, all else in black",
+}
+
+
 class ParameterPanel(QScrollArea):
     """Shows and edits every tunable value of a preset.
 
@@ -76,6 +85,8 @@ class ParameterPanel(QScrollArea):
         A section was reset: several fields at once.
     eyedropperRequested(mode: str)
         "set", "expand", "shrink", or "off".
+    maskViewChanged()
+        Another way to show the mask was chosen.
     suggestRequested(section: str)
         A proposal for a section is wanted; ``"all"`` for all sections.
     remedyPressed(path: str)
@@ -85,6 +96,7 @@ class ParameterPanel(QScrollArea):
     valueEdited = pyqtSignal(str, object, int)
     valuesEdited = pyqtSignal(object, int)
     eyedropperRequested = pyqtSignal(str)
+    maskViewChanged = pyqtSignal()
     suggestRequested = pyqtSignal(str)
     remedyPressed = pyqtSignal(str)
 
@@ -97,6 +109,8 @@ class ParameterPanel(QScrollArea):
         self.section_resets: dict[str, QToolButton] = {}
         self.suggests: dict[str, QToolButton] = {}
         self.eyedroppers: dict[str, QToolButton] = {}
+        self.mask_views: dict[MaskView, QToolButton] = {}
+        self.masked_share = _note()
         self.alignment_info = _note()
         self._test_note = _note()
         self.tolerance_mm = _note()
@@ -213,6 +227,17 @@ class ParameterPanel(QScrollArea):
         """Return the fields whose histograms are not folded away."""
         return frozenset(path for path in self.histograms if not self.sections[_section_of(path)].collapsed)
 
+    def mask_view(self) -> MaskView:
+        """Return how the colour image shows the mask."""
+        return next(view for view, button in self.mask_views.items() if button.isChecked())
+
+    def show_masked_share(self, share: float | None) -> None:
+        """Say how much of the image has the mask's colour; None hides it."""
+        self.masked_share.setVisible(share is not None)
+        if share is not None:
+            swatch = QColor(*MASKED_RGB).name()
+            self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the image masked')
+
     def collapsed_sections(self) -> list[str]:
         """Return which sections are folded, to be remembered."""
         return [name for name, section in self.sections.items() if section.collapsed]
@@ -264,9 +289,11 @@ class ParameterPanel(QScrollArea):
         if name == "contact_test":
             grid.addWidget(self._test_note, grid.rowCount(), 0, 1, COLUMNS)
         if name == "mask":
-            line = grid.rowCount()
-            grid.addWidget(QLabel("Eyedropper"), line, 0)
-            grid.addWidget(self._make_eyedropper_bar(), line, 1, 1, COLUMNS - 1)
+            for words, bar in (("Eyedropper", self._make_eyedropper_bar()), ("Show", self._make_mask_view_bar())):
+                line = grid.rowCount()
+                grid.addWidget(QLabel(words), line, 0)
+                grid.addWidget(bar, line, 1, 1, COLUMNS - 1)
+            grid.addWidget(self.masked_share, grid.rowCount(), 1, 1, COLUMNS - 1)
         reset = QToolButton()
         reset.setText("↺")
         reset.setAutoRaise(True)
@@ -330,22 +357,17 @@ class ParameterPanel(QScrollArea):
         return row
 
     def _make_eyedropper_bar(self) -> QWidget:
-        bar = QWidget()
-        layout = QHBoxLayout(bar)
-        layout.setContentsMargins(0, 2, 0, 0)
-        layout.setSpacing(4)
         for mode, (text, tooltip) in _EYEDROPPERS.items():
-            button = QToolButton()
-            button.setText(text)
-            button.setToolTip(tooltip)
-            button.setCheckable(True)
-            button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-            button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
-            button.setAccessibleName(f"Eyedropper: {mode}")
+            button = self.eyedroppers[mode] = _bar_button(text, tooltip, f"Eyedropper: {mode}")
             button.clicked.connect(lambda checked, mode=mode: self._choose_eyedropper(mode if checked else "off"))
-            self.eyedroppers[mode] = button
-            layout.addWidget(button, 1)
-        return bar
+        return _bar(self.eyedroppers.values())
+
+    def _make_mask_view_bar(self) -> QWidget:
+        for view, tooltip in _MASK_VIEWS.items():
+            button = self.mask_views[view] = _bar_button(view.value, tooltip, f"Show mask: {view.value}")
+            button.clicked.connect(lambda _, view=view: self._choose_mask_view(view))
+        self.mask_views[MaskView.OVERLAY].setChecked(True)
+        return _bar(self.mask_views.values())
 
     def _order_tabs(self) -> None:
         """Let Tab go through the panel as one reads it."""
@@ -361,7 +383,7 @@ class ParameterPanel(QScrollArea):
                 if not row.in_header:
                     chain += [*row.tab_stops, row.reset, row.finding.button]
             if name == "mask":
-                chain += self.eyedroppers.values()
+                chain += [*self.eyedroppers.values(), *self.mask_views.values()]
         for first, second in pairwise(chain):
             QWidget.setTabOrder(first, second)
 
@@ -389,6 +411,11 @@ class ParameterPanel(QScrollArea):
         self._refresh()
         if changed:
             self.valuesEdited.emit(changed, new_gesture())
+
+    def _choose_mask_view(self, chosen: MaskView) -> None:
+        for view, button in self.mask_views.items():
+            button.setChecked(view is chosen)
+        self.maskViewChanged.emit()
 
     def _choose_eyedropper(self, mode: str) -> None:
         self.set_eyedropper(mode)
@@ -429,7 +456,9 @@ class ParameterPanel(QScrollArea):
         self._test_note.show()
 
     def _enable_eyedroppers(self, enabled: bool) -> None:
-        """While the mask is off, enable *Pick*, but neither *+* nor *-*."""
+        """While the mask is off, enable only *Pick*."""
+        for button in self.mask_views.values():
+            button.setEnabled(enabled)
         for mode in ("expand", "shrink"):
             button = self.eyedroppers[mode]
             button.setEnabled(enabled)
@@ -457,6 +486,28 @@ def fields_of(section: str) -> list[FieldSpec]:
     if isinstance(model, type) and issubclass(model, BaseModel):
         return list(section_fields(model, section))
     return [field_spec(Preset, section)]
+
+
+def _bar_button(text: str, tip: str, name: str) -> QToolButton:
+    button = QToolButton()
+    button.setText(text)
+    button.setToolTip(tip)
+    button.setCheckable(True)
+    button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
+    button.setSizePolicy(QSizePolicy.Policy.Expanding, QSizePolicy.Policy.Fixed)
+    button.setAccessibleName(name)
+    return button
+
+
+def _bar(buttons: Iterable[QToolButton]) -> QWidget:
+    """Put buttons side by side."""
+    bar = QWidget()
+    layout = QHBoxLayout(bar)
+    layout.setContentsMargins(0, 0, 0, 0)
+    layout.setSpacing(4)
+    for button in buttons:
+        layout.addWidget(button, 1)
+    return bar
 
 
 def _note() -> QLabel:
