@@ -44,12 +44,13 @@ class CloudHeader(QWidget):
         self._count.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
         self.setSizePolicy(QSizePolicy.Policy.Ignored, QSizePolicy.Policy.Fixed)
         self._value = 0
-        self.set_count(0)
+        self._place()
 
     def set_count(self, count: int) -> None:
         """Show another number of points."""
-        self._value = count
-        self._place()
+        if count != self._value:
+            self._value = count
+            self._place()
 
     def sizeHint(self) -> QSize:
         """One line high, with flexible width."""
@@ -74,7 +75,9 @@ class CloudHeader(QWidget):
         if shown != self._count.text():
             self._count.setText(shown)
             self._count.setAccessibleName(full)
-        self._count.setToolTip("" if fits else full)
+        tip = "" if fits else full
+        if tip != self._count.toolTip():
+            self._count.setToolTip(tip)
         self._count.setGeometry(_MARGIN + room - needed, _TOP, needed, height)
         self._title.setGeometry(_MARGIN, _TOP, max(0, room - needed - _GAP), height)
 

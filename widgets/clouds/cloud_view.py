@@ -200,9 +200,10 @@ class CloudView(QWidget):
 
     def set_message(self, message: str) -> None:
         """Set the message that is shown while there are no points."""
-        self._message = message
-        self._show_count()
-        self._canvas.update()
+        if message != self._message:
+            self._message = message
+            self._show_count()
+            self._canvas.update()
 
     def set_offer(self, text: str, tip: str = "") -> None:
         """Set the button below the message, such as "Check cameras"; an empty text removes it."""
