@@ -84,9 +84,13 @@ def pages(window: QWidget, qtbot) -> Iterator[int]:
     for page in range(book.count() if book is not None else 1):
         if book is not None and book.isVisible():
             book.setCurrentIndex(page)
-        for _ in range(3):  # a page that was just made lays itself out in steps
-            QApplication.processEvents()
+        settle()
         yield page
+
+
+def settle() -> None:
+    for _ in range(3):  # a page that was just made lays itself out in steps
+        QApplication.processEvents()
 
 
 def within(window: QWidget, kind: type) -> list:
@@ -125,6 +129,7 @@ def test_all_text_can_be_read_in_both_themes(shown, window, qtbot):
     faint = set()
     for page, theme in ((page, theme) for page in pages(shown, qtbot) for theme in ("light", "dark")):
         window.set_theme(theme, remember=False)
+        settle()
         image = shown.grab().toImage()
         for widget in [w for kind in (QLabel, QAbstractButton, QComboBox, QLineEdit) for w in within(shown, kind)]:
             text = widget.currentText() if isinstance(widget, QComboBox) else widget.text()
