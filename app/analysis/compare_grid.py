@@ -37,7 +37,7 @@ class Tile(QWidget):
         self.caption.setAccessibleName(f"Numbers of {name}")
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(1)
+        layout.setSpacing(0)
         layout.addWidget(self.view, 1)
         layout.addWidget(self.caption)
 

@@ -344,8 +344,8 @@ class StrainNumbers(QWidget):
         self.verdict.setWordWrap(True)
         self.cells = [[QLabel(_NOTHING) for _ in _TITLES] for _ in range(2)]
         layout = QGridLayout(self)
-        layout.setContentsMargins(6, 2, 2, 2)
-        layout.setHorizontalSpacing(14)
+        layout.setContentsMargins(8, 4, 4, 4)
+        layout.setHorizontalSpacing(12)
         layout.addWidget(self.verdict, 0, 0, 1, len(_TITLES) + 1)
         for column, (title, tip) in enumerate(zip(_TITLES, _TIPS, strict=True)):
             head = QLabel(title)

@@ -121,13 +121,13 @@ class PaintPanel(CollapsibleSection):
         tools.addStretch(1)
         tools.addWidget(self.highlight)
         grid = QGridLayout()
-        grid.setHorizontalSpacing(6)
-        grid.setVerticalSpacing(3)
+        grid.setHorizontalSpacing(8)
+        grid.setVerticalSpacing(4)
         grid.setColumnStretch(1, 1)
         for row in self.rows.values():
             row.add_to(grid)
         layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(6, 4, 6, 6)
+        layout.setContentsMargins(8, 4, 8, 8)
         layout.addWidget(self.readout)
         layout.addLayout(tools)
         layout.addLayout(grid)
@@ -304,8 +304,8 @@ class AlignPanel(CollapsibleSection):
         for button in (self.remove, self.clear, self.center):
             buttons.addWidget(button)
         numbers = QGridLayout()
-        numbers.setHorizontalSpacing(6)
-        numbers.setVerticalSpacing(3)
+        numbers.setHorizontalSpacing(8)
+        numbers.setVerticalSpacing(4)
         for line, (place, turn) in enumerate(zip(self.places, self.turns, strict=True)):
             for column, (text, entry) in enumerate(((_AXES[line], place), (_TURNS[line], turn))):
                 numbers.addWidget(caption(text, entry), line, 2 * column)
@@ -317,8 +317,8 @@ class AlignPanel(CollapsibleSection):
             icp.addWidget(widget)
         icp.addStretch(1)
         layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(6, 4, 6, 6)
-        layout.setSpacing(5)
+        layout.setContentsMargins(8, 4, 8, 8)
+        layout.setSpacing(4)
         layout.addWidget(self.table)
         layout.addLayout(buttons)
         layout.addLayout(numbers)
@@ -488,7 +488,7 @@ class ResultPanel(CollapsibleSection):
         self.command.setPlaceholderText("the command line, once the scan is aligned")
         self.note.setWordWrap(True)
         grid = QGridLayout()
-        grid.setVerticalSpacing(2)
+        grid.setVerticalSpacing(4)
         grid.setColumnStretch(1, 1)
         for line, (name, title, tip) in enumerate(_LINES):
             label, value = QLabel(title), self.values[name]
@@ -506,8 +506,8 @@ class ResultPanel(CollapsibleSection):
         repeat.addWidget(self.command, 1)
         repeat.addWidget(self.copy)
         layout = QVBoxLayout(self.body)
-        layout.setContentsMargins(6, 4, 6, 6)
-        layout.setSpacing(5)
+        layout.setContentsMargins(8, 4, 8, 8)
+        layout.setSpacing(4)
         layout.addLayout(grid)
         layout.addLayout(files)
         layout.addLayout(repeat)

@@ -148,7 +148,7 @@ class TruthViews(QSplitter):
                 line.addWidget(button)
             column = QVBoxLayout(side)
             column.setContentsMargins(0, 0, 0, 0)
-            column.setSpacing(2)
+            column.setSpacing(4)
             column.addLayout(line)
             column.addWidget(view, 1)
             self.addWidget(side)

@@ -115,7 +115,7 @@ class TuneTab(AnalysisTab):
             entry.setAccessibleName(name)
 
     def _lay_out(self) -> None:
-        QVBoxLayout(self._field_box).setSpacing(2)
+        QVBoxLayout(self._field_box).setSpacing(4)
         panel = QWidget()
         column = QVBoxLayout(panel)
         column.setContentsMargins(0, 0, 4, 0)

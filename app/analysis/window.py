@@ -104,7 +104,7 @@ class AnalysisWindow(QDialog):
         self.tabs.setDocumentMode(True)
         for kind in kinds.values():
             page = QWidget()
-            QVBoxLayout(page).setContentsMargins(6, 6, 6, 6)
+            QVBoxLayout(page).setContentsMargins(8, 8, 8, 8)
             self.tabs.setTabToolTip(self.tabs.addTab(page, kind.title), kind.tip)
         self.tabs.currentChanged.connect(self._tab_changed)
         layout = QVBoxLayout(self)

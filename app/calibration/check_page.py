@@ -144,7 +144,7 @@ class CheckPage(QWidget):
         across.setSizes([720, 480])
         across.setChildrenCollapsible(False)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 6, 8, 4)
+        layout.setContentsMargins(8, 8, 8, 4)
         layout.addWidget(across)
 
     def _connect(self) -> None:

@@ -139,7 +139,7 @@ class Finder(QWidget):
         self._make_controls()
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(6)
+        layout.setSpacing(8)
         layout.addWidget(caption("&Find", self.target))
         for widget in (self.target, self.columns, self.rows, self.share, self.dictionary, self.progress, self.cancel):
             layout.addWidget(widget)

@@ -86,7 +86,7 @@ class FramesPage(QWidget):
         self.list.setIconSize(_THUMBNAIL)
         self.list.setAccessibleName("Snapshots")
         self.list.setToolTip("The snapshots taken; points are clicked in the selected one")
-        self.list.setSpacing(2)
+        self.list.setSpacing(4)
         self.remove = push_button("Remove", "Remove the snapshot and the points clicked in it; undo restores both")
         self.span = QLabel()
         self.span.setWordWrap(True)
@@ -122,7 +122,7 @@ class FramesPage(QWidget):
         right.addWidget(self.remove)
         box.setFixedWidth(300)
         layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 6, 8, 4)
+        layout.setContentsMargins(8, 8, 8, 4)
         layout.addLayout(left, 1)
         layout.addWidget(box)
 

@@ -92,8 +92,8 @@ class _ModelColumn(QGroupBox):
         self.extra.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         self.plot = ResidualPlot()
         numbers = QGridLayout()
-        numbers.setHorizontalSpacing(14)
-        numbers.setVerticalSpacing(3)
+        numbers.setHorizontalSpacing(12)
+        numbers.setVerticalSpacing(4)
         for row, number in enumerate(_NUMBERS):
             title, value = QLabel(number.title), QLabel("–")
             value.setAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
@@ -179,7 +179,7 @@ class ModelPage(QWidget):
         for name in ("rigid", "homography"):
             columns.addWidget(self.columns[name], 1)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 6, 8, 4)
+        layout.setContentsMargins(8, 8, 8, 4)
         layout.addWidget(self.reason)
         layout.addLayout(row)
         layout.addWidget(self.depth_reason)

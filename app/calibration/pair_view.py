@@ -49,7 +49,7 @@ class PairView(QWidget):
         self._partner: Partner = lambda side, place: None
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(6)
+        layout.setSpacing(8)
         for side in SIDES:
             image = self.images[side]
             layout.addWidget(image, 1)

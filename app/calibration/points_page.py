@@ -92,7 +92,7 @@ class PointsPage(QWidget):
 
     def _lay_out(self) -> None:
         tools = QHBoxLayout()
-        tools.setSpacing(6)
+        tools.setSpacing(8)
         for label, box in (("Snapshot", self.snapshot), ("Left", self.left_image), ("Right", self.right_image)):
             tools.addWidget(caption(label, box))
             tools.addWidget(box)
@@ -115,7 +115,7 @@ class PointsPage(QWidget):
         lines.addWidget(self.fit_line, 3)
         lines.addWidget(self.drop)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 4, 6, 2)
+        layout.setContentsMargins(8, 4, 8, 4)
         layout.setSpacing(4)
         layout.addLayout(finding)
         layout.addLayout(tools)

@@ -118,7 +118,7 @@ class CalibrationWizard(QDialog):
 
     def _lay_out(self) -> None:
         steps = QHBoxLayout()
-        steps.setSpacing(2)
+        steps.setSpacing(4)
         self.steps = QButtonGroup(self)
         for number, (name, tip) in enumerate(zip(STEPS, _TIPS, strict=True)):
             button = AccentButton(f"{number + 1}  {name}", f"{tip} (Ctrl+{number + 1})")
@@ -154,7 +154,7 @@ class CalibrationWizard(QDialog):
         inside.addWidget(self.stack)
         self.messages = Messages(area)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(6, 6, 6, 6)
+        layout.setContentsMargins(8, 8, 8, 8)
         layout.setSpacing(4)
         layout.addLayout(steps)
         layout.addWidget(area, 1)

@@ -56,7 +56,7 @@ class OpenDialog(QDialog):
         self.list.setAccessibleName("Kinds of sources")
         self.list.setToolTip("Where the frames come from")
         self.list.setFixedWidth(150)
-        self.list.setSpacing(3)
+        self.list.setSpacing(4)
         self._stack = QStackedWidget()
         for page in pages:
             self._stack.addWidget(page)

@@ -245,5 +245,5 @@ def _fill(section: CollapsibleSection, body: QWidget) -> None:
 def _note(text: str) -> QLabel:
     label = QLabel(text)
     label.setWordWrap(True)
-    label.setContentsMargins(6, 2, 6, 6)
+    label.setContentsMargins(8, 4, 8, 8)
     return label

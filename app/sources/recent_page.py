@@ -32,7 +32,7 @@ class RecentPage(SourcePage):
         self.list.setToolTip("Sources that were open before; double-click one to open it, Delete removes it")
         self.list.setIconSize(QSize(*SIZE))
         self.list.setWordWrap(True)
-        self.list.setSpacing(2)
+        self.list.setSpacing(4)
         self.list.setTextElideMode(Qt.TextElideMode.ElideMiddle)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)

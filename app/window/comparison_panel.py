@@ -222,7 +222,7 @@ class ComparisonPanel(QWidget):
 
     def _mode_row(self) -> QHBoxLayout:
         row = QHBoxLayout()
-        row.setSpacing(2)
+        row.setSpacing(4)
         group = QButtonGroup(self)
         for button in self.modes.values():
             group.addButton(button)
@@ -231,7 +231,7 @@ class ComparisonPanel(QWidget):
 
     def _number_rows(self) -> QGridLayout:
         grid = QGridLayout()
-        grid.setVerticalSpacing(1)
+        grid.setVerticalSpacing(0)
         for column in (1, 2):
             grid.setColumnStretch(column, 1)
             grid.addWidget(_right_aligned(QLabel("AB"[column - 1])), 0, column)

@@ -64,7 +64,7 @@ class RecordingBar(QFrame):
             numbers.addWidget(label)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(8, 4, 4, 4)
-        layout.setSpacing(2)
+        layout.setSpacing(4)
         layout.addLayout(title)
         layout.addLayout(numbers)
         layout.addWidget(self._room)

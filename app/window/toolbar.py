@@ -46,7 +46,7 @@ class Transport(QWidget):
         actions.go_to.triggered.connect(lambda: self.position.setFocus(Qt.FocusReason.ShortcutFocusReason))
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
+        layout.setSpacing(4)
         for action in (actions.previous, actions.play, actions.next, actions.loop, actions.freeze):
             button = QToolButton()
             button.setDefaultAction(action)

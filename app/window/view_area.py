@@ -173,7 +173,7 @@ class ViewArea(QWidget):
         self.point_size.valueChanged.connect(self._resize_points)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
+        layout.setSpacing(4)
         layout.addLayout(self._choices(actions))
         layout.addWidget(self.splitter, 1)
         for name, action in self.toggles.items():
@@ -311,7 +311,7 @@ class ViewArea(QWidget):
 
     def _choices(self, actions: Actions) -> QHBoxLayout:
         row = QHBoxLayout()
-        row.setContentsMargins(4, 2, 4, 0)
+        row.setContentsMargins(4, 4, 4, 0)
         row.addWidget(caption("&Colour by", self.color_by))
         row.addWidget(self.color_by)
         row.addSpacing(12)

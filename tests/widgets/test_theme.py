@@ -1,15 +1,21 @@
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
+from pathlib import Path
+
 import pyqtgraph as pg
 import pytest
 from PyQt6.QtCore import QRect, Qt
 from PyQt6.QtGui import QIcon, QPalette
 from PyQt6.QtWidgets import QApplication, QCheckBox, QPushButton, QRadioButton, QVBoxLayout, QWidget
 
+import tactune.app
+import tactune.widgets
 from contrast import contrast_ratio
 from tactune.widgets.basics.icons import app_icon, icon
 from tactune.widgets.basics.style import apply_theme
-from tactune.widgets.basics.theme import ACCENT, theme_colors, theme_name
+from tactune.widgets.basics.theme import ACCENT, GRID, theme_colors, theme_name
 from tactune.widgets.images.image_pane import ImagePane
 from tactune.widgets.parameters.parameter_row import MessageLabel
 from tactune.widgets.plots.histogram import RELATIVE_DIFFERENCE, LimitHistogram
@@ -73,6 +79,25 @@ def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot)
         assert histogram.plot_widget.backgroundBrush().color().name() == colors.base
         assert pane.view.backgroundBrush().color().name() == colors.base
         assert message.palette().color(QPalette.ColorRole.WindowText).name() == colors.error
+
+
+@pytest.mark.parametrize(
+    ("rule", "allowed"),
+    [
+        (r"(?:set\w*Spacing|addSpacing|setContentsMargins)\(([-\d, ]+)\)", lambda text: not int(text) % GRID),
+        (r"setPointSizeF?\((.+)\)", lambda text: "_TEXT_SIZES" in text or "text_font" in text),
+    ],
+    ids=["spacings lie on the grid", "three sizes of text"],
+)
+def test_the_sources_keep_to(rule: str, allowed: Callable[[str], bool]) -> None:
+    found = [
+        (path.name, value)
+        for folder in (tactune.app, tactune.widgets)
+        for path in Path(folder.__path__[0]).rglob("*.py")
+        for values in re.findall(rule, path.read_text())
+        for value in (values.split(",") if "Spacing" in rule else [values])
+    ]
+    assert found and not [pair for pair in found if not allowed(pair[1])]
 
 
 def test_system_resolves_to_a_theme(qapp: QApplication) -> None:

@@ -164,7 +164,7 @@ class CollapsibleSection(QFrame):
         header.setAutoFillBackground(True)
         header.setBackgroundRole(QPalette.ColorRole.AlternateBase)
         self._header_layout = QHBoxLayout(header)
-        self._header_layout.setContentsMargins(2, 1, 4, 1)
+        self._header_layout.setContentsMargins(4, 0, 4, 0)
         self._header_layout.setSpacing(4)
         self._header_layout.addWidget(self.button, 1)
         self.body = QWidget()

@@ -313,7 +313,7 @@ class ImagePane(QWidget):
 
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(1)
+        layout.setSpacing(0)
         layout.addWidget(self.header)
         layout.addWidget(self.view, 1)
 

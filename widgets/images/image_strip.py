@@ -109,14 +109,14 @@ class ImageStrip(QWidget):
         self.setAccessibleName("Images of the current frame")
 
         row = QHBoxLayout()
-        row.setSpacing(6)
+        row.setSpacing(8)
         for name, pane in self.panes.items():
             row.addWidget(pane, 1)
             pane.set_message(_EMPTY[name])
             self._connect_pane(name, pane)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(4, 2, 4, 2)
-        layout.setSpacing(2)
+        layout.setContentsMargins(4, 4, 4, 4)
+        layout.setSpacing(4)
         layout.addLayout(row, 1)
         layout.addWidget(self.readout)
         self.banner = _Banner(self)

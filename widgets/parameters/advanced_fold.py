@@ -32,7 +32,7 @@ class AdvancedFold(QWidget):
         self.grid.setContentsMargins(0, 0, 0, 0)
         layout = QVBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
-        layout.setSpacing(2)
+        layout.setSpacing(4)
         layout.addWidget(self.button)
         layout.addWidget(self._body)
         self.set_open(False)

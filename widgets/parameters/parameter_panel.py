@@ -120,7 +120,7 @@ class ParameterPanel(QScrollArea):
         content = QWidget()
         column = QVBoxLayout(content)
         column.setContentsMargins(4, 4, 4, 4)
-        column.setSpacing(6)
+        column.setSpacing(8)
         if suggestible:
             column.addLayout(self._make_suggest_all())
         for name, title in SECTIONS:
@@ -278,9 +278,9 @@ class ParameterPanel(QScrollArea):
     def _make_section(self, name: str, title: str) -> CollapsibleSection:
         section = CollapsibleSection(title)
         grid = QGridLayout(section.body)
-        grid.setContentsMargins(6, 4, 4, 4)
-        grid.setHorizontalSpacing(5)
-        grid.setVerticalSpacing(3)
+        grid.setContentsMargins(8, 4, 4, 4)
+        grid.setHorizontalSpacing(4)
+        grid.setVerticalSpacing(4)
         grid.setColumnStretch(1, 1)
         for spec in fields_of(name):
             self._add_row(ParameterRow(spec, section), section, grid)
@@ -347,7 +347,7 @@ class ParameterPanel(QScrollArea):
 
     def _make_suggest_all(self) -> QHBoxLayout:
         row = QHBoxLayout()
-        row.setContentsMargins(2, 0, 4, 0)
+        row.setContentsMargins(4, 0, 4, 0)
         title = QLabel("Parameters")
         title.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         row.addWidget(title, 1)

@@ -55,8 +55,8 @@ class ErrorCurvePlot(QWidget):
         self.readout = QLabel()
         self.readout.setWordWrap(True)
         layout = QVBoxLayout(self)
-        layout.setContentsMargins(3, 3, 3, 3)  # room for the frame of the keyboard's focus
-        layout.setSpacing(2)
+        layout.setContentsMargins(4, 4, 4, 4)  # room for the frame of the keyboard's focus
+        layout.setSpacing(4)
         layout.addWidget(self.plot)
         layout.addWidget(self.readout)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)

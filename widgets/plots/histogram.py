@@ -101,7 +101,7 @@ class LimitHistogram(QWidget):
         plot.hideButtons()
         plot.hideAxis("left")
         plot.setMouseEnabled(x=False, y=False)
-        plot.setContentsMargins(0, 2, 0, 0)
+        plot.setContentsMargins(0, 4, 0, 0)
         plot.getAxis("bottom").setHeight(18)
         self._outside = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
         self._inside = pg.PlotCurveItem([0.0, 1.0], [0.0], stepMode="center", fillLevel=0)
