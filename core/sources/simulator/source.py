@@ -1,4 +1,4 @@
-"""The simulator as a source of frames, and the cache of solved scenes on disk.
+"""The simulator as a source of frames, the cache of solved scenes on disk, and the solved scene of the package.
 
 A cache file is a zip of PNG images. Its name contains a hash of everything that the images depend on, their code
 included. The errors of the cameras are added later, so their code is not. A damaged or unreadable file counts as
@@ -16,7 +16,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Final, get_args
+from typing import Any, Final, get_args
 from weakref import WeakValueDictionary
 
 import cv2
@@ -49,6 +49,10 @@ MAX_CACHE_BYTES: Final = 4_000_000_000
 #: Files of this folder on which the clean images depend beyond `Scene.key`.
 CLEAN_CODE: Final = ("grid_strain.py", "membrane.py", "mesh.py", "objects.py", "render.py", "scene.py", "sheet.py")
 
+#: Folder of the solved scenes in the package; ``scripts/ship_scene.py`` writes them.
+SHIPPED: Final = Path(__file__).with_name("solved")
+_LOSSLESS: Final = (cv2.IMWRITE_WEBP_QUALITY, 101)
+
 _NAMES = tuple(field.name for field in fields(CleanState))
 
 #: Open scenes of this process, shared because each takes some 200 MB.
@@ -66,8 +70,9 @@ class SolvedScene:
 class SimulatorSource(SeekableSource):
     """A simulated sensor, pressed by an object as the scene says; usually it approaches, presses, holds and leaves.
 
-    The clean images of a scene are computed once (some ten seconds) and cached in the user's cache folder; noise is
-    added frame by frame. A frame depends on scene, sensor, seed, noise and its index only.
+    The clean images of a scene are computed once (some ten seconds) and cached in the user's cache folder; those of the
+    default scene come with the package. Noise is added frame by frame. A frame depends on scene, sensor, seed, noise
+    and its index only.
 
     Parameters
     ----------
@@ -164,10 +169,10 @@ class SimulatorSource(SeekableSource):
         return np.asarray(cv2.LUT(image, self._light[None]), dtype=np.uint8)
 
     def _solve(self, scene: Scene, progress: Progress) -> SolvedScene:
-        """Return the scene from the cache, or compute and cache it."""
+        """Return the scene from the package or the cache, or compute and cache it."""
         path = cache_file(scene.name, f"{scene.key} {self.rig.model_dump_json()}")
         progress(0.0, f"Looking for the {_title(scene)} scene in the cache")
-        solved = _open_scenes.get(path) or load_scene(path, len(scene.drawn))
+        solved = _open_scenes.get(path) or find_solved(path, len(scene.drawn))
         if solved is None:
             solved = self._compute(scene, progress)
             try:
@@ -177,6 +182,10 @@ class SimulatorSource(SeekableSource):
         _open_scenes[path] = solved
         progress(1.0, f"The {_title(scene)} scene is ready")
         return solved
+
+    def solve_anew(self, progress: Progress) -> SolvedScene:
+        """Return the states of the scene, computed without looking for a file, and keep no file."""
+        return self._compute(self.scene, progress)
 
     def _press(self, scene: Scene) -> Press:
         """Return the press that is solved and drawn."""
@@ -227,6 +236,11 @@ def cache_file(scene: str, key: str) -> Path:
     return Path(user_cache_dir("tactune")) / "simulator" / f"{scene}-{digest.hexdigest()[:16]}.zip"
 
 
+def find_solved(path: Path, count: int) -> SolvedScene | None:
+    """Return the ``count`` states of a cache file from the package or from the cache; None if neither has them."""
+    return load_shipped(SHIPPED / path.name, count) or load_scene(path, count)
+
+
 def load_scene(path: Path, count: int) -> SolvedScene | None:
     """Return ``count`` states from a file, or None where the file is missing or damaged."""
     try:
@@ -259,6 +273,44 @@ def save_scene(path: Path, scene: SolvedScene) -> None:
             for name, data in images.items():
                 archive.writestr(f"{n}/{name}.png", data)
     _clean_up(path)
+
+
+def save_shipped(path: Path, scene: SolvedScene) -> None:
+    """Write a scene as the package holds it: lossless, a third of a cache file's size, but slow to write.
+
+    Images of one channel are kept as differences between successive states, byte by byte, compressed with LZMA; colour
+    images as WebP.
+    """
+    images = {name: np.stack([getattr(state, name) for state in scene.states]) for name in _NAMES}
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
+        archive.writestr("facts.json", json.dumps([asdict(entry) for entry in scene.facts]))
+        for name, stack in images.items():
+            if stack.ndim == 4:
+                for n, image in enumerate(stack):
+                    archive.writestr(f"{n}/{name}.webp", cv2.imencode(".webp", image, _LOSSLESS)[1].tobytes())
+            else:
+                changes = stack.copy()
+                changes[1:] -= stack[:-1]
+                low_and_high = np.moveaxis(changes[..., None].view(np.uint8), -1, 0)
+                archive.writestr(f"{name}.changes", low_and_high.tobytes(), zipfile.ZIP_LZMA)
+
+
+def load_shipped(path: Path, count: int) -> SolvedScene | None:
+    """Return ``count`` states from a file of `save_shipped`; None if the package has none for this code."""
+    if not path.exists():
+        return None
+    images: dict[str, Any] = {}
+    with zipfile.ZipFile(path) as archive:
+        facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]
+        for name in ("proximity_color", "tactile_color"):
+            packed = [np.frombuffer(archive.read(f"{n}/{name}.webp"), np.uint8) for n in range(count)]
+            images[name] = [np.asarray(cv2.imdecode(data, cv2.IMREAD_COLOR), np.uint8) for data in packed]
+        shape = count, *images["tactile_color"][0].shape[:2]
+        for name in set(_NAMES) - set(images):
+            low_and_high = np.frombuffer(archive.read(f"{name}.changes"), np.uint8).reshape(-1, *shape)
+            counts = np.ascontiguousarray(np.moveaxis(low_and_high, 0, -1)).view(f"<u{len(low_and_high)}")[..., 0]
+            images[name] = np.cumsum(counts, axis=0, dtype=counts.dtype)
+    return SolvedScene([CleanState(**{name: images[name][n] for name in _NAMES}) for n in range(count)], facts)
 
 
 def _clean_up(path: Path) -> None:

@@ -240,10 +240,10 @@ def test_bad_options_are_refused(options):
 
 
 def clean_states(simulator):
-    """The states from which a simulator draws its frames, read from its file in the cache."""
+    """The states from which a simulator draws its frames, read from its file."""
     scene = simulator.scene
     path = source.cache_file(scene.name, f"{scene.key} {simulator.rig.model_dump_json()}")
-    return load_scene(path, len(scene.drawn)).states
+    return source.find_solved(path, len(scene.drawn)).states
 
 
 def fake_scene(count):
@@ -337,6 +337,12 @@ def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monk
     assert len(computed) == 2
     assert "disk full" in without.health().message
     assert without.read(5).truth.contact.dtype == bool
+
+
+def test_the_default_scene_comes_with_the_package(cup, tmp_path, monkeypatch):
+    """If it does not: run scripts/ship_scene.py."""
+    monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path))
+    assert len(clean_states(cup)) == len(cup.scene.drawn)
 
 
 def test_truth_is_the_solver_s_and_unaffected_by_noise(cup, exact):

@@ -1,0 +1,18 @@
+"""The solved scene in the package is what the solver gives."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tactune.core.sources.simulator.source import SHIPPED, SimulatorSource, load_shipped
+
+
+def test_the_shipped_scene_is_the_solver_s():
+    (path,) = SHIPPED.glob("*.zip")
+    simulator = SimulatorSource()
+    solved = simulator.solve_anew(lambda share, words: None)
+    shipped = load_shipped(path, len(solved.states))
+    assert shipped.facts == solved.facts
+    for ours, theirs in zip(shipped.states, solved.states, strict=True):
+        for name, image in theirs.arrays().items():
+            assert np.array_equal(getattr(ours, name), image), name
