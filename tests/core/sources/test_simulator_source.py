@@ -339,10 +339,11 @@ def test_a_scene_is_computed_once_and_survives_a_cache_that_fails(tmp_path, monk
     assert without.read(5).truth.contact.dtype == bool
 
 
-def test_the_default_scene_comes_with_the_package(cup, tmp_path, monkeypatch):
+def test_the_default_scene_comes_with_the_package(tmp_path, monkeypatch):
     """If it does not: run scripts/ship_scene.py."""
+    simulator = SimulatorSource()
     monkeypatch.setattr(source, "user_cache_dir", lambda name: str(tmp_path))
-    assert len(clean_states(cup)) == len(cup.scene.drawn)
+    assert len(clean_states(simulator)) == len(simulator.scene.drawn)
 
 
 def test_truth_is_the_solver_s_and_unaffected_by_noise(cup, exact):
