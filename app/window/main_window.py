@@ -47,6 +47,7 @@ from .actions import THEMES, make_actions, make_menus
 from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
 from .computer_window import ComputerWindow
+from .contact_list import ContactList
 from .enlarged import Enlarged
 from .eyedropper import Eyedropper
 from .files import FileFlows
@@ -66,7 +67,7 @@ _OPENING = "Preparing the first frame…"
 _NO_SOURCE = "No source is open: open one (Ctrl+O), or drop a recording here"
 #: The actions whose state is remembered between starts.
 _TOGGLES = ("watch_drift", "show_time", "show_strip", "show_panel", "show_proximity", "show_tactile", "show_patch")
-_COLLAPSED_AT_FIRST = "range,region"
+_COLLAPSED_AT_FIRST = "range,region,contacts"
 
 
 class MainWindow(QMainWindow):
@@ -189,6 +190,7 @@ class MainWindow(QMainWindow):
         return AnalysisLauncher(self.context, actions.play, [actions.capture_untouched, *playback])
 
     def _lay_out(self) -> None:
+        self.contacts = ContactList(self.context, self.panel, self.strip)
         bar = self.menuBar()
         assert bar is not None
         self.menus = make_menus(bar, self.actions_, list(self.analysis.actions.values()))
@@ -284,6 +286,7 @@ class MainWindow(QMainWindow):
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.maskViewChanged.connect(self._send_wanted)
         self.eyedropper.started.connect(self._show_color_image)
+        self.contacts.section.collapsedChanged.connect(self._send_wanted)
         for path in self.panel.histograms:
             self.panel.sections[path.partition(".")[0]].collapsedChanged.connect(self._send_wanted)
 
@@ -448,6 +451,7 @@ class MainWindow(QMainWindow):
                 histograms=self.panel.open_histograms() if panel else frozenset(),
                 dark=theme_name() == "dark",
                 patch_difference=self.comparison.shows_difference,
+                contacts=panel and not self.contacts.section.collapsed,
             )
         )
 

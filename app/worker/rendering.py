@@ -233,6 +233,7 @@ class Renderer:
             accepted=scene.accepted,
             no_contact=no_contact,
             no_contact_action=no_contact_action,
+            contacts=(patch.contacts if patch else ()) if wanted.contacts else None,
         )
 
     def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:

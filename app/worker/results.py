@@ -15,6 +15,7 @@ from ...core.errors import PresetError, SourceError
 from ...core.evaluation.metrics import PatchOverlap
 from ...core.model.arrays import Float64Array, Int64Array
 from ...core.model.frames import Rig, SensorFrame
+from ...core.model.patch import Contact
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.rig.untouched import FoundUntouched, find_untouched, kept_untouched
@@ -113,7 +114,7 @@ class Wanted:
 
     ``strip_width`` is the width of one image of the strip on the screen in pixels; 0 draws all pixels.
     ``histograms`` are the fields whose histograms are open; that of the contact test's own field is counted.
-    ``patch_difference`` draws the difference of two compared patches.
+    ``patch_difference`` draws the difference of two compared patches, ``contacts`` lists the patch's connected parts.
     """
 
     clouds: frozenset[CloudName] = frozenset(CloudName)
@@ -124,6 +125,7 @@ class Wanted:
     histograms: frozenset[str] = frozenset({"tolerance.t", "membrane.gap_m"})
     dark: bool = False
     patch_difference: bool = False
+    contacts: bool = False
 
     def while_running(self) -> Wanted:
         """Return what is drawn while frames play: the strip a little coarser."""
@@ -147,7 +149,7 @@ class Rendered:
     proximity camera's axis, ``tactile_range_m`` those along the tactile camera's axis. ``verdicts`` are the
     `Provenance` values that occur, if points are coloured by them. ``accepted`` is the relative difference up to which
     the contact test treats depths as equal. ``no_contact`` says why a visible patch is empty or what it waits for,
-    ``no_contact_action`` names the window's action that may help.
+    ``no_contact_action`` names the window's action that may help. ``contacts`` are the patch's connected parts.
     """
 
     clouds: dict[CloudName, DepthCloud | None] = field(default_factory=dict)
@@ -161,6 +163,7 @@ class Rendered:
     accepted: float = 0.0
     no_contact: str = ""
     no_contact_action: str = ""
+    contacts: tuple[Contact, ...] | None = None
 
 
 @dataclass(frozen=True)

@@ -84,6 +84,25 @@ class Candidates:
 NO_CANDIDATES: Final = Candidates(np.empty(0, np.intp), np.empty((0, 3), np.float32))
 
 
+@dataclass(frozen=True)
+class Contact:
+    """One connected part of a patch.
+
+    Attributes
+    ----------
+    area_mm2 : float
+        Projected on the plane across the optical axis.
+    centroid_m : (float, float, float)
+        Mean of its points, metres, proximity depth frame.
+    pixel : (int, int)
+        Column and row of its point nearest to the centroid.
+    """
+
+    area_mm2: float
+    centroid_m: tuple[float, float, float]
+    pixel: tuple[int, int]
+
+
 @dataclass(frozen=True, eq=False)
 class MembraneFacts:
     """What the membrane test measured in a frame besides contact.
@@ -216,6 +235,26 @@ class ContactPatch:
     def area_mm2(self) -> float:
         """Area of the patch, projected on the plane across the optical axis."""
         return float(pixel_areas_m2(self.points[:, 2], self.rig.proximity.intrinsics).sum() * 1e6)
+
+    @cached_property
+    def contacts(self) -> tuple[Contact, ...]:
+        """The 8-connected parts of the patch, the largest first."""
+        import cv2
+
+        count, image = cv2.connectedComponents(self.mask.view(np.uint8), connectivity=8)
+        labels = image[self.mask] - 1
+        areas_mm2 = 1e6 * pixel_areas_m2(self.points[:, 2], self.rig.proximity.intrinsics)
+        total_mm2, size = (np.bincount(labels, weights, count - 1) for weights in (areas_mm2, None))
+        sums = np.stack([np.bincount(labels, self.points[:, axis], count - 1) for axis in range(3)], axis=1)
+        centroids = sums / size[:, None]
+        away = ((self.points - centroids[labels]) ** 2).sum(axis=1)
+        nearest = np.lexsort((away, labels))[np.cumsum(size) - size]
+        v, u = (rows[nearest] for rows in np.nonzero(self.mask))
+        return tuple(
+            Contact(float(total_mm2[i]), (float(x), float(y), float(z)), (int(u[i]), int(v[i])))
+            for i in np.argsort(-total_mm2, kind="stable")
+            for x, y, z in [centroids[i]]
+        )
 
     @cached_property
     def centroid_m(self) -> tuple[float, float, float] | None:

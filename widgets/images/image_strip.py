@@ -208,7 +208,7 @@ class ImageStrip(QWidget):
             start = self._pixel if self._pixel != (-1, -1) else (self._size[0] // 2, self._size[1] // 2)
             moved = zip(start, ARROW_KEYS[key], self._size, strict=True)
             u, v = (min(max(at + length * step, 0), extent - 1) for at, step, extent in moved)
-            self._point_at(u, v)
+            self.point_at(u, v)
         elif key in (Qt.Key.Key_Return, Qt.Key.Key_Enter) and self._pixel != (-1, -1):
             self.clicked.emit("color", *self._pixel, event.modifiers())
         elif key in ZOOM_KEYS:
@@ -229,7 +229,7 @@ class ImageStrip(QWidget):
     # --- inside ------------------------------------------------------------------------------------------------
 
     def _connect_pane(self, name: str, pane: ImagePane) -> None:
-        pane.hovered.connect(self._point_at)
+        pane.hovered.connect(self.point_at)
         pane.clicked.connect(lambda u, v, modifiers: self.clicked.emit(name, u, v, modifiers))
         pane.viewChanged.connect(lambda rect: self._follow(pane, rect))
         pane.viewMoved.connect(self._view_moved)
@@ -237,7 +237,8 @@ class ImageStrip(QWidget):
         pane.wipeDragged.connect(self.wipeDragged)
         self.regions[name].edited.connect(lambda rectangle, gesture: self._region_edited(name, rectangle, gesture))
 
-    def _point_at(self, u: int, v: int) -> None:
+    def point_at(self, u: int, v: int) -> None:
+        """Put the crosshair on a pixel; -1, -1 hides it."""
         if (u, v) == self._pixel:
             return
         self._pixel = (u, v)

@@ -130,6 +130,7 @@ class ParameterPanel(QScrollArea):
                 section.add_header_widget(self._make_suggest(name, "Suggest", tip), before=self.section_resets[name])
             self.sections[name] = section
             column.addWidget(section)
+        self._column = column
         column.addStretch(1)
         align_columns(self.rows.values())
         self._order_tabs()
@@ -237,6 +238,11 @@ class ParameterPanel(QScrollArea):
         if share is not None:
             swatch = QColor(*MASKED_RGB).name()
             self.masked_share.setText(f'<font color="{swatch}">■</font> {100 * share:.1f} % of the image masked')
+
+    def add_section(self, name: str, section: CollapsibleSection) -> None:
+        """Append a section that edits no preset field; its fold is remembered with the others."""
+        self.sections[name] = section
+        self._column.insertWidget(self._column.count() - 1, section)
 
     def collapsed_sections(self) -> list[str]:
         """Return which sections are folded, to be remembered."""

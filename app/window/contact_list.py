@@ -1,0 +1,101 @@
+"""The list of contacts: the connected parts of the patch with area, place and depth."""
+
+from __future__ import annotations
+
+import time
+
+from PyQt6.QtCore import QObject, Qt
+from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout
+
+from ...core.model.patch import Contact
+from ...widgets.basics.controls import CollapsibleSection
+from ...widgets.images.image_strip import ImageStrip
+from ...widgets.parameters.parameter_panel import ParameterPanel
+from ..context import Context
+from .frame_presenter import READING_INTERVAL_S
+
+#: The number of contacts listed; smaller ones are only counted.
+LIMIT = 20
+_ROWS_SEEN = 5
+_COLUMNS = {
+    "Area, cm²": "Area across the optical axis in square centimetres",
+    "x, mm": "Centroid, to the right in the proximity camera's frame, in millimetres",
+    "y, mm": "Centroid, down in the proximity camera's frame, in millimetres",
+    "Depth, mm": "Centroid, mean distance from the proximity camera along its axis, in millimetres",
+}
+
+
+class ContactList(QObject):
+    """Fills a section of the panel with the contacts, the largest first; a folded one costs nothing.
+
+    The contact chosen in the table is marked in images and views, at its point nearest to the centroid.
+    """
+
+    def __init__(self, context: Context, panel: ParameterPanel, strip: ImageStrip) -> None:
+        super().__init__(context)
+        self._context, self._strip = context, strip
+        self._contacts: tuple[Contact, ...] = ()
+        self._listed_s = 0.0
+        self.section = CollapsibleSection("Contacts")
+        self.table = QTableWidget(0, len(_COLUMNS))
+        self.note = QLabel()
+        self.note.setWordWrap(True)
+        self._lay_out()
+        panel.add_section("contacts", self.section)
+        self.section.set_collapsed(True)
+        self.table.itemSelectionChanged.connect(self._mark)
+        context.frameShown.connect(self._show_frame)
+
+    def _lay_out(self) -> None:
+        table = self.table
+        table.setAccessibleName("Contacts")
+        table.setToolTip("Connected parts of the patch, the largest first. Choose one to mark it in images and views.")
+        table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
+        table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
+        table.setSelectionMode(QAbstractItemView.SelectionMode.SingleSelection)
+        table.setTabKeyNavigation(False)
+        for column, (title, tip) in enumerate(_COLUMNS.items()):
+            item = QTableWidgetItem(title)
+            item.setToolTip(tip)
+            table.setHorizontalHeaderItem(column, item)
+        rows, columns = table.verticalHeader(), table.horizontalHeader()
+        assert rows is not None and columns is not None
+        rows.hide()
+        height = table.fontMetrics().height() + 6
+        rows.setDefaultSectionSize(height)
+        columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
+        table.setFixedHeight(columns.sizeHint().height() + _ROWS_SEEN * height + 2 * table.frameWidth())
+        layout = QVBoxLayout(self.section.body)
+        layout.setContentsMargins(6, 4, 4, 4)
+        layout.addWidget(table)
+        layout.addWidget(self.note)
+
+    def _show_frame(self) -> None:
+        result = self._context.result
+        if result is None:
+            return
+        contacts, now_s = result.rendered.contacts, time.perf_counter()
+        if contacts is None or (result.playback.running and now_s - self._listed_s < READING_INTERVAL_S):
+            return
+        self._listed_s = now_s
+        if contacts is not self._contacts:
+            self._contacts = contacts
+            self._list()
+
+    def _list(self) -> None:
+        shown = self._contacts[:LIMIT]
+        self.table.setRowCount(len(shown))
+        for row, contact in enumerate(shown):
+            texts = (f"{contact.area_mm2 / 100:.2f}", *(f"{1e3 * value:.1f}" for value in contact.centroid_m))
+            for column, text in enumerate(texts):
+                item = QTableWidgetItem(text)
+                item.setTextAlignment(Qt.AlignmentFlag.AlignRight | Qt.AlignmentFlag.AlignVCenter)
+                self.table.setItem(row, column, item)
+        rest = len(self._contacts) - len(shown)
+        self.note.setText("No contact" if not shown else f"and {rest:,} smaller ones" if rest else "")
+        self.note.setVisible(bool(self.note.text()))
+
+    def _mark(self) -> None:
+        row = self.table.currentRow()
+        if self.table.selectedItems() and row < len(self._contacts):
+            self._strip.point_at(*self._contacts[row].pixel)
