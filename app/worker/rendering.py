@@ -194,6 +194,7 @@ class Renderer:
         self._rig: Rig | None = None
         self._ranges_m: dict[CameraRole, tuple[float, float]] = {}
         self._palettes = _new_palettes()
+        self._last_clouds: dict[CloudName, DepthCloud | None] = {}
 
     def render(
         self, frame: SensorFrame, patch: ContactPatch | None, preset: Preset, rig: Rig, wanted: Wanted
@@ -202,7 +203,7 @@ class Renderer:
         sample_m = membrane_sample_m(frame, preset, rig)
         scene = self._scene(frame, patch, preset, rig, wanted, sample_m)
         depth_range_m, tactile_range_m = scene.depth_range_m, scene.tactile_range_m or scene.depth_range_m
-        clouds = {name: _VIEWS[name](scene) for name in CloudName if name in wanted.clouds}
+        clouds = {name: self._shared(name, _VIEWS[name](scene)) for name in CloudName if name in wanted.clouds}
         for cloud in clouds.values():
             if cloud is not None:
                 _ = cloud.point_count  # counted on this thread, so the window does not have to
@@ -235,6 +236,14 @@ class Renderer:
             no_contact_action=no_contact_action,
             contacts=(patch.contacts if patch else ()) if wanted.contacts else None,
         )
+
+    def _shared(self, name: CloudName, cloud: DepthCloud | None) -> DepthCloud | None:
+        """Return the last cloud of a view instead of one that looks like it: two presets then share one picture."""
+        last = self._last_clouds.get(name)
+        if cloud is not None and last is not None and cloud.looks_like(last):
+            return last
+        self._last_clouds[name] = cloud
+        return cloud
 
     def widen_depth_range(self, frame: SensorFrame, preset: Preset, rig: Rig) -> None:
         """Take a preset's depths into the range of the colours, so that another preset's are drawn alike."""

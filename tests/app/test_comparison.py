@@ -9,9 +9,10 @@ from PyQt6.QtTest import QTest
 
 from hands import CONTROL, LEFT, drag_slider, show_source, shows_preset_of_document, tolerance_slider, type_path
 from tactune.app.document.comparison import Side
+from tactune.app.worker import processing
 from tactune.app.worker.playback import PlaybackState
 from tactune.app.worker.processing import FrameProcessor
-from tactune.app.worker.results import SourceInfo, Wanted
+from tactune.app.worker.results import CloudName, SourceInfo, Wanted
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.model.clouds import pixel_areas_m2
 from tactune.core.preset import Preset
@@ -65,6 +66,26 @@ def test_a_side_that_does_not_fit_the_rig_says_why_and_the_other_one_is_shown(pr
     assert compared.b.patch is None
     assert "32" in compared.b.problem
     assert compared.overlap is None
+
+
+def test_clouds_in_which_two_presets_do_not_differ_are_drawn_once(preset):
+    sides = Side("A", preset), Side("B", preset.with_value("alignment.depth_offset_m", 0.001))
+    compared = FrameProcessor().process(INFO, tiny_frame(3, RIG), preset, Wanted(), PlaybackState(), compared=sides)
+    a, b = compared.compared.a.rendered.clouds, compared.compared.b.rendered.clouds
+    assert a[CloudName.PROXIMITY] is b[CloudName.PROXIMITY]
+    assert a[CloudName.TACTILE] is not b[CloudName.TACTILE], "the offset moves it"
+    assert a[CloudName.PATCH] is not b[CloudName.PATCH]
+
+
+def test_histograms_are_counted_less_often_than_frames_run(preset, monkeypatch):
+    monkeypatch.setattr(processing, "HISTOGRAM_INTERVAL_S", 3600.0)
+    processor, running = FrameProcessor(), PlaybackState(playing=True)
+    frames = [tiny_frame(index, RIG) for index in range(3)]
+    counted = [processor.process(INFO, frame, preset, Wanted(), running).rendered.histogram for frame in frames]
+    assert counted[0] is not None
+    assert counted[1:] == [None, None]
+    paused = processor.process(INFO, frames[0], preset, Wanted(), PlaybackState(playing=False))
+    assert paused.rendered.histogram is not None, "a frame that stands still has its histogram"
 
 
 # The window

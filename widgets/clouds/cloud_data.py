@@ -89,6 +89,13 @@ class DepthCloud:
         near, far = self.depth_range_m
         return 1.0 / (far - near), -near / (far - near)
 
+    def looks_like(self, other: DepthCloud) -> bool:
+        """Whether both clouds share their arrays and have equal numbers, so that one picture shows both."""
+        shared = (getattr(self, name) is getattr(other, name) for name in ("depth", "rays", "lut", "index"))
+        numbers = ("depth_unit_m", "depth_scale", "depth_offset_m", "depth_range_m", "count")
+        equal = (getattr(self, name) == getattr(other, name) for name in numbers)
+        return all(shared) and all(equal) and bool((self.pose == other.pose).all())
+
     def drawn(self) -> BoolArray:
         """Return the pixels that appear as points: bool (H, W)."""
         lowest = max(1, int(np.floor(-self.depth_offset_m / self.metres_per_count)) + 1)
