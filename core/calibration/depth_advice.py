@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as t_distribution
 
 from ..errors import CalibrationError
-from ..model.arrays import Float64Array, IndexArray
 from ..model.frames import Rig
 from .rigid import DEPTH_FITS, DepthFit, RigidFit, RigidPoints, fit_rigid
 
-#: A correction counts if chance alone gives one as large only this often.
-_CHANCE = 0.001
-#: Regions of the tactile image, columns and rows, for the standard errors.
-_REGIONS = (3, 2)
+#: Standard errors from which a correction counts. One frame of the simulator gives up to 6 where there is none.
+MIN_CERTAINTY = 10.0
 #: Fewer pairs determine no correction.
 _MIN_PAIRS = 12
 DEPTH_WORDS: dict[DepthFit, str] = {
@@ -39,10 +35,9 @@ def advise_depth_fit(points: RigidPoints, rig: Rig) -> DepthAdvice:
 
     All are fitted to the same inliers with the same noise, those of the fit with most parameters:
     ``BIC = cost + P ln n`` for P parameters and n measurements. A correction is a candidate only if each of its values
-    differs from none beyond chance (Student's t). Neighbouring pairs share errors of the tactile depth, so the standard
-    errors are those of a delete-a-group jackknife over regions of the image (Shao and Tu, *The Jackknife and
-    Bootstrap*, 1995, section 2.3), or those of the fit where they are larger. The rig's stated baseline has no say,
-    since a stated pose may be that of a drawing; without it, only proximity depths at contact determine a scale.
+    is `MIN_CERTAINTY` standard errors from none: neighbouring pairs share errors of the tactile depth, which the
+    standard errors do not contain. The rig's stated baseline has no say, since a stated pose may be that of a drawing;
+    without it, only proximity depths at contact determine a scale.
 
     Parameters
     ----------
@@ -56,59 +51,35 @@ def advise_depth_fit(points: RigidPoints, rig: Rig) -> DepthAdvice:
         kinds = DEPTH_FITS if np.isfinite(points.proximity_depth_m).any() else DEPTH_FITS[:2]
         full = fit_rigid(points, unstated, depth_fit=kinds[-1])
         fits = {kind: fit_rigid(points, unstated, depth_fit=kind, like=full) for kind in kinds}
-        sigmas = {kind: _sigmas(points, unstated, kind, full) for kind in kinds}
     except CalibrationError as error:
         return DepthAdvice("none", f"No correction of the tactile depth is recommended: {error}.")
     count = full.problem.measurements.keep(full.used).count
     bic = {kind: fit.fit.solution.cost + fit.parameters * np.log(count) for kind, fit in fits.items()}
-    limit = t_distribution.ppf(1 - _CHANCE / 2, np.prod(_REGIONS) - 1)
-    certain = [kind for kind in kinds if (np.abs(_corrections(fits[kind])) >= limit * sigmas[kind]).all()]
-    best = min(certain, key=lambda kind: bic[kind])
+    best = min((kind for kind in kinds if _certainty(fits[kind]) >= MIN_CERTAINTY), key=lambda kind: bic[kind])
     if best == "none":
         return DepthAdvice(
             best,
-            "No correction of the tactile depth is recommended: an offset would be "
-            f"{_values(fits['offset'], sigmas['offset'])}, which may be chance.",
+            f"No correction of the tactile depth is recommended: an offset would be {_values(fits['offset'])}, and "
+            f"{MIN_CERTAINTY:.0f} times are needed.",
         )
     return DepthAdvice(
         best,
-        f"Recommended correction of the tactile depth: {DEPTH_WORDS[best]}, {_values(fits[best], sigmas[best])}. "
-        f"This is beyond chance; the information criterion BIC is lower by {bic['none'] - bic[best]:.0f} than without.",
+        f"Recommended correction of the tactile depth: {DEPTH_WORDS[best]}, {_values(fits[best])}. "
+        f"The information criterion BIC is lower by {bic['none'] - bic[best]:.0f} than without.",
     )
 
 
-def _corrections(fit: RigidFit) -> Float64Array:
-    """Return how far scale (no unit) and offset (m) are from none, shape (2,)."""
-    return np.array([fit.pose.scale - 1.0, fit.pose.offset_m])
+def _certainty(fit: RigidFit) -> float:
+    """Return how many standard errors the fitted corrections are from none, the smaller number; infinite for none."""
+    corrections = zip((fit.pose.scale - 1.0, fit.pose.offset_m), fit.depth_sigma, strict=True)
+    return min((abs(value) / sigma for value, sigma in corrections if sigma is not None), default=np.inf)
 
 
-def _sigmas(points: RigidPoints, rig: Rig, kind: DepthFit, like: RigidFit) -> Float64Array:
-    """Return the standard errors of scale and offset, shape (2,): the jackknife's, or the fit's if larger."""
-    region = _regions(points.tactile)
-    left_out = [
-        _corrections(fit_rigid(points, rig, depth_fit=kind, like=replace(like, used=like.used & (region != number))))
-        for number in range(region.max() + 1)
-    ]
-    jackknife = np.sqrt((len(left_out) - 1) * np.var(left_out, axis=0))
-    of_fit = [sigma or 0.0 for sigma in fit_rigid(points, rig, depth_fit=kind, like=like).depth_sigma]
-    return np.asarray(np.maximum(jackknife, of_fit))
-
-
-def _regions(tactile: Float64Array) -> IndexArray:
-    """Return the region (N,) of each tactile pixel (N, 2): columns with equally many pairs, each cut into rows."""
-    columns, rows = _REGIONS
-    region = np.zeros(len(tactile), np.intp)
-    for column, among in enumerate(np.array_split(np.argsort(tactile[:, 0]), columns)):
-        for row, pairs in enumerate(np.array_split(among[np.argsort(tactile[among, 1])], rows)):
-            region[pairs] = column * rows + row
-    return region
-
-
-def _values(fit: RigidFit, sigma: Float64Array) -> str:
-    """Return the fitted corrections with their standard errors, in words."""
+def _values(fit: RigidFit) -> str:
+    """Return the fitted corrections in words, with the certainty of the less certain one."""
     words = []
     if 0 in fit.problem.free:
-        words.append(f"× {fit.pose.scale:.4f} ± {sigma[0]:.4f}")
+        words.append(f"× {fit.pose.scale:.4f}")
     if 1 in fit.problem.free:
-        words.append(f"{1e3 * fit.pose.offset_m:+.1f} ± {1e3 * sigma[1]:.1f} mm")
-    return ", ".join(words)
+        words.append(f"{1e3 * fit.pose.offset_m:+.1f} mm")
+    return f"{', '.join(words)} ({_certainty(fit):.0f} times its standard error)"

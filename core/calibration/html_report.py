@@ -21,7 +21,7 @@ from .report import NUMBERS, CalibrationReport, PairQuality, shown
 
 #: Residual arrows are drawn this much longer than they are.
 ARROW_FACTOR = 10
-_USED_RGB, _EXCLUDED_RGB, _ARROW_RGB = (64, 196, 255), (255, 92, 80), (255, 255, 255)
+USED_RGB, _EXCLUDED_RGB, _ARROW_RGB = (64, 196, 255), (255, 92, 80), (255, 255, 255)
 _BLANK = 40
 _CELL_PX = 80
 _PAGE = Template("""<!DOCTYPE html>
@@ -115,7 +115,7 @@ def residual_pictures(report: CalibrationReport, frame: SensorFrame | None) -> d
         right = frame.tactile_color.copy()
     for pair in pairs:
         fit = fits[pair.id]
-        color = _USED_RGB if fit.used else _EXCLUDED_RGB
+        color = USED_RGB if fit.used else _EXCLUDED_RGB
         _ring(right, pair.tactile, color)
         if pair.proximity_image == kind:
             _ring(left, pair.proximity, color)

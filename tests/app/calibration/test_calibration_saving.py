@@ -9,6 +9,7 @@ from PyQt6.QtTest import QTest
 from hands import answer_question, press, type_path
 from html_pages import HtmlPage
 from pairs import with_pairs
+from tactune.core.calibration.html_report import USED_RGB
 from tactune.core.sources.presets import load_preset
 
 LEFT = Qt.MouseButton.LeftButton
@@ -116,6 +117,8 @@ def test_the_quality_report_holds_numbers_and_pictures(open_wizard, scene, frame
     assert len(page.images) == 5
     seen = next(image for title, image in page.images.items() if title.startswith("Tactile camera"))
     assert np.abs(seen[..., ::-1].astype(int) - frames[1.0].tactile_color).mean() < 10, "drawn over the snapshot"
+    ringed = np.abs(seen[..., ::-1].astype(int) - USED_RGB).sum(axis=2) < 60
+    assert ringed.sum() > 5 * len(report.pairs)
 
     wizard.export_report(tmp_path)
     qtbot.waitUntil(lambda: "no ordinary file" in wizard.messages.message("file").sentence)
