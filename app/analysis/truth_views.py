@@ -14,8 +14,8 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...widgets.basics.colormaps import CONTACT_COLOR, CONTACT_RGB, CONTACT_ROW, Legend, Theme, palette_theme, patch_lut
 from ...widgets.basics.controls import ElidedLabel, push_button
 from ...widgets.clouds.cloud_data import DepthCloud, free_cloud
-from ...widgets.clouds.cloud_view import BackendChoice
-from ...widgets.clouds.pick_view import PickView, Spot, as_place
+from ...widgets.clouds.cloud_view import BackendChoice, as_place
+from ...widgets.clouds.pick_view import PickView, Spot
 from ...widgets.clouds.pose_handles import PoseHandles
 from ...widgets.images.marks import MarkKind
 from .truth_flow import TruthFlow

@@ -48,7 +48,6 @@ from .comparison_control import ComparisonControl
 from .comparison_panel import ComparisonPanel
 from .computer_window import ComputerWindow
 from .contact_list import ContactList
-from .enlarged import Enlarged
 from .eyedropper import Eyedropper
 from .files import FileFlows
 from .findings import FindingsControl
@@ -56,10 +55,12 @@ from .first_steps import FirstSteps, FirstStepsCard
 from .frame_presenter import FramePresenter
 from .help import open_guide, show_about, show_shortcuts
 from .history_window import HistoryWindow
+from .pointing import Pointing
 from .recording import RecordingBar, RecordingControl
 from .status import FrameStatus, OpeningBar
 from .toolbar import ToolBar, Transport
 from .view_area import StripSplitter, ViewArea
+from .view_parts import ViewParts
 
 DEFAULT_SIZE = (1280, 800)
 
@@ -197,7 +198,8 @@ class MainWindow(QMainWindow):
         self.toolbar = ToolBar(self.actions_, self.menus, self.transport)
         self.addToolBar(self.toolbar)
         self.left = StripSplitter(self.views, self.strip)
-        self.enlarged = Enlarged(self.views, self.strip, self.actions_)
+        self.pointing = Pointing(self.context, self.views, self.strip)
+        self.parts = ViewParts(self.views, self.strip, self.pointing, self.actions_)
         self.across = QSplitter(Qt.Orientation.Horizontal)
         self.across.addWidget(self.left)
         self.beside = QSplitter(Qt.Orientation.Vertical)
@@ -282,6 +284,9 @@ class MainWindow(QMainWindow):
         self.comparison.runningChanged.connect(self._show_comparison)
         self.views.wipeDragged.connect(self.comparison.move_wipe)
         self.strip.wipeDragged.connect(self.comparison.move_wipe)
+        self.parts.copied.connect(
+            lambda name: self.messages.show_message("copied", Severity.INFO, f"{name}: a picture is on the clipboard.")
+        )
         self.strip.widthHintChanged.connect(self._send_wanted)
         self.strip.regionEdited.connect(partial(self.document.edit, "region.rectangle"))
         self.panel.maskViewChanged.connect(self._send_wanted)
@@ -526,7 +531,7 @@ class MainWindow(QMainWindow):
         self.set_theme(cast(ThemeChoice, theme if theme in THEMES else "system"), remember=False)
 
     def _remember_layout(self) -> None:
-        self.enlarged.back()
+        self.parts.back()
         settings = self.settings
         settings.set("window/geometry", self.saveGeometry())
         settings.set("window/across", self.across.saveState())
@@ -543,9 +548,10 @@ class MainWindow(QMainWindow):
     # Events
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Space plays or pauses; Esc dismisses the newest message, else goes back or ends a comparison."""
+        """Space plays or pauses; Esc dismisses a message, clears a distance, goes back or ends a comparison."""
         if event is not None and event.key() == Qt.Key.Key_Escape:
-            if not self.messages.dismiss_newest() and not self.enlarged.back():
+            undo = (self.messages.dismiss_newest, self.pointing.clear_distance, self.parts.back)
+            if not any(step() for step in undo):
                 self.context.comparison.end()
             return
         if event is not None and event.key() == Qt.Key.Key_Space and not event.isAutoRepeat():

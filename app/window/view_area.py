@@ -7,13 +7,12 @@ from collections.abc import Mapping
 from functools import lru_cache
 
 import numpy as np
-from PyQt6.QtCore import QByteArray, QPoint, QSignalBlocker, Qt, pyqtSignal
+from PyQt6.QtCore import QByteArray, QSignalBlocker, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QResizeEvent
 from PyQt6.QtWidgets import (
     QComboBox,
     QHBoxLayout,
     QLabel,
-    QMenu,
     QSlider,
     QSplitter,
     QToolButton,
@@ -155,7 +154,6 @@ class ViewArea(QWidget):
             self.splitter.addWidget(view)
             view.wipeDragged.connect(self.wipeDragged)
             view.set_focus_finder(self._focus)
-            view.menuRequested.connect(self._show_menu)
         self.splitter.splitterMoved.connect(self._fit_legends)
         self.color_by = QComboBox()
         self.color_by.setAccessibleName("Colour by")
@@ -237,18 +235,6 @@ class ViewArea(QWidget):
         points = patch_points(None if self._result is None else self._result.patch)
         if len(points):
             self._any_view().zoom_to(points, _PATCH_FILL)
-
-    def _show_menu(self, at: QPoint) -> None:
-        """Show the context menu of a view."""
-        menu = QMenu(self)
-        menu.setAttribute(Qt.WidgetAttribute.WA_DeleteOnClose)
-        menu.setToolTipsVisible(True)
-        actions = self._actions
-        menu.addActions([actions.reset_view, actions.front_view, actions.top_view, actions.side_view])
-        menu.addAction(actions.zoom_to_patch)
-        menu.addSeparator()
-        menu.addAction(actions.copy_view)
-        menu.popup(at)
 
     def set_wipe(self, wipe: Wipe | None) -> None:
         """Divide every view between two compared presets; the view of their difference stays whole."""

@@ -72,7 +72,7 @@ def tactile_use(frame: SensorFrame, patch: ContactPatch, section: AlignmentSecti
     """
     used = np.zeros(frame.tactile_depth.shape, np.uint8)
     try:
-        model = _alignment(section, rig)
+        model = alignment_model(section, rig)
     except TactuneError:
         return used
     verdicts = patch.provenance.reshape(-1)
@@ -90,7 +90,8 @@ def tactile_use(frame: SensorFrame, patch: ContactPatch, section: AlignmentSecti
 
 
 @lru_cache(maxsize=2)
-def _alignment(section: AlignmentSection, rig: Rig) -> AlignmentModel:
+def alignment_model(section: AlignmentSection, rig: Rig) -> AlignmentModel:
+    """Return `make_alignment`, remembered."""
     return make_alignment(section, rig)
 
 

@@ -1,4 +1,4 @@
-"""What a person does in the views: framing, enlarging, and going back, by real mouse and key events."""
+"""What a person does in the views: framing, enlarging, pointing, measuring, copying, by real mouse and key events."""
 
 from __future__ import annotations
 
@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtGui import QContextMenuEvent
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QToolButton, QWidget
+from PyQt6.QtWidgets import QApplication, QMenu, QToolButton, QWidget
 
-from hands import show_source
+from hands import image_position, show_source
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker.results import CloudName
+from tactune.widgets.clouds.inspect_view import distance_text
 from tiny_sensor import TinySource, tiny_frame
 
 LEFT = Qt.MouseButton.LeftButton
@@ -144,3 +146,123 @@ def test_going_back_keeps_hidden_what_the_person_hid(window, qtbot):
     qtbot.waitUntil(window.views.views[PROXIMITY].isVisible)
     assert not window.views.views[TACTILE].isVisible()
     assert not window.strip.isVisible()
+
+
+# Pointing, measuring, copying
+
+
+def on_canvas(window, name, place):
+    """Where a place is seen in a view, in pixels of its canvas."""
+    shown = canvas(window, name)
+    u, v, _ = window.views.views[name].camera().project([place], shown.width(), shown.height())[0]
+    return QPoint(int(u), int(v))
+
+
+def place_of(window, name, u, v):
+    """The point of a pixel in the cloud of a view."""
+    cloud = window.views.views[name].cloud()
+    return cloud.places(np.array([v * cloud.depth.shape[1] + u]))[0]
+
+
+def hover(window, name, at, shown):
+    """Move the mouse to a place until the condition holds; a window that just opened may get late leave events."""
+    QTest.mouseMove(canvas(window, name), at + QPoint(0, 1))
+    QTest.mouseMove(canvas(window, name), at)
+    return shown()
+
+
+@pytest.mark.parametrize("name", [PROXIMITY, TACTILE, PATCH])
+def test_a_point_under_the_mouse_marks_its_pixel_in_the_images_and_its_points_in_the_views(window, qtbot, name):
+    QTest.keyClick(window, Qt.Key.Key_V)
+    u, v = 33, 22
+    at = on_canvas(window, name, place_of(window, name, u, v))
+    qtbot.waitUntil(lambda: hover(window, name, at, lambda: window.strip.readout.text().startswith(f"({u}, {v})")))
+    assert all(pane.cross.isVisible() for pane in window.strip.panes.values())
+    for other, view in window.views.views.items():
+        np.testing.assert_allclose(view.mark(), place_of(window, other, u, v), atol=2e-3)
+    marks = [view.mark for view in window.views.views.values()]
+    qtbot.waitUntil(lambda: hover(window, name, QPoint(3, 3), lambda: {mark() for mark in marks} == {None}))
+    assert window.strip.readout.text() == ""
+
+
+def test_a_pixel_in_an_image_marks_its_points_in_the_views(window, qtbot):
+    QTest.mouseMove(window.strip.panes["color"].view.viewport(), QPoint(5, 5))
+    at = image_position(window.strip.panes["color"], 30, 20).toPoint()
+    QTest.mouseMove(window.strip.panes["color"].view.viewport(), at)
+    for name, view in window.views.views.items():
+        qtbot.waitUntil(lambda view=view: view.mark() is not None)
+        np.testing.assert_allclose(view.mark(), place_of(window, name, 30, 20), atol=1e-6)
+    before = canvas(window, PATCH).grab().toImage()
+    QTest.keyClick(window.strip, Qt.Key.Key_Right)
+    np.testing.assert_allclose(
+        window.views.views[PATCH].mark(), place_of(window, PATCH, 31, 20), atol=1e-6, err_msg="keys point, too"
+    )
+    assert canvas(window, PATCH).grab().toImage() != before, "the mark is painted"
+
+
+def shift_click(window, name, place):
+    QTest.mouseClick(canvas(window, name), LEFT, Qt.KeyboardModifier.ShiftModifier, on_canvas(window, name, place))
+
+
+def test_two_clicks_with_shift_measure_the_distance_and_escape_clears_it(window):
+    QTest.keyClick(window, Qt.Key.Key_V)
+    camera = window.views.views[PATCH].camera()
+    start, end = place_of(window, PROXIMITY, 33, 24), place_of(window, PROXIMITY, 50, 24)
+    bare = canvas(window, PATCH).grab().toImage()
+    shift_click(window, PROXIMITY, start)
+    shift_click(window, PROXIMITY, end)
+    assert window.views.views[PATCH].camera() == camera, "a click is not a drag"
+    for view in window.views.views.values():
+        np.testing.assert_allclose(view.ends(), [start, end], atol=1e-6)
+    assert canvas(window, PATCH).grab().toImage() != bare, "every view shows it"
+    QTest.keyClick(window, Qt.Key.Key_Escape)
+    assert {view.ends() for view in window.views.views.values()} == {()}
+    shift_click(window, PROXIMITY, start)
+    shift_click(window, PROXIMITY, end)
+    shift_click(window, TACTILE, place_of(window, TACTILE, 20, 20))
+    assert len(window.views.views[PATCH].ends()) == 1, "the third click begins another distance"
+
+
+def test_the_text_of_a_distance():
+    assert distance_text((0.0, 0.0, 0.3), (0.003, 0.004, 0.288)) == "13.0 mm (dz −12.0 mm)"
+
+
+@pytest.mark.parametrize("way", ["keys", "menu"])
+def test_a_view_is_copied_as_it_is_shown_with_its_legend(window, qtbot, way):
+    view = window.views.views[TACTILE]
+    QApplication.clipboard().clear()
+    if way == "keys":
+        view.setFocus()
+        QTest.keyClick(window, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
+    else:
+        choose_in_menu(qtbot, view, "Copy as picture")
+    copied = QApplication.clipboard().image()
+    assert copied.size() == view.size()
+    assert copied == view.grab().toImage().convertToFormat(copied.format())
+    assert "Tactile: a picture is on the clipboard." in window.messages.sentences()
+
+
+def choose_in_menu(qtbot, view, words, at=None):
+    """Open the context menu of a view by the right button and choose an entry by keys."""
+    target = view.findChild(QWidget, "canvas")
+    at = at or target.rect().center()
+    QApplication.sendEvent(target, QContextMenuEvent(QContextMenuEvent.Reason.Mouse, at, target.mapToGlobal(at)))
+    qtbot.waitUntil(lambda: isinstance(QApplication.activePopupWidget(), QMenu))
+    menu = QApplication.activePopupWidget()
+    entry = next(entry for entry in menu.actions() if entry.text().startswith(words))
+    QTest.mouseClick(menu, LEFT, pos=menu.actionGeometry(entry).center())
+
+
+def test_the_menu_measures_and_enlarges(window, qtbot):
+    QTest.keyClick(window, Qt.Key.Key_V)
+    view = window.views.views[PROXIMITY]
+    start, end = place_of(window, PROXIMITY, 33, 24), place_of(window, PROXIMITY, 50, 24)
+    choose_in_menu(qtbot, view, "Measure from here", on_canvas(window, PROXIMITY, start))
+    choose_in_menu(qtbot, view, "Measure to here", on_canvas(window, PROXIMITY, end))
+    np.testing.assert_allclose(view.ends(), [start, end], atol=1e-6)
+    choose_in_menu(qtbot, view, "Clear distance")
+    assert view.ends() == ()
+    choose_in_menu(qtbot, view, "Enlarge")
+    assert not window.views.views[PATCH].isVisible()
+    choose_in_menu(qtbot, view, "Back")
+    assert window.views.views[PATCH].isVisible()

@@ -10,7 +10,7 @@ import cv2
 import numpy as np
 
 from ...core.errors import FrameError
-from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, Uint8Array, Uint16Array
+from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array, Uint16Array
 
 #: The largest raw count that is a depth.
 HIGHEST_COUNT = 65534
@@ -116,6 +116,30 @@ class DepthCloud:
         share = np.clip(depth * np.float32(a) + np.float32(b), np.float32(0), np.float32(1))
         rows: Uint8Array = (share * np.float32(255) + np.float32(0.5)).astype(np.uint8)
         return rows
+
+    def near(self, pixel_matrix: Float64Array, at: tuple[float, float], reach: float) -> IndexArray:
+        """Return the flat pixels of the points drawn within ``reach`` of a place of the view, across and down.
+
+        ``pixel_matrix`` (3, 4) takes points of the view's frame to its pixels; see `ViewCamera.pixel_matrix`.
+        """
+        across, down, away = (pixel_matrix @ self.pose).astype(np.float32)
+        z = self.depth * np.float32(self.metres_per_count) + np.float32(self.depth_offset_m)
+        x, y = self.rays[..., 0], self.rays[..., 1]
+
+        def along(row: Float32Array) -> Float32Array:
+            return np.asarray(z * (row[0] * x + row[1] * y + row[2]) + row[3])
+
+        u, v = (along(row - np.float32(place) * away) for row, place in zip((across, down), at, strict=True))
+        within = np.maximum(np.abs(u), np.abs(v)) <= np.float32(reach) * along(away)
+        pixels = np.flatnonzero(within)
+        return np.asarray(pixels[self.drawn().reshape(-1)[pixels]])
+
+    def places(self, pixels: IndexArray) -> Float64Array:
+        """Return where flat pixels lie in the frame of the view: float64 (N, 3), metres."""
+        depth = self.depth.reshape(-1)[pixels] * self.metres_per_count + self.depth_offset_m
+        rays = self.rays.reshape(-1, 2)[pixels].astype(np.float64)
+        in_camera = np.column_stack([rays * depth[:, None], depth])
+        return np.asarray(in_camera @ self.pose[:3, :3].T + self.pose[:3, 3])
 
     def points(self, step: int = 1) -> Float64Array:
         """Deproject the drawn pixels of every ``step``-th row and column.

@@ -7,6 +7,7 @@ from math import pi, radians
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 from PyQt6.QtCore import QEvent, QPointF, QSize, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import (
     QColor,
@@ -30,6 +31,14 @@ from .view_camera import VIEWPOINTS, ViewCamera, Viewpoint
 
 BackendChoice = Literal["auto", "opengl", "software"]
 
+Place = tuple[float, float, float]
+
+#: Distance in pixels within which a point is picked.
+PICK_PX = 10.0
+#: Distance in pixels within which a point counts as under the cursor; points are drawn as squares.
+_UNDER_PX = 1.5
+#: Distance in pixels between press and release up to which they are a click.
+CLICK_PX = 4.0
 _ORBIT_STEP = radians(5.0)
 _ZOOM_STEP = 1.15
 _RING = 2
@@ -77,6 +86,9 @@ class CloudView(QWidget):
     <b>double click</b> to reset.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side.</p>"""
 
+    #: Whether the view follows the mouse while no button is pressed.
+    FOLLOWS_MOUSE = False
+
     #: The camera moved (user, call or linked view); carries the `ViewCamera`.
     cameraChanged = pyqtSignal(object)
     #: The wipe was dragged; carries the share of the width left of it.
@@ -109,6 +121,8 @@ class CloudView(QWidget):
         self._offer.hide()
         self._offer.clicked.connect(self.offerPressed)
         self._lay_out()
+        for widget in (self, self._canvas):
+            widget.setMouseTracking(self.FOLLOWS_MOUSE)
         self.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         self.setAccessibleName(f"3D view: {title}")
         self._show_count()
@@ -155,7 +169,7 @@ class CloudView(QWidget):
         if wipe is None:
             self._scene.right, self._right_message = None, ""
         for widget in (self, self._canvas):
-            widget.setMouseTracking(wipe is not None)
+            widget.setMouseTracking(self.FOLLOWS_MOUSE or wipe is not None)
         self._show_count()
         self._canvas.update()
 
@@ -315,6 +329,29 @@ class CloudView(QWidget):
             self._canvas.update()
             self.cameraChanged.emit(camera)
 
+    def pick(self, at: QPointF, pixels: int | None = None) -> tuple[int, Place] | None:
+        """Return the flat pixel and the place of the point that is seen at a position of the canvas, or None.
+
+        That is the point nearest to the eye among those drawn there, or else the nearest beside it. ``pixels`` allows
+        only the first pixels of the cloud.
+        """
+        width, height = max(1, self._canvas.width()), max(1, self._canvas.height())
+        wipe = self._scene.wipe
+        right = wipe is not None and at.x() >= wipe.column(width)
+        cloud = self._scene.right if right else self._scene.cloud
+        if cloud is None:
+            return None
+        found = cloud.near(self.camera().pixel_matrix(width, height), (at.x(), at.y()), PICK_PX)
+        found = found if pixels is None else found[found < pixels]
+        if not len(found):
+            return None
+        points = cloud.places(found)
+        seen = self.camera().project(points, width, height)
+        off = np.abs(seen[:, :2] - (at.x(), at.y())).max(axis=1)
+        under = np.flatnonzero(off <= max(float(off.min()), _UNDER_PX))
+        chosen = under[np.argmin(seen[under, 2])]
+        return int(found[chosen]), as_place(points[chosen])
+
     # Back ends
 
     def _choose_canvas(self, backend: BackendChoice) -> QWidget:
@@ -350,7 +387,7 @@ class CloudView(QWidget):
         broken = self._canvas
         self._canvas = self._software_canvas(f"Software view: {reason}")
         self._canvas.setObjectName("canvas")
-        self._canvas.setMouseTracking(self._scene.wipe is not None)
+        self._canvas.setMouseTracking(self.hasMouseTracking())
         self._body.replaceWidget(broken, self._canvas)
         broken.setObjectName("")
         broken.hide()
@@ -479,6 +516,12 @@ class CloudView(QWidget):
         grown = self._canvas.geometry().toRectF().adjusted(-width / 2, -width / 2, width / 2, width / 2)
         painter.drawRect(grown)
         painter.end()
+
+
+def as_place(point: npt.ArrayLike) -> Place:
+    """Return a point as a plain tuple."""
+    x, y, z = (float(value) for value in np.asarray(point))
+    return x, y, z
 
 
 def link_cameras(views: Sequence[CloudView]) -> None:

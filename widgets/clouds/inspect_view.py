@@ -1,31 +1,112 @@
-"""A 3D view for looking closely: it can be enlarged, and has a context menu."""
+"""A 3D view for looking closely: points under the mouse, a distance, and requests to enlarge and for a menu."""
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QPoint, Qt, pyqtSignal
-from PyQt6.QtGui import QContextMenuEvent, QMouseEvent
+from math import dist
 
-from .cloud_view import CloudView
+from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer, pyqtSignal
+from PyQt6.QtGui import QColor, QContextMenuEvent, QMouseEvent, QPainter, QPen
+from PyQt6.QtWidgets import QWidget
+
+from .cloud_view import CLICK_PX, BackendChoice, CloudView, Place
+
+#: Milliseconds between searches for the point under the moving mouse.
+_HOVER_MS = 30
+_RADIUS, _END = 6.0, 2.5
+_LINE, _CASING, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 170), QColor(0, 0, 0, 190)
 
 
 class InspectView(CloudView):
-    """A `CloudView` that reports double clicks and asks for a context menu.
+    """A `CloudView` that shows a mark and a measured distance and reports what a person does with its points.
 
     Signals
     -------
+    pointHovered(found: (int, Place) or None)
+        The flat pixel and the place in metres of the point under the mouse; None beside all points.
+    endChosen(place: Place)
+        A point was clicked with Shift: an end of a distance.
     enlargeRequested()
         The view was double-clicked.
-    menuRequested(at: QPoint)
-        A context menu is wanted at this place on the screen.
+    menuRequested(at: QPoint, place: Place or None)
+        A context menu is wanted at this place on the screen, over the point at ``place``.
     """
 
     HELP = """<p><b>Drag</b> to orbit, <b>Shift + drag</b> or middle button to pan, <b>wheel</b> to zoom,
-    <b>double click</b> to enlarge, <b>right click</b> for more.</p>
+    <b>double click</b> to enlarge, <b>Shift + click</b> on two points to measure their distance, <b>right click</b> for
+    more.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side,
     <b>Z</b> zoom to the patch.</p>"""
+    FOLLOWS_MOUSE = True
 
+    pointHovered = pyqtSignal(object)
+    endChosen = pyqtSignal(object)
     enlargeRequested = pyqtSignal()
-    menuRequested = pyqtSignal(QPoint)
+    menuRequested = pyqtSignal(object, object)
+
+    def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
+        super().__init__(title, backend, parent)
+        self._mark: Place | None = None
+        self._ends: tuple[Place, ...] = ()
+        self._pressed: QPointF | None = None
+        self._mouse = QPointF()
+        self._hover = QTimer(self)
+        self._hover.setSingleShot(True)
+        self._hover.setInterval(_HOVER_MS)
+        self._hover.timeout.connect(lambda: self.pointHovered.emit(self.pick(self._mouse)))
+        self._scene.ornament = self._paint_ornament
+
+    def set_mark(self, mark: Place | None) -> None:
+        """Mark a place of the view's frame, metres, or none."""
+        if mark != self._mark:
+            self._mark = mark
+            self._canvas.update()
+
+    def mark(self) -> Place | None:
+        """Return the marked place."""
+        return self._mark
+
+    def set_ends(self, ends: tuple[Place, ...]) -> None:
+        """Show no, one or both ends of a distance, and with both the distance."""
+        if ends != self._ends:
+            self._ends = ends
+            self._canvas.update()
+
+    def ends(self) -> tuple[Place, ...]:
+        """Return the ends of the distance."""
+        return self._ends
+
+    # Events
+
+    def mousePressEvent(self, event: QMouseEvent | None) -> None:
+        """Note where a click may begin."""
+        self._pressed = None if event is None else event.position()
+        super().mousePressEvent(event)
+
+    def mouseMoveEvent(self, event: QMouseEvent | None) -> None:
+        """Look for the point under the mouse while no button is pressed."""
+        super().mouseMoveEvent(event)
+        if event is not None and event.buttons() == Qt.MouseButton.NoButton:
+            self._mouse = self._canvas.mapFrom(self, event.position())
+            if not self._hover.isActive():
+                self._hover.start()
+
+    def mouseReleaseEvent(self, event: QMouseEvent | None) -> None:
+        """Choose an end of a distance by a click with Shift."""
+        super().mouseReleaseEvent(event)
+        if event is None or self._pressed is None or event.button() != Qt.MouseButton.LeftButton:
+            return
+        still = (event.position() - self._pressed).manhattanLength() <= CLICK_PX
+        self._pressed = None
+        if still and event.modifiers() & Qt.KeyboardModifier.ShiftModifier:
+            found = self.pick(self._canvas.mapFrom(self, event.position()))
+            if found is not None:
+                self.endChosen.emit(found[1])
+
+    def leaveEvent(self, event: QEvent | None) -> None:
+        """Point at nothing."""
+        super().leaveEvent(event)
+        self._hover.stop()
+        self.pointHovered.emit(None)
 
     def mouseDoubleClickEvent(self, event: QMouseEvent | None) -> None:
         """Ask to be enlarged."""
@@ -35,4 +116,54 @@ class InspectView(CloudView):
     def contextMenuEvent(self, event: QContextMenuEvent | None) -> None:
         """Ask for a menu."""
         if event is not None:
-            self.menuRequested.emit(event.globalPos())
+            found = self.pick(self._canvas.mapFrom(self, event.pos()).toPointF())
+            self.menuRequested.emit(event.globalPos(), None if found is None else found[1])
+
+    # Painting
+
+    def _paint_ornament(self, painter: QPainter, canvas: QWidget) -> None:
+        size = max(1, canvas.width()), max(1, canvas.height())
+        if self._mark is not None:
+            self._paint_ring(painter, self._on_screen([self._mark], size))
+        self._paint_distance(painter, self._on_screen(list(self._ends), size))
+
+    def _on_screen(self, places: list[Place], size: tuple[int, int]) -> list[QPointF]:
+        """Return where places are seen; empty unless all are before the eye."""
+        if not places:
+            return []
+        seen = self.camera().project(places, *size)
+        return [QPointF(float(u), float(v)) for u, v, _ in seen] if (seen[:, 2] > 0).all() else []
+
+    @staticmethod
+    def _paint_ring(painter: QPainter, at: list[QPointF]) -> None:
+        painter.setBrush(Qt.BrushStyle.NoBrush)
+        for place in at:
+            for color, width in ((_CASING, 4.0), (_LINE, 2.0)):
+                painter.setPen(QPen(color, width))
+                painter.drawEllipse(place, _RADIUS, _RADIUS)
+
+    def _paint_distance(self, painter: QPainter, at: list[QPointF]) -> None:
+        for color, width in ((_CASING, 4.0), (_LINE, 2.0)):
+            painter.setPen(QPen(color, width))
+            painter.setBrush(color)
+            if len(at) == 2:
+                painter.drawLine(*at)
+            for place in at:
+                painter.drawEllipse(place, _END, _END)
+        if len(at) < 2:
+            return
+        text = distance_text(*self._ends)
+        metrics = painter.fontMetrics()
+        plate = QRectF(0.0, 0.0, metrics.horizontalAdvance(text) + 10.0, metrics.height() + 4.0)
+        plate.moveCenter((at[0] + at[1]) / 2 + QPointF(0.0, -plate.height()))
+        plate.moveLeft(min(max(plate.left(), 2.0), max(2.0, self._canvas.width() - plate.width() - 2.0)))
+        painter.setPen(Qt.PenStyle.NoPen)
+        painter.setBrush(_PLATE)
+        painter.drawRoundedRect(plate, 3.0, 3.0)
+        painter.setPen(_LINE)
+        painter.drawText(plate, int(Qt.AlignmentFlag.AlignCenter), text)
+
+
+def distance_text(start: Place, end: Place) -> str:
+    """Return the distance between two places, and its part along the proximity camera's axis."""
+    return f"{1e3 * dist(start, end):.1f} mm (dz {1e3 * (end[2] - start[2]):+.1f} mm)".replace("-", "−")

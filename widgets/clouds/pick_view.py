@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from math import radians
 from typing import Final
 
-import numpy as np
-import numpy.typing as npt
 from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
 from PyQt6.QtGui import QColor, QFont, QKeyEvent, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
@@ -17,14 +15,9 @@ from ..basics.colormaps import palette_theme
 from ..basics.gestures import GestureClock
 from ..images.marks import COLORS, MarkKind
 from .cloud_scene import AXIS_COLORS
-from .cloud_view import BackendChoice, CloudView
+from .cloud_view import CLICK_PX, BackendChoice, CloudView
 from .pose_handles import Handle, PoseHandles, moving, turning
 
-#: How far, in pixels, a point may lie from the cursor to be taken, and a press from its release to be a click.
-PICK_PX: Final = 10.0
-_CLICK_PX = 4.0
-#: Distance in pixels within which a point counts as under the cursor; points are drawn as squares.
-_UNDER_PX = 1.5
 #: Step of one key press: metres and radians.
 STEP_M: Final = 0.0005
 STEP_RAD: Final = radians(0.5)
@@ -76,6 +69,8 @@ class PickView(CloudView):
     by 0.5 mm, with <b>Shift</b> they turn by 0.5°.</p>
     <p>Keys: <b>arrows</b> orbit, <b>+ −</b> zoom, <b>R</b> reset, <b>V</b> front, <b>T</b> top, <b>S</b> side.</p>"""
 
+    FOLLOWS_MOUSE = True
+
     pointClicked = pyqtSignal(int, object)
     missed = pyqtSignal()
     nudged = pyqtSignal(object, int)
@@ -93,8 +88,6 @@ class PickView(CloudView):
         self._clock = GestureClock()
         self._pickable: int | None = None
         self._scene.ornament = self._paint_ornament
-        self.setMouseTracking(True)
-        self._canvas.setMouseTracking(True)
 
     def set_spots(self, spots: Sequence[Spot]) -> None:
         """Replace the marks."""
@@ -118,29 +111,6 @@ class PickView(CloudView):
     def set_pickable(self, pixels: int | None) -> None:
         """Restrict clicks to the first ``pixels`` pixels of the cloud; None: all."""
         self._pickable = pixels
-
-    def pick(self, at: QPointF) -> tuple[int, tuple[float, float, float]] | None:
-        """Return the flat pixel index and position of the point visible at a canvas position, or None."""
-        cloud = self.cloud()
-        if cloud is None:
-            return None
-        pixels, points = np.flatnonzero(cloud.drawn()), cloud.points()
-        if self._pickable is not None:
-            allowed = pixels < self._pickable
-            pixels, points = pixels[allowed], points[allowed]
-        places = self.camera().project(points, *self._size())
-        off = np.abs(places[:, :2] - (at.x(), at.y())).max(axis=1)
-        off[places[:, 2] <= 0] = np.inf
-        nearest = float(off.min(initial=np.inf))
-        if nearest > PICK_PX:
-            return None
-        under = np.flatnonzero(off <= max(nearest, _UNDER_PX))
-        chosen = under[np.argmin(places[under, 2])]
-        return int(pixels[chosen]), as_place(points[chosen])
-
-    def _fall_back(self, reason: str) -> None:
-        super()._fall_back(reason)
-        self._canvas.setMouseTracking(True)
 
     # Mouse
 
@@ -168,7 +138,7 @@ class PickView(CloudView):
             return
         if self._nudging and self._handles is not None:
             self._nudge_to(self._on_canvas(event))
-        elif self._pressed is not None and (event.position() - self._pressed).manhattanLength() <= _CLICK_PX:
+        elif self._pressed is not None and (event.position() - self._pressed).manhattanLength() <= CLICK_PX:
             return
         else:
             self._pressed = None
@@ -193,7 +163,7 @@ class PickView(CloudView):
         self.mousePressEvent(event)
 
     def _click(self, at: QPointF) -> None:
-        found = self.pick(at)
+        found = self.pick(at, self._pickable)
         if found is None:
             self.missed.emit()
         else:
@@ -284,9 +254,3 @@ def _paint_spot(painter: QPainter, spot: Spot, at: QPointF) -> None:
     painter.drawRoundedRect(plate, 4.0, 4.0)
     painter.setPen(COLORS[spot.kind])
     painter.drawText(plate, int(Qt.AlignmentFlag.AlignCenter), spot.label)
-
-
-def as_place(point: npt.ArrayLike) -> tuple[float, float, float]:
-    """Return a point as a plain tuple."""
-    x, y, z = (float(value) for value in np.asarray(point))
-    return x, y, z

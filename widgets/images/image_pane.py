@@ -270,6 +270,8 @@ class ImagePane(QWidget):
         The pixel under the mouse; -1, -1 outside the image.
     clicked(u: int, v: int, modifiers: Qt.KeyboardModifier)
     doubleClicked()
+    menuRequested(at: QPoint)
+        The right button was clicked at this place on the screen.
     viewChanged(rect: QRectF)
         Zoomed or panned, in image coordinates.
     viewMoved()
@@ -282,6 +284,7 @@ class ImagePane(QWidget):
     hovered = pyqtSignal(int, int)
     clicked = pyqtSignal(int, int, object)
     doubleClicked = pyqtSignal()
+    menuRequested = pyqtSignal(object)
     viewChanged = pyqtSignal(object)
     viewMoved = pyqtSignal()
     resized = pyqtSignal()
@@ -422,3 +425,5 @@ class ImagePane(QWidget):
         pixel = self._pixel_at(event.scenePos())
         if event.button() == Qt.MouseButton.LeftButton and not event.double() and pixel != (-1, -1):
             self.clicked.emit(*pixel, event.modifiers())
+        elif event.button() == Qt.MouseButton.RightButton:
+            self.menuRequested.emit(event.screenPos().toPoint())
