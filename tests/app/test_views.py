@@ -42,6 +42,12 @@ def canvas(window: MainWindow, name: CloudName) -> QWidget:
     return found
 
 
+def double_click(widget):
+    """Double-click in the middle of a widget; QTest leaves the button pressed."""
+    QTest.mouseDClick(widget, LEFT)
+    QTest.mouseRelease(widget, LEFT)
+
+
 def extent(window, name, points):
     """Left, top, right and bottom of points in a view, as shares of its size."""
     size = canvas(window, name).width(), canvas(window, name).height()
@@ -110,7 +116,7 @@ def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, q
     target = canvas(window, PATCH) if name == "patch" else pane.view.viewport()
     part = window.views.views[PATCH] if name == "patch" else pane
     width = part.width()
-    QTest.mouseDClick(target, LEFT, pos=QPoint(60, 60))
+    double_click(target)
     qtbot.waitUntil(lambda: part.width() > 2.5 * width)
     others = [*window.views.views.values(), *window.strip.panes.values()]
     assert [other for other in others if other.isVisible()] == [part]
@@ -122,7 +128,7 @@ def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, q
     assert set(drawn.clouds) == ({PATCH} if name == "patch" else set())
     assert (drawn.strip is None) == (name == "patch")
     if back == "double click":
-        QTest.mouseDClick(target, LEFT, pos=QPoint(60, 60))
+        double_click(target)
     elif back == "escape":
         QTest.keyClick(window, Qt.Key.Key_Escape)
     else:
@@ -133,16 +139,16 @@ def test_a_double_click_enlarges_a_view_or_image_and_another_goes_back(window, q
 
 def test_an_enlarged_image_is_drawn_finer(window, qtbot):
     hint = window.strip.width_hint()
-    QTest.mouseDClick(window.strip.panes["tactile"].view.viewport(), LEFT, pos=QPoint(60, 60))
+    double_click(window.strip.panes["tactile"].view.viewport())
     qtbot.waitUntil(lambda: window.strip.width_hint() > 1.5 * hint)
 
 
 def test_going_back_keeps_hidden_what_the_person_hid(window, qtbot):
     window.actions_.show_tactile.trigger()
     window.actions_.show_strip.trigger()
-    QTest.mouseDClick(canvas(window, PATCH), LEFT)
+    double_click(canvas(window, PATCH))
     assert not window.views.views[PROXIMITY].isVisible()
-    QTest.mouseDClick(canvas(window, PATCH), LEFT)
+    double_click(canvas(window, PATCH))
     qtbot.waitUntil(window.views.views[PROXIMITY].isVisible)
     assert not window.views.views[TACTILE].isVisible()
     assert not window.strip.isVisible()
@@ -232,7 +238,7 @@ def test_a_view_is_copied_as_it_is_shown_with_its_legend(window, qtbot, way):
     view = window.views.views[TACTILE]
     QApplication.clipboard().clear()
     if way == "keys":
-        view.setFocus()
+        qtbot.waitUntil(lambda: hover(window, TACTILE, QPoint(40, 40), view.underMouse))
         QTest.keyClick(window, Qt.Key.Key_C, Qt.KeyboardModifier.ControlModifier | Qt.KeyboardModifier.ShiftModifier)
     else:
         choose_in_menu(qtbot, view, "Copy as picture")
