@@ -462,8 +462,8 @@ class MainWindow(QMainWindow):
 
     def _show_color_image(self) -> None:
         """Bring up the colour image, which a click is wanted in."""
-        if self.enlarged.shown is not self.strip.panes["color"]:
-            self.enlarged.back()
+        if self.parts.shown is not self.strip.panes["color"]:
+            self.parts.back()
         self.actions_.show_strip.setChecked(True)
 
     def _show_comparison(self, running: bool) -> None:
