@@ -18,6 +18,7 @@ from ..core.model.files import atomic_path
 from ..core.preset import Preset
 from ..core.sources.presets import load_preset
 from ..widgets.basics.icons import app_icon
+from ..widgets.basics.style import use_style
 from ..widgets.basics.theme import ThemeChoice
 from .settings import Settings, default_data_folder, default_settings_file
 from .window.main_window import MainWindow
@@ -141,6 +142,7 @@ def make_application() -> QApplication:
     application.setApplicationDisplayName("Tactune")
     application.setDesktopFileName("tactune")
     application.setWindowIcon(app_icon())
+    use_style(application)
     return application
 
 

@@ -66,7 +66,7 @@ class ContactList(QObject):
         columns.setSectionResizeMode(QHeaderView.ResizeMode.Stretch)
         table.setFixedHeight(columns.sizeHint().height() + _ROWS_SEEN * height + 2 * table.frameWidth())
         layout = QVBoxLayout(self.section.body)
-        layout.setContentsMargins(6, 4, 4, 4)
+        layout.setContentsMargins(8, 4, 4, 4)
         layout.addWidget(table)
         layout.addWidget(self.note)
 

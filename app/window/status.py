@@ -145,6 +145,7 @@ class FrameStatus(QStatusBar):
         self.addWidget(self._source, 1)
         self.findings = QPushButton()
         self.findings.setFlat(True)
+        self.findings.setIcon(icon("alert-outline", "warning"))
         self.findings.setToolTip("What is wrong with this frame or preset, and what mends it (Ctrl+F)")
         self.findings.hide()
         self.addPermanentWidget(self.findings)
@@ -165,7 +166,7 @@ class FrameStatus(QStatusBar):
 
     def show_findings(self, count: int) -> None:
         """Show the number of findings; the button is hidden while there is none."""
-        self.findings.setText(f"⚠ {count} finding{'s' if count > 1 else ''}")
+        self.findings.setText(f"{count} finding{'s' if count > 1 else ''}")
         self.findings.setVisible(count > 0)
 
     def show_state(self, state: SourceState) -> None:

@@ -85,7 +85,7 @@ def test_the_finding_beside_its_control_is_mended_by_one_click(window, qtbot):
 
 
 def test_the_list_says_evidence_and_mends(window, qtbot):
-    assert window.status.findings.text() == "⚠ 1 finding"
+    assert window.status.findings.text() == "1 finding"
     QTest.mouseClick(window.status.findings, LEFT)
     shown = findings_window()
     assert "The proximity camera reads +12.0 mm" in text_of(shown)

@@ -23,6 +23,7 @@ from PyQt6.QtWidgets import (
     QStyleOptionComplex,
     QStyleOptionSlider,
     QStyleOptionSpinBox,
+    QToolButton,
     QWidget,
 )
 
@@ -54,6 +55,13 @@ _METRICS: Final = {
 }
 
 
+def use_style(app: QApplication) -> None:
+    """Draw all controls as `ControlStyle` does; before the first widget is made, so that none is styled twice."""
+    if app.findChild(FocusRing) is None:
+        app.setStyle(ControlStyle())
+        FocusRing(app)
+
+
 def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
     """Apply a theme to the whole application and return the resolved one.
 
@@ -70,9 +78,7 @@ def apply_theme(app: QApplication, choice: ThemeChoice) -> ThemeName:
         hints.colorSchemeChanged.connect(lambda _: _follow_desktop(app))
     colors = set_theme(name)
     pg.setConfigOptions(background=colors.base, foreground=colors.text)
-    if app.findChild(FocusRing) is None:
-        app.setStyle(ControlStyle())
-        FocusRing(app)
+    use_style(app)
     app.setPalette(make_palette(colors))
     return name
 
@@ -158,7 +164,7 @@ class ControlStyle(QProxyStyle):
         if option is None or painter is None:
             return
         match element:
-            case _Control.CE_PushButtonLabel if _accented(widget):
+            case _Control.CE_PushButtonLabel | _Control.CE_ToolButtonLabel if _accented(widget):
                 option.palette.setColor(QPalette.ColorRole.ButtonText, QColor(theme_colors().on_accent))
                 super().drawControl(element, option, painter, widget)
             case _Control.CE_ToolBar:
@@ -307,6 +313,8 @@ def _rounded(painter: QPainter, rect: QRect, fill: QColor, outline: QColor, radi
 
 def _accented(widget: QWidget | None) -> bool:
     """Tell whether this is the button that Enter presses, or a checked one."""
+    if isinstance(widget, QToolButton):
+        return widget.isEnabled() and widget.isChecked() and not widget.autoRaise()
     return isinstance(widget, QPushButton) and widget.isEnabled() and (widget.isDefault() or widget.isChecked())
 
 

@@ -29,6 +29,7 @@ from ..basics.colormaps import MASKED_RGB
 from ..basics.controls import CollapsibleSection
 from ..basics.fields import FieldSpec, field_spec, section_fields
 from ..basics.gestures import new_gesture
+from ..basics.icons import icon
 from ..images.strip_render import MaskView
 from ..plots.histogram import GAP, RELATIVE_DIFFERENCE, LimitHistogram
 from .advanced_fold import AdvancedFold
@@ -301,7 +302,7 @@ class ParameterPanel(QScrollArea):
                 grid.addWidget(bar, line, 1, 1, COLUMNS - 1)
             grid.addWidget(self.masked_share, grid.rowCount(), 1, 1, COLUMNS - 1)
         reset = QToolButton()
-        reset.setText("↺")
+        reset.setIcon(icon("restore"))
         reset.setAutoRaise(True)
         reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
         reset.setAccessibleName(f"Reset section {title.lower()}")

@@ -11,6 +11,7 @@ from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButt
 
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
+from ..basics.icons import icon
 from ..basics.theme import text_font, theme_colors
 from .band_slider import RangeEditor, RectangleEditor
 from .finding_line import FindingLine
@@ -196,7 +197,7 @@ class ParameterRow(QObject):
         self.unit = QLabel(spec.suffix.strip() if spec.kind in ("number", "range", "rectangle") else "")
         self.unit.setForegroundRole(QPalette.ColorRole.PlaceholderText)
         self.reset = QToolButton()
-        self.reset.setText("↺")
+        self.reset.setIcon(icon("restore"))
         self.reset.setAutoRaise(True)
         self.reset.setFixedWidth(_RESET_WIDTH)
         self.reset.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
