@@ -17,7 +17,7 @@ from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
 #: Shortest time between two histograms while frames play, seconds: nobody reads them faster.
-HISTOGRAM_INTERVAL_S = 0.1
+HISTOGRAM_INTERVAL_S = 0.2
 
 
 class PatchFinder:
