@@ -10,13 +10,22 @@ from pathlib import Path
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QCloseEvent, QKeyEvent, QKeySequence, QShortcut
-from PyQt6.QtWidgets import QButtonGroup, QDialog, QFileDialog, QHBoxLayout, QStackedWidget, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import (
+    QButtonGroup,
+    QDialog,
+    QFileDialog,
+    QHBoxLayout,
+    QLabel,
+    QStackedWidget,
+    QVBoxLayout,
+    QWidget,
+)
 
 from ...core.calibration import CalibrationReport, Correspondence, read_points, write_points
 from ...core.calibration.recheck import Replacement, replacement
 from ...core.calibration.report import grade
 from ...core.errors import TactuneError
-from ...widgets.basics.controls import AccentButton, ElidedLabel, push_button
+from ...widgets.basics.controls import AccentButton, push_button
 from ...widgets.basics.dialogs import Dialogs, bring_up
 from ...widgets.basics.messages import Messages, Severity
 from ...widgets.clouds.cloud_view import BackendChoice
@@ -135,7 +144,8 @@ class CalibrationWizard(QDialog):
         self.stack = QStackedWidget()
         for page in self.pages:
             self.stack.addWidget(page)
-        self.verdict = ElidedLabel()
+        self.verdict = QLabel()
+        self.verdict.setWordWrap(True)
         self.back = push_button("Back", "To the step before (Ctrl+Page Up)")
         self.next = push_button("Next", "To the next step (Ctrl+Page Down)")
         self.save = push_button(
@@ -494,11 +504,11 @@ def _contents(state: SessionState) -> str:
 
 
 def _short(report: CalibrationReport) -> str:
-    """Return the verdict in one line: grade, error, next step."""
-    judged, quality = grade(report.chosen), report.chosen
-    word, next_step = judged.partition(":")[0], report.verdict.removeprefix(judged).strip()
+    """Return the verdict in one line: grade and errors; the page Quality says why and what to do next."""
+    quality = report.chosen
+    word = grade(quality).partition(":")[0]
     errors = f"{at_least(quality.alignment_px, 'px')}, {at_least(quality.alignment_mm, 'mm')}"
-    return f"{word}, {report.model}: {errors}. {next_step}"
+    return f"{word}, {report.model}: {errors}."
 
 
 def _both_errors(errors: Replacement) -> str:

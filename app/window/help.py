@@ -21,6 +21,9 @@ from ...widgets.basics.messages import Messages, Severity
 from ..context import TASK
 from .actions import plain_text
 
+#: The extras that running needs; the others are for development.
+_RUNS = re.compile(r'extra == "(gui|realsense|scan|tune)"')
+
 
 def guide_file() -> Path:
     """Return the first page of the guide that ships with the package; `make guide` builds it."""
@@ -94,8 +97,9 @@ def show_about(parent: QWidget) -> None:
 
 
 def versions() -> str:
-    """Return the versions of Python, Qt and the packages that Tactune needs and finds."""
-    names = sorted({re.split(r"[^\w.-]", needed, maxsplit=1)[0] for needed in requires("tactune") or ()}, key=str.lower)
+    """Return the versions of Python, Qt and the packages that Tactune runs with, as far as they are installed."""
+    needed = [line for line in requires("tactune") or () if "extra" not in line or _RUNS.search(line)]
+    names = sorted({re.split(r"[^\w.-]", line, maxsplit=1)[0] for line in needed}, key=str.lower)
     found = [f"Python {platform.python_version()}", f"Qt {QT_VERSION_STR}"]
     for name in names:
         with suppress(PackageNotFoundError):

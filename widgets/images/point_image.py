@@ -42,8 +42,8 @@ class Loupe(QWidget):
         self.hide()
 
     def sizeHint(self) -> QSize:
-        """A square and a line of text."""
-        return QSize(EDGE, EDGE + _LINE)
+        """A square and room for two lines of text."""
+        return QSize(EDGE, EDGE + 2 * self.fontMetrics().lineSpacing() + 2)
 
     def set_pixels(self, pixels: Uint8Array | None, corner: tuple[int, int] = (0, 0)) -> None:
         """Take the image, or the part of it that begins at ``corner``: uint8 (h, w, 4), ``QImage.Format_RGB32``."""
@@ -104,11 +104,11 @@ class Loupe(QWidget):
             painter.setPen(QPen(COLORS[MarkKind.PENDING], 2))
             painter.drawEllipse(QPointF(middle + u * scale, middle + v * scale), 5, 5)
         painter.setPen(QColor(colors.text))
-        line = QRectF(0, EDGE, EDGE, _LINE)
+        line = QRectF(2, EDGE, EDGE - 4, self.height() - EDGE)
         if self._swatch is not None:
             painter.fillRect(QRectF(5, EDGE + 4, 2 * _LINE, _LINE - 8), self._swatch)
             line.setLeft(2 * _LINE + 8)
-        painter.drawText(line, Qt.AlignmentFlag.AlignCenter, self.text())
+        painter.drawText(line, Qt.AlignmentFlag.AlignCenter | Qt.TextFlag.TextWordWrap, self.text())
         painter.setPen(QPen(QColor(colors.border), 1))
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.drawRect(QRectF(0.5, 0.5, self.width() - 1, self.height() - 1))

@@ -237,3 +237,13 @@ def test_every_kind_of_mark_has_a_colour(image):
         shown = image.view.grab().toImage()
         colors = {shown.pixelColor(x, y).name() for x in range(shown.width()) for y in range(0, shown.height(), 2)}
         assert COLORS[kind].name() in colors
+
+
+def test_the_caption_of_the_loupe_is_not_clipped(qtbot):
+    parent = QWidget()
+    qtbot.addWidget(parent)
+    loupe = Loupe(parent)
+    loupe.set_snapped((13.0, 16.0), "dot centre, 5.9 px away, and some more words")
+    room = loupe.rect().adjusted(2, loupe.width(), -2, 0)
+    needed = loupe.fontMetrics().boundingRect(room, Qt.TextFlag.TextWordWrap, loupe.text())
+    assert room.width() >= needed.width() and room.height() >= needed.height()
