@@ -1,0 +1,78 @@
+"""Picking, measuring and enlarging in a 3D view, equally with both back ends."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from PyQt6.QtCore import QPoint, Qt
+from PyQt6.QtTest import QTest
+from pytestqt.qtbot import QtBot
+
+from seen_clouds import FRONT, canvas_of, cloud_of, picture, shown, wall
+from tactune.widgets.clouds.cloud_view import BackendChoice
+from tactune.widgets.clouds.inspect_view import InspectView
+
+LEFT = Qt.MouseButton.LeftButton
+SHIFT = Qt.KeyboardModifier.ShiftModifier
+
+
+@pytest.fixture
+def view(backend: BackendChoice, qtbot: QtBot) -> InspectView:
+    made = InspectView("Patch", backend)
+    shown(qtbot, made)
+    made.set_cloud(cloud_of(wall()))
+    made.set_camera(FRONT)
+    return made
+
+
+def on_canvas(view: InspectView, pixel: int) -> QPoint:
+    """Where a pixel of the cloud is seen."""
+    cloud, canvas = view.cloud(), canvas_of(view)
+    assert cloud is not None
+    u, v, _ = view.camera().project(cloud.places(np.array([pixel])), canvas.width(), canvas.height())[0]
+    return QPoint(int(u), int(v))
+
+
+@pytest.mark.parametrize("pixel", [20 * 64 + 30, 40 * 64 + 12])
+def test_the_point_under_the_mouse_is_found(view: InspectView, qtbot: QtBot, pixel: int) -> None:
+    at = on_canvas(view, pixel)
+    with qtbot.waitSignal(view.pointHovered, check_params_cb=lambda found: found is not None) as heard:
+        QTest.mouseMove(canvas_of(view), at + QPoint(0, 1))
+        QTest.mouseMove(canvas_of(view), at)
+    cloud = view.cloud()
+    assert cloud is not None
+    found, place = heard.args[0]
+    assert found == pixel
+    np.testing.assert_allclose(place, cloud.places(np.array([pixel]))[0])
+
+
+def test_a_click_with_shift_chooses_an_end_a_drag_does_not(view: InspectView) -> None:
+    ends: list[object] = []
+    view.endChosen.connect(ends.append)
+    QTest.mouseClick(canvas_of(view), LEFT, SHIFT, on_canvas(view, 20 * 64 + 30))
+    QTest.mouseClick(canvas_of(view), LEFT, pos=on_canvas(view, 20 * 64 + 30))
+    QTest.mouseClick(canvas_of(view), LEFT, SHIFT, QPoint(2, 2))
+    assert len(ends) == 1
+    assert view.camera() == FRONT
+
+
+def test_marks_and_distances_are_painted_and_go(view: InspectView) -> None:
+    bare = picture(view)
+    view.set_mark((0.0, 0.0, 0.3))
+    marked = picture(view)
+    height, width = bare.shape[:2]
+    changed = np.argwhere((bare != marked).any(axis=2))
+    assert np.abs(changed.mean(axis=0) - (height / 2, width / 2)).max() < 2
+    view.set_mark(None)
+    view.set_ends(((-0.05, 0.0, 0.3), (0.05, 0.0, 0.3)))
+    columns = np.argwhere((bare != picture(view)).any(axis=2))[:, 1]
+    assert columns.max() - columns.min() > 0.1 / 0.6 * height
+    view.set_ends(())
+    assert (picture(view) == bare).all()
+
+
+def test_a_double_click_asks_to_be_enlarged_and_the_camera_stays(view: InspectView, qtbot: QtBot) -> None:
+    with qtbot.waitSignal(view.enlargeRequested):
+        QTest.mouseDClick(canvas_of(view), LEFT)
+        QTest.mouseRelease(canvas_of(view), LEFT)
+    assert view.camera() == FRONT
