@@ -29,6 +29,11 @@ class BackgroundCompiler:
         self._words = ""
         self._stopping = False
 
+    @property
+    def busy(self) -> bool:
+        """Whether a test is being compiled."""
+        return self._thread is not None
+
     def missing(self, preset: Preset) -> str:
         """Return how far the compilation of a preset's contact test is; empty if its frames need not wait.
 

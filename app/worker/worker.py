@@ -34,6 +34,8 @@ from .threads import Mailbox, abandon, leave_room_for_the_window
 
 #: Grace period before a hung worker is abandoned, in ms; longer than that of a live source.
 PATIENCE_MS = round(1e3 * PATIENCE_S) + 2000
+#: Pause after each frame while a contact test is compiled, which takes turns with Python code.
+PAUSE_S = 0.15
 
 
 class Worker(QThread):
@@ -250,7 +252,8 @@ class Worker(QThread):
             return 0.0
         playback_s = self._playback.wait_s(time.perf_counter()) if self._reader is not None else None
         waits = [wait for wait in (playback_s, self._examination.wait_s()) if wait is not None]
-        return min(waits, default=None)
+        idle_s = min(waits, default=None)
+        return max(idle_s, PAUSE_S) if idle_s is not None and self._compiler.busy else idle_s
 
     def _obey(self, idle_s: float | None) -> None:
         """Wait up to ``idle_s`` for the first order, then obey all that are waiting."""
