@@ -42,6 +42,7 @@ class ComputerWindow(QDialog):
         self.table = QTableWidget(0, 3)
         self.table.setHorizontalHeaderLabels(["Check", "Result", "Found, and what to do"])
         self.table.setAccessibleName("Checks of this computer")
+        self.table.setToolTip("What was checked, the result, and what to do")
         self.table.setEditTriggers(QAbstractItemView.EditTrigger.NoEditTriggers)
         self.table.setSelectionBehavior(QAbstractItemView.SelectionBehavior.SelectRows)
         self.table.setWordWrap(True)

@@ -50,6 +50,7 @@ ACTIONS = (
     "shortcuts",
     "details",
     "markers",
+    "check_computer",
 )
 NAMES = ("main", *ACTIONS, "compare", "strain", "truth", "tune")
 #: What needs a tooltip, too; over a view or an image one would be in the way.

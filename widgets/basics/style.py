@@ -268,6 +268,7 @@ class FocusRing(QObject):
 
     def _follow(self, _: QWidget | None, now: QWidget | None) -> None:
         if self._frame is not None and not sip.isdeleted(self._frame):
+            self._frame.hide()
             self._frame.deleteLater()
         self._frame = None
         window = None if now is None else now.window()
