@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QLabel, QTableWidget, QTableWidgetItem, QVBoxLayout
 
@@ -12,7 +10,6 @@ from ...widgets.basics.controls import CollapsibleSection
 from ...widgets.images.image_strip import ImageStrip
 from ...widgets.parameters.parameter_panel import ParameterPanel
 from ..context import Context
-from .frame_presenter import READING_INTERVAL_S
 
 #: The number of contacts listed; smaller ones are only counted.
 LIMIT = 20
@@ -35,7 +32,6 @@ class ContactList(QObject):
         super().__init__(context)
         self._context, self._strip = context, strip
         self._contacts: tuple[Contact, ...] = ()
-        self._listed_s = 0.0
         self.section = CollapsibleSection("Contacts")
         self.table = QTableWidget(0, len(_COLUMNS))
         self.note = QLabel()
@@ -74,11 +70,8 @@ class ContactList(QObject):
         result = self._context.result
         if result is None:
             return
-        contacts, now_s = result.rendered.contacts, time.perf_counter()
-        if contacts is None or (result.playback.running and now_s - self._listed_s < READING_INTERVAL_S):
-            return
-        self._listed_s = now_s
-        if contacts is not self._contacts:
+        contacts = result.rendered.contacts
+        if contacts is not None and contacts is not self._contacts:
             self._contacts = contacts
             self._list()
 

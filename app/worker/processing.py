@@ -16,8 +16,8 @@ from .playback import PlaybackState
 from .rendering import Renderer
 from .results import ComparedFrame, ComparedSide, RateMeter, Rendered, Result, SourceInfo, Wanted
 
-#: Shortest time between two histograms while frames play, seconds: nobody reads them faster.
-HISTOGRAM_INTERVAL_S = 0.2
+#: Shortest time between two histograms or lists of contacts while frames play, seconds: nobody reads them faster.
+COUNTING_INTERVAL_S = 0.2
 
 
 class PatchFinder:
@@ -85,7 +85,7 @@ class FrameProcessor:
         self._present = PatchFinder(missing)
         self._others: list[PatchFinder] = []
         self._processed = 0
-        self._counted_s = -HISTOGRAM_INTERVAL_S
+        self._counted_s = -COUNTING_INTERVAL_S
         self._rate = RateMeter()
 
     def forget(self) -> None:
@@ -117,8 +117,8 @@ class FrameProcessor:
         started = time.perf_counter()
         if playback.running:
             wanted = wanted.while_running()
-            if started - self._counted_s < HISTOGRAM_INTERVAL_S:
-                wanted = replace(wanted, histograms=frozenset())
+            if started - self._counted_s < COUNTING_INTERVAL_S:
+                wanted = replace(wanted, histograms=frozenset(), contacts=False)
             else:
                 self._counted_s = started
         if compared is None:
@@ -175,13 +175,14 @@ class FrameProcessor:
     def _render_compared(
         self, sides: Sides, finders: list[PatchFinder], frame: SensorFrame, rig: Rig, wanted: Wanted
     ) -> ComparedFrame:
+        uncounted = replace(wanted, histograms=frozenset(), contacts=False)
         for finder in finders:
             self._renderer.widen_depth_range(frame, finder.preset, rig)
         a, b = (
             ComparedSide(
                 replace(side, preset=finder.preset), finder.patch, finder.problem,
                 finder.patch.area_mm2 if finder.patch is not None else 0.0, finder.ms,
-                self._render(finder, frame, rig, wanted if side.follows else replace(wanted, histograms=frozenset())),
+                self._render(finder, frame, rig, wanted if side.follows else uncounted),
             )
             for side, finder in zip(sides, finders, strict=True)
         )  # fmt: skip

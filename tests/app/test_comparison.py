@@ -78,7 +78,7 @@ def test_clouds_in_which_two_presets_do_not_differ_are_drawn_once(preset):
 
 
 def test_histograms_are_counted_less_often_than_frames_run(preset, monkeypatch):
-    monkeypatch.setattr(processing, "HISTOGRAM_INTERVAL_S", 3600.0)
+    monkeypatch.setattr(processing, "COUNTING_INTERVAL_S", 3600.0)
     processor, running = FrameProcessor(), PlaybackState(playing=True)
     frames = [tiny_frame(index, RIG) for index in range(3)]
     counted = [processor.process(INFO, frame, preset, Wanted(), running).rendered.histogram for frame in frames]
