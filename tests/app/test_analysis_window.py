@@ -132,3 +132,12 @@ def test_a_tab_that_cannot_be_opened_says_why_and_leaves_the_others_alone(qtbot,
     assert "no such sensor" in label.text() and len(raised) == 1
     analysis.open_on("compare")
     assert analysis.made["compare"].sequences[-1] == 3
+
+
+def test_the_window_neither_lies_over_the_main_window_nor_outlives_it(window, qtbot):
+    window.analysis.open("strain")
+    shown = window.analysis.window
+    handle = shown.windowHandle()
+    assert handle.transientParent() is None and not shown.windowFlags() & Qt.WindowType.WindowStaysOnTopHint
+    window.close_without_asking()
+    qtbot.waitUntil(lambda: not shown.isVisible())
