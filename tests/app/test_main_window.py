@@ -347,7 +347,9 @@ def test_help_lists_every_shortcut(window, qtbot):
 def test_about_names_the_licence(window, qtbot):
     window.actions_.about.trigger()
     qtbot.waitUntil(lambda: QApplication.activeModalWidget() is not None)
-    assert "MIT" in QApplication.activeModalWidget().informativeText()
+    words = QApplication.activeModalWidget().informativeText()
+    assert all(word in words for word in ("MIT", "GPL v3", "Apache License", f"numpy {np.__version__}"))
+    assert "pytest" not in words, "only what the program runs with"
     QTest.keyClick(QApplication.activeModalWidget(), Qt.Key.Key_Escape)
     qtbot.waitUntil(lambda: QApplication.activeModalWidget() is None)
 
