@@ -286,15 +286,17 @@ class Renderer:
         if rig is not self._rig:
             self._rig, self._ranges_m, self._palettes = rig, {}, _new_palettes()
         seen_by_proximity_m = membrane_along_proximity_m(frame, preset, rig, sample_m)
-        return self._widened("proximity", seen_by_proximity_m), self._widened("tactile", sample_m)
+        # Along the tactile axis the membrane is not tilted, so its own depth decides on the reserve of both ranges.
+        low, high = _quantiles(sample_m, *_ENDS) if len(sample_m) else (0.0, 0.0)
+        span_m = max(high - low, _SMALLEST_SPAN_M)
+        return self._widened("proximity", seen_by_proximity_m, span_m), self._widened("tactile", sample_m, span_m)
 
-    def _widened(self, camera: CameraRole, sample_m: Float32Array) -> tuple[float, float]:
+    def _widened(self, camera: CameraRole, sample_m: Float32Array, span: float) -> tuple[float, float]:
         """Return a depth range that only widens while the source stays the same."""
         before = self._ranges_m.get(camera)
         if len(sample_m) == 0:
             return before or (0.0, 1.0)
         near, far = _quantiles(sample_m, *_ENDS)
-        span = max(far - near, _SMALLEST_SPAN_M)
         near, far = max(near - _NEARER * span, 0.0), far + _FARTHER * span
         if before is not None:
             near, far = min(near, before[0]), max(far, before[1])
