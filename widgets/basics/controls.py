@@ -129,7 +129,9 @@ class ElidedLabel(QLabel):
     def paintEvent(self, _: QPaintEvent | None) -> None:
         """Paint the elided text."""
         shown = self.fontMetrics().elidedText(self.text(), Qt.TextElideMode.ElideRight, self.width() - 4)
-        self.setToolTip("" if shown == self.text() else self.text())
+        tip = "" if shown == self.text() else self.text()
+        if tip != self.toolTip():  # each call tells every widget above, also without a change
+            self.setToolTip(tip)
         painter = QPainter(self)
         painter.setPen(self.palette().windowText().color())
         painter.drawText(self.rect().adjusted(2, 0, -2, 0), Qt.AlignmentFlag.AlignVCenter, shown)
