@@ -205,6 +205,10 @@ class Timeline(QObject):
         if not opens_by_name(self._info.name):
             self._strip.set_words("This source cannot be opened a second time, so nothing is computed.")
             return
+        result = self._context.result
+        if result is None or (result.patch is None and not result.problem):
+            self._rest.start()  # the contact test is being compiled; the other process would do the same at once
+            return
         preset = self._context.document.preset
         if preset.averaged_frames > 1:  # such a preset must see all frames in order
             self._series.computed[:] = False
