@@ -22,6 +22,7 @@ import threading
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,14 +39,17 @@ from tactune.app.settings import Settings
 from tactune.app.window.frame_presenter import FramePresenter
 from tactune.app.window.main_window import MainWindow
 from tactune.app.worker import processing, reading, rendering, worker
-from tactune.app.worker.results import Result
+from tactune.app.worker.results import Rendered, Result
+from tactune.core.contact.pipeline import ContactPatch
 from tactune.core.methods.registry import method_names
+from tactune.core.model.patch import AlignedDepth
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.theme import ThemeChoice
 from tactune.widgets.clouds.software_backend import SoftwareCanvas, SoftwareRenderer
 
 HEARTBEAT_MS = 5
 WARM_UP_FRAMES = 30
+NOTHING = AlignedDepth.empty((0, 0))
 
 
 class Heart(QObject):
@@ -162,7 +166,7 @@ class Meter(QObject):
             self._cpu_s = -time.process_time()
             self._stages.seconds.clear()
             self._heart.start()
-        self.results.append((now, result))
+        self.results.append((now, _light(result)))
         if now - self._started_s >= self._seconds:
             self._window.context.frameShown.disconnect(self._frame_shown)
             self._heart.stop()
@@ -277,6 +281,14 @@ class Rounds(QObject):
         ]
         lines += [f"{name:<22}{first:9.1f}{second:9.1f}{second / first:8.2f}" for name, first, second in rows]
         return "\n".join([*lines, f"comparisons a second  {self.comparisons / seconds:18.1f}"])
+
+
+def _light(result: Result) -> Result:
+    """Return a result without its images: kept ones would make all code write to fresh memory."""
+    patch = result.patch
+    if patch is not None:
+        patch = ContactPatch(0, patch.points, np.empty((0, 0), np.uint8), NOTHING, patch.rig, patch.stage_ms)
+    return replace(result, frame=None, rendered=Rendered(), compared=None, patch=patch)  # type: ignore[arg-type]
 
 
 def _spread(values: Iterable[float]) -> str:
