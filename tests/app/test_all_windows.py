@@ -74,7 +74,8 @@ def shown(request, window, qtbot) -> QWidget:
 
 
 def tops() -> list[QWidget]:
-    return [widget for widget in QApplication.topLevelWidgets() if widget.isVisible()]
+    windows = [widget for widget in QApplication.topLevelWidgets() if widget.isVisible()]
+    return [window for window in windows if window.windowType() != Qt.WindowType.ToolTip]
 
 
 def pages(window: QWidget, qtbot) -> Iterator[int]:
