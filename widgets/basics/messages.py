@@ -294,6 +294,8 @@ class Messages(QWidget):
 
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Follow the size of the widget below, and pinned frames that come and go."""
+        if not self.__dict__:  # Python has cleared a closed window, Qt still hides its parts
+            return False
         kind = event.type() if event is not None else None
         if kind == QEvent.Type.Resize if watched is self._over else kind in _SHOWN_OR_HIDDEN:
             self._arrange()
