@@ -58,7 +58,12 @@ class Stage:
         """Pause at a frame, counted from 0."""
         self.window.worker.pause()
         self.window.worker.seek(index)
-        self.wait(lambda: self.window.result and self.window.result.frame.sequence == index, f"frame {index}")
+
+        def shown() -> bool:
+            result = self.window.result
+            return result is not None and result.frame.sequence == index and result.patch is not None
+
+        self.wait(shown, f"patch of frame {index}")
         self.settle()
 
 
@@ -92,6 +97,7 @@ def save(widget: QWidget, name: str) -> None:
 def window() -> None:
     """The main window."""
     with stage(load_preset("simulator"), "sim:cup") as made:
+        made.wait(lambda: not made.window.time_strip.words, "time strip")
         save(made.window, "window")
 
 
