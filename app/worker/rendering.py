@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from functools import cache, lru_cache
+from functools import cache, cached_property, lru_cache
 
 import cv2
 import numpy as np
@@ -186,6 +186,18 @@ class Scene:
         """See `accepted_difference`."""
         return accepted_difference(self.preset, self.depth_range_m)
 
+    @cached_property
+    def proximity_colors(self) -> tuple[Uint8Array, Uint8Array]:
+        """The row of a table of real colours for every proximity pixel, and the table; two views show them."""
+        near_m, far_m = self.depth_range_m
+        counts = self.frame.proximity_depth
+        depth_m = counts * np.float32(self.rig.proximity.depth_unit_m)
+        colors, seen = _seen_color(self.frame, self.rig, depth_m, valid_depth(counts), (near_m + far_m) / 2)
+        rows, lut = self.palettes["proximity"].index(colors)
+        rows[~seen] = NO_COLOR_ROW
+        rows[depth_m > far_m] = BEHIND_ROW
+        return rows, lut
+
 
 class Renderer:
     """Draws frames; the depth colours of one source keep their range."""
@@ -359,7 +371,7 @@ def proximity_view(scene: Scene) -> DepthCloud:
         cloud = _proximity_cloud(scene, patch.provenance, provenance_lut(scene.theme))
         return replace(cloud, depth=_depth_with_patch(scene, patch))
     elif scene.color_by is ColorBy.REAL:
-        index, lut = _proximity_colors(scene)
+        index, lut = scene.proximity_colors
     return _proximity_cloud(scene, index, lut)
 
 
@@ -403,9 +415,8 @@ def patch_view(scene: Scene) -> DepthCloud | None:
         late = np.isin(patch.provenance, LATE_VERDICTS)
         index, lut = _over_relief(scene, patch.provenance, late), patch_provenance_lut(scene.theme)
     elif scene.color_by is ColorBy.REAL:
-        rows, colors = _proximity_colors(scene)
-        index = _over_relief(scene, rows, patch.mask)
-        lut = np.concatenate([patch_lut(scene.theme)[::2], colors[:VALUE_ROWS]])
+        rows, colors = scene.proximity_colors
+        index, lut = _over_relief(scene, rows, patch.mask), _half_relief(colors[:VALUE_ROWS], scene.theme)
     elif scene.color_by is ColorBy.DIFFERENCE:
         limit = patch_difference_limit(scene.accepted)
         index = _over_relief(scene, difference_index(patch.relative_difference, limit) >> np.uint8(1), patch.mask)
@@ -413,18 +424,6 @@ def patch_view(scene: Scene) -> DepthCloud | None:
     else:
         index, lut = _over_relief(scene, _depth_rows(scene) >> np.uint8(1), patch.mask), patch_depth_lut(scene.theme)
     return replace(_proximity_cloud(scene, index, lut, count=len(patch.points)), depth=_depth_with_patch(scene, patch))
-
-
-def _proximity_colors(scene: Scene) -> tuple[Uint8Array, Uint8Array]:
-    """Return the row of a table of real colours for every proximity pixel, and the table."""
-    near_m, far_m = scene.depth_range_m
-    counts = scene.frame.proximity_depth
-    depth_m = counts * np.float32(scene.rig.proximity.depth_unit_m)
-    colors, seen = _seen_color(scene.frame, scene.rig, depth_m, valid_depth(counts), (near_m + far_m) / 2)
-    rows, lut = scene.palettes["proximity"].index(colors)
-    rows[~seen] = NO_COLOR_ROW
-    rows[depth_m > far_m] = BEHIND_ROW
-    return rows, lut
 
 
 def _tactile_colors(scene: Scene) -> tuple[Uint8Array, Uint8Array]:
@@ -538,23 +537,23 @@ def _over_relief(scene: Scene, rows: Uint8Array, within: BoolArray) -> Uint8Arra
 @lru_cache(maxsize=16)
 def patch_difference_lut(limit: float, theme: Theme) -> Uint8Array:
     """Return the colours of relative differences within a patch (the upper half), over its context."""
-    return _half_relief(difference_lut(0.0, limit), theme)
+    return _half_relief(difference_lut(0.0, limit)[::2], theme)
 
 
 @cache
 def patch_depth_lut(theme: Theme) -> Uint8Array:
     """Return the colours of depth within a patch (the upper half), over its context."""
-    return _half_relief(depth_lut(), theme)
+    return _half_relief(depth_lut()[::2], theme)
 
 
 @cache
 def patch_provenance_lut(theme: Theme) -> Uint8Array:
     """Return the colours of `LATE_VERDICTS` (the upper half), over their context."""
-    return np.concatenate([patch_lut(theme)[::2], provenance_lut(theme)[:VALUE_ROWS]])
+    return _half_relief(provenance_lut(theme)[:VALUE_ROWS], theme)
 
 
-def _half_relief(lut: Uint8Array, theme: Theme) -> Uint8Array:
-    """Return every other row of the context's shades, then every other row of a table: uint8 (256, 4)."""
-    mixed = np.concatenate([patch_lut(theme)[::2], lut[::2]])
+def _half_relief(values: Uint8Array, theme: Theme) -> Uint8Array:
+    """Return every other row of the context's shades, then the colours of values (128, 4): uint8 (256, 4)."""
+    mixed = np.concatenate([patch_lut(theme)[::2], values])
     mixed.flags.writeable = False
     return mixed
