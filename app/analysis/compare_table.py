@@ -7,10 +7,11 @@ import io
 from collections.abc import Iterable, Mapping, Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QIcon, QKeyEvent, QKeySequence, QPixmap
+from PyQt6.QtGui import QIcon, QKeyEvent, QKeySequence, QPixmap
 from PyQt6.QtWidgets import QAbstractItemView, QHeaderView, QTableWidget, QTableWidgetItem, QWidget
 
 from ...widgets.basics.colormaps import Theme
+from ...widgets.basics.controls import copy_text
 from .comparer import Comparison, Outcome
 from .method_looks import TRUTH, method_color, method_tip
 
@@ -173,9 +174,8 @@ class CompareTable(QTableWidget):
         selected = {index.row() for index in self.selectedIndexes()}
         rows = sorted(selected) or [row for row in range(self.rowCount()) if self._at(row, 2).text()]
         texts = [tuple(self._at(row, column).text() for column in range(len(COLUMNS))) for row in rows]
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None and texts:
-            clipboard.setText(table_text(texts))
+        if texts:
+            copy_text(table_text(texts))
             self.copied.emit(len(texts))
 
     def keyPressEvent(self, event: QKeyEvent | None) -> None:

@@ -10,7 +10,7 @@ from typing import Any, Final, cast
 
 import numpy as np
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QGuiApplication, QKeySequence, QShortcut
+from PyQt6.QtGui import QKeySequence, QShortcut
 from PyQt6.QtWidgets import (
     QAbstractItemView,
     QCheckBox,
@@ -29,7 +29,7 @@ from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
 from ...core.scan.paint import PaintSettings
-from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar, caption, push_button
+from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar, caption, copy_text, push_button
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture
 from ...widgets.images.eyedropper import HsvRanges, Mode, new_ranges
@@ -537,10 +537,8 @@ class ResultPanel(CollapsibleSection):
         self.note.setVisible(bool(note))
 
     def _copy(self) -> None:
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(self.command.text())
-            self.copied.emit()
+        copy_text(self.command.text())
+        self.copied.emit()
 
 
 def _length(millimetres: float) -> str:

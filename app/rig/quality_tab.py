@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pyqtgraph as pg
 from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QGuiApplication
 from PyQt6.QtWidgets import (
     QDoubleSpinBox,
     QGridLayout,
@@ -31,7 +30,7 @@ from ...core.model.frames import Rig, SensorFrame
 from ...core.preset import AlignmentSection
 from ...core.rig.depth_quality import NOISE_FRAMES, DepthQuality, Rectangle, measure_quality
 from ...core.rig.quality_verdict import Reading, Verdict, judge_bias, judge_camera
-from ...widgets.basics.controls import push_button
+from ...widgets.basics.controls import copy_text, push_button
 from ...widgets.basics.dialogs import Dialogs
 from ...widgets.basics.theme import ACCENT, theme_colors
 from ...widgets.images.image_pane import ImagePane
@@ -309,10 +308,8 @@ class QualityTab(QWidget):
             self.status.setText(f"{sentence[0].upper()}{sentence[1:].rstrip('.')}.")
 
     def _copy(self) -> None:
-        clipboard = QGuiApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(self.text())
-            self.status.setText("The numbers were copied to the clipboard.")
+        copy_text(self.text())
+        self.status.setText("The numbers were copied to the clipboard.")
 
     def _ask_where(self) -> None:
         suggestion = self._folder / "depth-quality.json"

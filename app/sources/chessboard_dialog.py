@@ -20,7 +20,7 @@ from PyQt6.QtWidgets import (
 
 from ...core.calibration.lens import LensFit, fit_lens
 from ...core.model.files import user_path
-from ...widgets.basics.controls import ProgressBar, dialog_buttons, push_button
+from ...widgets.basics.controls import NoteLabel, ProgressBar, dialog_buttons, push_button
 from ...widgets.basics.dialogs import Dialogs
 from ..worker.jobs import Job
 
@@ -50,8 +50,7 @@ class ChessboardDialog(QDialog):
         self.fit = push_button("&Fit", "Find the board in every picture and fit the lens")
         self.progress = ProgressBar()
         self.progress.hide()
-        self.note = QLabel("At least 4 pictures of a flat chessboard, tilted in different directions.")
-        self.note.setWordWrap(True)
+        self.note = NoteLabel("At least 4 pictures of a flat chessboard, tilted in different directions.")
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Ok | QDialogButtonBox.StandardButton.Cancel)
         use = self.buttons.button(QDialogButtonBox.StandardButton.Ok)
         assert use is not None
@@ -82,7 +81,7 @@ class ChessboardDialog(QDialog):
         self._job.progress.connect(self.progress.show_share)
         self._job.busyChanged.connect(self._show_busy)
         self._job.done.connect(self._show_fit)
-        self._job.failed.connect(self._show_failure)
+        self._job.failed.connect(lambda sentence: self.note.say(sentence, error=True))
         self.buttons.accepted.connect(self._accepted)
         self.buttons.rejected.connect(self.reject)
         self.finished.connect(self._job.stop)
@@ -104,16 +103,13 @@ class ChessboardDialog(QDialog):
     def _show_fit(self, fit: LensFit) -> None:
         self._fit = fit
         lens, left_out = fit.intrinsics, ", ".join(fit.refused)
-        self.note.setText(
+        self.note.say(
             f"{fit.used} of {fit.used + len(fit.refused)} pictures, {fit.rms_px:.2f} px RMS: fx {lens.fx:.1f} ± "
             f"{fit.focal_sd_px:.1f} px, fy {lens.fy:.1f} px, centre {lens.cx:.1f}, {lens.cy:.1f} px."
             + (f" Left out: {left_out}." if left_out else "")
         )
         self._use.setEnabled(True)
         self._use.setFocus()
-
-    def _show_failure(self, sentence: str) -> None:
-        self.note.setText(sentence)
 
     def _accepted(self) -> None:
         fit = self._fit

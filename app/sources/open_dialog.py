@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from PyQt6.QtCore import QSignalBlocker, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QPalette
 from PyQt6.QtWidgets import (
     QDialog,
     QDialogButtonBox,
     QHBoxLayout,
-    QLabel,
     QLineEdit,
     QListWidget,
     QStackedWidget,
@@ -19,8 +17,7 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.errors import SourceError
-from ...widgets.basics.controls import ProgressBar, caption, dialog_buttons, push_button
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.controls import NoteLabel, ProgressBar, caption, dialog_buttons, push_button
 from .page import SourcePage
 
 _SIZE = (820, 560)
@@ -67,12 +64,7 @@ class OpenDialog(QDialog):
         self.name.setToolTip("Name of the source, as “tactune run --source” takes it, or a path")
         self.name.setPlaceholderText("sim:cup?press=low, or a path")
         self.name.setClearButtonEnabled(True)
-        self.note = QLabel()
-        self.note.setWordWrap(True)
-        self.note.setTextFormat(Qt.TextFormat.PlainText)
-        self.note.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.note.setMinimumHeight(2 * self.note.fontMetrics().height())
-        self.note.setAlignment(Qt.AlignmentFlag.AlignTop)
+        self.note = NoteLabel(lines=2)
         self.create_rig = push_button("Create ri&g…", "Describe the two cameras that took these images")
         self.progress = ProgressBar("Opening…")
         self.progress.setAccessibleName("Progress of opening")
@@ -201,11 +193,7 @@ class OpenDialog(QDialog):
         self._allow(not busy)
 
     def _say(self, sentence: str, error: bool = False) -> None:
-        palette = QPalette(self.palette())
-        if error:
-            palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
-        self.note.setPalette(palette)
-        self.note.setText(sentence)
+        self.note.say(sentence, error)
         self.create_rig.hide()
 
     def _allow(self, allowed: bool) -> None:

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QPalette
+from PyQt6.QtCore import pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from ...core.calibration.lens import check_lens
@@ -14,8 +13,7 @@ from ...core.errors import TactuneError
 from ...core.model.frames import Rig
 from ...core.model.rig_file import parse_rig
 from ...core.sources.folder_rig import RIG_FILE, FolderImages, write_rig
-from ...widgets.basics.controls import dialog_buttons
-from ...widgets.basics.theme import theme_colors
+from ...widgets.basics.controls import NoteLabel, dialog_buttons
 from .camera_form import CameraForm
 
 _NO_POSE = "The pose of the cameras to each other is not asked for: align them with Calibrate… (Ctrl+K) afterwards."
@@ -42,11 +40,7 @@ class RigDialog(QDialog):
         self._images = images
         self.found = QLabel(_in_words(images))
         self.found.setWordWrap(True)
-        self.note = QLabel()
-        self.note.setWordWrap(True)
-        self.note.setTextFormat(Qt.TextFormat.PlainText)
-        self.note.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        self.note.setMinimumHeight(2 * self.note.fontMetrics().height())
+        self.note = NoteLabel(lines=2)
         self.forms = self._make_forms(native_dialogs)
         self.buttons = dialog_buttons(QDialogButtonBox.StandardButton.Cancel)
         create = self.buttons.addButton("&Create and open", QDialogButtonBox.ButtonRole.AcceptRole)
@@ -57,10 +51,10 @@ class RigDialog(QDialog):
         self.buttons.accepted.connect(self._write)
         self.buttons.rejected.connect(self.reject)
         for form in self.forms.values():
-            form.failed.connect(lambda sentence: self._say(sentence, error=True))
-            form.changed.connect(lambda: self._say(_NO_POSE))
+            form.failed.connect(lambda sentence: self.note.say(sentence, error=True))
+            form.changed.connect(lambda: self.note.say(_NO_POSE))
             self.finished.connect(form.stop)
-        self._say(images.problem or _NO_POSE, error=bool(images.problem))
+        self.note.say(images.problem or _NO_POSE, error=bool(images.problem))
         self.write.setEnabled(not images.problem)
 
     def rig(self) -> Rig:
@@ -118,17 +112,10 @@ class RigDialog(QDialog):
         try:
             write_rig(self._images.path, self.rig())
         except TactuneError as error:
-            self._say(str(error), error=True)
+            self.note.say(str(error), error=True)
             return
         self.accept()
         self.created.emit(f"folder:{self._images.path}")
-
-    def _say(self, sentence: str, error: bool = False) -> None:
-        palette = QPalette(self.palette())
-        if error:
-            palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
-        self.note.setPalette(palette)
-        self.note.setText(sentence)
 
 
 def _in_words(images: FolderImages) -> str:

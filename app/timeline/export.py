@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path
 
 from PyQt6.QtCore import QObject
-from PyQt6.QtWidgets import QFrame, QHBoxLayout, QWidget
 
 from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import SourceError
@@ -16,7 +15,7 @@ from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.recording.writer import export_mcap
 from ...core.sources.base import FrameSource
 from ...core.sources.registry import open_source
-from ...widgets.basics.controls import ProgressBar, push_button
+from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.messages import Severity
 from ..context import TASK, Context
 from ..worker.jobs import Job, Progress
@@ -25,29 +24,14 @@ from ..worker.jobs import Job, Progress
 _Export = Callable[[FrameSource, range, Progress], str]
 
 
-class ExportBar(QFrame):
-    """The progress of an export and a Cancel button; hidden while nothing is exported."""
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.progress = ProgressBar("Exporting")
-        self.progress.setAccessibleName("Progress of the export")
-        self.cancel = push_button("Cancel", "Cancel the export")
-        layout = QHBoxLayout(self)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.addWidget(self.progress, 1)
-        layout.addWidget(self.cancel)
-        self.hide()
-
-
 class FrameExport(QObject):
     """Exports frames of the open recording, read from the file a second time, on a thread of its own."""
 
-    def __init__(self, context: Context, bar: ExportBar) -> None:
+    def __init__(self, context: Context, bar: ProgressCard) -> None:
         super().__init__(context)
         self._context, self._bar = context, bar
         self._job = Job(self)
-        self._job.progress.connect(bar.progress.show_share)
+        self._job.progress.connect(bar.show_share)
         self._job.busyChanged.connect(bar.setVisible)
         self._job.done.connect(
             lambda sentence: context.messages.show_message("export", Severity.INFO, sentence, subject=TASK)

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import Qt
-from PyQt6.QtGui import QCloseEvent, QColor
+from PyQt6.QtGui import QColor
 from PyQt6.QtWidgets import (
     QAbstractItemView,
-    QApplication,
     QDialog,
     QDialogButtonBox,
     QHeaderView,
@@ -17,7 +16,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...widgets.basics.controls import dialog_buttons, push_button
+from ...widgets.basics.controls import copy_text, dialog_buttons, push_button
 from ...widgets.basics.theme import theme_colors
 from ..doctor.checks import Check, State
 from ..doctor.report import check_computer, report
@@ -37,6 +36,7 @@ class ComputerWindow(QDialog):
         self._job = Job(self)
         self._job.done.connect(self._show)
         self._job.failed.connect(self._fail)
+        self.finished.connect(self._job.stop)  # each check ends by itself within its time limit
         self.status = QLabel()
         self.status.setWordWrap(True)
         self.table = QTableWidget(0, 3)
@@ -75,11 +75,6 @@ class ComputerWindow(QDialog):
         self._allow(False)
         self._job.start(lambda _: check_computer())
 
-    def closeEvent(self, event: QCloseEvent | None) -> None:
-        """Abandon running checks; each ends by itself within its time limit."""
-        self._job.stop()
-        super().closeEvent(event)
-
     def _show(self, lines: list[Check]) -> None:
         self._lines = lines
         colors = theme_colors()
@@ -105,6 +100,4 @@ class ComputerWindow(QDialog):
             button.setEnabled(done)
 
     def _copy(self) -> None:
-        clipboard = QApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(report(self._lines))
+        copy_text(report(self._lines))

@@ -8,9 +8,10 @@ from typing import Any
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
 from PyQt6.QtGui import QKeyEvent
-from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QToolButton, QWidget
+from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QWidget
 
 from ...core.preset import Preset
+from ...widgets.basics.controls import close_button
 from ..context import Context
 from ..worker.results import SourceInfo
 
@@ -47,12 +48,7 @@ class FirstStepsCard(QFrame):
         grid.setVerticalSpacing(4)
         grid.setColumnStretch(2, 1)
         grid.addWidget(QLabel("<b>Getting started</b>: from a source to a preset"), 0, 0, 1, 3)
-        self.cross = QToolButton()
-        self.cross.setText("✕")
-        self.cross.setAutoRaise(True)
-        self.cross.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        self.cross.setAccessibleName("Close getting started")
-        self.cross.setToolTip("Close for good; Help > Getting started shows it again")
+        self.cross = close_button("Close getting started", "Close for good; Help > Getting started shows it again")
         self.cross.clicked.connect(self.closed)
         grid.addWidget(self.cross, 0, 3)
         for row, (name, text, what) in enumerate(_STEPS, start=1):

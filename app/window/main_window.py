@@ -14,6 +14,7 @@ from ...core.advice.suggest import SECTIONS
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
+from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files
 from ...widgets.basics.message_history import MessageHistory
 from ...widgets.basics.messages import Messages, Severity
@@ -38,7 +39,7 @@ from ..sources.control import CameraControl
 from ..sources.opening import OpenControl
 from ..sources.recent_page import RECENT
 from ..timeline.control import Timeline
-from ..timeline.export import ExportBar, FrameExport
+from ..timeline.export import FrameExport
 from ..worker.errors import ErrorHook
 from ..worker.reading import SourceRequest
 from ..worker.results import Result, SourceInfo, Wanted
@@ -57,7 +58,7 @@ from .help import open_guide, show_about, show_shortcuts
 from .history_window import HistoryWindow
 from .pointing import Pointing
 from .recording import RecordingBar, RecordingControl
-from .status import FrameStatus, OpeningBar
+from .status import FrameStatus
 from .toolbar import ToolBar, Transport
 from .view_area import StripSplitter, ViewArea
 from .view_parts import ViewParts
@@ -106,9 +107,9 @@ class MainWindow(QMainWindow):
         self.autosave = Autosave(self.document, data_folder, self)
         self.error_hook = ErrorHook(self)
         self.actions_ = make_actions(self, self.document.undo_stack)
-        self.opening = OpeningBar()
+        self.opening = ProgressCard("Progress of opening", "Cancel opening; the present source stays")
         self.recording_bar = RecordingBar()
-        self.export_bar = ExportBar()
+        self.export_bar = ProgressCard("Progress of the export", "Cancel the export")
         self.views = ViewArea(self.actions_, backend)
         self.messages = Messages(self.views)
         self.worker.opened.connect(self._forget_source)  # before the parts below speak of the new one
@@ -266,7 +267,7 @@ class MainWindow(QMainWindow):
     def _connect_worker(self) -> None:
         worker, transport = self.worker, self.transport
         worker.resultReady.connect(self._show_newest)
-        worker.opening.connect(self.opening.show_progress)
+        worker.opening.connect(self._show_opening)
         worker.opened.connect(self._opened)
         worker.openFailed.connect(self._open_failed)
         worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR, subject=SOURCE))
@@ -278,7 +279,7 @@ class MainWindow(QMainWindow):
         worker.stateChanged.connect(self.presenter.show_state)
         transport.seekRequested.connect(worker.seek)
         transport.held.connect(worker.set_held)
-        self.opening.cancelled.connect(worker.cancel_open)
+        self.opening.cancel.clicked.connect(worker.cancel_open)
         self.views.wantedChanged.connect(self._send_wanted)
         self.comparison.wantedChanged.connect(self._send_wanted)
         self.comparison.runningChanged.connect(self._show_comparison)
@@ -417,6 +418,9 @@ class MainWindow(QMainWindow):
             self.presenter.forget()
             self.actions_.export_patch.setEnabled(False)
             self.views.show_message(_OPENING)
+
+    def _show_opening(self, name: str, share: float, words: str) -> None:
+        self.opening.show_share(share, f"Opening {name}{': ' + words if words else '…'}")
 
     def _opened(self, info: SourceInfo) -> None:
         self.opening.hide()

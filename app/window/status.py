@@ -1,4 +1,4 @@
-"""The status bar: state, source, frame rate and patch area; a panel with the other numbers; the progress of opening."""
+"""The status bar: state, source, frame rate and patch area; a panel with the other numbers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,9 @@ from PyQt6.QtGui import QKeyEvent, QShowEvent
 from PyQt6.QtWidgets import (
     QFrame,
     QGridLayout,
-    QHBoxLayout,
     QLabel,
-    QProgressBar,
     QPushButton,
     QStatusBar,
-    QVBoxLayout,
     QWidget,
 )
 
@@ -223,42 +220,3 @@ class FrameStatus(QStatusBar):
         label.clear()
         self.addPermanentWidget(label)
         return label
-
-
-class OpeningBar(QFrame):
-    """What is being opened, a progress bar and a Cancel button; hidden while nothing is being opened.
-
-    Signals
-    -------
-    cancelled()
-    """
-
-    cancelled = pyqtSignal()
-
-    def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self._label = QLabel()
-        self._label.setWordWrap(True)
-        self._bar = QProgressBar()
-        self._bar.setRange(0, 1000)
-        self._bar.setTextVisible(False)
-        self._bar.setFixedHeight(12)
-        self._bar.setAccessibleName("Progress of opening")
-        self.cancel = QPushButton("Cancel")
-        self.cancel.clicked.connect(self.cancelled)
-        row = QHBoxLayout()
-        row.addWidget(self._bar, 1)
-        row.addWidget(self.cancel)
-        layout = QVBoxLayout(self)
-        layout.setContentsMargins(8, 4, 4, 4)
-        layout.setSpacing(4)
-        layout.addWidget(self._label)
-        layout.addLayout(row)
-        self.hide()
-
-    def show_progress(self, name: str, fraction: float, text: str) -> None:
-        """Show the progress of opening; a fraction of 0 means unknown."""
-        self._label.setText(f"Opening {name}{': ' + text if text else '…'}")
-        self._bar.setRange(0, 1000 if fraction > 0 else 0)
-        self._bar.setValue(round(1000 * fraction))
-        self.show()

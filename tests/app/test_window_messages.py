@@ -56,7 +56,7 @@ def test_messages_about_a_source_and_ended_tasks_go_with_another_source(window, 
 def test_messages_and_progress_leave_the_views_where_they_are(window, qtbot):
     before = window.views.geometry()
     fail_to_open(window, qtbot)
-    window.opening.show_progress("sim:slow", 0.4, "pressing")
+    window.opening.show_share(0.4, "Opening sim:slow: pressing")
     QApplication.processEvents()
     assert window.opening.isVisible() and window.messages.message("source").isVisible()
     assert window.views.geometry() == before

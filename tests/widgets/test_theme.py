@@ -70,6 +70,7 @@ def test_a_theme_reaches_qt_and_pyqtgraph(qapp: QApplication, qtbot, name: str) 
 def test_what_paints_itself_follows_a_change_of_theme(qapp: QApplication, qtbot) -> None:
     histogram, message = LimitHistogram(RELATIVE_DIFFERENCE, 0.03), MessageLabel()
     pane = ImagePane("Proximity depth")
+    message.show_sentence("out of range")
     for widget in (histogram, message, pane):
         qtbot.addWidget(widget)
     for name in ("dark", "light", "dark"):

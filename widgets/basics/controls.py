@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from PyQt6.QtCore import QSize, Qt, pyqtSignal
-from PyQt6.QtGui import QPainter, QPaintEvent, QPalette
+from PyQt6.QtCore import QEvent, QSize, Qt, pyqtSignal
+from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPalette
 from PyQt6.QtWidgets import (
+    QApplication,
     QDialogButtonBox,
     QFrame,
     QHBoxLayout,
@@ -18,7 +19,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .theme import text_font
+from .icons import icon
+from .theme import text_font, theme_colors
 
 
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
@@ -29,6 +31,24 @@ def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     if shortcut:
         button.setShortcut(shortcut)
     return button
+
+
+def close_button(name: str, tip: str) -> QToolButton:
+    """Return the cross of a card over the views; ``name`` is for screen readers."""
+    button = QToolButton()
+    button.setIcon(icon("close"))
+    button.setAutoRaise(True)
+    button.setFocusPolicy(Qt.FocusPolicy.TabFocus)
+    button.setAccessibleName(name)
+    button.setToolTip(tip)
+    return button
+
+
+def copy_text(text: str) -> None:
+    """Put a text on the clipboard."""
+    clipboard = QApplication.clipboard()
+    assert clipboard is not None
+    clipboard.setText(text)
 
 
 def caption(text: str, control: QWidget) -> QLabel:
@@ -98,6 +118,82 @@ class ProgressBar(QProgressBar):
     def minimumSizeHint(self) -> QSize:
         """Words are elided rather than that they widen the window."""
         return QSize(100, super().minimumSizeHint().height())
+
+
+class ProgressCard(QFrame):
+    """What a job does, its progress, and a Cancel button; hidden while there is no job.
+
+    Parameters
+    ----------
+    name : str
+        Of the progress bar, for screen readers.
+    tip : str
+        Tooltip of *Cancel*.
+    """
+
+    def __init__(self, name: str, tip: str, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        self._words = QLabel()
+        self._words.setWordWrap(True)
+        self._bar = ProgressBar()
+        self._bar.setAccessibleName(name)
+        self.cancel = push_button("Cancel", tip)
+        row = QHBoxLayout()
+        row.addWidget(self._bar, 1)
+        row.addWidget(self.cancel)
+        layout = QVBoxLayout(self)
+        layout.setContentsMargins(8, 4, 4, 4)
+        layout.setSpacing(4)
+        layout.addWidget(self._words)
+        layout.addLayout(row)
+        self.hide()
+
+    def show_share(self, share: float, words: str) -> None:
+        """Show a share, 0 to 1, and the step; a share of 0 means unknown."""
+        self._words.setText(words)
+        self._bar.setRange(0, 100 if share > 0 else 0)
+        self._bar.setTextVisible(share > 0)
+        self._bar.show_share(share)
+        self.show()
+
+
+class NoteLabel(QLabel):
+    """A wrapped sentence that can be selected; an error is in the theme's colour of errors.
+
+    Parameters
+    ----------
+    text : str
+    lines : int
+        Room that is kept for a longer sentence, so that it moves nothing.
+    """
+
+    def __init__(self, text: str = "", lines: int = 1, parent: QWidget | None = None) -> None:
+        super().__init__(text, parent)
+        self._error = False
+        self.setWordWrap(True)
+        self.setTextFormat(Qt.TextFormat.PlainText)
+        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        if lines > 1:
+            self.setMinimumHeight(lines * self.fontMetrics().height())
+            self.setAlignment(Qt.AlignmentFlag.AlignTop)
+
+    def say(self, sentence: str, error: bool = False) -> None:
+        """Show a sentence."""
+        self._error = error
+        self._recolor()
+        self.setText(sentence)
+
+    def changeEvent(self, event: QEvent | None) -> None:
+        """Follow the theme."""
+        super().changeEvent(event)
+        if event is not None and event.type() == QEvent.Type.PaletteChange and self._error:
+            self._recolor()
+
+    def _recolor(self) -> None:
+        palette = QPalette()
+        if self._error:
+            palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
+        self.setPalette(palette)
 
 
 class AccentButton(QPushButton):

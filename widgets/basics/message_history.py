@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from PyQt6.QtCore import QEvent
-from PyQt6.QtWidgets import QApplication, QDialog, QDialogButtonBox, QPlainTextEdit, QVBoxLayout, QWidget
+from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QPlainTextEdit, QVBoxLayout, QWidget
 
-from .controls import dialog_buttons, push_button
+from .controls import copy_text, dialog_buttons, push_button
 from .messages import HISTORY
 
 
@@ -44,6 +44,4 @@ class MessageHistory(QDialog):
         self.text.setPlainText("\n".join(lines))
 
     def _copy(self) -> None:
-        clipboard = QApplication.clipboard()
-        if clipboard is not None:
-            clipboard.setText(self.text.toPlainText())
+        copy_text(self.text.toPlainText())

@@ -10,7 +10,7 @@ from enum import StrEnum
 from html import escape
 
 from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
-from PyQt6.QtGui import QColor, QEnterEvent, QHideEvent, QKeyEvent, QPalette, QShowEvent
+from PyQt6.QtGui import QColor, QEnterEvent, QHideEvent, QKeyEvent, QPainter, QPaintEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
     QFrame,
@@ -22,6 +22,9 @@ from PyQt6.QtWidgets import (
     QVBoxLayout,
     QWidget,
 )
+
+from .controls import close_button
+from .theme import theme_colors
 
 #: Messages on the screen at once; older ones wait.
 LIMIT = 3
@@ -40,8 +43,6 @@ class Severity(StrEnum):
     WARNING = "Warning"
     ERROR = "Error"
 
-
-_STRIPES = {Severity.INFO: "#3b82c4", Severity.WARNING: "#d9930d", Severity.ERROR: "#d64545"}
 
 Offer = tuple[str, Callable[[], None]]
 
@@ -67,15 +68,18 @@ def make_card(frame: QFrame) -> None:
     frame.setBackgroundRole(QPalette.ColorRole.AlternateBase)
 
 
-def _stripe(color: str) -> QFrame:
-    stripe = QFrame()
-    stripe.setFixedWidth(5)
-    stripe.setAutoFillBackground(True)
-    stripe.setBackgroundRole(QPalette.ColorRole.Window)
-    palette = stripe.palette()
-    palette.setColor(QPalette.ColorRole.Window, QColor(color))
-    stripe.setPalette(palette)
-    return stripe
+class _Stripe(QWidget):
+    """The colour of a severity."""
+
+    def __init__(self, severity: Severity) -> None:
+        super().__init__()
+        self._severity = severity
+        self.setFixedWidth(5)
+
+    def paintEvent(self, _: QPaintEvent | None) -> None:
+        colors = theme_colors()
+        color = {Severity.INFO: colors.accent, Severity.WARNING: colors.warning, Severity.ERROR: colors.error}
+        QPainter(self).fillRect(self.rect(), QColor(color[self._severity]))
 
 
 class Message(QFrame):
@@ -103,12 +107,7 @@ class Message(QFrame):
         text.setTextFormat(Qt.TextFormat.RichText)
         text.setWordWrap(True)
         text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
-        dismiss = QToolButton()
-        dismiss.setText("✕")
-        dismiss.setAutoRaise(True)
-        dismiss.setFocusPolicy(Qt.FocusPolicy.TabFocus)
-        dismiss.setToolTip("Dismiss this message (Esc)")
-        dismiss.setAccessibleName("Dismiss")
+        dismiss = close_button("Dismiss", "Dismiss this message (Esc)")
         dismiss.clicked.connect(close)
         first = QHBoxLayout()
         first.addWidget(text, 1)
@@ -133,7 +132,7 @@ class Message(QFrame):
         layout = QHBoxLayout(self)
         layout.setContentsMargins(0, 0, 0, 0)
         layout.setSpacing(0)
-        layout.addWidget(_stripe(_STRIPES[said.severity]))
+        layout.addWidget(_Stripe(said.severity))
         layout.addLayout(body, 1)
 
     def _details_button(self, details: str, body: QVBoxLayout) -> QToolButton:

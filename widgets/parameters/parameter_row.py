@@ -5,14 +5,15 @@ from __future__ import annotations
 from collections.abc import Collection
 from typing import Any, Final, Protocol, cast
 
-from PyQt6.QtCore import QEvent, QObject, Qt, pyqtBoundSignal, pyqtSignal
-from PyQt6.QtGui import QColor, QFontDatabase, QPalette, QWheelEvent
+from PyQt6.QtCore import QObject, Qt, pyqtBoundSignal, pyqtSignal
+from PyQt6.QtGui import QFontDatabase, QPalette, QWheelEvent
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QGridLayout, QLabel, QToolButton, QWidget
 
+from ..basics.controls import NoteLabel
 from ..basics.fields import FieldSpec
 from ..basics.gestures import new_gesture
 from ..basics.icons import icon
-from ..basics.theme import text_font, theme_colors
+from ..basics.theme import text_font
 from .band_slider import RangeEditor, RectangleEditor
 from .finding_line import FindingLine
 from .number_slider import NumberSlider
@@ -142,31 +143,17 @@ def make_editor(spec: FieldSpec) -> QWidget:
     return widget
 
 
-class MessageLabel(QLabel):
-    """A wrapped line in the colour of errors; hidden while empty."""
+class MessageLabel(NoteLabel):
+    """A sentence about an error; hidden while empty."""
 
     def __init__(self, parent: QWidget | None = None) -> None:
-        super().__init__(parent)
-        self.setWordWrap(True)
-        self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
+        super().__init__(parent=parent)
         self.hide()
-        self._recolor()
 
     def show_sentence(self, sentence: str) -> None:
         """Show a sentence, or hide with an empty one."""
-        self.setText(sentence)
+        self.say(sentence, error=True)
         self.setVisible(bool(sentence))
-
-    def changeEvent(self, event: QEvent | None) -> None:
-        """Follow the theme."""
-        super().changeEvent(event)
-        if event is not None and event.type() == QEvent.Type.PaletteChange:
-            self._recolor()
-
-    def _recolor(self) -> None:
-        palette = QPalette()
-        palette.setColor(QPalette.ColorRole.WindowText, QColor(theme_colors().error))
-        self.setPalette(palette)
 
 
 #: Columns of a section's grid: label, editor, unit, reset button.
