@@ -30,6 +30,8 @@ from .theme import theme_colors
 LIMIT = 3
 #: Width of a message, and its distance from the edge of the views, in pixels.
 _WIDTH_PX, _MARGIN_PX, _GAP_PX = 400, 8, 4
+#: Height of the line at the lower edge that stays in sight: the legends of the views.
+_LINE_PX = 20
 #: A note stays for this time and the time to read its characters, in ms.
 NOTE_MS, CHARACTER_MS = 4000, 60
 _HISTORY = 500
@@ -328,7 +330,7 @@ class Messages(QWidget):
         newest = list(reversed(self._messages.values()))
         pinned = [frame for frame in self._pinned if not frame.isHidden()]
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
-        room = self._over.height() - 2 * _MARGIN_PX
+        room = self._over.height() - 2 * _MARGIN_PX - _LINE_PX
         shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
         heights = {frame: _height(frame, width) + _GAP_PX for frame in (*newest, *pinned)}
         while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:
