@@ -7,11 +7,11 @@ from functools import partial
 from typing import Any
 
 from PyQt6.QtCore import QObject, Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent
-from PyQt6.QtWidgets import QFrame, QGridLayout, QLabel, QPushButton, QWidget
+from PyQt6.QtWidgets import QGridLayout, QLabel, QPushButton, QWidget
 
 from ...core.preset import Preset
 from ...widgets.basics.controls import close_button
+from ...widgets.basics.messages import Card
 from ..context import Context
 from ..worker.results import SourceInfo
 
@@ -26,17 +26,17 @@ _STEPS = (
 )
 
 
-class FirstStepsCard(QFrame):
+class FirstStepsCard(Card):
     """A heading, five buttons with their ticks, and a cross.
 
     Signals
     -------
     pressed(step: str)
     closed()
+        Esc or the cross was pressed.
     """
 
     pressed = pyqtSignal(str)
-    closed = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -71,13 +71,6 @@ class FirstStepsCard(QFrame):
             tick.setText("✓" if ticked else "")
             words = text.partition("  ")[2].rstrip("…")
             self.buttons[name].setAccessibleName(f"{words}: done" if ticked else words)
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Close with Esc while the focus is here."""
-        if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.closed.emit()
-        else:
-            super().keyPressEvent(event)
 
     def _press(self, name: str, _checked: bool) -> None:
         self.pressed.emit(name)

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 
-from PyQt6.QtCore import Qt, pyqtSignal
-from PyQt6.QtGui import QKeyEvent, QShowEvent
+from PyQt6.QtCore import Qt
+from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import (
-    QFrame,
     QGridLayout,
     QLabel,
     QPushButton,
@@ -17,6 +16,7 @@ from PyQt6.QtWidgets import (
 
 from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.icons import icon
+from ...widgets.basics.messages import Card
 from ..worker.playback import PlaybackState
 from ..worker.results import RateMeter, Result, SourceInfo, SourceState
 
@@ -38,10 +38,8 @@ _DETAILS = {
 }
 
 
-class FrameDetails(QFrame):
+class FrameDetails(Card):
     """The numbers of the newest frame that the status bar does not show: rates, losses, skew and times."""
-
-    closed = pyqtSignal()
 
     def __init__(self, parent: QWidget | None = None) -> None:
         super().__init__(parent)
@@ -75,13 +73,6 @@ class FrameDetails(QFrame):
         """Show the newest numbers."""
         super().showEvent(event)
         self._fill()
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Close with Esc while the focus is here."""
-        if event is not None and event.key() == Qt.Key.Key_Escape:
-            self.closed.emit()
-        else:
-            super().keyPressEvent(event)
 
     def _fill(self) -> None:
         result = self._result

@@ -190,9 +190,7 @@ def _present_effect(report: CalibrationReport, preset: Preset, pose: Pose) -> Pa
     depth = pose.scale * places[:, 2] + pose.offset_m
     points = np.column_stack([rays * depth[:, None], depth]) @ pose.rotation.T + pose.translation
     by_pose = preset.alignment.model == "rigid"
-    predicted = (
-        rig.proximity.intrinsics.project(points) if by_pose else _mapped(preset, rig, places[:, :2])
-    )  # fmt: skip
+    predicted = rig.proximity.intrinsics.project(points) if by_pose else _mapped(preset, rig, places[:, :2])
     gap_px = np.hypot(*(predicted - spread.proximity).T)
     lateral_px = np.sqrt(np.maximum(gap_px**2 - spread.sigma_px**2, 0.0))
     distance = depth if report.rigid is None else report.rigid.points_m(places)[:, 2]

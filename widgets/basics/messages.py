@@ -9,7 +9,7 @@ from datetime import datetime
 from enum import StrEnum
 from html import escape
 
-from PyQt6.QtCore import QEvent, QObject, Qt, QTimer
+from PyQt6.QtCore import QEvent, QObject, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QColor, QEnterEvent, QHideEvent, QKeyEvent, QPainter, QPaintEvent, QPalette, QShowEvent
 from PyQt6.QtWidgets import (
     QApplication,
@@ -63,8 +63,30 @@ class Said:
 HISTORY: deque[Said] = deque(maxlen=_HISTORY)
 
 
-def make_card(frame: QFrame) -> None:
-    """Give a frame over the views a background and an outline."""
+class Card(QFrame):
+    """A frame over the views with a background and an outline.
+
+    Signals
+    -------
+    closed()
+        Esc was pressed while the focus was here.
+    """
+
+    closed = pyqtSignal()
+
+    def __init__(self, parent: QWidget | None = None) -> None:
+        super().__init__(parent)
+        _make_card(self)
+
+    def keyPressEvent(self, event: QKeyEvent | None) -> None:
+        """Ask to be closed with Esc."""
+        if event is not None and event.key() == Qt.Key.Key_Escape:
+            self.closed.emit()
+        else:
+            super().keyPressEvent(event)
+
+
+def _make_card(frame: QFrame) -> None:
     frame.setFrameShape(QFrame.Shape.StyledPanel)
     frame.setAutoFillBackground(True)
     frame.setBackgroundRole(QPalette.ColorRole.AlternateBase)
@@ -84,7 +106,7 @@ class _Stripe(QWidget):
         QPainter(self).fillRect(self.rect(), QColor(color[self._severity]))
 
 
-class Message(QFrame):
+class Message(Card):
     """One sentence with its buttons, optional details, and a button that dismisses it.
 
     A note without buttons goes by itself, but not while the pointer or the focus is on it.
@@ -97,13 +119,12 @@ class Message(QFrame):
         self.sentence, self.subject = said.sentence, subject
         self.lasts = bool(offers) or said.severity is not Severity.INFO
         self.rank = 0 if said.severity is Severity.ERROR else 1 if self.lasts else 2
-        self._close = close
+        self.closed.connect(close)
         self._goes = QTimer(self)
         self._goes.setSingleShot(True)
         self._goes.setInterval(NOTE_MS + CHARACTER_MS * len(said.sentence))
         self._goes.timeout.connect(close)
         self.setAccessibleName(f"{said.severity}: {said.sentence}")
-        make_card(self)
 
         text = QLabel(f"<b>{said.severity}.</b> {escape(said.sentence)}")
         text.setTextFormat(Qt.TextFormat.RichText)
@@ -177,13 +198,6 @@ class Message(QFrame):
         """Go some time after the pointer left."""
         super().leaveEvent(event)
         self.run()
-
-    def keyPressEvent(self, event: QKeyEvent | None) -> None:
-        """Dismiss with Esc while the focus is here."""
-        if event is not None and event.key() == Qt.Key.Key_Escape:
-            self._close()
-        else:
-            super().keyPressEvent(event)
 
 
 class Messages(QWidget):
@@ -278,7 +292,7 @@ class Messages(QWidget):
 
     def pin(self, frame: QFrame) -> None:
         """Put a frame, such as the progress of a job, below the messages; it is there while it is not hidden."""
-        make_card(frame)
+        _make_card(frame)
         hidden = frame.isHidden()
         self._pinned.append(frame)
         frame.setParent(self)

@@ -56,8 +56,6 @@ class PickView(CloudView):
     -------
     pointClicked(pixel: int, place: tuple of 3 floats)
         The flat pixel of the cloud and its place in the view's frame, metres.
-    missed()
-        There is no point where was clicked.
     nudged(change: float64 (4, 4), gesture: int)
         To be applied from the left, in the view's frame; all changes of one drag carry one gesture.
     """
@@ -72,7 +70,6 @@ class PickView(CloudView):
     FOLLOWS_MOUSE = True
 
     pointClicked = pyqtSignal(int, object)
-    missed = pyqtSignal()
     nudged = pyqtSignal(object, int)
 
     def __init__(self, title: str, backend: BackendChoice = "auto", parent: QWidget | None = None) -> None:
@@ -164,9 +161,7 @@ class PickView(CloudView):
 
     def _click(self, at: QPointF) -> None:
         found = self.pick(at, self._pickable)
-        if found is None:
-            self.missed.emit()
-        else:
+        if found is not None:
             self.pointClicked.emit(*found)
 
     def _nudge_to(self, at: tuple[float, float]) -> None:
