@@ -8,6 +8,7 @@ from functools import cache
 import cv2
 import numpy as np
 import pyqtgraph as pg
+from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QShowEvent
 from PyQt6.QtWidgets import QButtonGroup, QGridLayout, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 from scipy.interpolate import LinearNDInterpolator
@@ -214,7 +215,8 @@ class QualityPage(QWidget):
             self.numbers.addWidget(QLabel(title), number, 0)
             self.numbers.addWidget(QLabel(f"<b>{value}</b>"), number, 1)
         self.numbers.setColumnStretch(1, 1)
-        self.warnings.setText("<br>".join(f"Note: {words}" for words in report.warnings))
+        self.warnings.setTextFormat(Qt.TextFormat.PlainText)
+        self.warnings.setText("\n".join(f"Note: {words}" for words in report.warnings))
         self.warnings.setVisible(bool(report.warnings))
         depths = [
             1e3 * pair.tactile_depth_m

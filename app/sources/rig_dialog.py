@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from PyQt6.QtCore import pyqtSignal
+from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtWidgets import QDialog, QDialogButtonBox, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
 from ...core.calibration.lens import check_lens
@@ -39,6 +39,7 @@ class RigDialog(QDialog):
         self.setWindowTitle("Create rig")
         self._images = images
         self.found = QLabel(_in_words(images))
+        self.found.setTextFormat(Qt.TextFormat.PlainText)
         self.found.setWordWrap(True)
         self.note = NoteLabel(lines=2)
         self.forms = self._make_forms(native_dialogs)

@@ -35,7 +35,8 @@ class Thumbnails:
 
     def path(self, name: str) -> Path:
         """Return the file of a source's picture; it may not exist."""
-        return self._folder / f"{hashlib.sha256(name.encode()).hexdigest()[:24]}.png"
+        key = hashlib.sha256(name.encode(errors="surrogatepass")).hexdigest()  # file names need not be valid Unicode
+        return self._folder / f"{key[:24]}.png"
 
     def keep(self, name: str, image: Uint8Array) -> None:
         """Keep a picture of a source: RGB, uint8, shape (H, W, 3)."""

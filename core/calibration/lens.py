@@ -13,6 +13,7 @@ import numpy as np
 
 from ..errors import CalibrationError
 from ..model.arrays import AnyArray
+from ..model.files import read_file
 from ..model.intrinsics import Distortion, Intrinsics
 from .detect import detect_chessboard
 
@@ -197,7 +198,7 @@ def _refuse_bad(fit: LensFit, folder: Path) -> None:
 
 def _read(path: Path) -> AnyArray:
     try:
-        picture = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_GRAYSCALE)
+        picture = cv2.imdecode(np.frombuffer(read_file(path), np.uint8), cv2.IMREAD_GRAYSCALE)
     except (OSError, cv2.error) as error:
         raise CalibrationError(f"cannot be read ({error})") from error
     if picture is None:

@@ -73,14 +73,33 @@ def recording_files(text: str) -> tuple[Path, ...]:
     A name is a path, or two paths with a comma between them. Paths may contain commas: a name that is a file as
     it stands is that file, else it is split at the first comma with a file on either side.
     """
-    if user_path(text).is_file():
+    if _is_file(user_path(text)):
         return (user_path(text),)
     for at, letter in enumerate(text):
         if letter == ",":
             first, second = user_path(text[:at]), user_path(text[at + 1 :])
-            if first.is_file() and second.is_file():
+            if _is_file(first) and _is_file(second):
                 return first, second
     return ()
+
+
+def path_exists(path: Path | str) -> bool:
+    """Return whether there is something at a path; no for a path that the operating system refuses to look at."""
+    try:
+        return user_path(path).exists()
+    except OSError:  # such as a name that is too long
+        return False
+
+
+def _is_file(path: Path) -> bool:
+    return path_exists(path) and path.is_file()
+
+
+def read_file(path: Path) -> bytes:
+    """Return the bytes of a file; `OSError` for a pipe or a device too, reading which might never end."""
+    if path.exists() and not path.is_file() and not path.is_dir():
+        raise OSError("it is no ordinary file")
+    return path.read_bytes()
 
 
 def refuse_devices(path: Path, error: type[TactuneError]) -> None:

@@ -23,6 +23,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from ..errors import SourceError
+from .files import read_file
 from .frames import DepthCamera, Rig
 from .intrinsics import Intrinsics
 
@@ -49,7 +50,7 @@ def json_text(data: dict[str, Any]) -> str:
 def read_json_object(path: Path) -> dict[str, Any]:
     """Read a file that contains one JSON object; `SourceError` names the file and the error."""
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
+        data = json.loads(read_file(path).decode("utf-8"))
     except FileNotFoundError as error:
         raise SourceError(f"there is no file {path}; a recording needs one") from error
     except OSError as error:

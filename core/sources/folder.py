@@ -34,7 +34,7 @@ import numpy as np
 from ..errors import ExportError, FrameError, SourceError
 from ..model.arrays import AnyArray, Float32Array, Uint8Array, Uint16Array
 from ..model.clouds import valid_depth
-from ..model.files import user_path
+from ..model.files import read_file, user_path
 from ..model.frames import NO_DEPTH_COUNTS, GroundTruth, Rig, SensorFrame
 from ..model.rig_file import json_text, load_rig, read_json_object, rig_to_json
 from .base import FrameSource, Progress, SeekableSource
@@ -257,7 +257,7 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
     """Read one image and check its bit depth, its channels and its size."""
     try:
         # Not cv2.imread: a name that is no valid Unicode makes it crash the whole process.
-        image = cv2.imdecode(np.frombuffer(path.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
+        image = cv2.imdecode(np.frombuffer(read_file(path), np.uint8), cv2.IMREAD_UNCHANGED)
     except OSError as error:
         raise SourceError(
             f"cannot read {path}: {error.strerror or error}; export or copy the recording again"
@@ -283,8 +283,7 @@ def _read_image(path: Path, dtype: np.dtype[Any], channels: int, shape: tuple[in
 
 def _read_metres(path: Path, shape: tuple[int, int]) -> Float32Array:
     try:
-        with path.open("rb") as file:
-            depth = np.lib.format.read_array(file, allow_pickle=False)
+        depth = np.lib.format.read_array(io.BytesIO(read_file(path)), allow_pickle=False)
     except (OSError, ValueError, EOFError, MemoryError) as error:
         raise SourceError(f"{path} is no readable NumPy array; export or copy it again") from error
     if depth.dtype != np.float32 or depth.shape != shape:

@@ -11,17 +11,18 @@ import cv2
 import numpy as np
 
 from ..errors import ExportError, SourceError
+from ..model.arrays import AnyArray
 from ..model.files import atomic_path, user_path
 from ..model.frames import Rig
 from ..model.rig_file import json_text, rig_to_json
 
 RIG_FILE = "rig.json"
-#: The images of a frame: whether it needs each, and its bits.
+#: The images of a frame: whether it needs each, its bits and its channels.
 IMAGES = {
-    "proximity_depth.png": (True, 16),
-    "proximity_color.png": (True, 8),
-    "tactile_depth.png": (True, 16),
-    "tactile_color.png": (False, 8),
+    "proximity_depth.png": (True, 16, 1),
+    "proximity_color.png": (True, 8, 3),
+    "tactile_depth.png": (True, 16, 1),
+    "tactile_color.png": (False, 8, 3),
 }
 
 
@@ -75,18 +76,21 @@ def find_images(path: Path) -> FolderImages:
             raise SourceError(f"{path} has no images of frames; they are called {', '.join(IMAGES)}")
         frames = 1 if first == path else len(_numbered(path))
         sizes, problems = {}, []
-        for name, (needed, bits) in IMAGES.items():
+        for name, (needed, bits, channels) in IMAGES.items():
             file = first / name
             if not file.is_file():
                 problems += [f"{name} is missing"] * needed
                 continue
-            image = cv2.imdecode(np.frombuffer(file.read_bytes(), np.uint8), cv2.IMREAD_UNCHANGED)
-            if image is None or image.dtype.itemsize * 8 != bits:
-                problems.append(f"{name} is no PNG image of {bits} bits")
+            image = _decode(file.read_bytes())
+            found = None if image is None else (image.dtype.itemsize * 8, image.shape[2] if image.ndim == 3 else 1)
+            if image is None or found != (bits, channels):
+                problems.append(f"{name} is no PNG image of {channels} x {bits} bits")
                 continue
             sizes[name] = (image.shape[1], image.shape[0])
-    except (OSError, cv2.error) as error:
-        raise SourceError(f"cannot read the images in {path}: {error}; check its permissions") from error
+    except OSError as error:
+        raise SourceError(
+            f"cannot read the images in {path}: {error.strerror or error}; check its permissions"
+        ) from error
     if sizes.get("tactile_color.png", sizes.get("tactile_depth.png")) != sizes.get("tactile_depth.png"):
         problems.append("tactile_color.png has another size than tactile_depth.png; align it to the depth image")
     return FolderImages(path, frames, sizes, f"{first}: {'; '.join(problems)}" if problems else "")
@@ -105,6 +109,13 @@ def write_rig(path: Path, rig: Rig) -> None:
         raise ExportError(f"{file} is already there; remove it first")
     with atomic_path(file) as temporary:
         temporary.write_text(json_text(rig_to_json(rig)), encoding="utf-8")
+
+
+def _decode(data: bytes) -> AnyArray | None:
+    try:
+        return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:  # empty, or an absurd size
+        return None
 
 
 def _first_frame(path: Path) -> Path | None:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from ..errors import PluginError, SourceError
-from ..model.files import recording_files, user_path
+from ..model.files import path_exists, recording_files, user_path
 from ..model.plugins import NOT_INSTALLED, load_plugin, load_plugins, plugin_names
 from .base import FrameSource, Progress
 
@@ -127,16 +127,16 @@ def missing_path(name: str) -> Path | None:
         return missing_path(rest)
     kind = next((kind for kind in source_kinds() if kind.scheme == scheme), None)
     if kind is None:
-        return None if user_path(name).exists() or recording_files(name) else user_path(name)
-    if kind.needs == "nothing" or user_path(rest).exists() or recording_files(rest):
+        return None if path_exists(name) or recording_files(name) else user_path(name)
+    if kind.needs == "nothing" or path_exists(rest) or recording_files(rest):
         return None
-    return next((path for part in rest.split(",") if not (path := user_path(part)).exists()), user_path(rest))
+    return next((user_path(part) for part in rest.split(",") if not path_exists(part)), user_path(rest))
 
 
 def is_recording(name: str) -> bool:
     """Return whether a source's name means files, which are read at once, not cameras or what is computed."""
     scheme = name.partition(":")[0]
-    return next((kind.needs != "nothing" for kind in source_kinds() if kind.scheme == scheme), user_path(name).exists())
+    return next((kind.needs != "nothing" for kind in source_kinds() if kind.scheme == scheme), path_exists(name))
 
 
 def _load(scheme: str) -> SourceKind:

@@ -6,6 +6,8 @@ import json
 import shutil
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtTest import QTest
@@ -125,6 +127,23 @@ def test_a_folder_that_lacks_an_image_says_which(window, qtbot, bare):
     (bare / "000000" / "tactile_depth.png").unlink()
     dialog = rig_dialog(window, qtbot, bare)
     assert "tactile_depth.png is missing" in dialog.note.text()
+    assert not dialog.write.isEnabled()
+
+
+@pytest.mark.parametrize(
+    ("name", "image", "words"),
+    [
+        ("tactile_depth.png", np.zeros((48, 64), np.uint8), "tactile_depth.png is no PNG image of 1 x 16 bits"),
+        ("tactile_depth.png", np.zeros((48, 64, 3), np.uint16), "tactile_depth.png is no PNG image of 1 x 16 bits"),
+        ("proximity_color.png", np.zeros((48, 64), np.uint8), "proximity_color.png is no PNG image of 3 x 8 bits"),
+        ("proximity_depth.png", None, "proximity_depth.png is no PNG image of 1 x 16 bits"),
+    ],
+)
+def test_an_image_of_another_form_is_said_before_a_rig_is_written(window, qtbot, bare, name, image, words):
+    data = b"" if image is None else cv2.imencode(".png", image)[1].tobytes()
+    (bare / "000000" / name).write_bytes(data)
+    dialog = rig_dialog(window, qtbot, bare)
+    assert words in dialog.note.text()
     assert not dialog.write.isEnabled()
 
 

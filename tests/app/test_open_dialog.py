@@ -6,7 +6,7 @@ import pytest
 from PyQt6.QtCore import Qt
 from PyQt6.QtGui import QColor
 from PyQt6.QtTest import QTest
-from PyQt6.QtWidgets import QComboBox, QDialogButtonBox
+from PyQt6.QtWidgets import QApplication, QComboBox, QDialogButtonBox
 
 from hands import CONTROL, LEFT
 from tactune.core.sources.folder import export_folder
@@ -136,6 +136,19 @@ def test_a_click_on_the_toolbar_opens_the_dialog_with_the_present_name(window, q
     assert window.sources.dialog.name.text() == "tiny"
 
 
+def test_a_very_long_name_is_answered_and_does_not_widen_the_dialog(window, qtbot):
+    dialog = open_dialog(window, qtbot)
+    width = dialog.width()
+    for name in ("sim:cup?seed=" + "9" * 5000, "x" * 5000):
+        dialog.name.clear()
+        QApplication.clipboard().setText(name)
+        QTest.keyClick(dialog.name, Qt.Key.Key_V, CONTROL)
+        QTest.keyClick(dialog.name, Qt.Key.Key_Return)
+        qtbot.waitUntil(lambda: dialog.name.isEnabled() and dialog.note.text() != "")
+        QApplication.processEvents()
+        assert dialog.width() == width
+
+
 # Recent sources
 
 
@@ -186,6 +199,12 @@ def test_a_recording_that_is_gone_is_grey_and_can_be_removed(window, qtbot, tmp_
     QTest.keyClick(dialog.page.list, Qt.Key.Key_Delete)
     assert gone not in window.settings.recent("sources")
     assert all(not dialog.page.list.item(row).text().startswith(gone) for row in range(dialog.page.list.count()))
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "folder:/tmp/\udcff"])
+def test_a_strange_name_is_listed(window, qtbot, name):
+    window.settings.add_recent("sources", name)
+    assert open_dialog(window, qtbot, RECENT).page.list.item(0).text().startswith(name)
 
 
 # Files and others

@@ -47,6 +47,18 @@ def test_messages_push_nothing_aside_and_stay_inside(views):
         assert not message.isVisible() or message.height() >= message.heightForWidth(message.width())
 
 
+@pytest.mark.parametrize("sentence", ["word " * 20_000, "x" * 20_000], ids=["words", "one word"])
+def test_a_very_long_sentence_can_be_dismissed(views, sentence):
+    views.messages.show_message("long", Severity.ERROR, sentence)
+    QApplication.processEvents()
+    message = views.messages.message("long")
+    [dismiss] = [button for button in message.findChildren(QToolButton) if button.accessibleName() == "Dismiss"]
+    assert views.over.rect().contains(views.messages.geometry())
+    assert message.rect().contains(dismiss.geometry())
+    QTest.mouseClick(dismiss, LEFT)
+    assert views.messages.sentences() == []
+
+
 def test_the_newest_three_are_on_the_screen_the_newest_on_top_and_errors_before_notes(views):
     views.messages.show_message("error", Severity.ERROR, "Error.")
     for key in "abc":

@@ -50,6 +50,17 @@ def test_a_widget_and_another_right_after_it(qtbot):
         assert (tip.height() > 3 * tip.fontMetrics().height()) == (lines > 1)
 
 
+def test_a_name_that_looks_like_markup_is_shown_as_it_is(qtbot):
+    formats = []
+    for text in ("<p><b>Drag</b> to orbit</p>", "folder:/data/<b>cup</b>"):
+        label = QLabel("value")
+        qtbot.addWidget(label)
+        label.setToolTip(text)
+        label.show()
+        formats.append(tip_at(qtbot, label, QPoint(2, 2)).textFormat())
+    assert formats == [Qt.TextFormat.RichText, Qt.TextFormat.PlainText]
+
+
 def test_a_menu_entry(qtbot):
     menu = QMenu()
     qtbot.addWidget(menu)

@@ -23,6 +23,11 @@ from .icons import icon
 from .theme import text_font, theme_colors
 
 
+def shortened(sentence: str) -> str:
+    """Return a sentence of at most 600 characters; the middle of a longer one, such as a name of any length, goes."""
+    return sentence if len(sentence) <= 600 else f"{sentence[:300]} … {sentence[-300:]}"
+
+
 def push_button(text: str, tip: str, shortcut: str = "") -> QPushButton:
     """Return a button with a tooltip that Enter does not press by itself."""
     button = QPushButton(text)
@@ -134,6 +139,7 @@ class ProgressCard(QFrame):
     def __init__(self, name: str, tip: str, parent: QWidget | None = None) -> None:
         super().__init__(parent)
         self._words = QLabel()
+        self._words.setTextFormat(Qt.TextFormat.PlainText)
         self._words.setWordWrap(True)
         self._bar = ProgressBar()
         self._bar.setAccessibleName(name)
@@ -171,6 +177,7 @@ class NoteLabel(QLabel):
         super().__init__(text, parent)
         self._error = False
         self.setWordWrap(True)
+        self.setMinimumWidth(1)  # a long word widens no window
         self.setTextFormat(Qt.TextFormat.PlainText)
         self.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         if lines > 1:
@@ -181,7 +188,7 @@ class NoteLabel(QLabel):
         """Show a sentence."""
         self._error = error
         self._recolor()
-        self.setText(sentence)
+        self.setText(shortened(sentence))
 
     def changeEvent(self, event: QEvent | None) -> None:
         """Follow the theme."""

@@ -9,13 +9,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from PyQt6.QtCore import QMimeData, QSize
+from PyQt6.QtCore import QMimeData, QSize, Qt
 from PyQt6.QtWidgets import (
     QApplication,
     QDialog,
     QDialogButtonBox,
     QFileDialog,
     QFormLayout,
+    QLabel,
     QLineEdit,
     QMessageBox,
     QPlainTextEdit,
@@ -46,6 +47,7 @@ class Dialogs:
         box.setWindowTitle("Unsaved changes")
         box.setText(f"Save the changes to “{name}”?")
         box.setInformativeText("Without saving, they are lost.")
+        _show_plain(box)
         buttons = QMessageBox.StandardButton
         box.setStandardButtons(buttons.Save | buttons.Discard | buttons.Cancel)
         box.setDefaultButton(buttons.Save)
@@ -66,6 +68,7 @@ class Dialogs:
         """Ask before something is replaced or removed; the button ``yes`` calls ``use``, Cancel nothing."""
         box = QMessageBox(QMessageBox.Icon.Warning, title, question, parent=self._parent)
         box.setInformativeText(details)
+        _show_plain(box)
         agree = box.addButton(yes, QMessageBox.ButtonRole.AcceptRole)
         box.addButton(QMessageBox.StandardButton.Cancel)
         box.setDefaultButton(QMessageBox.StandardButton.Cancel)
@@ -158,6 +161,12 @@ class Dialogs:
 
         dialog.finished.connect(answered)
         dialog.open()
+
+
+def _show_plain(box: QMessageBox) -> None:
+    """Show the texts as they are: a name may look like markup."""
+    for label in box.findChildren(QLabel):
+        label.setTextFormat(Qt.TextFormat.PlainText)
 
 
 def local_files(data: QMimeData | None) -> list[Path]:

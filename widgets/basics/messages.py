@@ -23,7 +23,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from .controls import close_button
+from .controls import close_button, shortened
 from .theme import theme_colors
 
 #: Messages on the screen at once; older ones wait.
@@ -126,9 +126,10 @@ class Message(Card):
         self._goes.timeout.connect(close)
         self.setAccessibleName(f"{said.severity}: {said.sentence}")
 
-        text = QLabel(f"<b>{said.severity}.</b> {escape(said.sentence)}")
+        text = QLabel(f"<b>{said.severity}.</b> {escape(shortened(said.sentence))}")
         text.setTextFormat(Qt.TextFormat.RichText)
         text.setWordWrap(True)
+        text.setMinimumWidth(1)  # a long word does not push the button aside
         text.setTextInteractionFlags(Qt.TextInteractionFlag.TextSelectableByMouse)
         dismiss = close_button("Dismiss", "Dismiss this message (Esc)")
         dismiss.clicked.connect(close)
@@ -346,7 +347,7 @@ class Messages(QWidget):
         width = min(_WIDTH_PX, self._over.width() - 2 * _MARGIN_PX)
         room = self._over.height() - 2 * _MARGIN_PX - _LINE_PX
         shown = sorted(newest, key=lambda message: message.rank)[:LIMIT]  # stable: the newest first of each rank
-        heights = {frame: _height(frame, width) + _GAP_PX for frame in (*newest, *pinned)}
+        heights = {frame: _height(frame, width) + _GAP_PX for frame in (*shown, *pinned)}
         while len(shown) > 1 and sum(heights[frame] for frame in (*shown, *pinned)) > room:
             shown.pop()
         y = 0

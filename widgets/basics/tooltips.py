@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from PyQt6.QtCore import QEvent, QObject
+from PyQt6.QtCore import QEvent, QObject, Qt
 from PyQt6.QtWidgets import QLabel, QWidget
 
 #: Largest width of a tooltip, in pixels: lines of about 60 characters.
@@ -31,6 +31,9 @@ class TipWrapper(QObject):
     def eventFilter(self, watched: QObject | None, event: QEvent | None) -> bool:
         """Give the label the height of its wrapped text, inside the screen."""
         if isinstance(watched, QLabel) and event is not None and event.type() in {QEvent.Type.Show, QEvent.Type.Resize}:
+            # The help of the views is rich text; elsewhere a file name may look like markup.
+            rich = watched.text().startswith("<p>")
+            watched.setTextFormat(Qt.TextFormat.RichText if rich else Qt.TextFormat.PlainText)
             watched.setWordWrap(True)
             height = watched.heightForWidth(watched.width())
             if height != watched.height():

@@ -137,7 +137,8 @@ def check_values(values: Mapping[str, str]) -> None:
     """Raise `SourceError` if the values of the fields cannot be opened together."""
     name = write_name(values)
     seed, noise = values["seed"], values["noise"]
-    if not (seed.isascii() and seed.isdigit() and int(seed) <= MAX_SEED):
+    few_digits = len(seed) <= 100  # Python refuses to read numbers of thousands of digits
+    if not (seed.isascii() and seed.isdigit() and few_digits and int(seed) <= MAX_SEED):
         raise SourceError(f"{name}: seed is {seed!r}, but it must be a whole number from 0, such as seed=3")
     try:
         times = float(noise)

@@ -212,3 +212,11 @@ def test_a_bad_camera_field_is_named_with_its_value(recording: Path, field: str)
     edit(path, proximity=camera)
     with pytest.raises(SourceError, match=rf"rig\.json: {sentence}"):
         load_rig(path)
+
+
+@pytest.mark.parametrize("name", ["rig.json", "000000/frame.json"])
+def test_a_pipe_in_place_of_a_file_is_not_waited_for(recording: Path, name: str) -> None:
+    (recording / name).unlink(missing_ok=True)
+    os.mkfifo(recording / name)
+    with pytest.raises(SourceError, match=f"cannot read .*{name}: it is no ordinary file"):
+        FolderSource(recording)

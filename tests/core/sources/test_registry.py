@@ -17,7 +17,7 @@ from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
 from tactune.core.sources import SeekableSource, simulator
 from tactune.core.sources.folder import FolderSource, export_folder
-from tactune.core.sources.registry import open_source, source_kinds
+from tactune.core.sources.registry import is_recording, missing_path, open_source, source_kinds
 from tactune.core.sources.simulator.scenes import SCENES, Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
@@ -152,8 +152,9 @@ def test_a_scheme_wins_over_a_folder_of_that_name(
         ("sim:cup?noise=inf", r"noise is 'inf'"),
         ("sim:cup?noise=1e300", r"noise is '1e300'"),
         ("x" * 5000, r"cannot open x+: File name too long"),
+        ("sim:cup?seed=" + "9" * 5000, r"seed is '9+', but it must be a whole number"),
         ("folder:" + "x" * 5000, r"cannot open folder:x+: File name too long"),
-        ("bag:" + "x" * 5000, r"cannot open bag:x+: File name too long"),
+        ("bag:" + "x" * 5000, r"bag:x+: there is no file x+; check the path"),
         ("~nosuchuser/scene", r"'~nosuchuser/scene' is no source"),
         ("folder:~nosuchuser/scene", r"there is no folder ~nosuchuser/scene"),
         ("C:/data/scene", r"'C:/data/scene' is no source"),
@@ -166,6 +167,12 @@ def test_a_name_that_opens_nothing_is_answered_in_one_sentence(
     with pytest.raises(SourceError, match=sentence) as caught:
         open_source(name)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["x" * 5000, "folder:" + "x" * 5000, "bag:" + "x" * 5000])
+def test_nothing_is_at_a_path_that_is_too_long(name: str) -> None:
+    assert missing_path(name) is not None
+    assert is_recording(name) == (":" in name)
 
 
 @pytest.mark.parametrize("entry", ["folder", "image.png"])
