@@ -52,7 +52,7 @@ class InspectView(CloudView):
         self._hover = QTimer(self)
         self._hover.setSingleShot(True)
         self._hover.setInterval(_HOVER_MS)
-        self._hover.timeout.connect(lambda: self.pointHovered.emit(self.pick(self._mouse)))
+        self._hover.timeout.connect(self._point)  # no lambda: Qt would call it after Python has cleared a closed view
         self._scene.ornament = self._paint_ornament
 
     def set_mark(self, mark: Place | None) -> None:
@@ -101,6 +101,10 @@ class InspectView(CloudView):
             found = self.pick(self._canvas.mapFrom(self, event.position()))
             if found is not None:
                 self.endChosen.emit(found[1])
+
+    def _point(self) -> None:
+        """Tell which point is under the mouse."""
+        self.pointHovered.emit(self.pick(self._mouse))
 
     def leaveEvent(self, event: QEvent | None) -> None:
         """Point at nothing."""
