@@ -76,10 +76,10 @@ def calibrate(
     if out is not None:
         base = load_preset(out) if out.exists() else Preset().with_value("name", out.stem)
     report = fit(pairs, cameras, model.value, depth_fit=depth_fit.value)
+    if html is not None:  # first: where it fails, the preset stays as it was
+        write_html(html, report, points.stem if base is None else base.name)
     if out is not None and base is not None:
         save_preset(report.apply_to(base), out)
-    if html is not None:
-        write_html(html, report, points.stem if base is None else base.name)
     if as_json:
         typer.echo(json.dumps(report.to_json(), indent=2, allow_nan=False))
     else:

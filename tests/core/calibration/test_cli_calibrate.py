@@ -51,6 +51,15 @@ def test_words_hold_the_verdict(run, files, model):
     assert "supported tolerance t" in out
 
 
+def test_a_report_that_cannot_be_written_changes_no_preset(run, files):
+    (files / "quality.html").mkdir()
+    options = ("--report", files / "quality.html", "--out", files / "mine.json")
+    status, _, err = run("--points", files / "points.csv", "--rig", files / "rig.json", *options)
+    assert status == 2
+    assert "cannot write" in err
+    assert not (files / "mine.json").exists()
+
+
 def test_the_report_is_one_file_with_its_numbers_and_pictures(run, files, tmp_path):
     path = tmp_path / "quality.html"
     status, out, _ = run("--points", files / "points.csv", "--rig", files / "rig.json", "--report", path, "--json")
