@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import lzma
 import math
 import zipfile
 from collections.abc import Sequence
@@ -296,9 +297,16 @@ def save_shipped(path: Path, scene: SolvedScene) -> None:
 
 
 def load_shipped(path: Path, count: int) -> SolvedScene | None:
-    """Return ``count`` states from a file of `save_shipped`; None if the package has none for this code."""
-    if not path.exists():
+    """Return ``count`` states from a file of `save_shipped`; None if the package has no whole one for this code."""
+    try:
+        return _unpack_shipped(path, count)
+    except (OSError, EOFError, KeyError, TypeError, ValueError, NotImplementedError, RuntimeError):
         return None
+    except (zipfile.BadZipFile, lzma.LZMAError, cv2.error):
+        return None
+
+
+def _unpack_shipped(path: Path, count: int) -> SolvedScene:
     images: dict[str, Any] = {}
     with zipfile.ZipFile(path) as archive:
         facts = [PressFacts(**entry) for entry in json.loads(archive.read("facts.json"))]

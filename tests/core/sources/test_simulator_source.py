@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import gc
 import os
+import zipfile
 
 import cv2
 import numpy as np
@@ -16,7 +17,14 @@ from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator import source
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG, REFLECTIVE_FLAG
 from tactune.core.sources.simulator.scene import APEX_M, CleanState, PressFacts, simulator_rig
-from tactune.core.sources.simulator.source import SimulatorSource, SolvedScene, load_scene, save_scene
+from tactune.core.sources.simulator.source import (
+    SHIPPED,
+    SimulatorSource,
+    SolvedScene,
+    load_scene,
+    load_shipped,
+    save_scene,
+)
 
 COARSE = (88, 52)
 REST, DEEP = 0, 45
@@ -353,3 +361,15 @@ def test_truth_is_the_solver_s_and_unaffected_by_noise(cup, exact):
     state = clean_states(exact)[exact.scene.frames[DEEP]]
     assert np.array_equal(clean.contact, (state.flags & CONTACT_FLAG) != 0)
     assert np.nanmax(np.abs(clean.depth_m - state.membrane * CLEAN_UNIT_M)[state.membrane > 0]) < 1e-6
+
+
+@pytest.mark.parametrize("place", [0, 30, 2000, -40])
+def test_a_damaged_shipped_scene_is_solved_anew(tmp_path, place):
+    (shipped,) = SHIPPED.glob("*.zip")
+    data = bytearray(shipped.read_bytes())
+    data[place] ^= 255
+    (tmp_path / "scene.zip").write_bytes(data[: None if place else 100])
+    with zipfile.ZipFile(shipped) as archive:
+        count = sum(name.endswith("tactile_color.webp") for name in archive.namelist())
+    assert load_shipped(shipped, count) is not None
+    assert load_shipped(tmp_path / "scene.zip", count) is None
