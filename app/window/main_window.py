@@ -272,7 +272,7 @@ class MainWindow(QMainWindow):
         worker.openFailed.connect(self._open_failed)
         worker.failed.connect(partial(self.messages.show_message, "worker", Severity.ERROR, subject=SOURCE))
         worker.recovered.connect(partial(self.messages.clear, "worker"))
-        worker.playbackChanged.connect(transport.show_state)
+        worker.playbackChanged.connect(transport.show_change)
         worker.playbackChanged.connect(self.status.show_playback)
         worker.recordingStarted.connect(lambda _: self.status.show_recording(True))
         worker.recordingEnded.connect(lambda _: self.status.show_recording(False))

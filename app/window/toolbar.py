@@ -80,6 +80,11 @@ class Transport(QWidget):
                 self.slider.setRange(0, last)
                 self.slider.setValue(max(0, state.index))
 
+    def show_change(self, state: PlaybackState) -> None:
+        """Show a change of all but the frame number. That of a result may be newer: results overtake such changes."""
+        known = self._state.index >= 0 and state.length == self._state.length
+        self.show_state(replace(state, index=self._state.index) if known else state)
+
     def _show_mode(self) -> None:
         """Enable what is possible now; everything but the frame number."""
         state, actions = self._state, self._actions

@@ -122,3 +122,12 @@ def test_no_number_is_cut_off(bar, result, width_px):
             assert label.geometry().right() < bar.width()
     for button in (bar.state, bar.findings):
         assert button.width() >= button.sizeHint().width()
+
+
+def test_a_change_of_playback_that_a_picture_has_overtaken_keeps_the_number_of_the_picture(window):
+    """A result replaces an older one whose signal is on its way, and so arrives before what was said in between."""
+    transport, late = window.transport, replace(window.transport.state, index=5)
+    window.worker.playbackChanged.emit(late)
+    assert transport.state.index == transport.slider.value() == window.result.playback.index == 3
+    window.worker.playbackChanged.emit(replace(late, loop=not late.loop))
+    assert transport.state.loop != late.loop

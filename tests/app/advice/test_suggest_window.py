@@ -168,7 +168,7 @@ def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
     [card] = window.cards
     plot = card.curve
     qtbot.waitUntil(plot.isVisible)
-    assert "Present 0.03: missed" in plot.readout.text()
+    assert "Present 3 %: missed" in plot.readout.text()
 
     viewport = plot.plot.viewport()
     QTest.mouseClick(viewport, LEFT, pos=plot.point_at(0.002).toPoint())
@@ -177,12 +177,12 @@ def test_with_examples_a_value_is_chosen_on_the_curve_live(main, qtbot):
     QTest.keyClick(plot, Qt.Key.Key_Right)
     chosen = card.proposal.changes["tolerance.t"]
     assert chosen > low
-    assert f"Suggested {chosen:g}" in plot.readout.text()
+    assert f"Suggested {100 * chosen:g} %" in plot.readout.text()
     assert main.context.comparison.sides[1].preset.tolerance.t == chosen
 
     drag_slider(tolerance_slider(main), 0.3, 0.5)
     present = main.document.preset.tolerance.t
     assert present != 0.03
-    assert f"Present {present:g}" in plot.readout.text()
+    assert f"Present {100 * present:g} %" in plot.readout.text()
     QTest.mouseClick(window.apply, LEFT)
     assert main.document.preset.tolerance.t == chosen
