@@ -7,16 +7,11 @@ from typing import TYPE_CHECKING
 from ..base import FrameSource, Progress
 from ..registry import SourceKind
 from .membranes import MEMBRANES
+from .scene_list import SCENES
 from .sensors import DEFAULT_SENSOR, SENSORS
 
 if TYPE_CHECKING:
     from ...preset import CamerasSection
-
-SCENES = ("cube", "cup", "octopus")
-#: Further scenes of the simulator, and the options of all scenes.
-MORE_SCENES = ("two", "knobs", "star", "mug", "hand", "hover", "stiff", "wrinkled", "slide")
-SCENE_OPTIONS = ("press", "side", "object", "gap", "membrane", "grid", "light", "sensor", "seed", "noise")
-DEFAULT_SCENE = "cup"
 
 
 def _open(rest: str, progress: Progress | None, cameras: CamerasSection | None) -> FrameSource:

@@ -9,9 +9,9 @@ from typing import Final, get_args
 from urllib.parse import parse_qsl
 
 from ...errors import SourceError
-from . import DEFAULT_SCENE, MORE_SCENES, SCENE_OPTIONS, SCENES
 from .membranes import MEMBRANES
 from .objects import OBJECTS
+from .scene_list import DEFAULT_SCENE, MORE_SCENES, SCENE_OPTIONS, SCENES
 from .scenes import SPECIAL_SCENES, Light, Press, Side, Variant, read_options, resolve_scene
 from .sensors import DEFAULT_SENSOR, SENSORS
 from .sheet import Print

@@ -15,9 +15,10 @@ import pytest
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import DepthCamera, Rig, SensorFrame
 from tactune.core.model.intrinsics import Intrinsics
-from tactune.core.sources import SeekableSource, simulator
+from tactune.core.sources import SeekableSource
 from tactune.core.sources.folder import FolderSource, export_folder
 from tactune.core.sources.registry import is_recording, missing_path, open_source, source_kinds
+from tactune.core.sources.simulator import scene_list
 from tactune.core.sources.simulator.scenes import SCENES, Variant
 from tactune.core.sources.simulator.sensors import DEFAULT_SENSOR
 
@@ -77,7 +78,7 @@ def test_simulator_names(opened: list[dict[str, Any]], name: str, expected: dict
 
 
 def test_the_scenes_offered_are_those_that_the_simulator_has() -> None:
-    assert (*simulator.SCENES, *simulator.MORE_SCENES) == SCENES
+    assert (*scene_list.SCENES, *scene_list.MORE_SCENES) == SCENES
     assert source_kinds()[0].examples == ("sim:cube", "sim:cup", "sim:octopus")
 
 

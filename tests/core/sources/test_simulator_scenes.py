@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from tactune.core.errors import SourceError
-from tactune.core.sources.simulator import MORE_SCENES, SCENE_OPTIONS
-from tactune.core.sources.simulator import SCENES as COMMON_SCENES
 from tactune.core.sources.simulator.membranes import MEMBRANES, STANDARD
 from tactune.core.sources.simulator.mesh import STIFF_FACTOR, MembraneDesign, build_mesh
 from tactune.core.sources.simulator.scene import RIM_M
+from tactune.core.sources.simulator.scene_list import MORE_SCENES, SCENE_OPTIONS
+from tactune.core.sources.simulator.scene_list import SCENES as COMMON_SCENES
 from tactune.core.sources.simulator.scenes import HELD_OUT, SCENES, Variant, light_table, read_options, resolve_scene
 from tactune.core.sources.simulator.source import SimulatorSource
 
