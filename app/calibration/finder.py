@@ -72,7 +72,11 @@ def _texture(snapshots: Sequence[Snapshot], rig: Rig, progress: Progress) -> Fou
                 f"{snapshot.name}: the tactile camera has no colour image to match; detect a target or click the points"
             )
     progress(0.1, f"Matching droplets in {count_snapshots(len(snapshots))}")
-    matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
+    try:
+        matches = match_texture([snapshot.frame for snapshot in snapshots], rig)
+    except CalibrationError as error:
+        why = str(error).partition(";")[0]  # what follows is advice on clicked pairs
+        raise CalibrationError(f"nothing reliable was found, click at least four dots in both images: {why}") from error
     progress(1.0, "Matched")
     pairs = tuple(
         PointPair(

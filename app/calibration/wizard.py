@@ -315,7 +315,7 @@ class CalibrationWizard(QDialog):
             return "The search for points is not complete yet: wait for it, or cancel it."
         few = missing_pairs(state)
         if few:
-            return f"{few} Press Find points on the page Points, or click them."
+            return f"{few} Press Find points, or click them in both images."
         return "" if self.outcome.report is not None or self.fitter.busy else self.outcome.sentence
 
     def _findings(self) -> dict[str, str]:

@@ -11,6 +11,7 @@ from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 
 from ...core.errors import SourceError, TactuneError
 from ...core.preset import Preset, now
+from ...core.preset.file import shipped_presets
 from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Messages, Severity
@@ -183,9 +184,13 @@ class FileFlows(QObject):
             self._settings.remove_recent("presets", str(path))
 
     def _write_preset(self, path: Path, then: Callable[[], object] | None) -> None:
+        elsewhere = path != self._document.path
         self._complete(path)
         if not self._told(lambda: self._document.save(path)):
             return
+        if elsewhere:
+            sentence = f"The preset was saved in {path}."
+            self._messages.show_message("saved", Severity.INFO, sentence, subject=TASK)
         self._messages.clear("file")
         self._settings.set("folder/preset", str(path.parent))
         self._settings.add_recent("presets", str(path))
@@ -193,10 +198,11 @@ class FileFlows(QObject):
             then()
 
     def _complete(self, path: Path) -> None:
-        """Set a preset's name and rig before it is saved, if they are missing."""
+        """Set a preset's rig before it is saved, if it is missing, and its name, if it is that of another file."""
         preset, result = self._document.preset, self._context.result
         missing: dict[str, Any] = {}
-        if preset.name == "untitled":
+        former = self._document.path.stem if self._document.path is not None else ""
+        if path.stem != preset.name and preset.name in {"untitled", former, *shipped_presets()}:
             missing["name"] = path.stem[:120] or "untitled"
         if preset.rig is None and result is not None:
             missing["rig"] = result.source.rig.model_dump(mode="json")

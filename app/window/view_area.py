@@ -107,7 +107,7 @@ _NO_TACTILE_CAMERA = "This recording has no tactile camera"
 _ONE_CAMERA = "One camera only: no contact can be found"
 _NO_DEPTH = "This camera measured no depth in this frame"
 _NEITHER = "Neither preset finds contact in this frame"
-_NO_POSE = "The tactile camera's pose is not known: open a preset that has one"
+_NO_POSE = "The tactile camera's pose is not known: calibrate (Ctrl+K), or open a preset that has one"
 _COLOR_TIPS = {
     ColorBy.CONTACT: "Depth in the camera views; contact in its own colour in the patch",
     ColorBy.DEPTH: "Depth in all views, including the patch",

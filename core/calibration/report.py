@@ -422,7 +422,7 @@ def next_step(quality: ModelQuality, coverage: Coverage, proximity: Float64Array
     if quality.alignment_px > GOOD_PX:
         wanted = int(np.ceil(used * (quality.alignment_px / GOOD_PX) ** 2))
         return f"Add points to lower the error; about {min(wanted, 60)} in all, clicked with the same care."
-    return "Nothing more is needed: check it on the live image and save it."
+    return "Check it on the live image and save it; nothing more is needed."
 
 
 def _large_residuals(quality: ModelQuality) -> str:

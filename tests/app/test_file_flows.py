@@ -234,6 +234,19 @@ def test_a_saved_preset_knows_the_rig_it_was_tuned_on(window, qtbot, tmp_path):
     assert window.result.warnings == ()
 
 
+@pytest.mark.parametrize(("start", "name"), [("simulator", "mug"), ("my cup", "my cup")])
+def test_a_shipped_preset_is_named_after_its_file_and_one_that_a_person_named_keeps_its_name(
+    window, qtbot, tmp_path, start, name
+):
+    window.document.edit("name", start)
+    path = tmp_path / "mug.json"
+    QTest.keyClick(window, Qt.Key.Key_S, CONTROL_SHIFT)
+    type_path(qtbot, path)
+    qtbot.waitUntil(lambda: window.document.path == path)
+    assert load_preset(path).name == name == window.document.preset.name
+    assert window.messages.message("saved").sentence == f"The preset was saved in {path}."
+
+
 @pytest.fixture
 def session(tmp_path):
     path = tmp_path / "session.mcap"

@@ -275,7 +275,7 @@ class ParameterPanel(QScrollArea):
             points = sum(pair.enabled for pair in record.points) - len(record.quality.excluded)
             self.alignment_info.setText(
                 f"Calibrated {record.date:%Y-%m-%d}: {record.model}, {points} point{'' if points == 1 else 's'}, "
-                f"expected error {record.quality.alignment_px:.1f} px, good for t from "
+                f"expected error {record.quality.alignment_px:.2f} px, good for t from "
                 f"{self.rows['tolerance.t'].spec.describe(record.quality.supported_tolerance)}"
             )
         self.alignment_info.setVisible(record is not None)
@@ -347,7 +347,7 @@ class ParameterPanel(QScrollArea):
         button.setText(text)
         button.setToolTip(tip)
         button.setFocusPolicy(Qt.FocusPolicy.StrongFocus)
-        button.setAccessibleName(f"{text} {name.replace('_', ' ')}")
+        button.setAccessibleName(text if name == "all" else f"{text} {name.replace('_', ' ')}")
         button.clicked.connect(lambda: self.suggestRequested.emit(name))
         self.suggests[name] = button
         return button

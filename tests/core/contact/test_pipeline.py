@@ -314,7 +314,7 @@ def test_a_refused_update_leaves_the_old_preset_in_force(make_rig, make_frame):
 
 def test_a_rig_without_a_pose_is_refused_in_words(make_rig):
     rig = make_rig().model_copy(update={"T_proximity_tactile": None})
-    with pytest.raises(RigMismatchError, match="T_proximity_tactile is empty"):
+    with pytest.raises(RigMismatchError, match="pose of the tactile camera is not known"):
         ContactPipeline(PRESET, rig)
 
 
