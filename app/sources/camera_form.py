@@ -13,9 +13,10 @@ from PyQt6.QtWidgets import QComboBox, QFormLayout, QGroupBox, QHBoxLayout, QLab
 from ...core.calibration.lens import MODELS, LensFit, nominal_lens
 from ...core.errors import SourceError
 from ...core.model.intrinsics import Distortion, Intrinsics
+from ...core.sources.cameras.camera import StreamLens
 from ...widgets.basics.controls import push_button
 from .chessboard_dialog import ChessboardDialog
-from .search import PROGRAM, CameraSearch, FoundCamera, FoundLens
+from .search import PROGRAM, CameraSearch, FoundCamera
 
 _NUMBERS = {
     "fx": "Focal length across the image, pixels",
@@ -247,7 +248,7 @@ class CameraForm(QGroupBox):
         self.camera_menu = menu
         menu.popup(self.from_camera.mapToGlobal(QPoint(0, self.from_camera.height())))
 
-    def _use_camera(self, camera: FoundCamera, lens: FoundLens, _checked: bool = False) -> None:
+    def _use_camera(self, camera: FoundCamera, lens: StreamLens, _checked: bool = False) -> None:
         self.model.setCurrentText(camera.model)
         self.unit.setText(f"{1e3 * lens.depth_unit_m:g}")
         self.show_lens(lens.intrinsics, f"From the {camera.model} (serial {camera.serial}), {lens.kind} images.")

@@ -11,6 +11,7 @@ from typing import Any
 from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
 from ...core.model.intrinsics import Intrinsics
+from ...core.sources.cameras.camera import StreamLens
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
@@ -19,15 +20,6 @@ _KILL_MS = 200
 _hanging: list[QProcess] = []
 PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
 _DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
-
-
-@dataclass(frozen=True)
-class FoundLens:
-    """The factory calibration of one image size of a camera; ``kind`` is "depth" or "color"."""
-
-    kind: str
-    depth_unit_m: float
-    intrinsics: Intrinsics
 
 
 @dataclass(frozen=True)
@@ -43,7 +35,7 @@ class FoundCamera:
     usb: str = ""
     problem: str = ""
     role: str = ""
-    lenses: tuple[FoundLens, ...] = ()
+    lenses: tuple[StreamLens, ...] = ()
 
     @property
     def sees_proximity(self) -> bool:
@@ -162,5 +154,5 @@ def _camera(device: dict[str, Any]) -> FoundCamera:
     lenses = []
     for lens in device.get("lenses", []):
         fields = {name: lens[name] for name in Intrinsics.model_fields}
-        lenses.append(FoundLens(lens["kind"], float(lens["depth_unit_m"]), Intrinsics(**fields)))
+        lenses.append(StreamLens(lens["kind"], Intrinsics(**fields), float(lens["depth_unit_m"])))
     return FoundCamera(**texts, lenses=tuple(lenses))
