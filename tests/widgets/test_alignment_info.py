@@ -30,7 +30,7 @@ def test_the_calibration_of_the_preset_is_shown(qtbot) -> None:
     panel.set_preset(membrane())
     assert panel.alignment_info.isVisibleTo(panel)
     assert panel.alignment_info.text() == (
-        "Calibrated 2026-03-04: rigid, 12 points, expected error 0.4 px, good for t from 0.81 %"
+        "Calibrated 2026-03-04: rigid, 12 points, expected error 0.42 px, good for t from 0.81 %"
     )
     panel.set_preset(Preset())
     assert not panel.alignment_info.isVisibleTo(panel)
