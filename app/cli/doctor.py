@@ -19,8 +19,7 @@ from .common import CliProgress
 NONE_STATUS = 1
 #: Exit status of ``doctor`` if a check fails.
 FAILED_STATUS = 1
-#: The driver is queried in a separate process, because it may hang or crash.
-_PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
+#: The driver is queried in a separate process, because it may hang or crash; longest wait for it.
 _PATIENCE_S = 15.0
 _NEEDED = (640, 480, 30)
 
@@ -46,8 +45,9 @@ def devices(
 def _ask_driver() -> tuple[list[dict[str, Any]], list[str]]:
     """Return the connected cameras, and what is wrong with camera drivers."""
     from ..doctor.checks import run_child
+    from ..sources.list_devices import PROGRAM
 
-    child = run_child([sys.executable, *_PROGRAM], _PATIENCE_S)
+    child = run_child([sys.executable, *PROGRAM], _PATIENCE_S)
     answer = child.answer()
     if "problem" in answer:
         raise SourceError(str(answer["problem"]))

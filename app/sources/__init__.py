@@ -1,1 +1,1 @@
-"""Live cameras in the application: choosing them and their settings."""
+"""Opening a source: the dialogs *Open…* and *Create rig…*, the cameras and their settings."""

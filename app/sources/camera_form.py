@@ -16,7 +16,8 @@ from ...core.model.intrinsics import Distortion, Intrinsics
 from ...core.sources.cameras.camera import StreamLens
 from ...widgets.basics.controls import push_button
 from .chessboard_dialog import ChessboardDialog
-from .search import PROGRAM, CameraSearch, FoundCamera
+from .list_devices import PROGRAM
+from .search import CameraSearch, FoundCamera
 
 _NUMBERS = {
     "fx": "Focal length across the image, pixels",

@@ -5,9 +5,13 @@ from __future__ import annotations
 import json
 import sys
 from dataclasses import asdict
+from typing import Final
 
 from ...core.errors import TactuneError
 from ...core.sources.cameras.camera import StreamLens
+
+#: What a Python interpreter runs to list the cameras.
+PROGRAM: Final = ("-P", "-m", "tactune.app.sources.list_devices")
 
 
 def main() -> int:

@@ -12,13 +12,13 @@ from PyQt6.QtCore import QObject, QProcess, QTimer, pyqtSignal
 
 from ...core.model.intrinsics import Intrinsics
 from ...core.sources.cameras.camera import StreamLens
+from .list_devices import PROGRAM
 
 #: Time limit of the search, ms. Loading the driver takes a second or two; it may hang.
 PATIENCE_MS = 15_000
 #: Wait for a killed process, ms.
 _KILL_MS = 200
 _hanging: list[QProcess] = []
-PROGRAM = ("-P", "-m", "tactune.app.sources.list_devices")
 _DOCTOR = "run “tactune doctor” in a terminal to find the cause and its remedy"
 
 

@@ -15,6 +15,8 @@ TextSize = Literal["caption", "body", "title"]
 #: The one accent colour: selections, slider grooves, the tolerance band. White text on it is readable.
 ACCENT = "#1a72e0"
 
+#: Dark outline of a light line that is drawn on any image.
+CASING: Final = QColor(0, 0, 0, 170)
 #: Spacings and margins are multiples of this, in px.
 GRID: Final = 4
 

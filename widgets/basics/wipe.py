@@ -8,10 +8,12 @@ from typing import Final
 from PyQt6.QtCore import QPointF, QRectF, Qt
 from PyQt6.QtGui import QColor, QFont, QFontMetricsF, QPainter, QPen
 
+from .theme import CASING
+
 #: Distance in screen pixels within which the mouse grabs the line.
 REACH: Final = 7.0
 
-_LINE, _CASING = QColor(255, 255, 255), QColor(0, 0, 0, 170)
+_LINE = QColor(255, 255, 255)
 _PLATE = QColor(0, 0, 0, 165)
 _GRIP = 7.0
 _MARGIN, _PADDING = 6.0, 5.0
@@ -44,7 +46,7 @@ def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe, font: QFont) -> None
     painter.setFont(font)
     painter.setRenderHint(QPainter.RenderHint.Antialiasing)
     if 0 < wipe.share < 1:
-        for color, width in ((_CASING, 4.0), (_LINE, 2.0)):
+        for color, width in ((CASING, 4.0), (_LINE, 2.0)):
             painter.setPen(QPen(color, width))
             painter.drawLine(QPointF(x, room.top()), QPointF(x, room.bottom()))
         _paint_grip(painter, QPointF(x, room.center().y()))
@@ -54,7 +56,7 @@ def paint_wipe(painter: QPainter, room: QRectF, wipe: Wipe, font: QFont) -> None
 
 
 def _paint_grip(painter: QPainter, centre: QPointF) -> None:
-    painter.setPen(QPen(_CASING, 1.5))
+    painter.setPen(QPen(CASING, 1.5))
     painter.setBrush(_LINE)
     painter.drawEllipse(centre, _GRIP, _GRIP)
     painter.setPen(QPen(QColor(0, 0, 0), 1.5))

@@ -8,12 +8,13 @@ from PyQt6.QtCore import QEvent, QPointF, QRectF, Qt, QTimer, pyqtSignal
 from PyQt6.QtGui import QColor, QContextMenuEvent, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
+from ..basics.theme import CASING
 from .cloud_view import CLICK_PX, BackendChoice, CloudView, Place
 
 #: Milliseconds between searches for the point under the moving mouse.
 _HOVER_MS = 30
 _RADIUS, _END = 6.0, 2.5
-_LINE, _CASING, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 170), QColor(0, 0, 0, 190)
+_LINE, _PLATE = QColor(255, 255, 255), QColor(0, 0, 0, 190)
 
 
 class InspectView(CloudView):
@@ -142,12 +143,12 @@ class InspectView(CloudView):
     def _paint_ring(painter: QPainter, at: list[QPointF]) -> None:
         painter.setBrush(Qt.BrushStyle.NoBrush)
         for place in at:
-            for color, width in ((_CASING, 4.0), (_LINE, 2.0)):
+            for color, width in ((CASING, 4.0), (_LINE, 2.0)):
                 painter.setPen(QPen(color, width))
                 painter.drawEllipse(place, _RADIUS, _RADIUS)
 
     def _paint_distance(self, painter: QPainter, at: list[QPointF]) -> None:
-        for color, width in ((_CASING, 4.0), (_LINE, 2.0)):
+        for color, width in ((CASING, 4.0), (_LINE, 2.0)):
             painter.setPen(QPen(color, width))
             painter.setBrush(color)
             if len(at) == 2:

@@ -8,11 +8,12 @@ from math import radians
 from typing import Final
 
 from PyQt6.QtCore import QPointF, QRectF, Qt, pyqtSignal
-from PyQt6.QtGui import QColor, QFont, QKeyEvent, QMouseEvent, QPainter, QPen
+from PyQt6.QtGui import QFont, QKeyEvent, QMouseEvent, QPainter, QPen
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.colormaps import palette_theme
 from ..basics.gestures import GestureClock
+from ..basics.theme import CASING
 from ..images.marks import COLORS, MarkKind
 from .cloud_scene import AXIS_COLORS
 from .cloud_view import CLICK_PX, BackendChoice, CloudView
@@ -22,7 +23,6 @@ from .pose_handles import Handle, PoseHandles, moving, turning
 STEP_M: Final = 0.0005
 STEP_RAD: Final = radians(0.5)
 _RADIUS = 6.0
-_CASING = QColor(0, 0, 0, 170)
 _CTRL, _SHIFT = Qt.KeyboardModifier.ControlModifier, Qt.KeyboardModifier.ShiftModifier
 #: Keys that move or turn: right, up, and towards the eye.
 _NUDGE_KEYS: dict[int, tuple[float, float, float]] = {
@@ -236,7 +236,7 @@ class PickView(CloudView):
 
 def _paint_spot(painter: QPainter, spot: Spot, at: QPointF) -> None:
     radius = _RADIUS + (2.0 if spot.selected else 0.0)
-    for color, width in ((_CASING, 4.0), (COLORS[spot.kind], 2.0)):
+    for color, width in ((CASING, 4.0), (COLORS[spot.kind], 2.0)):
         painter.setPen(QPen(color, width))
         painter.setBrush(Qt.BrushStyle.NoBrush)
         painter.drawEllipse(at, radius, radius)
@@ -245,7 +245,7 @@ def _paint_spot(painter: QPainter, spot: Spot, at: QPointF) -> None:
     width, height = metrics.horizontalAdvance(spot.label) + 8.0, float(metrics.height())
     plate = QRectF(at.x() + radius + 2, at.y() - height / 2, width, height)
     painter.setPen(Qt.PenStyle.NoPen)
-    painter.setBrush(_CASING)
+    painter.setBrush(CASING)
     painter.drawRoundedRect(plate, 4.0, 4.0)
     painter.setPen(COLORS[spot.kind])
     painter.drawText(plate, int(Qt.AlignmentFlag.AlignCenter), spot.label)

@@ -14,7 +14,7 @@ from PyQt6.QtGui import QColor, QPainter, QPaintEvent, QPen, QPolygonF, QTransfo
 from PyQt6.QtWidgets import QWidget
 
 from ..basics.gestures import GestureClock
-from ..basics.theme import ACCENT
+from ..basics.theme import ACCENT, CASING
 from .image_pane import ImagePane, Rectangle
 
 #: Distance in screen pixels within which the mouse grabs a mark.
@@ -23,7 +23,6 @@ _RADIUS = 6.5
 #: Number of marks above which they are drawn small.
 _CROWD, _SMALL_RADIUS = 80, 3.5
 _ARROW_HEAD = 8.0
-_CASING = QColor(0, 0, 0, 170)
 
 
 class MarkKind(StrEnum):
@@ -185,14 +184,14 @@ def _ring(
     style: Qt.PenStyle = Qt.PenStyle.SolidLine,
 ) -> None:
     painter.setBrush(Qt.BrushStyle.NoBrush)
-    painter.setPen(QPen(_CASING, width + 2.0))
+    painter.setPen(QPen(CASING, width + 2.0))
     painter.drawEllipse(place, radius, radius)
     painter.setPen(QPen(color, width, style))
     painter.drawEllipse(place, radius, radius)
 
 
 def _cross(painter: QPainter, place: QPointF, color: QColor) -> None:
-    for pen in (QPen(_CASING, 3.0), QPen(color, 1.0)):
+    for pen in (QPen(CASING, 3.0), QPen(color, 1.0)):
         painter.setPen(pen)
         for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1)):
             painter.drawLine(place + QPointF(4 * dx, 4 * dy), place + QPointF(12 * dx, 12 * dy))
@@ -205,7 +204,7 @@ def _arrow(painter: QPainter, start: QPointF, end: QPointF) -> None:
     angle = atan2(end.y() - start.y(), end.x() - start.x())
     head = min(_ARROW_HEAD, length)
     wings = [end - QPointF(head * cos(angle + turn), head * sin(angle + turn)) for turn in (0.45, -0.45)]
-    for pen in (QPen(_CASING, 4.0), QPen(_ARROW, 2.0)):
+    for pen in (QPen(CASING, 4.0), QPen(_ARROW, 2.0)):
         painter.setPen(pen)
         painter.drawLine(start, end)
         painter.drawPolyline(QPolygonF([wings[0], end, wings[1]]))

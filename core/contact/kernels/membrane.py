@@ -29,7 +29,6 @@ EXCLUDED: Final = 3
 
 _NO_PART, _USABLE, _MASKED, _EXCLUDED = (np.int32(state) for state in (TAKES_NO_PART, USABLE, MASKED, EXCLUDED))
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
-_MIN_LENGTH = np.float32(1e-9)
 _float_vector, _int_vector = float_scratch(LANES), int_scratch(LANES)
 
 

@@ -124,7 +124,7 @@ def test_a_missing_driver_is_one_sentence(tactune, answer):
 
 
 def test_the_program_that_is_asked_exists():
-    finished = doctor.run_child([cli_devices.sys.executable, *cli_devices._PROGRAM], 30.0)
+    finished = doctor.run_child([cli_devices.sys.executable, *list_devices.PROGRAM], 30.0)
     assert {"devices", "problem"} & set(finished.answer()), finished
 
 
