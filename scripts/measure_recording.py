@@ -22,7 +22,7 @@ import numpy.typing as npt
 
 from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.model.frames import SensorFrame
-from tactune.core.recording import SessionWriter
+from tactune.core.output import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
 
 RATE_HZ = 30.0

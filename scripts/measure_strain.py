@@ -14,9 +14,9 @@ import argparse
 import math
 from itertools import islice
 
+from tactune.core.evaluation.strain.average import average_still
+from tactune.core.evaluation.strain.strain import measure_strain
 from tactune.core.sources.registry import open_source
-from tactune.core.strain.average import average_still
-from tactune.core.strain.strain import measure_strain
 
 _SCENES = {
     " ".join(filter(None, (shape, press, side))): f"sim:{shape}?press={press}&grid=dots" + f"&side={side}" * bool(side)

@@ -13,8 +13,6 @@ import sys
 from itertools import product
 from typing import Any, Final
 
-from tactune.core.advice.proposal import Evidence
-from tactune.core.advice.suggest import suggest_all
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.evaluation.metrics import compare_with_truth
 from tactune.core.model.frames import Rig, SensorFrame
@@ -22,6 +20,8 @@ from tactune.core.preset import Preset
 from tactune.core.rig.untouched import untouched_frame
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.tuning.advice.proposal import Evidence
+from tactune.core.tuning.advice.suggest import suggest_all
 
 #: What is wrong with a spoiled preset, by name.
 SPOILED: Final[dict[str, dict[str, Any]]] = {

@@ -11,10 +11,10 @@ from PyQt6.QtCore import Qt, pyqtSignal
 from PyQt6.QtGui import QFont, QPalette
 from PyQt6.QtWidgets import QCheckBox, QComboBox, QFrame, QGridLayout, QHBoxLayout, QLabel, QVBoxLayout, QWidget
 
-from ...core.advice.examples import CURVES, ErrorCurve
-from ...core.advice.proposal import MaskLabel, Proposal
 from ...core.model.arrays import Uint8Array
 from ...core.preset import Preset
+from ...core.tuning.advice.examples import CURVES, ErrorCurve
+from ...core.tuning.advice.proposal import MaskLabel, Proposal
 from ...widgets.basics.controls import caption
 from ...widgets.basics.fields import field_spec
 from ...widgets.images.image_pane import ImagePane, Swatch

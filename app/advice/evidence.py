@@ -9,10 +9,10 @@ from typing import Final
 
 from PyQt6.QtCore import QObject
 
-from ...core.advice.proposal import Evidence, Example
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
+from ...core.tuning.advice.proposal import Evidence, Example
 from ..context import Context
 from ..worker.jobs import Progress
 from ..worker.results import SourceInfo

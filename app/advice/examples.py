@@ -9,12 +9,12 @@ from pathlib import Path
 import numpy as np
 from PyQt6.QtCore import QObject
 
-from ...core.advice.example_file import load_example, save_example
-from ...core.advice.proposal import Example
 from ...core.calibration.snapshots import content_hash
 from ...core.errors import TactuneError
 from ...core.model.arrays import Uint8Array
 from ...core.model.frames import Rig, SensorFrame
+from ...core.tuning.advice.example_file import load_example, save_example
+from ...core.tuning.advice.proposal import Example
 from ...widgets.images.paint_image import CONTACT, NO_CONTACT, UNKNOWN
 from ..calibration.session import rig_key
 from ..document.history import History

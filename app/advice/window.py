@@ -9,11 +9,11 @@ from typing import Final
 from PyQt6.QtCore import QObject, Qt
 from PyQt6.QtWidgets import QDialog, QFrame, QHBoxLayout, QLabel, QScrollArea, QVBoxLayout, QWidget
 
-from ...core.advice.examples import ErrorCurve, error_curve, known_examples
-from ...core.advice.proposal import Evidence, Proposal
-from ...core.advice.suggest import suggest, suggest_all
 from ...core.errors import AdviceError, PresetError
 from ...core.preset import Preset
+from ...core.tuning.advice.examples import ErrorCurve, error_curve, known_examples
+from ...core.tuning.advice.proposal import Evidence, Proposal
+from ...core.tuning.advice.suggest import suggest, suggest_all
 from ...widgets.basics.controls import AccentButton, ProgressBar, push_button
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.basics.messages import Severity

@@ -17,8 +17,8 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
+from ...core.evaluation.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...core.model.frames import SensorFrame
-from ...core.strain.strain import SPACING_M, SPACING_RANGE_M
 from ...widgets.basics.controls import caption, frame_count, push_button
 from ...widgets.basics.messages import Severity
 from ..context import Context

@@ -11,9 +11,9 @@ import pyqtgraph as pg
 from PyQt6.QtCore import QEvent, Qt, pyqtSignal
 from PyQt6.QtWidgets import QGridLayout, QLabel, QSizePolicy, QVBoxLayout, QWidget
 
+from ...core.evaluation.strain.series import spikes
+from ...core.evaluation.strain.strain import AxisStrain
 from ...core.model.arrays import BoolArray, Float64Array, IndexArray
-from ...core.strain.series import spikes
-from ...core.strain.strain import AxisStrain
 from ...widgets.basics.controls import make_verdict
 from ...widgets.basics.theme import theme_colors
 from ...widgets.images.image_pane import ColorBar, ImagePane, Swatch

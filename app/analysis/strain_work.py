@@ -9,10 +9,17 @@ from enum import StrEnum
 import cv2
 import numpy as np
 
+from ...core.evaluation.strain.average import average_still
+from ...core.evaluation.strain.strain import (
+    GridCells,
+    StrainError,
+    StrainMeasurement,
+    grid_cells,
+    indentation_m,
+    measure_strain,
+)
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Rig, SensorFrame, TrueStrain
-from ...core.strain.average import average_still
-from ...core.strain.strain import GridCells, StrainError, StrainMeasurement, grid_cells, indentation_m, measure_strain
 from ...widgets.basics.colormaps import depth_lut
 from ..calibration.pictures import pack_rgb
 

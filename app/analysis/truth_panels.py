@@ -25,10 +25,10 @@ from PyQt6.QtWidgets import (
 )
 from scipy.spatial.transform import Rotation
 
+from ...core.evaluation.scan.paint import PaintSettings
 from ...core.model.arrays import Float64Array, Uint8Array
 from ...core.model.frames import Matrix4
 from ...core.preset import MaskSection
-from ...core.scan.paint import PaintSettings
 from ...widgets.basics.controls import AccentButton, CollapsibleSection, ProgressBar, caption, copy_text, push_button
 from ...widgets.basics.fields import FieldSpec, field_spec
 from ...widgets.basics.gestures import new_gesture

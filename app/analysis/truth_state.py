@@ -16,13 +16,13 @@ import numpy.typing as npt
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import CalibrationError
+from ...core.evaluation.scan.paint import PaintSettings
+from ...core.evaluation.scan.pose import pose_from_pairs, save_transform
 from ...core.model.arrays import Float32Array, Float64Array
 from ...core.model.clouds import deproject, valid_depth
 from ...core.model.files import atomic_path
 from ...core.model.frames import Matrix4, rigid_transform
 from ...core.preset import now
-from ...core.scan.paint import PaintSettings
-from ...core.scan.pose import pose_from_pairs, save_transform
 from ..document.history import History
 from ..document.keeping import KeptState, check_version, remove_unnamed, write_json
 from ..worker.results import Result

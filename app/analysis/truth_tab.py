@@ -22,9 +22,9 @@ from PyQt6.QtWidgets import (
 )
 
 from ...core.errors import TactuneError
+from ...core.evaluation.scan.scan import SUFFIXES, UNITS_M
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
-from ...core.scan.scan import SUFFIXES, UNITS_M
 from ...core.sources.presets import load_preset
 from ...widgets.basics.controls import ProgressBar, caption, make_verdict, push_button
 from ...widgets.basics.dialogs import local_files

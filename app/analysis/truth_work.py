@@ -9,11 +9,18 @@ from pathlib import Path
 
 import numpy as np
 
+from ...core.evaluation.scan.paint import (
+    PaintSettings,
+    ScanTruth,
+    contact_points,
+    painted_contact,
+    scan_truth,
+    score_against_scan,
+)
+from ...core.evaluation.scan.pose import ICP_ROUNDS, RefinedPose, refine_pose, transformed
+from ...core.evaluation.scan.scan import Scan, load_scan
 from ...core.model.arrays import AnyArray, BoolArray, Float32Array, Float64Array, IndexArray, Uint8Array
 from ...core.model.frames import Matrix4
-from ...core.scan.paint import PaintSettings, ScanTruth, contact_points, painted_contact, scan_truth, score_against_scan
-from ...core.scan.pose import ICP_ROUNDS, RefinedPose, refine_pose, transformed
-from ...core.scan.scan import Scan, load_scan
 from ..worker.jobs import Progress
 
 #: Number of colours and of vertices that a scan is drawn with.

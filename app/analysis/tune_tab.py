@@ -19,9 +19,9 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.advice.proposal import Proposal
 from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset
+from ...core.tuning.advice.proposal import Proposal
 from ...core.tuning.measure import OBJECTIVES
 from ...core.tuning.space import Axis, default_axes
 from ...widgets.basics.controls import ElidedLabel, ProgressBar, push_button

@@ -11,7 +11,7 @@ from .common import PresetOption, SourceOption, default_preset, open_with_progre
 from .suggest import FrameOption, recent_frames
 
 if TYPE_CHECKING:
-    from ...core.advice.proposal import Finding
+    from ...core.tuning.advice.proposal import Finding
 
 #: Exit status if there are findings.
 FOUND_STATUS = 1
@@ -28,10 +28,10 @@ def check(
 
     The same as Findings in the window. The stored untouched frame of the preset or the recording is used too.
     """
-    from ...core.advice.findings.registry import Examiner
     from ...core.contact.pipeline import ContactPipeline
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
+    from ...core.tuning.advice.findings.registry import Examiner
 
     origin = preset or default_preset(source)
     chosen = load_preset(origin)

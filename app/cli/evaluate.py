@@ -151,7 +151,7 @@ def evaluate_patch(
 ) -> None:
     """Compare the clouds of two files: RMSE, Hausdorff, 95th percentile and Chamfer distance."""
     from ...core.evaluation.metrics import cloud_distances
-    from ...core.recording.cloud_files import read_points, unit_doubt
+    from ...core.output.cloud_files import read_points, unit_doubt
 
     clouds = {}
     for path in (patch, truth):

@@ -23,8 +23,8 @@ from .common import (
 
 if TYPE_CHECKING:
     from ...core.model.frames import SensorFrame
+    from ...core.output import RecordingStatus, SessionWriter
     from ...core.preset import Preset
-    from ...core.recording import RecordingStatus, SessionWriter
     from ...core.sources import FrameSource
 
 #: Formats that cannot be written; without this check such a name would become a folder.
@@ -56,7 +56,7 @@ def record(
     All frames of a recording or of the simulator are written, at the speed of the disk. A live source does not wait:
     frames that the disk was too slow for are dropped and counted.
     """
-    from ...core.recording import SessionWriter
+    from ...core.output import SessionWriter
     from ...core.sources.presets import load_preset
 
     if out.suffix != ".mcap":
@@ -86,7 +86,7 @@ def convert(
     force: _Force = False,
 ) -> None:
     """Convert any recording to MCAP or to a folder of PNG images, without loss."""
-    from ...core.recording.writer import export_mcap
+    from ...core.output.writer import export_mcap
     from ...core.sources.folder import export_folder
     from ...core.sources.mcap.source import McapSource
     from ...core.sources.presets import load_preset

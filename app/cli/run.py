@@ -219,12 +219,12 @@ def patch_output(options: RunOptions, source: FrameSource, preset: Preset) -> It
     if out is None:
         yield lambda patch, frame: None
     elif out.suffix == MCAP_SUFFIX:
-        from ...core.recording.bag import PatchWriter
+        from ...core.output.bag import PatchWriter
 
         with PatchWriter(out, source.rig, preset, source.frame_rate_hz) as writer:
             yield lambda patch, frame: writer.write(patch.points, frame.sequence, frame.proximity_time_s)
     else:
-        from ...core.recording.cloud_files import write_cloud
+        from ...core.output.cloud_files import write_cloud
 
         yield lambda patch, frame: write_cloud(
             patch_path(out, frame.sequence, options.file_format), _cloud(patch, frame, source.rig)
@@ -235,7 +235,7 @@ def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> P
     """Return a patch's cloud; methods other than fusion have points only, without pixels."""
     from ...core.contact.pipeline import ContactPatch
     from ...core.model.clouds import PointCloud
-    from ...core.recording.cloud_files import patch_cloud
+    from ...core.output.cloud_files import patch_cloud
 
     return patch_cloud(patch, frame, rig) if isinstance(patch, ContactPatch) else PointCloud(patch.points)
 

@@ -22,12 +22,12 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ...core.evaluation.scan.paint import PaintSettings, ScanTruth
+    from ...core.evaluation.scan.pose import RefinedPose
+    from ...core.evaluation.scan.scan import Scan
     from ...core.model.arrays import BoolArray
     from ...core.model.frames import Matrix4, SensorFrame
     from ...core.preset import Preset
-    from ...core.scan.paint import PaintSettings, ScanTruth
-    from ...core.scan.pose import RefinedPose
-    from ...core.scan.scan import Scan
     from ...core.sources import FrameSource
     from .methods import Step
 
@@ -116,9 +116,9 @@ def evaluate_recording(
 
     --refine hides errors that all patch points share; a pose that was measured without the patch is fairer.
     """
-    from ...core.scan.paint import scan_truth
-    from ...core.scan.pose import save_transform as write_transform
-    from ...core.scan.scan import UNITS_M, load_scan
+    from ...core.evaluation.scan.paint import scan_truth
+    from ...core.evaluation.scan.pose import save_transform as write_transform
+    from ...core.evaluation.scan.scan import UNITS_M, load_scan
     from ...core.sources.presets import load_preset
     from .methods import frame_range, frames_between, remembered_frames
 
@@ -196,7 +196,7 @@ def export_scan(
     seed: Annotated[int, typer.Option(min=0, metavar="S", help="Seed of noise and specks.")] = 0,
 ) -> None:
     """Write a simulated object as a painted scan, pink where the membrane touches it, with its true transform."""
-    from ...core.scan.simulated import PaintFlaws, export_painted_scan
+    from ...core.evaluation.scan.simulated import PaintFlaws, export_painted_scan
 
     spacing_m = None if spacing_mm is None else spacing_mm / 1e3
     with open_with_progress(source) as opened:
@@ -214,7 +214,7 @@ def parse_paint(words: list[str]) -> PaintSettings:
     TactuneError
         A name is unknown or a value is not valid.
     """
-    from ...core.scan.paint import PaintSettings
+    from ...core.evaluation.scan.paint import PaintSettings
 
     values: Record = {}
     for word in words:
@@ -240,7 +240,7 @@ def parse_paint(words: list[str]) -> PaintSettings:
 
 def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: float) -> Matrix4:
     """Return ``T_proximity_scan`` from the options."""
-    from ...core.scan.pose import load_transform, pose_from_pairs, read_pairs
+    from ...core.evaluation.scan.pose import load_transform, pose_from_pairs, read_pairs
 
     if transform is not None and pairs is not None:
         raise TactuneError("--transform and --pairs both give the pose of the scan; give one of them")
@@ -256,7 +256,7 @@ def _start_pose(scan: Path, transform: Path | None, pairs: Path | None, unit_m: 
 
 
 def _contact(scan: Scan, paint: PaintSettings, path: Path) -> BoolArray:
-    from ...core.scan.paint import painted_contact
+    from ...core.evaluation.scan.paint import painted_contact
 
     contact = painted_contact(scan, paint)
     if not contact.any():
@@ -304,8 +304,8 @@ def _steps(
 
 
 def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: SensorFrame) -> RefinedPose:
-    from ...core.scan.paint import contact_points
-    from ...core.scan.pose import refine_pose
+    from ...core.evaluation.scan.paint import contact_points
+    from ...core.evaluation.scan.pose import refine_pose
 
     _, patch = step(frame)
     return refine_pose(contact_points(scan, contact), patch.points, start)
@@ -313,8 +313,8 @@ def _refined(scan: Scan, contact: BoolArray, start: Matrix4, step: Step, frame: 
 
 def _scored(name: str, step: Step, frame: SensorFrame, truth: ScanTruth) -> Record:
     """Return the record of one method's patch in one frame."""
+    from ...core.evaluation.scan.paint import score_against_scan
     from ...core.evaluation.table_cell import NO_CONTACT_FOUND
-    from ...core.scan.paint import score_against_scan
 
     said, patch = step(frame)
     scores = score_against_scan(patch.points, said["area_mm2"] or 0.0, truth)

@@ -25,8 +25,8 @@ from .common import (
 )
 
 if TYPE_CHECKING:
+    from ...core.evaluation.strain.strain import StrainMeasurement
     from ...core.model.frames import SensorFrame
-    from ...core.strain.strain import StrainMeasurement
 
 
 @dataclass(frozen=True)
@@ -89,10 +89,10 @@ def strain(
     The displacement is relative to the untouched frame of the preset or the source, else to the first frame. On the
     simulator the solver's strain is shown beside: between dots that the camera sees, in brackets between all dots.
     """
+    from ...core.evaluation.strain.average import average_still
+    from ...core.evaluation.strain.strain import StrainError, check_spacing, indentation_m, measure_strain
     from ...core.rig.untouched import kept_untouched
     from ...core.sources.presets import load_preset
-    from ...core.strain.average import average_still
-    from ...core.strain.strain import StrainError, check_spacing, indentation_m, measure_strain
 
     if plot is not None and plot.suffix.lower() != ".png":
         raise typer.BadParameter(f"--plot is {plot}; give a file that ends in .png")
@@ -184,7 +184,7 @@ def _solver(record: StrainRecord) -> str:
 
 
 def _draw(records: list[StrainRecord], last: StrainMeasurement, path: Path) -> None:
-    from ...core.strain.plot import draw_strain
+    from ...core.evaluation.strain.plot import draw_strain
 
     shown = [record for record in records if not record.problem]
     displacement, length, width, *solver = (

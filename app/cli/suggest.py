@@ -21,10 +21,10 @@ from .common import (
 from .preset import check_target
 
 if TYPE_CHECKING:
-    from ...core.advice.suggest import AllProposals
     from ...core.model.frames import SensorFrame
     from ...core.preset import Preset
     from ...core.sources import FrameSource
+    from ...core.tuning.advice.suggest import AllProposals
 
 #: Number of frames up to the present one, and of those averaged to an untouched frame.
 _RECENT, _AVERAGED = 4, 15
@@ -67,12 +67,12 @@ def suggest(
     The evidence is the present frame, the three before it, an untouched frame, and examples. Nothing is written without
     --out.
     """
-    from ...core.advice.example_file import load_example
-    from ...core.advice.proposal import Evidence
-    from ...core.advice.suggest import suggest_all
     from ...core.contact.warmup import warm_up_if_needed
     from ...core.preset.checks import check_rig
     from ...core.sources.presets import load_preset
+    from ...core.tuning.advice.example_file import load_example
+    from ...core.tuning.advice.proposal import Evidence
+    from ...core.tuning.advice.suggest import suggest_all
 
     origin = preset or default_preset(source)
     if out is not None:

@@ -9,12 +9,12 @@ from typing import Any
 from pydantic import BaseModel
 from PyQt6.QtCore import QObject, pyqtSignal
 
-from ...core.advice.proposal import Proposal
 from ...core.errors import PresetError, TactuneError
 from ...core.preset import Preset, now
 from ...core.preset.file import save_preset
 from ...core.rig.untouched import copy_untouched
 from ...core.sources.presets import load_preset
+from ...core.tuning.advice.proposal import Proposal
 from ...widgets.basics.fields import field_spec
 from .history import History
 from .untouched_store import UntouchedStore

@@ -10,9 +10,9 @@ from PyQt6.QtCore import QObject
 
 from ...core.contact.pipeline import ContactPipeline
 from ...core.errors import SourceError
+from ...core.output.cloud_files import patch_cloud, write_cloud
+from ...core.output.writer import export_mcap
 from ...core.preset import Preset
-from ...core.recording.cloud_files import patch_cloud, write_cloud
-from ...core.recording.writer import export_mcap
 from ...core.sources.base import FrameSource
 from ...core.sources.registry import open_source
 from ...widgets.basics.controls import ProgressCard

@@ -18,7 +18,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.recording.markers import Marks
+from ...core.output.markers import Marks
 from ...widgets.basics.controls import push_button
 from .marks import MarksKeeper
 

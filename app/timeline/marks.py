@@ -9,7 +9,7 @@ from pathlib import Path
 from PyQt6.QtCore import QObject, pyqtSignal
 
 from ...core.errors import ExportError, SourceError
-from ...core.recording.markers import MAX_MARKERS, MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
+from ...core.output.markers import MAX_MARKERS, MAX_NAME, Marker, Marks, load_marks, markers_file, save_marks
 from ..document.history import History
 
 

@@ -10,9 +10,9 @@ from typing import Any
 from PyQt6.QtCore import QObject, QRunnable, QThreadPool, pyqtSignal
 
 from ...core.errors import SourceError, TactuneError
+from ...core.output.cloud_files import patch_cloud, write_cloud
 from ...core.preset import Preset, now
 from ...core.preset.file import shipped_presets
-from ...core.recording.cloud_files import patch_cloud, write_cloud
 from ...core.sources.presets import load_preset
 from ...widgets.basics.messages import Messages, Severity
 from ..context import SOURCE, TASK, Context

@@ -7,8 +7,8 @@ import time
 from PyQt6.QtCore import QObject, QTimer
 from PyQt6.QtGui import QAction
 
-from ...core.advice.proposal import Finding
 from ...core.preset import Preset
+from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.dialogs import bring_up
 from ...widgets.parameters.finding_line import ShownFinding
 from ...widgets.parameters.parameter_panel import ParameterPanel

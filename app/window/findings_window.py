@@ -17,7 +17,7 @@ from PyQt6.QtWidgets import (
     QWidget,
 )
 
-from ...core.advice.proposal import Finding
+from ...core.tuning.advice.proposal import Finding
 from ...widgets.basics.controls import push_button
 from ...widgets.parameters.finding_line import ShownFinding
 

@@ -10,10 +10,10 @@ from PyQt6.QtCore import QEvent, QSignalBlocker, QSize, Qt
 from PyQt6.QtGui import QCloseEvent, QDragEnterEvent, QDropEvent, QKeyEvent
 from PyQt6.QtWidgets import QApplication, QMainWindow, QSplitter, QVBoxLayout, QWidget
 
-from ...core.advice.suggest import SECTIONS
 from ...core.preset import Preset
 from ...core.preset.file import shipped_presets
 from ...core.sources.registry import open_source
+from ...core.tuning.advice.suggest import SECTIONS
 from ...widgets.basics.controls import ProgressCard
 from ...widgets.basics.dialogs import Dialogs, bring_up, local_files
 from ...widgets.basics.message_history import MessageHistory

@@ -14,7 +14,7 @@ from PyQt6.QtCore import QEvent, QObject, QTimer, QUrl, pyqtSignal
 from PyQt6.QtGui import QAction, QColor, QDesktopServices, QPalette
 from PyQt6.QtWidgets import QFrame, QHBoxLayout, QLabel, QPushButton, QVBoxLayout, QWidget
 
-from ...core.recording.writer import RecordingStatus
+from ...core.output.writer import RecordingStatus
 from ...widgets.basics.controls import ElidedLabel
 from ...widgets.basics.messages import Offer, Severity
 from ...widgets.basics.theme import theme_colors

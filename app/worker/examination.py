@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from ...core.advice.findings.registry import Examiner
-from ...core.advice.proposal import Finding
 from ...core.errors import TactuneError
 from ...core.model.frames import SensorFrame
 from ...core.preset import Preset
+from ...core.tuning.advice.findings.registry import Examiner
+from ...core.tuning.advice.proposal import Finding
 from .results import Result, SourceInfo
 
 #: Shortest time between two examinations, seconds, and largest share of the thread's time while frames play.

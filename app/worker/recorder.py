@@ -10,8 +10,8 @@ from typing import Protocol
 
 from ...core.errors import FrameError, TactuneError
 from ...core.model.frames import Rig, SensorFrame
+from ...core.output.writer import RecordingStatus, SessionWriter
 from ...core.preset import Preset
-from ...core.recording.writer import RecordingStatus, SessionWriter
 from .errors import explain
 
 

@@ -9,7 +9,6 @@ from functools import cache, cached_property, lru_cache
 import cv2
 import numpy as np
 
-from ...core.advice.findings import no_depth
 from ...core.contact.alignment import tactile_pose
 from ...core.contact.masking import colors_at, in_hsv_range
 from ...core.contact.pipeline import ContactPatch
@@ -21,6 +20,7 @@ from ...core.model.intrinsics import Intrinsics
 from ...core.model.provenance import Provenance
 from ...core.preset import Preset
 from ...core.sources.base import CameraRole
+from ...core.tuning.advice.findings import no_depth
 from ...widgets.basics.colormaps import (
     BEHIND_ROW,
     LATE_VERDICTS,

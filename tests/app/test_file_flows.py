@@ -30,8 +30,8 @@ from tactune.app.sources.paths import recording_filters, recording_scheme
 from tactune.app.worker.results import SourceInfo
 from tactune.core.bench.scenes import synthetic_scene
 from tactune.core.errors import PresetError
+from tactune.core.output import SessionWriter
 from tactune.core.preset.file import save_preset
-from tactune.core.recording import SessionWriter
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset
 from tactune.widgets.basics.messages import Message

@@ -15,8 +15,8 @@ from hands import CONTROL, LEFT, image_position, show_source, text_of
 from tactune.app.rig.check_window import CheckWindow
 from tactune.app.window.findings_window import FindingsWindow
 from tactune.app.worker.results import CloudName
-from tactune.core.advice.proposal import Finding
 from tactune.core.preset import Preset
+from tactune.core.tuning.advice.proposal import Finding
 from tiny_sensor import TinySource, tiny_frame, tiny_rig
 
 WIDTH, HEIGHT = 160, 120

@@ -15,7 +15,7 @@ from tactune.app.window import recording
 from tactune.app.worker import worker
 from tactune.app.worker.threads import wait_for_abandoned
 from tactune.app.worker.worker import SourceRequest
-from tactune.core.recording import bag
+from tactune.core.output import bag
 from tactune.core.sources.registry import open_source
 from tiny_sensor import HangingSource, TinySource, tiny_frame, tiny_rig
 

@@ -12,8 +12,8 @@ import pytest
 from tactune.app.window.recording import clock, duration, size
 from tactune.app.worker.recorder import Recorder, RecordingRequest
 from tactune.core.errors import FrameError, TactuneError
+from tactune.core.output.writer import RecordingStatus
 from tactune.core.preset import Preset
-from tactune.core.recording.writer import RecordingStatus
 from tiny_sensor import tiny_frame, tiny_rig
 
 

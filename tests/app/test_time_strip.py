@@ -19,8 +19,8 @@ from tactune.app.timeline.marker_list import MarkerList
 from tactune.app.timeline.marks import MarksKeeper
 from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError
-from tactune.core.recording.markers import load_marks
-from tactune.core.recording.writer import export_mcap
+from tactune.core.output.markers import load_marks
+from tactune.core.output.writer import export_mcap
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.mcap.source import McapSource
 from tiny_sensor import LiveSource, TinySource, at_rest

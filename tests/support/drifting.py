@@ -8,7 +8,7 @@ from pathlib import Path
 
 from tactune.core.calibration.snapshots import take_snapshot
 from tactune.core.model.frames import SensorFrame
-from tactune.core.recording import SessionWriter
+from tactune.core.output import SessionWriter
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator.drifted import Drift, DriftedSimulator
 from tactune.core.sources.simulator.scenes import Variant

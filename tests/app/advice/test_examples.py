@@ -11,7 +11,7 @@ from PyQt6.QtWidgets import QApplication
 
 from hands import CONTROL, LEFT, drag_over, show_source, text_of
 from printed_source import PrintedSource
-from tactune.core.advice.example_file import load_example
+from tactune.core.tuning.advice.example_file import load_example
 from tactune.widgets.images.paint_image import CONTACT, NO_CONTACT, UNKNOWN
 from tiny_sensor import TinySource
 

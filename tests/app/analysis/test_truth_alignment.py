@@ -15,7 +15,7 @@ from PyQt6.QtWidgets import QApplication
 from hands import CONTROL, LEFT, type_into, type_path
 from tactune.app.analysis import truth_flow, truth_work
 from tactune.app.cli.scan import parse_paint
-from tactune.core.scan.pose import load_transform
+from tactune.core.evaluation.scan.pose import load_transform
 from tactune.widgets.clouds.pick_view import STEP_M
 from truth_scene import (
     DISC_CENTRE_BESIDE,

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tactune.app.analysis.truth_state import FrozenPatch, PickedPair, TruthKeeper, TruthSession, TruthState
-from tactune.core.scan.paint import PaintSettings
-from tactune.core.scan.pose import load_transform
+from tactune.core.evaluation.scan.paint import PaintSettings
+from tactune.core.evaluation.scan.pose import load_transform
 from truth_scene import click_pair, click_three_pairs, corners, open_tab, settle
 
 POSE = ((0.0, -1.0, 0.0, 0.1), (1.0, 0.0, 0.0, 0.2), (0.0, 0.0, 1.0, 0.3), (0.0, 0.0, 0.0, 1.0))

@@ -11,7 +11,7 @@ import pytest
 from tactune.core.evaluation import sensor_cases, sensor_table
 from tactune.core.evaluation import table as table_module
 from tactune.core.methods.registry import method_names
-from tactune.core.recording.cloud_files import read_cloud
+from tactune.core.output.cloud_files import read_cloud
 
 SIM = "sim:cup?press=medium&sensor=datasheet"
 

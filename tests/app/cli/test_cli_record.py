@@ -177,7 +177,7 @@ def test_ctrl_c_ends_a_recording_cleanly(tmp_path: Path, live: LiveSource, tactu
 def test_dropped_frames_are_told(
     tmp_path: Path, live: LiveSource, tactune: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactune.core.recording import bag, writer
+    from tactune.core.output import bag, writer
 
     write_chunk = bag.McapWriter.write_chunk
 
@@ -198,7 +198,7 @@ def test_dropped_frames_are_told(
 def test_a_full_disk_is_told_with_what_was_kept(
     tmp_path: Path, recording: Path, tactune: Run, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tactune.core.recording import bag
+    from tactune.core.output import bag
 
     write_chunk = bag.McapWriter.write_chunk
     chunks = 0

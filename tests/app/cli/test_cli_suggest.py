@@ -9,12 +9,12 @@ from typing import Any
 
 import pytest
 
-from tactune.core.advice.example_file import save_example
-from tactune.core.advice.proposal import Example
 from tactune.core.preset.file import save_preset
 from tactune.core.sources.folder import export_folder
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.registry import open_source
+from tactune.core.tuning.advice.example_file import save_example
+from tactune.core.tuning.advice.proposal import Example
 from tiny_sensor import TinySource
 
 Tactune = Callable[..., Any]

@@ -16,8 +16,8 @@ from tactune.app.document.document import Document
 from tactune.app.document.untouched_store import UntouchedStore
 from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import ExportError, PresetError
+from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset
-from tactune.core.recording import SessionWriter
 from tactune.core.rig.untouched import load_untouched
 from tactune.core.sources.mcap.source import McapSource
 from tactune.core.sources.presets import load_preset

@@ -13,7 +13,7 @@ import pytest
 
 from tactune.core.errors import SourceError
 from tactune.core.model.clouds import PointCloud
-from tactune.core.recording.cloud_files import read_points, write_cloud
+from tactune.core.output.cloud_files import read_points, write_cloud
 
 RNG = np.random.default_rng(5)
 PATCH = RNG.normal(0, 0.02, (150, 3)).astype(np.float32)

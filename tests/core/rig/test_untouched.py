@@ -17,9 +17,9 @@ from tactune.core.calibration.snapshots import content_hash
 from tactune.core.errors import CalibrationError, PresetError
 from tactune.core.model.frames import SensorFrame
 from tactune.core.model.untouched_archive import untouched_bytes
+from tactune.core.output import SessionWriter
 from tactune.core.preset import Preset, UntouchedRecord
 from tactune.core.preset.file import save_preset
-from tactune.core.recording import SessionWriter
 from tactune.core.rig.untouched import average_untouched, find_untouched, load_untouched, save_untouched
 from tactune.core.sources.base import FrameSource
 from tactune.core.sources.mcap.source import McapSource

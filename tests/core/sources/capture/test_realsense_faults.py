@@ -17,7 +17,7 @@ pytest.importorskip("pyrealsense2", reason="the camera driver is not installed",
 from software_cameras import FAULTS, Command, Fault, FolderCommands, open_software_cameras
 from tactune.core.errors import SourceError
 from tactune.core.model.frames import SensorFrame
-from tactune.core.recording.writer import SessionWriter
+from tactune.core.output.writer import SessionWriter
 from tactune.core.sources.base import Health
 from tactune.core.sources.capture import ProcessSource
 from tactune.core.sources.registry import open_source

@@ -1,0 +1,225 @@
+"""The coloured 3D scan of an object: a triangle mesh with a colour at each vertex.
+
+PLY and OBJ are read by trimesh (extra ``scan``). A texture usually has more detail than the vertices, so a textured
+mesh is subdivided when it is read; afterwards only vertex colours are used.
+"""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from ...errors import MissingExtraError, SourceError, TactuneError
+from ...model.arrays import AnyArray, Float64Array, Int32Array, Int64Array, Uint8Array
+from ...model.files import user_path
+
+SUFFIXES: Final = (".ply", ".obj")
+#: Units of files by name, metres.
+UNITS_M: Final = {"m": 1.0, "cm": 0.01, "mm": 0.001, "in": 0.0254}
+
+#: Plausible size of an object that a hand-sized sensor can touch.
+_MAX_SIZE_M: Final = 3.0
+_MIN_SIZE_M: Final = 0.002
+_FILE_BYTES: Final = 2_000_000_000
+_MAX_TRIANGLES: Final = 20_000_000
+
+#: Textured triangles are subdivided to this edge length, metres, within this total number of triangles.
+_TEXTURE_EDGE_M: Final = 0.0008
+MAX_TEXTURE_TRIANGLES: Final = 3_000_000
+_MAX_CUTS: Final = 24
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """A coloured mesh in its own frame.
+
+    Attributes
+    ----------
+    vertices_m : float64, shape (N, 3)
+        Metres; each belongs to at least one triangle.
+    triangles : int32, shape (M, 3)
+        Vertex numbers.
+    colors : uint8, shape (N, 3)
+        RGB of the vertices.
+    """
+
+    vertices_m: Float64Array
+    triangles: Int32Array
+    colors: Uint8Array
+
+    @cached_property
+    def areas_m2(self) -> Float64Array:
+        """Area of each triangle, float64, shape (M,)."""
+        return triangle_areas(self.vertices_m, self.triangles)
+
+    @property
+    def size_m(self) -> float:
+        """Diagonal of the bounding box, metres."""
+        return _size(self.vertices_m)
+
+
+def triangle_areas(vertices: Float64Array, triangles: AnyArray) -> Float64Array:
+    """Return the area of each triangle in the square of the vertices' unit."""
+    a, b, c = (vertices[triangles[:, k]] for k in range(3))
+    return np.asarray(np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2)
+
+
+def load_scan(path: Path | str, unit_m: float = 1.0) -> Scan:
+    """Read a coloured scan.
+
+    Parameters
+    ----------
+    path : path
+        ``.ply`` or ``.obj`` with colours of the vertices, or with a texture beside it.
+    unit_m : float
+        Length of the file's unit in metres, 0.001 for a file in millimetres.
+
+    Returns
+    -------
+    Scan
+        Coincident vertices are merged, also across texture seams; triangles without area are dropped. A textured mesh
+        is subdivided to edges of 0.8 mm, or coarser to stay below three million triangles.
+
+    Raises
+    ------
+    SourceError
+        The file cannot be read, has no triangles or no colours, a vertex is not finite, or the size is implausible,
+        probably because of a wrong unit.
+    MissingExtraError
+        trimesh or Pillow is not installed.
+    """
+    path = user_path(path)
+    if not (math.isfinite(unit_m) and unit_m > 0):
+        raise SourceError(f"the unit of {path} is {unit_m} m; give the length of its unit in metres, such as 0.001")
+    _check_file(path)
+    try:
+        parts = [_coloured(mesh, path, unit_m) for mesh in _meshes(path)]
+        scan = _joined(parts, path)
+    except TactuneError:
+        raise
+    except Exception as error:  # trimesh does not wrap the errors of its parsers
+        detail = " ".join(str(error).split())[:200] or type(error).__name__
+        raise SourceError(f"{path} is no readable {path.suffix} mesh ({detail}); export it again") from error
+    return scan
+
+
+def _check_file(path: Path) -> None:
+    if path.suffix.lower() not in SUFFIXES:
+        raise SourceError(f"{path} has the suffix {path.suffix!r}; a scan is one of {', '.join(SUFFIXES)}")
+    try:
+        size = path.stat().st_size
+    except OSError as error:
+        raise SourceError(f"cannot read {path}: {error.strerror or error}; check the path") from error
+    if not path.is_file():
+        raise SourceError(f"{path} is no file; give a .ply or .obj")
+    if not 0 < size <= _FILE_BYTES:
+        raise SourceError(f"{path} has {size} bytes; a scan has 1 to {_FILE_BYTES}, so export it again or coarser")
+
+
+def import_trimesh() -> Any:
+    """Import trimesh and what it needs for textures, or raise `MissingExtraError`."""
+    try:
+        import PIL.Image  # noqa: F401  # without Pillow, trimesh silently loads no texture
+        import trimesh
+    except ModuleNotFoundError as error:
+        raise MissingExtraError(
+            f'a scan needs {error.name}, which is not installed: pip install "tactune[scan]"'
+        ) from error
+    return trimesh
+
+
+def _meshes(path: Path) -> list[Any]:
+    """Return trimesh's meshes of a file, each with at most one texture."""
+    trimesh = import_trimesh()
+    logging.getLogger("trimesh").addHandler(logging.NullHandler())  # it logs tracebacks for a missing texture
+    scene = trimesh.load_scene(path, process=False)
+    meshes = [mesh for mesh in scene.geometry.values() if isinstance(mesh, trimesh.Trimesh) and len(mesh.faces)]
+    if not meshes:
+        raise SourceError(f"{path} has no triangles; export the scan as a mesh, not as points")
+    if sum(len(mesh.faces) for mesh in meshes) > _MAX_TRIANGLES:
+        raise SourceError(f"{path} has more than {_MAX_TRIANGLES} triangles; export it coarser")
+    return meshes
+
+
+def _coloured(mesh: Any, path: Path, unit_m: float) -> Scan:
+    """Return one mesh of a file with vertex colours."""
+    vertices, triangles = np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int64)
+    if triangles.min() < 0 or triangles.max() >= len(vertices):
+        raise SourceError(f"{path} has a triangle with an invalid vertex index; export it again")
+    used = np.unique(triangles)
+    if wrong := int(np.count_nonzero(~np.isfinite(vertices[used]).all(axis=1))):
+        raise SourceError(f"{path} has {wrong} vertices that are nan or infinite; export it again")
+    vertices = np.where(np.isfinite(vertices), vertices, 0.0) * unit_m
+    _check_largest(vertices[used], path)
+    kind = mesh.visual.kind
+    if kind == "texture":
+        return _textured(mesh, vertices, triangles, path)
+    if kind is None:
+        raise SourceError(f"{path} has no colours; export it with vertex colours, or with its texture beside it")
+    return Scan(vertices, triangles.astype(np.int32), np.asarray(mesh.visual.vertex_colors, np.uint8)[:, :3])
+
+
+def _textured(mesh: Any, vertices: Float64Array, triangles: Int64Array, path: Path) -> Scan:
+    """Subdivide a mesh to the detail of its texture and colour its vertices."""
+    import trimesh
+
+    remesh: Any = trimesh.remesh
+    material = mesh.visual.material
+    image = getattr(material, "image", None) or getattr(material, "baseColorTexture", None)
+    if image is None or image.format is None or mesh.visual.uv is None:  # trimesh's placeholder has no format
+        raise SourceError(
+            f"{path} has a texture that is missing or cannot be read; "
+            "put its image (and an .obj's .mtl) into the same folder"
+        )
+    edge = _cut_edge(vertices, triangles)
+    # edge lengths are those of the first three columns; all columns are interpolated
+    cut, finer = remesh.subdivide_to_size(
+        np.column_stack([vertices, mesh.visual.uv]), triangles, edge, max_iter=_MAX_CUTS
+    )
+    colors = trimesh.visual.color.uv_to_color(np.nan_to_num(cut[:, 3:]), image)
+    return Scan(np.ascontiguousarray(cut[:, :3]), finer.astype(np.int32), np.asarray(colors, np.uint8)[:, :3])
+
+
+def _cut_edge(vertices: Float64Array, triangles: Int64Array) -> float:
+    """Return the edge length to which a mesh can be subdivided within the limit of triangles."""
+    sides = vertices[triangles] - vertices[np.roll(triangles, 1, axis=1)]
+    longest, edge = np.linalg.norm(sides, axis=2).max(axis=1), _TEXTURE_EDGE_M
+    # each subdivision halves the edges of a triangle and makes at most four of it
+    while (4.0 ** np.ceil(np.log2(np.maximum(longest / edge, 1)))).sum() > max(MAX_TEXTURE_TRIANGLES, len(triangles)):
+        edge *= 1.2
+    return edge
+
+
+def _joined(parts: list[Scan], path: Path) -> Scan:
+    """Join meshes: merge coincident vertices, drop triangles without area."""
+    starts = np.cumsum([0, *(len(part.vertices_m) for part in parts)])
+    vertices, first, number = np.unique(
+        np.concatenate([part.vertices_m for part in parts]), axis=0, return_index=True, return_inverse=True
+    )
+    colors = np.concatenate([part.colors for part in parts])[first]
+    triangles = np.concatenate([part.triangles + start for part, start in zip(parts, starts, strict=False)])
+    triangles = number.reshape(-1)[triangles]
+    triangles = triangles[triangle_areas(vertices, triangles) > 0]
+    if len(triangles) == 0:
+        raise SourceError(f"{path} has only triangles without area; export it again")
+    used, renumbered = np.unique(triangles, return_inverse=True)
+    vertices = vertices[used]
+    _check_largest(vertices, path)
+    if (size := _size(vertices)) < _MIN_SIZE_M:
+        raise SourceError(f"{path} is {1e3 * size:.3g} mm across; if its numbers are metres, set the unit to m")
+    return Scan(vertices, renumbered.reshape(-1, 3).astype(np.int32), np.ascontiguousarray(colors[used]))
+
+
+def _check_largest(vertices: Float64Array, path: Path) -> None:
+    if (size := _size(vertices)) > _MAX_SIZE_M:
+        raise SourceError(f"{path} is {size:.3g} m across; if its numbers are millimetres, set the unit to mm")
+
+
+def _size(vertices: Float64Array) -> float:
+    return math.dist(vertices.min(axis=0), vertices.max(axis=0))

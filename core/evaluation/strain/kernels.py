@@ -1,0 +1,219 @@
+"""Compiled kernels: fits of inverse depth around dots, and the search for depth steps between two pixels."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Final
+
+import numpy as np
+
+from ...contact.kernels.compiling import inline, kernel
+from ...model.arrays import Float64Array, Int64Array
+
+#: Terms of a quadratic, and shape of the normal equations. Both right-hand sides: the values, and the unit vector e0.
+_TERMS: Final = 6
+SCRATCH_SHAPE: Final = (_TERMS, _TERMS + 2)
+#: The median of this many nearest depths decides on which side of an edge a dot lies.
+NEAREST: Final = 9
+#: From this radius on only every other row and column is used: the noise of neighbouring pixels is correlated.
+_SPARSE_FROM_PX: Final = 8
+#: Stereo matching correlates noise within its window; this many pixels count as one measurement.
+_PIXELS_A_SAMPLE: Final = 70.0
+#: Pixels whose inverse depth differs from the central median by more than this share belong to another surface.
+_SAME_SURFACE: Final = 0.04
+#: A wider fit is accepted if it agrees with the narrower ones within this many standard deviations.
+_AGREES_WITHIN: Final = 1.5
+_MIN_SHARE: Final = 0.35
+_MIN_COUNT: Final = _TERMS + 3
+#: A smaller pivot means collinear pixels. The first entry of the equations is the number of pixels.
+_MIN_PIVOT: Final = 1e-9
+
+
+@inline
+def _nearest_first(distances: Any, values: Any, count: int, distance: float, value: float) -> None:
+    """Insert a value into the list of nearest values, sorted by distance."""
+    place = count
+    if count == len(values):
+        if distance >= distances[count - 1]:
+            return
+        place -= 1
+    while place > 0 and distances[place - 1] > distance:
+        distances[place], values[place] = distances[place - 1], values[place - 1]
+        place -= 1
+    distances[place], values[place] = distance, value
+
+
+@inline
+def _solve(equations: Any) -> bool:
+    """Solve symmetric equations with two right-hand sides in place; False if they are singular."""
+    for column in range(_TERMS):
+        pivot = equations[column, column]
+        if not pivot > _MIN_PIVOT:
+            return False
+        for row in range(column + 1, _TERMS):
+            share = equations[row, column] / pivot
+            for k in range(column, _TERMS + 2):
+                equations[row, k] -= share * equations[column, k]
+    for row in range(_TERMS - 1, -1, -1):
+        for side in (_TERMS, _TERMS + 1):
+            for k in range(row + 1, _TERMS):
+                equations[row, side] -= equations[row, k] * equations[k, side]
+            equations[row, side] /= equations[row, row]
+    return True
+
+
+@inline
+def _stride(radius: int) -> int:
+    return 2 if radius >= _SPARSE_FROM_PX else 1
+
+
+@inline
+def _find_nearest(inverse: Any, u: float, v: float, radius: int, nearest: Any) -> int:
+    """Write distances and values of the nearest pixels with depth; return how many pixels of the disc have depth."""
+    middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
+    known = 0
+    for row in range(max(middle_v - radius, 0), min(middle_v + radius + 1, inverse.shape[0]), _stride(radius)):
+        for column in range(max(middle_u - radius, 0), min(middle_u + radius + 1, inverse.shape[1]), _stride(radius)):
+            distance = (row - v) ** 2 + (column - u) ** 2
+            if distance <= (radius + 0.5) ** 2 and not math.isnan(inverse[row, column]):
+                _nearest_first(nearest[0], nearest[1], min(known, NEAREST), distance, inverse[row, column])
+                known += 1
+    return known
+
+
+@inline
+def _gather(inverse: Any, u: float, v: float, radius: int, middle: float, equations: Any) -> int:
+    """Write the normal equations of a fit to the pixels of a disc on one surface; return their number."""
+    middle_u, middle_v = int(np.rint(u)), int(np.rint(v))
+    equations[:] = 0.0
+    equations[0, _TERMS + 1] = 1.0
+    same = 0
+    for row in range(max(middle_v - radius, 0), min(middle_v + radius + 1, inverse.shape[0]), _stride(radius)):
+        for column in range(max(middle_u - radius, 0), min(middle_u + radius + 1, inverse.shape[1]), _stride(radius)):
+            x, y, value = (column - u) / radius, (row - v) / radius, inverse[row, column]
+            outside = (row - v) ** 2 + (column - u) ** 2 > (radius + 0.5) ** 2
+            if outside or not abs(value - middle) <= _SAME_SURFACE * middle:
+                continue
+            same += 1
+            powers = (1.0, x, y, x * x, x * y, y * y)
+            for i in range(_TERMS):
+                for j in range(_TERMS):
+                    equations[i, j] += powers[i] * powers[j]
+                equations[i, _TERMS] += powers[i] * value
+    return same
+
+
+@inline
+def _median(values: Any, count: int) -> float:
+    """Sort the first ``count`` values in place and return their upper median."""
+    for i in range(1, count):
+        value, j = values[i], i
+        while j > 0 and values[j - 1] > value:
+            values[j] = values[j - 1]
+            j -= 1
+        values[j] = value
+    return float(values[count // 2])
+
+
+@kernel
+def fit_inverse_depths(
+    inverse: Float64Array,
+    pixels: Float64Array,
+    noise: float,
+    radii: Int64Array,
+    scratch: Float64Array,
+    nearest: Float64Array,
+    out: Float64Array,
+) -> None:
+    """Fit quadratics to inverse depth in growing discs around dots, while the fits agree (Lepski 1991).
+
+    Discs with too few pixels with depth are skipped.
+
+    Parameters
+    ----------
+    inverse : float64, shape (H, W)
+        1/m; nan where there is no depth.
+    pixels : float64, shape (N, 2)
+        ``(u, v)``.
+    noise : float
+        Standard deviation of inverse depth, 1/m.
+    radii : int64, shape (K,)
+        Radii of the discs, pixels, ascending.
+    scratch, nearest : float64, shapes `SCRATCH_SHAPE` and (2, NEAREST)
+        Work arrays, overwritten.
+    out : float64, shape (N, 2)
+        Output: inverse depth at each dot and its standard deviation, 1/m; nan without depth.
+    """
+    for dot in range(len(pixels)):
+        u, v = pixels[dot, 0], pixels[dot, 1]
+        out[dot, 0], out[dot, 1] = math.nan, math.nan
+        low, high = -math.inf, math.inf
+        for radius in radii:
+            stride = _stride(radius)
+            known, same = _find_nearest(inverse, u, v, radius, nearest), 0
+            if known * stride**2 >= _MIN_SHARE * math.pi * radius**2 and known >= _MIN_COUNT:
+                same = _gather(inverse, u, v, radius, _median(nearest[1], min(known, NEAREST)), scratch)
+            if same < max(_MIN_SHARE * known, _MIN_COUNT) or not _solve(scratch):
+                if math.isnan(out[dot, 0]):
+                    continue
+                break
+            fit, share = scratch[0, _TERMS], scratch[0, _TERMS + 1]
+            if share > 1.0:  # noisier than one pixel: the dot lies in a hole and the fit extrapolates
+                continue
+            sigma = noise * min(math.sqrt(share * max(_PIXELS_A_SAMPLE / stride**2, 1.0)), 1.0)
+            low, high = max(low, fit - _AGREES_WITHIN * sigma), min(high, fit + _AGREES_WITHIN * sigma)
+            if low > high:
+                break
+            out[dot, 0], out[dot, 1] = fit, sigma
+
+
+@kernel
+def is_smooth_between(
+    depth_m: Float64Array, focal_px: float, start: Float64Array, end: Float64Array, steepest: float, apart: int
+) -> bool:
+    """Tell whether at least half of the line between two pixels has depth, and no slope on it is too steep.
+
+    Parameters
+    ----------
+    depth_m : float64, shape (H, W)
+        nan where there is none.
+    focal_px : float
+    start, end : float64, shape (2,)
+        ``(u, v)``.
+    steepest : float
+        Largest slope against the image plane, metres per metre.
+    apart : int
+        Slopes are taken over this many pixels with depth.
+    """
+    height, width = depth_m.shape
+    count = max(int(math.hypot(end[0] - start[0], end[1] - start[1])), 1) + 1
+    seen = 0
+    for place in range(count):
+        seen += not math.isnan(_depth_on_way(depth_m, start, end, place, count, height, width))
+    if 2 * seen < count:
+        return False
+    apart = min(apart, seen - 1)
+    behind_at, lag = -1, 0
+    for place in range(count):
+        ahead = _depth_on_way(depth_m, start, end, place, count, height, width)
+        if math.isnan(ahead):
+            continue
+        lag += 1
+        if lag <= apart:
+            continue
+        behind = math.nan
+        while math.isnan(behind):
+            behind_at += 1
+            behind = _depth_on_way(depth_m, start, end, behind_at, count, height, width)
+        if abs(ahead - behind) > steepest * (place - behind_at) * ahead / focal_px:
+            return False
+    return True
+
+
+@inline
+def _depth_on_way(depth_m: Any, start: Any, end: Any, place: int, count: int, height: int, width: int) -> float:
+    share = place / (count - 1)
+    u, v = np.rint(start[0] + share * (end[0] - start[0])), np.rint(start[1] + share * (end[1] - start[1]))
+    if not (0 <= u < width and 0 <= v < height):
+        return math.nan
+    return float(depth_m[int(v), int(u)])

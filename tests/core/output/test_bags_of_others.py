@@ -1,0 +1,214 @@
+"""Bags with Tactune's topics from other programs: re-recorded, rewritten, differently compressed, without a rig."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, IndexType, Writer
+
+from tactune.core.errors import SourceError
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.model.intrinsics import Distortion
+from tactune.core.output import RecordingStatus
+from tactune.core.sources.mcap.messages import IMAGE, TYPES, image_head, stamped
+from tactune.core.sources.mcap.source import McapSource
+
+Same = Callable[[SensorFrame, SensorFrame], bool]
+
+LATE_NS = {"/tactune/frame": 0, "/proximity/depth/image": 3_000_000, "/tactile/depth/image": 9_000_000}
+
+
+@pytest.fixture
+def frames(rig: Rig, make_frame: Callable[..., SensorFrame]) -> list[SensorFrame]:
+    """Frames at 30 Hz."""
+    return [
+        make_frame(rig, seed, proximity_time_s=2.0 + seed / 30, tactile_time_s=2.001 + seed / 30) for seed in range(5)
+    ]
+
+
+@pytest.fixture
+def ours(tmp_path: Path, rig: Rig, frames: list[SensorFrame], record: Callable[..., RecordingStatus]) -> Path:
+    record(tmp_path / "ours.mcap", rig, frames)
+    return tmp_path / "ours.mcap"
+
+
+def rewrite(ours: Path, target: Path, without: tuple[str, ...] = (), late: bool = False, **options: Any) -> Path:
+    """Copy the messages with the official library, as a converter or a recorder in ROS does: no attachments."""
+    with ours.open("rb") as source, target.open("wb") as file:
+        writer = Writer(file, **options)
+        writer.start("ros2")
+        schemas: dict[str, int] = {}
+        channels: dict[str, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.topic.startswith(without):
+                continue
+            if schema.name not in schemas:
+                schemas[schema.name] = writer.register_schema(schema.name, schema.encoding, schema.data)
+            if channel.topic not in channels:
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", schemas[schema.name])
+            delay = LATE_NS.get(channel.topic, 5_000_000) if late else 0
+            writer.add_message(
+                channels[channel.topic], message.log_time + delay, message.data, message.publish_time, message.sequence
+            )
+        writer.finish()
+    return target
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"compression": CompressionType.LZ4, "chunk_size": 200},
+        {"compression": CompressionType.NONE},
+        {"use_chunking": False},
+        {"index_types": IndexType.NONE},
+        {"index_types": IndexType.CHUNK},
+        {"use_statistics": False, "repeat_channels": False},
+        {"late": True, "chunk_size": 300},
+    ],
+)
+def test_a_copy_by_other_tools_plays_the_same(
+    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame], same_frame: Same, options: dict[str, Any]
+) -> None:
+    with McapSource(rewrite(ours, tmp_path / "copy.mcap", **options)) as source:
+        assert source.health().ok
+        assert source.rig == rig
+        assert source.length == len(frames)
+        assert all(map(same_frame, source, frames))
+        assert source.frame_rate_hz == pytest.approx(30.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("options", [{"chunk_size": 400}, {"use_chunking": False}])
+def test_a_copy_that_is_cut_off_plays_up_to_there(
+    tmp_path: Path, ours: Path, frames: list[SensorFrame], same_frame: Same, options: dict[str, Any]
+) -> None:
+    copy = rewrite(ours, tmp_path / "copy.mcap", **options)
+    copy.write_bytes(copy.read_bytes()[: copy.stat().st_size // 2])
+    with McapSource(copy) as source:
+        assert 1 <= source.length < len(frames)
+        for index in range(source.length - 1):  # the last may lack what came after the cut
+            assert same_frame(source.read(index), frames[index])
+
+
+def test_a_bag_without_our_topics_takes_lenses_poses_and_stamps_from_ros(
+    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame]
+) -> None:
+    with McapSource(rewrite(ours, tmp_path / "plain.mcap", without=("/tactune", "/truth"), late=True)) as source:
+        assert source.health().message == "this recording has no rig: depth counts as millimetres, as ROS has it"
+        played = list(source)
+        found = source.rig
+    assert [frame.sequence for frame in played] == [0, 1, 2, 3, 4]
+    for frame, expected in zip(played, frames, strict=True):
+        np.testing.assert_array_equal(frame.tactile_depth, expected.tactile_depth)
+        np.testing.assert_array_equal(frame.proximity_color, expected.proximity_color)
+        assert frame.truth is None
+        assert frame.proximity_time_s == pytest.approx(expected.proximity_time_s, abs=1e-9)
+        assert frame.tactile_time_s == pytest.approx(expected.tactile_time_s, abs=1e-9)
+    assert found.proximity.depth_unit_m == found.tactile.depth_unit_m == 0.001
+    assert found.tactile.intrinsics == rig.tactile.intrinsics
+    assert found.tactile.intrinsics.distortion is Distortion.BROWN_CONRADY
+    np.testing.assert_allclose(found.T_proximity_tactile, rig.T_proximity_tactile, atol=1e-12)
+    np.testing.assert_allclose(found.proximity_color.T_color_depth, rig.proximity_color.T_color_depth, atol=1e-12)
+
+
+def test_a_bag_without_colour_plays_black_and_says_so(tmp_path: Path, ours: Path, rig: Rig) -> None:
+    with McapSource(rewrite(ours, tmp_path / "dark.mcap", without=("/proximity/color",))) as source:
+        assert source.health().message == "this recording has no proximity colour: its image stays black"
+        assert not source.read(0).proximity_color.any()
+
+
+def test_a_bag_without_one_of_the_depth_cameras_is_refused(
+    tmp_path: Path, ours: Path, rig: Rig, frames: list[SensorFrame]
+) -> None:
+    for without, sentence in (
+        ("/tactile/depth/image", r"holds no frame: there is no image on /tactile/depth/image \(its topics are /prox"),
+        ("/proximity/depth/image", r"holds no frame: there is no image on /proximity/depth/image"),
+        ("/", r"holds no frame: .* \(it has no messages\)"),
+    ):
+        with pytest.raises(SourceError, match=sentence):
+            McapSource(rewrite(ours, tmp_path / "part.mcap", without=(without,)))
+
+
+def test_a_bag_without_lenses_and_rig_is_refused(tmp_path: Path, ours: Path) -> None:
+    bare = rewrite(ours, tmp_path / "bare.mcap", without=("/tactune", "/tactile/depth/camera_info"))
+    with pytest.raises(
+        SourceError, match=r"bare\.mcap has no /tactile/depth/camera_info and no rig; record the lenses"
+    ):
+        McapSource(bare)
+
+
+def test_a_pose_that_is_none_is_refused(tmp_path: Path, ours: Path) -> None:
+    plain = {"compression": CompressionType.NONE, "enable_crcs": False}
+    copy = rewrite(ours, tmp_path / "copy.mcap", without=("/tactune",), **plain)
+    far = copy.read_bytes().replace(np.float64(0.04).tobytes(), np.float64(40.0).tobytes())
+    copy.write_bytes(far)
+    with pytest.raises(SourceError, match=r"the pose of .* in .*: a pose has a rotation and metres up to 10"):
+        McapSource(copy)
+
+
+def test_a_topic_of_another_type_is_refused(tmp_path: Path, ours: Path) -> None:
+    copy = rewrite(ours, tmp_path / "copy.mcap", compression=CompressionType.NONE)
+    copy.write_bytes(copy.read_bytes().replace(b"sensor_msgs/msg/Image", b"sensor_msgs/msg/Imago"))
+    with pytest.raises(
+        SourceError, match=r"has messages of the type sensor_msgs/msg/Imago in cdr, but sensor_msgs/msg/"
+    ):
+        McapSource(copy)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "pixels"),
+    [
+        ("bgr8", lambda rgb: rgb[..., ::-1]),
+        ("rgba8", lambda rgb: np.dstack([rgb, np.zeros(rgb.shape[:2], np.uint8)])),
+        ("bgra8", lambda rgb: np.dstack([rgb[..., ::-1], np.zeros(rgb.shape[:2], np.uint8)])),
+    ],
+)
+def test_other_colour_encodings_and_padded_rows(
+    tmp_path: Path,
+    ours: Path,
+    rig: Rig,
+    frames: list[SensorFrame],
+    encoding: str,
+    pixels: Callable[[np.ndarray], np.ndarray],
+) -> None:
+    rgb = frames[0].proximity_color
+    image = pixels(rgb)
+    height, width, channels = image.shape
+    padded = np.full((height, width * channels + 5), 77, np.uint8)
+    padded[:, : width * channels] = image.reshape(height, -1)
+    message_type = TYPES.types[IMAGE]
+    header = TYPES.deserialize_cdr(stamped(image_head("f", encoding, (0, 0), 1), 10**9), IMAGE).header
+    data = TYPES.serialize_cdr(message_type(header, height, width, encoding, 0, padded.shape[1], padded.ravel()), IMAGE)
+    with McapSource(_with_color(ours, tmp_path / "copy.mcap", bytes(data))) as source:
+        np.testing.assert_array_equal(source.read(0).proximity_color, rgb)
+
+
+def test_an_unknown_encoding_and_a_wrong_size_are_told(tmp_path: Path, ours: Path) -> None:
+    for head, sentence in (
+        (image_head("f", "yuv422", (3, 9), 2) + bytes(54), r"/proximity/color/image is encoded as 'yuv422'; known are"),
+        (image_head("f", "rgb8", (3, 8), 3) + bytes(72), r"has an image of 8 x 3 pixels, but its rig says 9 x 3"),
+        (image_head("f", "rgb8", (3, 9), 3), r"has a message that is no sensor_msgs/msg/Image|an image of 0 bytes"),
+    ):
+        with pytest.raises(SourceError, match=sentence):
+            McapSource(_with_color(ours, tmp_path / "copy.mcap", head))
+
+
+def _with_color(ours: Path, target: Path, data: bytes) -> Path:
+    """Copy a bag with another message in place of every colour image."""
+    with ours.open("rb") as source, target.open("wb") as file:
+        writer = Writer(file)
+        writer.start("ros2")
+        channels: dict[str, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.topic not in channels:
+                number = writer.register_schema(schema.name, schema.encoding, schema.data)
+                channels[channel.topic] = writer.register_channel(channel.topic, "cdr", number)
+            body = data if channel.topic == "/proximity/color/image" else message.data
+            writer.add_message(channels[channel.topic], message.log_time, body, message.publish_time)
+        writer.finish()
+    return target

@@ -1,0 +1,300 @@
+"""Cloud files: lossless round trip, readable by other programs, clear errors for bad files."""
+
+from __future__ import annotations
+
+import csv
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as npst
+
+from tactune.core.contact.pipeline import ContactPatch
+from tactune.core.errors import ExportError, SourceError
+from tactune.core.model.clouds import PointCloud
+from tactune.core.model.frames import ColorCamera, DepthCamera, Rig, SensorFrame
+from tactune.core.model.intrinsics import Intrinsics
+from tactune.core.model.patch import AlignedDepth
+from tactune.core.model.provenance import Provenance
+from tactune.core.output.cloud_files import patch_cloud, read_cloud, write_cloud
+
+BINARY = (".ply", ".pcd", ".npz")
+ALL = (*BINARY, ".csv")
+TYPES = (np.int8, np.uint8, np.int16, np.uint16, np.int32, np.uint32, np.float32, np.float64)
+
+
+def make_cloud(count: int = 7, colors: bool = True) -> PointCloud:
+    rng = np.random.default_rng(count)
+    attributes = {np.dtype(kind).name + "_x": (rng.normal(size=count) * 99).astype(kind) for kind in TYPES[4:]}
+    attributes |= {np.dtype(kind).name: rng.integers(0, 99, count).astype(kind) for kind in TYPES[:4]}
+    if count > 1:
+        attributes["float32_x"][1] = np.nan
+    points = rng.normal(size=(count, 3)).astype(np.float32)
+    return PointCloud(points, rng.integers(0, 256, (count, 3)).astype(np.uint8) if colors else None, attributes)
+
+
+@pytest.mark.parametrize("suffix", BINARY)
+@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("colors", [False, True])
+def test_binary_formats_give_back_every_bit(tmp_path: Path, suffix: str, count: int, colors: bool) -> None:
+    cloud = make_cloud(count, colors)
+    write_cloud(tmp_path / f"cloud{suffix}", cloud)
+    back = read_cloud(tmp_path / f"cloud{suffix}")
+    assert back.points.dtype == np.float32
+    assert back.points.tobytes() == cloud.points.tobytes()
+    assert (back.colors is None) == (cloud.colors is None)
+    if cloud.colors is not None and back.colors is not None:
+        np.testing.assert_array_equal(back.colors, cloud.colors)
+    assert back.attributes.keys() == cloud.attributes.keys()
+    for name, values in cloud.attributes.items():
+        assert back.attributes[name].dtype == values.dtype, name
+        assert back.attributes[name].tobytes() == values.tobytes(), name
+
+
+@pytest.mark.parametrize("count", [0, 1, 7])
+@pytest.mark.parametrize("colors", [False, True])
+def test_csv_gives_back_the_same_numbers(tmp_path: Path, count: int, colors: bool) -> None:
+    cloud = make_cloud(count, colors)
+    write_cloud(tmp_path / "cloud.csv", cloud)
+    back = read_cloud(tmp_path / "cloud.csv")
+    np.testing.assert_array_equal(back.points, cloud.points)
+    if cloud.colors is not None:
+        np.testing.assert_array_equal(back.colors, cloud.colors)
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(back.attributes[name].astype(values.dtype), values)
+
+
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(
+    points=npst.arrays(
+        np.float32, st.tuples(st.integers(0, 5), st.just(3)), elements=st.floats(width=32, allow_nan=False)
+    ),
+    suffix=st.sampled_from(ALL),
+)
+def test_any_float32_comes_back(tmp_path: Path, points: np.ndarray, suffix: str) -> None:
+    write_cloud(tmp_path / f"cloud{suffix}", PointCloud(points))
+    np.testing.assert_array_equal(read_cloud(tmp_path / f"cloud{suffix}").points, points)
+
+
+@pytest.mark.parametrize("suffix", BINARY)
+def test_truth_values_become_bytes(tmp_path: Path, suffix: str) -> None:
+    cloud = PointCloud(np.zeros((2, 3), np.float32), None, {"touched": np.array([True, False])})
+    write_cloud(tmp_path / f"cloud{suffix}", cloud)
+    touched = read_cloud(tmp_path / f"cloud{suffix}").attributes["touched"]
+    assert touched.dtype == np.uint8
+    assert touched.tolist() == [1, 0]
+
+
+def test_a_csv_file_has_titles_with_units(tmp_path: Path) -> None:
+    cloud = PointCloud(
+        np.float32([[0.1, 0.2, 0.3]]),
+        np.uint8([[1, 2, 3]]),
+        {"relative_difference": np.float32([0.5]), "u": np.uint16([7]), "touched": np.array([True])},
+    )
+    write_cloud(tmp_path / "cloud.csv", cloud)
+    with (tmp_path / "cloud.csv").open(newline="") as file:
+        titles, row = csv.reader(file)
+    assert titles == ["x_m", "y_m", "z_m", "red", "green", "blue", "relative_difference", "u", "touched"]
+    assert row == ["0.100000001", "0.200000003", "0.300000012", "1", "2", "3", "0.5", "7", "1"]
+
+
+def test_numpy_reads_the_npz_by_its_names(tmp_path: Path) -> None:
+    cloud = make_cloud()
+    write_cloud(tmp_path / "cloud.npz", cloud)
+    with np.load(tmp_path / "cloud.npz") as archive:
+        assert set(archive) == {"points", "colors", *cloud.attributes}
+        np.testing.assert_array_equal(archive["points"], cloud.points)
+        np.testing.assert_array_equal(archive["colors"], cloud.colors)
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_open3d_reads_what_is_written(tmp_path: Path, suffix: str) -> None:
+    o3d = pytest.importorskip("open3d", reason="open3d is not installed", exc_type=ImportError)
+    cloud = make_cloud()
+    kept = {"float32_x", "float64_x", "int32_x", "uint16", "uint8"}
+    cloud = PointCloud(cloud.points, cloud.colors, {name: cloud.attributes[name] for name in kept})
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, cloud)
+    theirs = o3d.t.io.read_point_cloud(str(path)).point
+    assert theirs["positions"].numpy().tobytes() == cloud.points.tobytes()
+    np.testing.assert_array_equal(theirs["colors"].numpy(), cloud.colors)
+    for name, values in cloud.attributes.items():
+        np.testing.assert_array_equal(theirs[name].numpy()[:, 0], values, err_msg=name)
+        assert theirs[name].numpy().dtype == values.dtype
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_what_open3d_writes_is_read(tmp_path: Path, suffix: str) -> None:
+    o3d = pytest.importorskip("open3d", reason="open3d is not installed", exc_type=ImportError)
+    cloud = make_cloud()
+    theirs = o3d.t.geometry.PointCloud(o3d.core.Tensor(cloud.points))
+    theirs.point.colors = o3d.core.Tensor(cloud.colors)
+    theirs.point["u"] = o3d.core.Tensor(cloud.attributes["uint16"][:, None])
+    path = tmp_path / f"cloud{suffix}"
+    assert o3d.t.io.write_point_cloud(str(path), theirs, write_ascii=False)
+    back = read_cloud(path)
+    assert back.points.tobytes() == cloud.points.tobytes()
+    np.testing.assert_array_equal(back.colors, cloud.colors)
+    np.testing.assert_array_equal(back.attributes["u"], cloud.attributes["uint16"])
+
+
+def test_a_mesh_is_read_as_its_vertices(tmp_path: Path) -> None:
+    header = (
+        "ply\r\nformat binary_little_endian 1.0\r\ncomment a mesh\r\nelement vertex 2\r\nproperty double x\r\n"
+        "property double y\r\nproperty double z\r\nelement face 1\r\nproperty list uchar int vertex_indices\r\n"
+        "end_header\r\n"
+    )
+    vertices = np.arange(6, dtype="<f8")
+    (tmp_path / "mesh.ply").write_bytes(header.encode() + vertices.tobytes() + b"\x03" + bytes(12))
+    np.testing.assert_array_equal(read_cloud(tmp_path / "mesh.ply").points, vertices.reshape(2, 3))
+
+
+def test_no_format_imports_open3d(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "open3d", None)
+    for suffix in ALL:
+        write_cloud(tmp_path / f"cloud{suffix}", make_cloud())
+        assert len(read_cloud(tmp_path / f"cloud{suffix}")) == len(make_cloud())
+
+
+# --- refusals --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("suffix", "attributes", "sentence"),
+    [
+        (".xyz", {}, r"cloud\.xyz has the suffix '\.xyz'; clouds are \.ply, \.pcd, \.npz, \.csv"),
+        ("", {}, "the suffix ''"),
+        (".ply", {"count": np.zeros(7, np.int64)}, r"\.ply holds no int64 such as count; convert it to 32 bits"),
+        (".pcd", {"count": np.zeros(7, np.complex64)}, r"\.pcd holds no complex64 such as count"),
+        (".npz", {"u": np.zeros(6)}, r"u has the shape \(6,\), but there are 7 points"),
+        (".npz", {"points": np.zeros(7)}, "cannot be called 'points'"),
+        (".npz", {"file": np.zeros(7)}, "cannot be called 'file'"),
+        (".ply", {"red": np.zeros(7)}, "cannot be called 'red'"),
+        (".ply", {"two words": np.zeros(7)}, "cannot be called 'two words'"),
+        (".csv", {"a,b": np.zeros(7)}, "cannot be called 'a,b'"),
+    ],
+)
+def test_what_cannot_be_written_is_refused_and_leaves_no_file(
+    tmp_path: Path, suffix: str, attributes: dict[str, np.ndarray], sentence: str
+) -> None:
+    cloud = PointCloud(make_cloud().points, None, attributes)
+    with pytest.raises(ExportError, match=sentence):
+        write_cloud(tmp_path / f"cloud{suffix}", cloud)
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_the_suffix_may_be_in_capitals(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud{suffix.upper()}"
+    write_cloud(path, make_cloud())
+    assert np.array_equal(read_cloud(path).points, make_cloud().points)
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_an_interrupted_write_keeps_the_old_file(tmp_path: Path, suffix: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, make_cloud(3))
+    before = path.read_bytes()
+
+    def full(*_: object, **__: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for owner, name in ((Path, "write_bytes"), (np, "savez"), (np, "savetxt")):
+        monkeypatch.setattr(owner, name, full)
+    with pytest.raises(ExportError, match="No space left on device"):
+        write_cloud(path, make_cloud(7))
+    assert path.read_bytes() == before
+    assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.parametrize("suffix", ALL)
+def test_a_damaged_file_is_refused_in_one_sentence(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, make_cloud())
+    whole = path.read_bytes()
+    for length in (0, 10, len(whole) // 2, len(whole) - 9):
+        path.write_bytes(whole[:length])
+        with pytest.raises(SourceError, match=rf"cloud\{suffix}") as caught:
+            read_cloud(path)
+        assert "\n" not in str(caught.value)
+    with pytest.raises(SourceError, match=r"missing.*check the path"):
+        read_cloud(tmp_path / f"missing{suffix}")
+
+
+@pytest.mark.parametrize("suffix", [".ply", ".pcd"])
+def test_a_short_file_is_told_with_its_number_of_points(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"cloud{suffix}"
+    write_cloud(path, PointCloud(np.zeros((7, 3), np.float32)))
+    path.write_bytes(path.read_bytes()[:-25])
+    with pytest.raises(SourceError, match="it ends after 4 of 7 points"):
+        read_cloud(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "text", "sentence"),
+    [
+        ("a.ply", "ply\nformat ascii 1.0\nelement vertex 0\nend_header\n", "not binary_little_endian"),
+        ("a.ply", "PLY\nend_header\n", "does not begin with the line ply"),
+        ("a.ply", "ply\nformat binary_little_endian 1.0\nelement face 0\nend_header\n", "first element is not vertex"),
+        (
+            "a.ply",
+            "ply\nformat binary_little_endian 1.0\nelement vertex 0\nproperty float x\nproperty float y\nend_header\n",
+            "it has no z",
+        ),
+        ("a.pcd", "VERSION 0.7\nDATA ascii\n", "no line DATA binary"),
+        ("a.pcd", "FIELDS a\nSIZE 4\nTYPE F\nCOUNT 3\nPOINTS 0\nDATA binary\n", "have the counts 3"),
+        ("a.csv", "x,y,z\n1,2,3\n", "header does not begin with x_m,y_m,z_m"),
+        ("a.csv", "x_m,y_m,z_m\n1,2\n", "no readable .csv cloud"),
+        ("a.xyz", "", "the suffix '.xyz'"),
+    ],
+)
+def test_other_files_are_refused_with_the_reason(tmp_path: Path, name: str, text: str, sentence: str) -> None:
+    (tmp_path / name).write_text(text)
+    with pytest.raises(SourceError, match=sentence):
+        read_cloud(tmp_path / name)
+
+
+# --- patches ---------------------------------------------------------------------------------------
+
+LENS = Intrinsics(width=4, height=3, fx=2.0, fy=2.0, cx=1.5, cy=1.0)
+COLOR_LENS = Intrinsics(width=8, height=6, fx=4.0, fy=4.0, cx=3.0, cy=2.0)
+SHIFT = ((1.0, 0.0, 0.0, 0.25), (0.0, 1.0, 0.0, 0.0), (0.0, 0.0, 1.0, 0.0), (0.0, 0.0, 0.0, 1.0))
+
+
+@pytest.mark.parametrize("own_color_camera", [False, True])
+def test_a_patch_carries_colour_difference_and_pixels(own_color_camera: bool) -> None:
+    camera = DepthCamera(intrinsics=LENS, depth_unit_m=0.001)
+    color_camera = ColorCamera(intrinsics=COLOR_LENS, T_color_depth=SHIFT) if own_color_camera else None
+    rig = Rig(proximity=camera, tactile=camera, proximity_color=color_camera)
+    rng = np.random.default_rng(0)
+    image = rng.integers(1, 256, (*rig.proximity_color_shape, 3)).astype(np.uint8)
+    depth = np.full((3, 4), 500, np.uint16)
+    frame = SensorFrame(0, depth, depth, image)
+
+    pixels = [(3, 0), (0, 1), (2, 2)]
+    provenance = np.full((3, 4), Provenance.OUTSIDE_TOLERANCE, np.uint8)
+    for u, v in pixels:
+        provenance[v, u] = Provenance.CONTACT
+    expected = np.full((3, 4), 0.5, np.float32)
+    measured = np.linspace(0.4, 0.6, 12, dtype=np.float32).reshape(3, 4)
+    points = np.float32([[(u - 1.5) / 2.0 * 0.5, (v - 1.0) / 2.0 * 0.5, 0.5] for u, v in pixels])
+    patch = ContactPatch(0, points, provenance, AlignedDepth(expected, measured), rig, {})
+
+    cloud = patch_cloud(patch, frame, rig)
+    assert cloud.points is points
+    assert list(zip(cloud.attributes["u"], cloud.attributes["v"], strict=True)) == pixels
+    np.testing.assert_allclose(
+        cloud.attributes["relative_difference"], [(0.5 - measured[v, u]) / 0.5 for u, v in pixels], rtol=1e-5
+    )
+    assert cloud.colors is not None
+    for (u, v), (x, y, z), color in zip(pixels, points, cloud.colors, strict=True):
+        if own_color_camera:
+            u, v = round((x + 0.25) / z * 4.0 + 3.0), round(y / z * 4.0 + 2.0)  # noqa: PLW2901
+            inside = 0 <= u < 8 and 0 <= v < 6
+        else:
+            inside = True
+        assert color.tolist() == (image[v, u].tolist() if inside else [0, 0, 0])

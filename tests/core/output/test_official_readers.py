@@ -1,0 +1,186 @@
+"""Recordings in other readers: the official MCAP reader with its ROS 2 decoder, and rosbags."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+from rosbags.highlevel import AnyReader
+from scipy.spatial.transform import Rotation
+
+from tactune.core import load_preset
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.output.bag import PatchWriter
+from tactune.core.preset.file import preset_json
+
+Decoded = dict[str, list[tuple[Any, Any]]]
+
+TYPES = {
+    "/tactune/frame": "std_msgs/msg/String",
+    "/tactune/rig": "std_msgs/msg/String",
+    "/tf_static": "tf2_msgs/msg/TFMessage",
+    "/proximity/depth/image": "sensor_msgs/msg/Image",
+    "/proximity/depth/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/proximity/color/image": "sensor_msgs/msg/Image",
+    "/proximity/color/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/tactile/depth/image": "sensor_msgs/msg/Image",
+    "/tactile/depth/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/tactile/color/image": "sensor_msgs/msg/Image",
+    "/tactile/color/camera_info": "sensor_msgs/msg/CameraInfo",
+    "/truth/contact/image": "sensor_msgs/msg/Image",
+    "/truth/depth/image": "sensor_msgs/msg/Image",
+}
+COUNT = 3
+
+
+@pytest.fixture
+def frames(make_frames: Callable[[int], list[SensorFrame]]) -> list[SensorFrame]:
+    return make_frames(COUNT)
+
+
+@pytest.fixture
+def path(tmp_path: Path, rig: Rig, frames: list[SensorFrame], record: Callable[..., Any]) -> Path:
+    record(tmp_path / "a.mcap", rig, frames, preset=load_preset("default"))
+    return tmp_path / "a.mcap"
+
+
+def decode(path: Path) -> Decoded:
+    """Read all messages with checksums on, by topic."""
+    found: Decoded = {}
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        for schema, channel, message, decoded in reader.iter_decoded_messages():
+            assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
+            assert schema.name == TYPES.get(channel.topic, "sensor_msgs/msg/PointCloud2")
+            found.setdefault(channel.topic, []).append((message, decoded))
+    return found
+
+
+def stamp_ns(message: Any) -> int:
+    return message.header.stamp.sec * 10**9 + message.header.stamp.nanosec
+
+
+def test_the_container_has_all_that_readers_seek_by(path: Path) -> None:
+    with path.open("rb") as file:
+        reader = make_reader(file, validate_crcs=True)
+        assert reader.get_header().profile == "ros2"
+        summary = reader.get_summary()
+        attachments = {attachment.name: attachment for attachment in reader.iter_attachments()}
+        metadata = {record.name: record.metadata for record in reader.iter_metadata()}
+    assert summary is not None
+    assert {channel.topic for channel in summary.channels.values()} == set(TYPES)
+    assert summary.statistics.message_count == 2 + COUNT * (len(TYPES) - 2)
+    assert summary.statistics.chunk_count == len(summary.chunk_indexes) == COUNT
+    assert {index.compression for index in summary.chunk_indexes} == {"lz4"}
+    assert attachments["preset.json"].data.decode() == preset_json(load_preset("default"))
+    assert attachments["rig.json"].media_type == "application/json"
+    assert metadata["tactune"]["frame_rate_hz"] == "30.0"
+
+
+def test_topics_images_and_stamps(path: Path, rig: Rig, frames: list[SensorFrame]) -> None:
+    found = decode(path)
+    assert {topic: len(messages) for topic, messages in found.items()} == {
+        topic: 1 if topic in ("/tactune/rig", "/tf_static") else COUNT for topic in TYPES
+    }
+    for index, frame in enumerate(frames):
+        images = {
+            "/proximity/depth/image": ("16UC1", "proximity_depth_optical_frame", frame.proximity_depth),
+            "/proximity/color/image": ("rgb8", "proximity_color_optical_frame", frame.proximity_color),
+            "/tactile/depth/image": ("16UC1", "tactile_depth_optical_frame", frame.tactile_depth),
+            "/tactile/color/image": ("rgb8", "tactile_depth_optical_frame", frame.tactile_color),
+            "/truth/contact/image": (
+                "mono8",
+                "proximity_depth_optical_frame",
+                frame.truth.contact.astype(np.uint8) * 255,
+            ),
+            "/truth/depth/image": ("32FC1", "proximity_depth_optical_frame", frame.truth.depth_m),
+        }
+        for topic, (encoding, frame_id, pixels) in images.items():
+            message, image = found[topic][index]
+            assert (image.encoding, image.header.frame_id) == (encoding, frame_id)
+            assert (image.height, image.width) == pixels.shape[:2]
+            assert (image.is_bigendian, image.step) == (0, pixels.nbytes // len(pixels))
+            assert bytes(image.data) == pixels.tobytes()
+            time_s = frame.tactile_time_s if topic.startswith("/tactile") else frame.proximity_time_s
+            assert stamp_ns(image) == message.publish_time == round(time_s * 1e9)
+            assert message.log_time == round(frame.proximity_time_s * 1e9)
+            assert message.sequence == frame.sequence
+
+
+def test_lenses_are_those_of_the_rig(path: Path, rig: Rig) -> None:
+    found = decode(path)
+    for topic, lens in (
+        ("/proximity/depth", rig.proximity.intrinsics),
+        ("/proximity/color", rig.proximity_color.intrinsics),
+        ("/tactile/depth", rig.tactile.intrinsics),
+        ("/tactile/color", rig.tactile.intrinsics),
+    ):
+        for (_, info), (_, image) in zip(found[f"{topic}/camera_info"], found[f"{topic}/image"], strict=True):
+            assert info.header.frame_id == image.header.frame_id
+            assert stamp_ns(info) == stamp_ns(image)
+            assert (info.width, info.height) == (lens.width, lens.height)
+            assert info.distortion_model == "plumb_bob"
+            np.testing.assert_array_equal(info.d, lens.coefficients)
+            np.testing.assert_array_equal(np.reshape(info.k, (3, 3)), lens.camera_matrix())
+            np.testing.assert_array_equal(np.reshape(info.p, (3, 4))[:, :3], lens.camera_matrix())
+            np.testing.assert_array_equal(np.reshape(info.r, (3, 3)), np.eye(3))
+
+
+def test_static_transforms_are_the_factory_poses(path: Path, rig: Rig) -> None:
+    ((_, message),) = decode(path)["/tf_static"]
+    poses = {}
+    for transform in message.transforms:
+        assert transform.header.frame_id == "proximity_depth_optical_frame"
+        q, t = transform.transform.rotation, transform.transform.translation
+        pose = np.eye(4)
+        pose[:3, :3] = Rotation.from_quat([q.x, q.y, q.z, q.w]).as_matrix()
+        pose[:3, 3] = t.x, t.y, t.z
+        poses[transform.child_frame_id] = pose
+    np.testing.assert_allclose(poses["tactile_depth_optical_frame"], rig.T_proximity_tactile, atol=1e-12)
+    T_depth_color = np.linalg.inv(rig.proximity_color.T_color_depth)
+    np.testing.assert_allclose(poses["proximity_color_optical_frame"], T_depth_color, atol=1e-12)
+
+
+def test_players_keep_static_topics_for_late_listeners(path: Path) -> None:
+    with AnyReader([path]) as reader:
+        qos = {connection.topic: connection.ext.offered_qos_profiles for connection in reader.connections}
+    assert {topic for topic, profiles in qos.items() if profiles} == {"/tf_static", "/tactune/rig"}
+    assert qos["/tf_static"][0].durability.name == "TRANSIENT_LOCAL"
+    assert qos["/tf_static"][0].reliability.name == "RELIABLE"
+
+
+def test_rosbags_reads_the_same(path: Path, frames: list[SensorFrame]) -> None:
+    with AnyReader([path]) as reader:
+        assert reader.message_count == 2 + COUNT * (len(TYPES) - 2)
+        (connection,) = [each for each in reader.connections if each.topic == "/proximity/depth/image"]
+        images = [reader.deserialize(raw, connection.msgtype) for _, _, raw in reader.messages([connection])]
+    assert [bytes(image.data) for image in images] == [frame.proximity_depth.tobytes() for frame in frames]
+
+
+def test_patches_are_point_clouds_of_the_same_time(tmp_path: Path, rig: Rig) -> None:
+    clouds = [
+        np.random.default_rng(seed).normal(size=(count, 3)).astype(np.float32) for seed, count in enumerate((5, 0, 2))
+    ]
+    with PatchWriter(tmp_path / "patches.mcap", rig, load_preset("default"), 30.0) as writer:
+        for index, points in enumerate(clouds):
+            writer.write(points, 10 + index, 1.7e9 + index / 30)
+    found = decode(tmp_path / "patches.mcap")
+    assert list(found) == ["/contact/patch"]
+    for index, (points, (message, cloud)) in enumerate(zip(clouds, found["/contact/patch"], strict=True)):
+        assert message.sequence == 10 + index
+        assert stamp_ns(cloud) == round((1.7e9 + index / 30) * 1e9)
+        assert cloud.header.frame_id == "proximity_depth_optical_frame"
+        assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
+            ("x", 0, 7, 1),
+            ("y", 4, 7, 1),
+            ("z", 8, 7, 1),
+        ]
+        assert (cloud.height, cloud.width, cloud.point_step, cloud.row_step) == (1, len(points), 12, points.nbytes)
+        assert not cloud.is_bigendian
+        assert cloud.is_dense
+        assert bytes(cloud.data) == points.tobytes()

@@ -1,0 +1,281 @@
+"""Killed writers, full or slow disks, truncated and damaged files: the written part stays playable."""
+
+from __future__ import annotations
+
+import os
+import random
+import resource
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tactune.core.errors import SourceError
+from tactune.core.model.frames import Rig, SensorFrame
+from tactune.core.output import RecordingStatus, SessionWriter, bag
+from tactune.core.sources.folder import FolderSource, export_folder
+from tactune.core.sources.mcap.reader import MAGIC
+from tactune.core.sources.mcap.source import McapSource
+
+LZ4_MAGIC = b"\x04\x22\x4d\x18"
+
+Frames = Callable[[int], list[SensorFrame]]
+Same = Callable[[SensorFrame, SensorFrame], bool]
+Record = Callable[..., RecordingStatus]
+
+#: Records one frame of the folder after the other until it is killed.
+_CHILD = """
+import itertools, sys
+from dataclasses import replace
+from tactune.core.output import SessionWriter
+from tactune.core.sources.folder import FolderSource
+source = FolderSource(sys.argv[1])
+writer = SessionWriter(sys.argv[2], source.rig)
+said = False
+for n in itertools.count():
+    frame = replace(source.read(n % source.length), sequence=n, proximity_time_s=n / 30, tactile_time_s=n / 30)
+    writer.put(frame, wait=True)
+    if not said and writer.status().frames >= 20:
+        said = True
+        print("going", flush=True)
+"""
+
+
+def plays(path: Path, frames: list[SensorFrame], same: Same) -> int:
+    """Check that a file is a prefix of the frames, and return how long it is."""
+    with McapSource(path) as source:
+        assert all(same(played, frame) for played, frame in zip(source, frames, strict=False))
+        assert source.position == source.length
+        return source.length
+
+
+def test_a_killed_recording_plays_up_to_its_last_chunk(
+    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same
+) -> None:
+    with SessionWriter(tmp_path / "some.mcap", rig) as writer:
+        for frame in make_frames(3):
+            writer.put(frame, wait=True)
+    with McapSource(tmp_path / "some.mcap") as source:
+        export_folder(source, tmp_path / "folder")
+    killed = tmp_path / "killed.mcap"
+    with subprocess.Popen(
+        [sys.executable, "-c", _CHILD, tmp_path / "folder", killed], stdout=subprocess.PIPE, text=True
+    ) as child:
+        assert child.stdout is not None
+        assert child.stdout.readline() == "going\n"
+        os.kill(child.pid, signal.SIGKILL)
+    folder = FolderSource(tmp_path / "folder")
+    with McapSource(killed) as source:
+        assert source.length is not None
+        assert source.length >= 10
+        assert source.health().message == (
+            f"this recording was cut off; it plays up to its last complete frame, number {source.length}"
+        )
+        for n, frame in enumerate(source):
+            expected = replace(folder.read(n % 3), sequence=n, proximity_time_s=n / 30, tactile_time_s=n / 30)
+            assert same_frame(frame, expected)
+        assert source.rig == rig
+
+
+def test_a_file_cut_anywhere_plays_a_prefix_or_is_refused(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
+) -> None:
+    frames = make_frames(4)
+    record(tmp_path / "whole.mcap", rig, frames)
+    data = (tmp_path / "whole.mcap").read_bytes()
+    cut = tmp_path / "cut.mcap"
+    lengths = []
+    for size in [*random.Random(0).sample(range(len(data)), 300), len(data) - 1]:
+        cut.write_bytes(data[:size])
+        try:
+            lengths.append((size, plays(cut, frames, same_frame)))
+        except SourceError as error:
+            assert "holds no frame: it was cut off before its first frame" in str(error) or "no MCAP file" in str(error)
+            lengths.append((size, 0))
+    lengths.sort()
+    assert [count for _, count in lengths] == sorted(count for _, count in lengths)
+    assert {count for _, count in lengths} == {0, 1, 2, 3, 4}
+
+
+def test_a_hole_that_a_power_failure_left_ends_the_recording(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
+) -> None:
+    frames = make_frames(4)
+    record(tmp_path / "whole.mcap", rig, frames)
+    data = (tmp_path / "whole.mcap").read_bytes()
+    starts = [offset for offset in range(len(data)) if data[offset : offset + 4] == LZ4_MAGIC]
+    assert len(starts) == 4
+    for hole in (data[: starts[3]] + bytes(len(data) - starts[3]), data[: starts[2] - 200] + bytes(5000)):
+        (tmp_path / "hole.mcap").write_bytes(hole)
+        assert plays(tmp_path / "hole.mcap", frames, same_frame) in (2, 3)
+
+
+def test_a_damaged_frame_is_told_and_the_others_play(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, same_frame: Same
+) -> None:
+    frames = make_frames(3)
+    record(tmp_path / "whole.mcap", rig, frames)
+    data = bytearray((tmp_path / "whole.mcap").read_bytes())
+    second = [offset for offset in range(len(data)) if data[offset : offset + 4] == LZ4_MAGIC][1]
+    data[second + 300] ^= 0xFF
+    (tmp_path / "bad.mcap").write_bytes(data)
+    with McapSource(tmp_path / "bad.mcap") as source:
+        assert same_frame(source.read(0), frames[0])
+        with pytest.raises(SourceError, match=r"bad\.mcap is damaged \(.*\); copy or record it again"):
+            source.read(1)
+        assert same_frame(source.read(2), frames[2])
+
+
+def test_flipped_bytes_are_never_more_than_one_sentence(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record
+) -> None:
+    record(tmp_path / "whole.mcap", rig, make_frames(2))
+    data = (tmp_path / "whole.mcap").read_bytes()
+    rng = random.Random(1)
+    for _ in range(200):
+        bad = bytearray(data)
+        for _ in range(rng.randint(1, 4)):
+            bad[rng.randrange(8, len(bad))] = rng.choice((0, 1, 255, rng.randrange(256)))
+        (tmp_path / "bad.mcap").write_bytes(bad)
+        try:
+            with McapSource(tmp_path / "bad.mcap") as source:
+                for index in range(source.length or 0):
+                    source.read(index)
+                source.untouched()
+        except SourceError as error:
+            assert "\n" not in str(error)
+
+
+@pytest.mark.parametrize("rate", ["0", "-5", "nan", "inf", "many"])
+def test_a_rate_that_cannot_be_is_not_believed(
+    tmp_path: Path, rig: Rig, make_frames: Frames, record: Record, monkeypatch: pytest.MonkeyPatch, rate: str
+) -> None:
+    add_metadata = bag.McapWriter.add_metadata
+    monkeypatch.setattr(
+        bag.McapWriter,
+        "add_metadata",
+        lambda self, name, values: add_metadata(self, name, values | {"frame_rate_hz": rate}),
+    )
+    frames = [replace(frame, proximity_time_s=n / 10) for n, frame in enumerate(make_frames(3))]
+    record(tmp_path / "a.mcap", rig, frames)
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert source.frame_rate_hz == pytest.approx(10.0)
+
+
+@pytest.mark.parametrize(
+    ("content", "sentence"),
+    [
+        (b"", r"is no MCAP file; choose a recording"),
+        (b"\x89PNG", r"is no MCAP file; choose a recording"),
+        (b"#ROSBAG V2.0\n" + bytes(4096), r"is no MCAP file; choose a recording"),
+        (MAGIC, r"holds no frame: it was cut off before its first frame was complete; record it again"),
+        (MAGIC + b"\x01" + b"\xff" * 8, r"holds no frame"),
+        (MAGIC + os.urandom(10000), r"holds no frame|is damaged"),
+    ],
+)
+def test_what_is_no_recording_is_refused(tmp_path: Path, content: bytes, sentence: str) -> None:
+    (tmp_path / "a.mcap").write_bytes(content)
+    with pytest.raises(SourceError, match=sentence):
+        McapSource(tmp_path / "a.mcap")
+    with pytest.raises(SourceError, match="there is no file"):
+        McapSource(tmp_path / "b.mcap")
+
+
+def test_a_full_disk_ends_the_recording_in_words_and_the_file_is_complete(
+    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames = make_frames(12)
+    written = 0
+    write_chunk = bag.McapWriter.write_chunk
+
+    def count(self: bag.McapWriter, messages: Any) -> None:
+        nonlocal written
+        write_chunk(self, messages)
+        written += 1
+        if written == 5:  # room for half a frame more
+            resource.setrlimit(resource.RLIMIT_FSIZE, (self.size + 500, hard))
+
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", count)
+    try:
+        writer = SessionWriter(tmp_path / "full.mcap", rig)
+        accepted = sum(writer.put(frame, wait=True) for frame in frames)
+        status = writer.close()
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert status.error == f"cannot write {tmp_path / 'full.mcap'}: File too large; choose another place"
+    assert status.frames == 5
+    assert status.frames + status.dropped == len(frames)
+    assert accepted <= len(frames)
+    assert status.bytes == (tmp_path / "full.mcap").stat().st_size
+    assert plays(tmp_path / "full.mcap", frames, same_frame) == 5
+
+
+def test_a_file_without_room_for_its_index_plays(
+    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_: bag.McapWriter) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(bag.McapWriter, "finish", refuse)
+    with SessionWriter(tmp_path / "full.mcap", rig) as writer:
+        for frame in make_frames(3):
+            writer.put(frame, wait=True)
+    status = writer.close()
+    assert "No space left on device" in status.error
+    assert plays(tmp_path / "full.mcap", make_frames(3), same_frame) == 3
+
+
+def test_a_full_queue_drops_and_counts_or_waits(
+    tmp_path: Path, rig: Rig, make_frames: Frames, same_frame: Same, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    go = threading.Event()
+    write_chunk = bag.McapWriter.write_chunk
+
+    def slowly(self: bag.McapWriter, messages: Any) -> None:
+        assert go.wait(30)
+        write_chunk(self, messages)
+
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", slowly)
+    frames = make_frames(6)
+    writer = SessionWriter(tmp_path / "slow.mcap", rig, queue_bytes=1)
+    assert writer.put(frames[0], wait=True)
+    while not writer.put(frames[1], wait=False):  # until the thread has taken the first
+        time.sleep(0.001)
+    before = writer.status().dropped
+    assert not writer.put(frames[2], wait=False)
+    assert not writer.put(frames[3], wait=False)
+    assert writer.status().dropped == before + 2
+    assert writer.status().error == ""
+
+    waiting = threading.Thread(target=lambda: [writer.put(frame, wait=True) for frame in frames[4:]])
+    waiting.start()
+    go.set()
+    waiting.join(30)
+    status = writer.close()
+    assert (status.frames, status.dropped) == (4, before + 2)
+    kept = [frames[0], frames[1], *frames[4:]]
+    assert plays(tmp_path / "slow.mcap", kept, same_frame) == 4
+
+
+def test_an_error_of_the_thread_is_told_and_nobody_waits_for_it(
+    tmp_path: Path, rig: Rig, make_frames: Frames, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError("no memory")
+
+    monkeypatch.setattr(bag.McapWriter, "write_chunk", fail)
+    writer = SessionWriter(tmp_path / "a.mcap", rig, queue_bytes=1)
+    accepted = [writer.put(frame, wait=True) for frame in make_frames(4)]
+    status = writer.close()
+    assert not accepted[-1]
+    assert (status.frames, status.dropped) == (0, 4)
+    assert status.error == f"cannot continue writing {tmp_path / 'a.mcap'} (MemoryError: no memory)"
+    assert not (tmp_path / "a.mcap").exists()

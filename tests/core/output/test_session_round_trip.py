@@ -1,0 +1,190 @@
+"""A recording is bit-identical: images, times, rig, truth, preset, and the patches computed from them."""
+
+from __future__ import annotations
+
+import itertools
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
+from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
+from tactune.core.output import RecordingStatus, SessionWriter
+from tactune.core.sources.mcap.messages import LogClock
+from tactune.core.sources.mcap.source import McapSource
+
+Same = Callable[[SensorFrame, SensorFrame], bool]
+MakeRig = Callable[..., Rig]
+MakeFrame = Callable[..., SensorFrame]
+Record = Callable[..., RecordingStatus]
+
+SIZES = st.tuples(st.integers(1, 40), st.integers(1, 24))
+TIMES = st.floats(-1e12, 1e12)
+
+
+@settings(max_examples=40)
+@given(data=st.data(), proximity=SIZES, tactile=SIZES, color=st.none() | SIZES)
+def test_every_bit_of_random_frames_comes_back(
+    make_rig: MakeRig,
+    make_frame: MakeFrame,
+    record: Record,
+    same_frame: Same,
+    data: st.DataObject,
+    proximity: tuple[int, int],
+    tactile: tuple[int, int],
+    color: tuple[int, int] | None,
+) -> None:
+    rig = make_rig(proximity, tactile, color)
+    frames = []
+    for seed in range(data.draw(st.integers(1, 5))):
+        frame = make_frame(rig, seed)
+        changes: dict[str, object] = {
+            "sequence": data.draw(st.integers(0, 2**40)),
+            "proximity_time_s": data.draw(TIMES),
+            "tactile_time_s": data.draw(TIMES),
+        }
+        if data.draw(st.booleans()):
+            changes["tactile_color"] = None
+        if data.draw(st.booleans()):
+            changes["truth"] = None
+        elif data.draw(st.booleans()):
+            changes["truth"] = GroundTruth(frame.truth.contact)
+        frames.append(replace(frame, **changes))
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "session.mcap"
+        status = record(path, rig, frames, frame_rate_hz=29.97)
+        with McapSource(path) as source:
+            assert source.rig == rig
+            assert source.length == status.frames == len(frames)
+            assert source.frame_rate_hz == 29.97
+            assert all(map(same_frame, source, frames))
+            for index in reversed(range(len(frames))):
+                source.seek(index)
+                assert same_frame(source.next_frame(), frames[index])
+
+
+def test_the_simulator_comes_back_and_gives_the_same_patches(tmp_path: Path, record: Record, same_frame: Same) -> None:
+    preset = load_preset("simulator")
+    with open_source("sim:cup?seed=3") as live:
+        live.seek(40)
+        frames = [live.next_frame() for _ in range(6)]
+        record(tmp_path / "sim.mcap", live.rig, frames, preset=preset, untouched=frames[0])
+        pipeline = ContactPipeline(preset, live.rig)
+        patches = [pipeline.process(frame) for frame in frames]
+    with open_source(str(tmp_path / "sim.mcap")) as source:
+        assert isinstance(source, McapSource)
+        assert source.preset() == preset
+        assert same_frame(source.untouched(), frames[0])
+        pipeline = ContactPipeline(source.preset(), source.rig)
+        for patch, frame, played in zip(patches, frames, source, strict=True):
+            assert same_frame(played, frame)
+            again = pipeline.process(played)
+            assert len(again.points) > 1000
+            assert again.points.tobytes() == patch.points.tobytes()
+            assert again.provenance.tobytes() == patch.provenance.tobytes()
+
+
+def test_images_are_free_of_the_file(tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record) -> None:
+    record(tmp_path / "a.mcap", rig, make_frames(1))
+    source = McapSource(tmp_path / "a.mcap")
+    frame = source.next_frame()
+    source.close()
+    for image in (frame.proximity_depth, frame.tactile_depth, frame.proximity_color):
+        assert image.flags.aligned  # an unaligned array would make the kernels compile once more
+        assert image.flags.c_contiguous
+    with pytest.raises(SourceError, match="is closed; open it again"):
+        source.read(0)
+
+
+def test_frames_without_what_is_optional(
+    tmp_path: Path, make_rig: MakeRig, make_frame: MakeFrame, record: Record
+) -> None:
+    rig = make_rig(color=None)
+    bare = make_frame(rig, tactile_color=None, truth=None)
+    full = make_frame(rig, 1)
+    record(tmp_path / "a.mcap", rig, [bare, full, bare])
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert [frame.truth is None for frame in source] == [True, False, True]
+        assert source.preset() is None
+        assert source.untouched() is None
+        assert source.health().ok
+
+
+def test_a_frame_that_does_not_fit_is_refused_and_the_recording_goes_on(
+    tmp_path: Path, rig: Rig, make_frame: MakeFrame, same_frame: Same
+) -> None:
+    good = make_frame(rig)
+    with SessionWriter(tmp_path / "a.mcap", rig) as writer:
+        for bad, reason in (
+            (replace(good, proximity_depth=np.zeros((5, 8), np.uint16)), r"/proximity/depth/image is uint16, \(5, 8\)"),
+            (replace(good, tactile_color=np.zeros((9, 9, 3), np.uint8)), r"/tactile/color/image is uint8, \(9, 9, 3\)"),
+            (replace(good, truth=GroundTruth(np.zeros((1, 1), bool))), r"/truth/contact/image is uint8, \(1, 1\)"),
+            (replace(good, tactile_time_s=float("nan")), "not finite"),
+        ):
+            with pytest.raises(FrameError, match=reason):
+                writer.put(bad, wait=True)
+        assert writer.put(good, wait=True)
+    assert writer.status().frames == 1
+    with McapSource(tmp_path / "a.mcap") as source:
+        assert same_frame(source.next_frame(), good)
+
+
+def test_no_file_is_overwritten_and_none_is_left_empty(tmp_path: Path, rig: Rig) -> None:
+    path = tmp_path / "a.mcap"
+    status = SessionWriter(path, rig).close()
+    assert status.error == f"no frame arrived for {path}, so there is no file; check the source"
+    assert not path.exists()
+    path.write_bytes(b"precious")
+    with pytest.raises(ExportError, match=r"a\.mcap is already there; choose another name or remove it"):
+        SessionWriter(path, rig)
+    assert path.read_bytes() == b"precious"
+    with pytest.raises(ExportError, match=r"cannot write .*b\.mcap: .*; choose another place"):
+        SessionWriter(path / "b.mcap", rig)
+
+
+def test_the_status_counts_while_it_records_and_closing_twice_is_harmless(
+    tmp_path: Path, rig: Rig, make_frames: MakeFrame
+) -> None:
+    writer = SessionWriter(tmp_path / "a.mcap", rig)
+    for frame in make_frames(8):
+        writer.put(frame, wait=True)
+    status = writer.close()
+    assert status == writer.close()
+    assert (status.frames, status.dropped, status.error) == (8, 0, "")
+    assert status.bytes == (tmp_path / "a.mcap").stat().st_size
+    assert status.seconds == pytest.approx(1.0)
+    assert not writer.put(make_frames(1)[0], wait=True)
+
+
+@given(st.lists(st.integers(-(10**12), 10**19), min_size=1))
+def test_log_times_grow_whatever_the_stamps_do(stamps: list[int]) -> None:
+    clock = LogClock(1 / 30)
+    times = [clock.tick(stamp) for stamp in stamps]
+    assert times[0] >= 0
+    assert all(earlier < later for earlier, later in itertools.pairwise(times))
+
+
+def test_log_times_keep_the_rate_after_a_clock_jumped_back() -> None:
+    clock = LogClock(0.1)
+    assert [clock.tick(ms * 10**6) for ms in (1000, 1100, 200, 300, 5000)] == [
+        ms * 10**6 for ms in (1000, 1100, 1200, 1300, 6000)
+    ]
+
+
+def test_a_damaged_preset_says_so_and_the_frames_still_play(
+    tmp_path: Path, rig: Rig, make_frames: MakeFrame, record: Record
+) -> None:
+    record(tmp_path / "a.mcap", rig, make_frames(1), preset=load_preset("default"))
+    data = (tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "b.mcap").write_bytes(data.replace(b'"tactune.preset"', b'"tactune.nonsens'))
+    with McapSource(tmp_path / "b.mcap") as source:
+        assert source.next_frame() is not None
+        with pytest.raises(PresetError, match=r"preset\.json in .*b\.mcap is no preset"):
+            source.preset()

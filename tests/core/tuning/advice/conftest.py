@@ -1,0 +1,35 @@
+"""Scenes of the simulator as evidence."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import lru_cache
+
+import pytest
+
+from tactune.core.preset import Preset
+from tactune.core.rig.untouched import untouched_frame
+from tactune.core.sources.registry import open_source
+from tactune.core.tuning.advice.proposal import Evidence, Example
+
+
+@lru_cache(maxsize=8)
+def scene(name):
+    """The rig, four frames and the untouched frame of a simulated scene."""
+    with open_source(name) as source:
+        frames = tuple(frame for _, frame in zip(range(4), source, strict=False))
+        return source.rig, frames, untouched_frame(source)
+
+
+@pytest.fixture(scope="session")
+def evidence() -> Callable[..., Evidence]:
+    """Make evidence from a preset and a simulated scene."""
+
+    def make(
+        preset: Preset, name: str = "sim:cup?press=medium", *, untouched: bool = True, painted: bool = False
+    ) -> Evidence:
+        rig, frames, free = scene(name)
+        examples = (Example(frames[-1], frames[-1].truth.contact),) if painted else ()
+        return Evidence(preset, rig, frames, free if untouched else None, examples)
+
+    return make

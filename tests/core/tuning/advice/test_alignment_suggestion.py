@@ -1,0 +1,63 @@
+"""The suggested depth offset: found on prints, in contact, or refused."""
+
+from __future__ import annotations
+
+import pytest
+
+from tactune.core.errors import AdviceError
+from tactune.core.preset import now
+from tactune.core.preset.alignment import CalibrationRecord, ModelSummary
+from tactune.core.sources.presets import load_preset
+from tactune.core.tuning.advice.suggest import suggest
+
+SHIPPED = load_preset("simulator")
+TOLERANCE = SHIPPED.with_value("contact_test", "tolerance")
+NO_MASK = TOLERANCE.with_value("mask.enabled", False)
+
+
+@pytest.mark.parametrize("spoiled_m", [0.012, -0.009])
+def test_prints_tell_the_offset(evidence, spoiled_m):
+    proposal = suggest(
+        "alignment", evidence(TOLERANCE.with_value("alignment.depth_offset_m", spoiled_m), "sim:hover?gap=5")
+    )
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
+    assert "prints" in proposal.evidence and "±" in proposal.evidence
+
+
+def test_firm_contact_tells_the_offset_without_prints(evidence):
+    shown = evidence(NO_MASK.with_value("alignment.depth_offset_m", 0.012), "sim:cube?press=medium&sensor=datasheet")
+    proposal = suggest("alignment", shown)
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0025)
+
+
+def test_painted_contact_tells_the_offset(evidence):
+    shown = evidence(NO_MASK.with_value("alignment.depth_offset_m", 0.012), "sim:cup?press=low", painted=True)
+    proposal = suggest("alignment", shown)
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
+    assert "painted" in proposal.evidence
+
+
+@pytest.mark.parametrize("gap", [1, 5, 20])
+def test_an_object_that_hovers_is_not_taken_for_a_bias(evidence, gap):
+    with pytest.raises(AdviceError, match="can't be told from a gap"):
+        suggest("alignment", evidence(NO_MASK, f"sim:hover?gap={gap}", untouched=False))
+
+
+def test_the_membrane_test_needs_no_offset(evidence):
+    far = "sim:cup?press=medium&sensor=far-offset"
+    kept = suggest("alignment", evidence(SHIPPED, far))
+    assert not kept.changes
+    assert "by itself" in kept.expected
+    reset = suggest("alignment", evidence(SHIPPED.with_value("alignment.depth_offset_m", 0.006), far))
+    assert reset.changes == {"alignment.depth_offset_m": 0.0}
+    measured = suggest("alignment", evidence(TOLERANCE, far))
+    assert measured.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)
+
+
+def test_a_calibrated_offset_is_corrected_not_reset(evidence):
+    quality = ModelSummary(alignment_px=1, alignment_bound_95_px=1, boundary_error_mm=1, supported_tolerance=0.01)
+    record = CalibrationRecord(date=now(), model="rigid", quality=quality)
+    alignment = SHIPPED.alignment.model_copy(update={"depth_offset_m": 0.006, "calibration": record})
+    preset = SHIPPED.model_copy(update={"alignment": alignment})
+    proposal = suggest("alignment", evidence(preset, "sim:cup?press=medium&sensor=far-offset"))
+    assert proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.020, abs=0.003)

@@ -1,0 +1,227 @@
+"""Findings: each is found where it holds, and nothing is found with the shipped preset on the simulator."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.preset import CameraNoise, RigNoise, now
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+from tactune.core.sources.simulator.sensors import SENSORS
+from tactune.core.tuning.advice.findings.registry import Examiner
+from tactune.core.tuning.advice.quick_bias import quick_disagreement
+
+SHIPPED = load_preset("simulator")
+TOLERANCE = SHIPPED.with_values({"contact_test": "tolerance"})
+NO_MASK = SHIPPED.with_values({"mask.enabled": False})
+PRESSED, UNTOUCHED = "sim:cup?press=medium", "sim:cup?press=none"
+
+
+def noise(sigma_m, bias_m=0.0):
+    """A rig whose cameras both have this white noise, and whose bias was measured."""
+    camera = CameraNoise(white_m=sigma_m, correlated_m=0.0, length_px=0.0, changing_share=1.0, distance_m=0.3)
+    return RigNoise(
+        proximity=camera, tactile=camera, bias_m=bias_m, bias_sigma_m=0.0005, bias_from="prints", measured=now(),
+        frames=60,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=2)
+def scene(name):
+    with open_source(name) as source:
+        return source.rig, source.next_frame()
+
+
+def findings(preset, rig, frame, untouched=None):
+    """The findings on a frame, by name."""
+    patch = ContactPipeline(preset, rig).process(frame)
+    return {found.name: found for found in Examiner(rig).findings(frame, patch, preset, untouched)}
+
+
+def mended(finding, preset, rig, frame, untouched=None):
+    """Whether the finding's proposal removes it."""
+    return finding.name not in findings(finding.proposal.apply(preset), rig, frame, untouched)
+
+
+@pytest.mark.parametrize("sensor", [name for name, sensor in SENSORS.items() if not sensor.held_out])
+@pytest.mark.parametrize("name", [UNTOUCHED, PRESSED])
+def test_the_shipped_preset_gives_no_finding(name, sensor):
+    """But for a sensor whose cameras disagree by 17 mm and 1 %: that is found."""
+    rig, frame = scene(f"{name}&sensor={sensor}")
+    _, untouched = scene(f"{UNTOUCHED}&sensor={sensor}")
+    found = findings(SHIPPED, rig, frame, untouched)
+    assert set(found) == ({"peak"} if sensor == "far-offset" else set())
+
+
+@pytest.mark.parametrize("name", ["sim:cube?press=low", "sim:octopus?press=medium", "sim:hover?gap=5"])
+@pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])
+def test_other_scenes_give_no_finding(name, preset):
+    rig, frame = scene(name)
+    assert findings(preset, rig, frame) == {}
+
+
+class TestPeak:
+    """The cameras disagree."""
+
+    @pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])
+    @pytest.mark.parametrize("offset_m", [0.012, -0.012])
+    def test_finds_a_spoiled_depth_offset(self, preset, offset_m):
+        rig, frame = scene(PRESSED)
+        spoiled = preset.with_values({"alignment.depth_offset_m": offset_m})
+        found = findings(spoiled, rig, frame)["peak"]
+        assert found.proposal.apply(spoiled).alignment.depth_offset_m == pytest.approx(0, abs=0.0012)
+        assert f"{-1e3 * offset_m:+.0f}"[:2] in found.sentence
+        assert mended(found, spoiled, rig, frame)
+
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_finds_it_in_firm_contact_without_a_mask(self, test):
+        rig, frame = scene(PRESSED)
+        spoiled = NO_MASK.with_values({"alignment.depth_offset_m": 0.012, "contact_test": test})
+        found = findings(spoiled, rig, frame)["peak"]
+        assert "firm contact" in found.proposal.evidence
+        assert found.proposal.changes["alignment.depth_offset_m"] == pytest.approx(0, abs=0.0015)
+
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_a_gap_is_no_bias(self, test):
+        """Without prints nothing tells an object that hovers from cameras that disagree."""
+        rig, frame = scene("sim:hover?gap=5")
+        preset = NO_MASK.with_values({"contact_test": test})
+        patch = ContactPipeline(preset, rig).process(frame)
+        assert quick_disagreement(frame, patch, preset, rig, above_m=0.0) is None
+
+    def test_a_bias_that_was_measured_with_the_rig_is_corrected(self):
+        rig, frame = scene(f"{PRESSED}&sensor=far-offset")
+        assert findings(SHIPPED, rig, frame)["peak"].action == "measure_noise"  # the membrane test corrects by it
+        known = SHIPPED.model_copy(update={"noise": noise(0.001, bias_m=0.020)})
+        assert findings(known, rig, frame) == {}
+        tolerance = known.with_values({"contact_test": "tolerance"})
+        found = findings(tolerance, rig, frame)["peak"]
+        changed = found.proposal.apply(tolerance)
+        total_m = changed.noise.bias_m + changed.alignment.depth_offset_m
+        assert total_m == pytest.approx(0.020)  # the measured bias holds after the offset
+
+    @pytest.mark.parametrize("test", ["membrane", "tolerance"])
+    def test_finds_that_of_a_real_pair(self, shared_data, test):
+        rig, frame = scene(f"folder:{shared_data / 'real_pair'}")
+        preset = load_preset("default").with_values(
+            {"contact_test": test, "tolerance.t": 0.02, "outliers.enabled": False}
+        )
+        found = findings(preset, rig, frame)["peak"]
+        assert found.proposal.changes["alignment.depth_offset_m"] == pytest.approx(0.0169, abs=0.0015)
+        assert found.field == "alignment.depth_offset_m"
+        after = found.proposal.apply(preset).with_values({"contact_test": "tolerance"})
+        patch = ContactPipeline(after, rig).process(frame)
+        assert patch.mask.sum() / np.isfinite(patch.relative_difference).sum() > 0.8
+        assert mended(found, preset, rig, frame)
+
+
+@pytest.mark.parametrize("camera", ["proximity", "tactile"])
+@pytest.mark.parametrize("preset", [SHIPPED, TOLERANCE])
+def test_a_camera_without_depth(camera, preset):
+    rig, frame = scene(PRESSED)
+    blind = replace(frame, **{f"{camera}_depth": np.zeros_like(getattr(frame, f"{camera}_depth"))})
+    found = findings(preset, rig, blind)
+    assert list(found) == ["no_depth"]
+    assert f"The {camera} camera measures no depth in 100 %" in found["no_depth"].sentence
+    assert found["no_depth"].action == "check_cameras"
+
+
+def test_a_source_with_one_camera_gives_no_finding():
+    rig, frame = scene(PRESSED)
+    rig = rig.model_copy(update={"tactile": rig.tactile.model_copy(update={"model": "none"})})
+    assert findings(SHIPPED, rig, replace(frame, tactile_depth=np.zeros_like(frame.tactile_depth))) == {}
+
+
+def test_a_mask_that_covers_the_image():
+    rig, frame = scene(PRESSED)
+    covered = SHIPPED.with_values({"mask.hue": (0, 179), "mask.saturation": (0, 255), "mask.value": (0, 255)})
+    found = findings(covered, rig, frame)["covering_mask"]
+    assert "covers 100 %" in found.sentence
+    assert mended(found, covered, rig, frame)
+
+
+@pytest.mark.parametrize("sensor", ["white", "l515-d405", "datasheet"])
+@pytest.mark.parametrize("preset", [NO_MASK, TOLERANCE.with_values({"mask.enabled": False})])
+def test_contact_of_nothing_but_prints(sensor, preset):
+    rig, frame = scene(f"{UNTOUCHED}&sensor={sensor}")
+    found = findings(preset, rig, frame)["prints"]
+    after = found.proposal.apply(preset)
+    assert (
+        ContactPipeline(after, rig).process(frame).area_mm2
+        < 0.05 * ContactPipeline(preset, rig).process(frame).area_mm2
+    )
+    assert mended(found, preset, rig, frame)
+    assert "prints" not in findings(preset, *scene(f"{PRESSED}&sensor={sensor}"))
+
+
+def test_a_tolerance_below_the_noise():
+    rig, frame = scene(PRESSED)
+    measured = TOLERANCE.model_copy(update={"noise": noise(0.0012)})
+    assert "small_tolerance" not in findings(measured, rig, frame)
+    small = measured.with_values({"tolerance.t": 0.003})
+    found = findings(small, rig, frame)["small_tolerance"]
+    assert found.proposal.weak
+    assert 0.008 < found.proposal.changes["tolerance.t"] < 0.015  # twice 1.7 mm at 0.3 m
+    assert mended(found, small, rig, frame)
+    assert "small_tolerance" not in findings(small.with_values({"contact_test": "membrane"}), rig, frame)
+
+
+def test_small_contact_while_the_bias_is_not_known():
+    rig, frame = scene("sim:cup?press=low")
+    v, u = np.nonzero(frame.truth.contact)
+    box = int(u.min()), int(v.min()), int(np.ptp(u)), int(np.ptp(v))
+    no_prints = NO_MASK.with_values({"region.enabled": True, "region.rectangle": box})
+    found = findings(no_prints, rig, frame)["unknown_bias"]
+    assert found.action == "measure_noise"
+    measured = no_prints.model_copy(update={"noise": noise(0.001)})
+    assert "unknown_bias" not in findings(measured, rig, frame)
+    assert "unknown_bias" not in findings(SHIPPED, rig, frame)  # prints tell the bias
+
+
+def test_a_membrane_without_a_visible_bulge():
+    rig, frame = scene(PRESSED)
+    counts = round(0.3 / rig.tactile.depth_unit_m)
+    flat = replace(frame, tactile_depth=np.full_like(frame.tactile_depth, counts))
+    found = findings(SHIPPED, rig, flat)["bulge"]
+    assert "assumes 3 per m" in found.sentence
+    assert mended(found, SHIPPED, rig, flat)
+    few = np.zeros_like(frame.tactile_depth)
+    few[200:260, 220:300] = frame.tactile_depth[200:260, 220:300]
+    patch = ContactPipeline(SHIPPED, rig).process(replace(frame, tactile_depth=few))
+    assert patch.membrane is not None
+    assert np.isnan(patch.membrane.curvature_per_m)
+    assert patch.membrane.used_curvature_per_m == 10.0
+
+
+class TestFalseContact:
+    """Contact on the untouched membrane."""
+
+    def test_large_false_contact_leads_to_the_measurement_of_the_rig(self):
+        rig, untouched = scene(UNTOUCHED)
+        _, pressed = scene(PRESSED)
+        found = findings(NO_MASK, rig, pressed, untouched)["false_contact"]
+        assert found.sentence.startswith("The untouched frame has")
+        assert found.proposal is None
+        assert found.action == "measure_noise"
+
+    def test_small_false_contact_leads_to_a_larger_smallest_contact(self):
+        rig, untouched = scene(f"{UNTOUCHED}&sensor=heavy")
+        loose = NO_MASK.with_values({"membrane.min_area_mm2": 0.0})
+        found = findings(loose, rig, untouched, untouched)["false_contact"]
+        assert found.field == "membrane.min_area_mm2"
+        assert mended(found, loose, rig, untouched, untouched)
+
+    def test_contact_on_a_membrane_at_rest(self):
+        """The membrane is where it was, so an object that hovers is taken for contact."""
+        rig, untouched = scene(UNTOUCHED)
+        loose = TOLERANCE.with_values({"tolerance.t": 0.03})
+        _, hovering = scene("sim:hover?gap=5")
+        found = findings(loose, rig, hovering, untouched)
+        assert "where it was" in found["false_contact"].sentence
+        _, pressed = scene(PRESSED)
+        assert "false_contact" not in findings(TOLERANCE, rig, pressed, untouched)

@@ -1,0 +1,95 @@
+"""The suggested mask covers the prints and spares the rest, wherever it was learned."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import AdviceError
+from tactune.core.sources.presets import load_preset
+from tactune.core.tuning.advice.proposal import Example, MaskLabel
+from tactune.core.tuning.advice.suggest import suggest
+
+SHIPPED = load_preset("simulator")
+NO_MASK = SHIPPED.with_values({"mask.enabled": False})
+
+
+def counted(picture):
+    return np.bincount(picture.reshape(-1), minlength=len(MaskLabel))
+
+
+@pytest.mark.parametrize("offset_m", [0.0, 0.012, -0.02])
+def test_prints_are_covered_whatever_the_bias(evidence, offset_m):
+    proposal = suggest("mask", evidence(NO_MASK.with_value("alignment.depth_offset_m", offset_m)))
+    labels = counted(proposal.picture)
+    assert labels[MaskLabel.COVERED] > 0.95 * (labels[MaskLabel.COVERED] + labels[MaskLabel.MISSED]) > 1000
+    assert labels[MaskLabel.LOST] < 0.01 * (labels[MaskLabel.LOST] + labels[MaskLabel.BARE])
+    assert not proposal.weak
+
+
+def test_a_hue_around_red_wraps(evidence):
+    shown = evidence(NO_MASK)
+
+    def redder(frame):
+        hsv = cv2.cvtColor(frame.proximity_color, cv2.COLOR_RGB2HSV)
+        hsv[..., 0] = (hsv[..., 0].astype(int) + 20) % 180
+        return replace(frame, proximity_color=cv2.cvtColor(hsv, cv2.COLOR_HSV2RGB))
+
+    red = replace(shown, frames=tuple(map(redder, shown.frames)), untouched=redder(shown.untouched))
+    mended = suggest("mask", red).apply(red.preset)
+    low, high = mended.mask.hue
+    assert low > high
+    plain = suggest("mask", shown).apply(shown.preset)
+    areas = [ContactPipeline(preset, each.rig).process(each.frame).area_mm2
+             for preset, each in ((mended, red), (plain, shown))]  # fmt: skip
+    assert areas[0] == pytest.approx(areas[1], rel=0.02)
+
+
+@pytest.mark.parametrize("name", ["sim:cup?press=medium", "sim:octopus?press=medium&sensor=heavy"])
+def test_painted_contact_serves_as_well(evidence, name):
+    proposal = suggest("mask", evidence(NO_MASK, name, untouched=False, painted=True))
+    learned, shipped = proposal.apply(NO_MASK).mask, SHIPPED.mask
+    assert np.abs(np.subtract(learned.hue, shipped.hue)).max() <= 5
+    assert abs(learned.saturation[0] - shipped.saturation[0]) <= 15
+    assert not proposal.weak
+
+
+def test_a_pressed_frame_alone_gives_a_weak_mask(evidence):
+    proposal = suggest("mask", evidence(NO_MASK, untouched=False))
+    assert proposal.weak
+    assert np.abs(np.subtract(proposal.changes["mask.hue"], SHIPPED.mask.hue)).max() <= 5
+
+
+def test_small_contacts_that_look_like_prints_are_refused(evidence):
+    with pytest.raises(AdviceError, match="capture an untouched frame"):
+        suggest("mask", evidence(NO_MASK, "sim:knobs?press=medium", untouched=False))
+
+
+def test_a_mask_that_does_as_well_is_kept(evidence):
+    proposal = suggest("mask", evidence(SHIPPED))
+    assert not proposal.changes
+    assert counted(proposal.picture)[MaskLabel.COVERED] > 1000
+
+
+def test_a_membrane_without_prints_is_told(evidence):
+    shown = evidence(NO_MASK)
+    far = np.where(shown.untouched.proximity_depth > 0, 2400, 0).astype(np.uint16)
+    with pytest.raises(AdviceError, match="no print reflects infrared"):
+        suggest("mask", replace(shown, untouched=replace(shown.untouched, proximity_depth=far)))
+
+
+def test_prints_of_the_membranes_colour_are_told(evidence):
+    shown = evidence(NO_MASK)
+    grey = replace(shown.untouched, proximity_color=np.full_like(shown.untouched.proximity_color, 128))
+    with pytest.raises(AdviceError, match="no mask tells them apart"):
+        suggest("mask", replace(shown, untouched=grey))
+
+
+def test_an_untouched_example_is_an_untouched_frame(evidence):
+    shown = evidence(NO_MASK)
+    example = replace(shown, untouched=None, examples=(Example(shown.untouched),))
+    assert suggest("mask", example).changes == suggest("mask", shown).changes

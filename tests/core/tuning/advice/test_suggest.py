@@ -1,0 +1,139 @@
+"""Suggest all: it mends what was spoiled, says what it can't know, and computes sections one after the other."""
+
+from __future__ import annotations
+
+import importlib.util
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.errors import AdviceError, FrameError
+from tactune.core.preset import Preset
+from tactune.core.sources.presets import load_preset
+from tactune.core.sources.registry import open_source
+from tactune.core.tuning.advice.proposal import Evidence
+from tactune.core.tuning.advice.suggest import SECTIONS, suggest, suggest_all
+
+SHIPPED = load_preset("simulator")
+TOLERANCE = SHIPPED.with_value("contact_test", "tolerance")
+SCRIPT = Path(__file__).parents[3] / "scripts" / "measure_suggest.py"
+
+
+@pytest.fixture(scope="module")
+def measure():
+    spec = importlib.util.spec_from_file_location("measure_suggest", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+# The script measures all objects with all three sensors.
+@pytest.mark.parametrize(("pressed", "sensor"), [("cube", "l515-d405"), ("cup", "datasheet"), ("octopus", "heavy")])
+def test_a_spoiled_preset_is_brought_back(measure, evidence, pressed, sensor):
+    shown = evidence(SHIPPED, f"sim:{pressed}?press=medium&sensor={sensor}")
+    good = measure.rmse_mm(SHIPPED, shown.rig, shown.frame)
+    spoiled = measure.spoiled_presets(SHIPPED)
+    assert len(spoiled) == 6
+    for name, preset in spoiled.items():
+        mended = suggest_all(replace(shown, preset=preset)).merged.apply(preset)
+        assert measure.rmse_mm(mended, shown.rig, shown.frame) <= measure.LIMIT * good, name
+    worst = spoiled["all five"]
+    assert measure.rmse_mm(worst, shown.rig, shown.frame) > 3 * good
+    assert mended.value("alignment.depth_offset_m") == 0
+    assert mended.contact_test == "membrane"
+
+
+def test_nothing_is_changed_in_the_shipped_preset(evidence):
+    proposals = suggest_all(evidence(SHIPPED))
+    assert [part.section for part in proposals.parts] == ["mask", "contact_test", "alignment", "membrane"]
+    assert not proposals.refusals
+    assert not proposals.merged.changes
+    assert all(part.evidence for part in proposals.parts)
+
+
+def test_later_sections_see_the_earlier_ones_applied(evidence):
+    preset = TOLERANCE.with_values({"mask.enabled": False, "tolerance.t": 0.03})
+    shown = evidence(preset, "sim:hover?gap=5", untouched=True)
+    # nothing presses, so only prints tell the bias; these have a colour only after the mask was suggested
+    with pytest.raises(AdviceError, match="can't be told from a gap"):
+        suggest("alignment", shown)
+    proposals = suggest_all(shown)
+    assert "alignment" in [part.section for part in proposals.parts]
+    assert {"mask", "contact_test"} <= {path.partition(".")[0] for path in proposals.merged.changes}
+    # the membrane test was suggested, so the sections of the tolerance test are not
+    assert {part.section for part in proposals.parts}.isdisjoint({"tolerance", "outliers"})
+
+
+def test_a_refused_section_does_not_stop_the_others(evidence):
+    blind = evidence(SHIPPED.with_value("mask.enabled", False))
+    frame = replace(blind.frame, tactile_depth=np.zeros_like(blind.frame.tactile_depth))
+    proposals = suggest_all(replace(blind, frames=(frame,)))
+    assert "mask" in [part.section for part in proposals.parts]
+    assert set(suggest_all(replace(blind, frames=(frame,), untouched=None)).refusals) >= {"mask", "contact_test"}
+
+
+def test_the_real_pair_is_centred(shared_data):
+    with open_source(f"folder:{shared_data / 'real_pair'}") as source:
+        rig, frame = source.rig, source.next_frame()
+    preset = Preset().with_values({"contact_test": "tolerance", "tolerance.t": 0.02, "outliers.enabled": False})
+    proposals = suggest_all(Evidence(preset, rig, (frame,)))
+    mended = proposals.merged.apply(preset)
+    assert mended.alignment.depth_offset_m == pytest.approx(0.0169, abs=0.0015)
+    assert mended.contact_test == "tolerance"
+    patch = ContactPipeline(mended, rig).process(frame)
+    assert patch.mask.sum() > 0.8 * np.isfinite(patch.relative_difference).sum()
+    # what one frame without a membrane can't tell
+    assert set(proposals.refusals) == {"mask", "tolerance", "outliers"}
+
+
+def test_the_membrane_test_is_not_proposed_without_a_membrane(shared_data):
+    with open_source(f"folder:{shared_data / 'real_pair'}") as source:
+        proposal = suggest("contact_test", Evidence(Preset(), source.rig, (source.next_frame(),)))
+    assert proposal.changes == {"contact_test": "tolerance"}
+
+
+def test_only_the_sections_asked_for(evidence):
+    proposals = suggest_all(evidence(TOLERANCE), sections=["tolerance", "mask"])
+    assert [part.section for part in proposals.parts] == ["mask", "tolerance"]
+
+
+def test_an_unknown_section_names_the_known_ones(evidence):
+    with pytest.raises(AdviceError, match="mask, contact_test"):
+        suggest("musk", evidence(SHIPPED))
+    with pytest.raises(AdviceError, match="musk"):
+        suggest_all(evidence(SHIPPED), sections=["musk"])
+
+
+def test_a_frame_of_another_rig_is_refused(evidence, make_rig):
+    with pytest.raises(FrameError, match="the rig says"):
+        suggest_all(replace(evidence(SHIPPED), rig=make_rig()))
+
+
+@pytest.mark.parametrize("section", SECTIONS)
+def test_progress_rises_and_may_cancel(evidence, section):
+    told = []
+
+    def report(share, words):
+        assert words
+        told.append(share)
+
+    suggest(section, evidence(TOLERANCE), report)
+    assert told == sorted(told)
+    assert told[0] >= 0 and told[-1] == 1
+
+    def cancel(share, words):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        suggest(section, evidence(TOLERANCE), cancel)
+
+
+def test_a_tolerance_covers_the_rounding_of_depth_where_frames_are_equal_and_flat(evidence):
+    given = evidence(TOLERANCE, untouched=False)
+    frame = given.frames[-1]
+    flat = [np.full_like(depth, 2500) for depth in (frame.proximity_depth, frame.tactile_depth)]
+    equal = tuple(replace(frame, sequence=n, proximity_depth=flat[0], tactile_depth=flat[1]) for n in range(4))
+    assert suggest("tolerance", replace(given, frames=equal)).changes["tolerance.t"] > 1e-5
