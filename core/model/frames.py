@@ -152,11 +152,15 @@ class GroundTruth:
         True depth of the membrane in the proximity depth frame, metres; nan where unknown.
     strain : TrueStrain or None
         Not stored in recordings.
+    T_proximity_object : 4 x 4 or None
+        Pose of the object in the proximity depth frame, metres; of a pair of objects as a whole. The object's own
+        frame is that of the mesh of ``tactune export-scan``. Not stored in recordings.
     """
 
     contact: BoolArray
     depth_m: Float32Array | None = None
     strain: TrueStrain | None = None
+    T_proximity_object: Matrix4 | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -49,7 +49,13 @@ def make_frame(
         tactile_color=rng.integers(0, 256, (*tactile, 3), np.uint8) if tactile_color else None,
         proximity_time_s=number / 30 + 0.1,
         tactile_time_s=number / 30 + 0.1021,
-        truth=GroundTruth(rng.random(proximity) < 0.5, depth if truth_depth else None) if truth else None,
+        truth=GroundTruth(
+            rng.random(proximity) < 0.5,
+            depth if truth_depth else None,
+            T_proximity_object=POSE if truth_depth else None,
+        )
+        if truth
+        else None,
     )
 
 
@@ -68,7 +74,8 @@ def same_frame(one: SensorFrame, other: SensorFrame) -> bool:
         }
         for name, image in images.items():
             arrays[name] = None if image is None else (image.dtype, image.shape, image.tobytes())
-        return arrays | {"times": (frame.sequence, frame.proximity_time_s, frame.tactile_time_s)}
+        pose = frame.truth.T_proximity_object if frame.truth else None
+        return arrays | {"pose": pose, "times": (frame.sequence, frame.proximity_time_s, frame.tactile_time_s)}
 
     return facts(one) == facts(other)
 

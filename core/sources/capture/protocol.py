@@ -21,7 +21,7 @@ import numpy as np
 from ... import errors
 from ...errors import FrameError, SourceError, TactuneError
 from ...model.arrays import AnyArray
-from ...model.frames import GroundTruth, Rig, SensorFrame
+from ...model.frames import GroundTruth, Rig, SensorFrame, rigid_transform
 from ..base import FrameSource, Health, Progress
 
 #: Opens a source in the capture process; a function of a module, or `functools.partial` of one.
@@ -33,6 +33,7 @@ SLOTS = 8
 #: Interval of the capture process's heartbeats, seconds.
 HEARTBEAT_S = 0.2
 _ALIGNMENT: Final = 64
+_POSE_BYTES: Final = 16 * 8
 
 
 @dataclass(frozen=True)
@@ -151,7 +152,12 @@ def arrays_of(frame: SensorFrame) -> dict[str, AnyArray]:
         "tactile_color": frame.tactile_color,
     }
     if frame.truth is not None:
-        arrays |= {"truth.contact": frame.truth.contact, "truth.depth_m": frame.truth.depth_m}
+        pose = frame.truth.T_proximity_object
+        arrays |= {
+            "truth.contact": frame.truth.contact,
+            "truth.depth_m": frame.truth.depth_m,
+            "truth.T_proximity_object": None if pose is None else np.array(pose),
+        }
     return {name: array for name, array in arrays.items() if array is not None}
 
 
@@ -162,7 +168,12 @@ def frame_of(ready: FrameReady, arrays: dict[str, AnyArray]) -> SensorFrame:
         for name in ("truth.contact", "truth.depth_m"):
             if name in arrays:
                 arrays[name].flags.writeable = False
-        truth = GroundTruth(arrays["truth.contact"], arrays.get("truth.depth_m"))
+        pose = arrays.get("truth.T_proximity_object")
+        truth = GroundTruth(
+            arrays["truth.contact"],
+            arrays.get("truth.depth_m"),
+            T_proximity_object=None if pose is None else rigid_transform(pose),
+        )
     return SensorFrame(
         sequence=ready.sequence,
         proximity_depth=arrays["proximity_depth"],
@@ -205,7 +216,7 @@ def slot_bytes(rig: Rig) -> int:
     """Return the size of a slot that holds every array of a frame of this rig."""
     proximity, tactile = math.prod(rig.proximity.intrinsics.shape), math.prod(rig.tactile.intrinsics.shape)
     color = math.prod(rig.proximity_color_shape)
-    sizes = (2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity)
+    sizes = (2 * proximity, 2 * tactile, 3 * color, 3 * tactile, proximity, 4 * proximity, _POSE_BYTES)
     return sum(_aligned(size) for size in sizes)
 
 

@@ -27,7 +27,7 @@ from platformdirs import user_cache_dir
 from ...errors import ExportError, SourceError
 from ...model.arrays import AnyArray, Uint8Array
 from ...model.files import atomic_path
-from ...model.frames import GroundTruth, SensorFrame, TrueStrain
+from ...model.frames import GroundTruth, SensorFrame, TrueStrain, rigid_transform
 from ..base import Health, Progress, SeekableSource
 from .membrane import Membrane
 from .names import write_name
@@ -152,6 +152,7 @@ class SimulatorSource(SeekableSource):
         noise = self._noise
         depth = state.membrane * np.float32(CLEAN_UNIT_M)
         depth[state.membrane == 0] = np.nan
+        facts = self.facts(index)
         return SensorFrame(
             sequence=index,
             proximity_depth=noise.proximity_depth(index, state.behind, state.membrane, state.cosine, state.flags),
@@ -160,7 +161,9 @@ class SimulatorSource(SeekableSource):
             tactile_color=noise.colour(index, 1, self._lit(state.tactile_color)),
             proximity_time_s=index / self.frame_rate_hz,
             tactile_time_s=index / self.frame_rate_hz + _SKEW_S,
-            truth=GroundTruth((state.flags & CONTACT_FLAG) != 0, depth, _true_strain(self.facts(index))),
+            truth=GroundTruth(
+                (state.flags & CONTACT_FLAG) != 0, depth, _true_strain(facts), rigid_transform(facts.T_proximity_object)
+            ),
         )
 
     def _lit(self, image: Uint8Array) -> Uint8Array:

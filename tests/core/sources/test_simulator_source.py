@@ -15,6 +15,7 @@ from tactune.core.contact.pipeline import ContactPipeline
 from tactune.core.errors import ExportError, SourceError
 from tactune.core.sources.presets import load_preset
 from tactune.core.sources.simulator import source
+from tactune.core.sources.simulator.objects import distance
 from tactune.core.sources.simulator.render import CLEAN_UNIT_M, CONTACT_FLAG, REFLECTIVE_FLAG
 from tactune.core.sources.simulator.scene import APEX_M, CleanState, PressFacts, simulator_rig
 from tactune.core.sources.simulator.source import (
@@ -235,6 +236,17 @@ def test_facts_follow_the_press(any_scene):
     moved = np.array(middle.T_proximity_object) - np.array(deep.T_proximity_object)
     assert moved[2, 3] == pytest.approx(deep.depth_m - middle.depth_m)
     assert max(any_scene.facts(n).residual for n in range(any_scene.length)) < 1e-3
+
+
+def test_true_pose_lays_the_object_against_the_membrane_in_contact(any_scene):
+    frame, identity = any_scene.read(DEEP), np.eye(4)[:3]
+    depth = np.where(frame.truth.contact, frame.truth.depth_m, np.nan)
+    points = np.dstack([any_scene.rig.proximity.intrinsics.rays() * depth[..., None], depth])[np.isfinite(depth)]
+    in_object = in_frame(points.astype(np.float64), np.linalg.inv(frame.truth.T_proximity_object))
+    gaps = np.abs([distance(any_scene.scene.pressed.kind, identity, *point) for point in in_object])
+    assert len(gaps) > 3000
+    assert np.median(gaps) < 2e-4
+    assert np.percentile(gaps, 95) < 1e-3  # flat triangles of 4 mm cut across edges
 
 
 def test_shipped_preset_is_for_this_rig():
