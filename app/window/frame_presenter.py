@@ -174,6 +174,7 @@ class FramePresenter(QObject):
     def show(self, result: Result) -> None:
         """Show a result; widgets for which nothing was drawn stay unchanged."""
         self._context.result = result
+        self._context.playback = result.playback  # results overtake the worker's own announcement
         wipe, compared = self._wipe(), result.compared
         self._views.show_result(result, theme_name(), wipe)
         self._strip.set_wipe(wipe)
