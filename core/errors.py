@@ -28,6 +28,10 @@ class ExportError(TactuneError):
     """A file that cannot be written."""
 
 
+class PublishError(TactuneError):
+    """A live connection that cannot be opened."""
+
+
 class MissingExtraError(TactuneError):
     """An optional dependency that is not installed."""
 

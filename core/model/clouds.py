@@ -84,6 +84,29 @@ def deproject(counts: Uint16Array, camera: DepthCamera, pixels: IndexArray) -> F
     return points
 
 
+def deproject_image(counts: Uint16Array, camera: DepthCamera) -> Float32Array:
+    """Deproject a whole depth image.
+
+    Parameters
+    ----------
+    counts : uint16, shape (H, W)
+        Raw depth.
+    camera : DepthCamera
+
+    Returns
+    -------
+    float32, shape (H, W, 3)
+        Metres in the camera's frame, with the bits of `deproject`; nan where a pixel has no depth.
+    """
+    depth = counts.astype(np.float32)
+    depth *= np.float32(camera.depth_unit_m)
+    depth[~valid_depth(counts)] = np.nan
+    points = np.empty((*counts.shape, 3), np.float32)
+    np.multiply(ray_table(camera.intrinsics), depth[..., None], out=points[..., :2])
+    points[..., 2] = depth
+    return points
+
+
 def pixel_areas_m2(depth_m: Float32Array, intrinsics: Intrinsics) -> Float64Array:
     """Return the area that one pixel covers at each depth, projected across the optical axis, m^2."""
     return np.square(depth_m.astype(np.float64)) / (intrinsics.fx * intrinsics.fy)

@@ -21,21 +21,8 @@ from ..model.frames import Rig
 from ..model.rig_file import json_text, rig_to_json
 from ..preset import Preset
 from ..preset.file import preset_json
-from ..sources.mcap.messages import (
-    FORMAT_VERSION,
-    METADATA_NAME,
-    POINT_CLOUD,
-    PRESET_NAME,
-    RIG_NAME,
-    SAID_ONCE,
-    STATIC_QOS,
-    LogClock,
-    Topic,
-    definition,
-    nanoseconds,
-    point_cloud,
-    type_hash,
-)
+from ..sources.mcap.messages import FORMAT_VERSION, METADATA_NAME, POINT_CLOUD, PRESET_NAME, RIG_NAME, Topic
+from .messages import SAID_ONCE, STATIC_QOS, LogClock, definition, nanoseconds, point_cloud, type_hash
 
 Buffer = bytes | bytearray | memoryview
 

@@ -22,23 +22,9 @@ from ..model.rig_file import json_text, rig_to_json
 from ..model.untouched_archive import untouched_bytes
 from ..preset import Preset
 from ..sources.base import FrameSource, Progress
-from ..sources.mcap.messages import (
-    CAMERA_INFO,
-    IMAGE,
-    TEXT,
-    TRANSFORMS,
-    UNTOUCHED_NAME,
-    LogClock,
-    Topic,
-    frame_text,
-    image_streams,
-    images_of,
-    nanoseconds,
-    stamped,
-    static_transforms,
-    text,
-)
+from ..sources.mcap.messages import CAMERA_INFO, IMAGE, TEXT, TRANSFORMS, UNTOUCHED_NAME, Topic
 from .bag import Bag, Buffer, Message
+from .messages import LogClock, frame_text, image_streams, images_of, nanoseconds, stamped, static_transforms, text
 
 #: Memory limit of the queue: about two seconds of a full rig.
 QUEUE_BYTES = 256 * 2**20

@@ -15,7 +15,8 @@ from tactune.core.errors import SourceError
 from tactune.core.model.frames import Rig, SensorFrame
 from tactune.core.model.intrinsics import Distortion
 from tactune.core.output import RecordingStatus
-from tactune.core.sources.mcap.messages import IMAGE, TYPES, image_head, stamped
+from tactune.core.output.messages import image_head, stamped
+from tactune.core.sources.mcap.messages import IMAGE, TYPES
 from tactune.core.sources.mcap.source import McapSource
 
 Same = Callable[[SensorFrame, SensorFrame], bool]

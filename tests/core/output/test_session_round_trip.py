@@ -17,7 +17,7 @@ from tactune.core import ContactPipeline, load_preset, open_source
 from tactune.core.errors import ExportError, FrameError, PresetError, SourceError
 from tactune.core.model.frames import GroundTruth, Rig, SensorFrame
 from tactune.core.output import RecordingStatus, SessionWriter
-from tactune.core.sources.mcap.messages import LogClock
+from tactune.core.output.messages import LogClock
 from tactune.core.sources.mcap.source import McapSource
 
 Same = Callable[[SensorFrame, SensorFrame], bool]

@@ -1,0 +1,352 @@
+"""ROS 2 messages in CDR: one builder for recordings, Foxglove and ROS 2.
+
+Topics, types and frames are in `tactune.core.sources.mcap.messages`, which also reads the messages of recordings. Every
+function returns the bytes of a whole message, little-endian, with the four-byte header of CDR.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from ..errors import FrameError
+from ..model.arrays import AnyArray, Float32Array, Float64Array
+from ..model.frames import Rig, SensorFrame
+from ..model.intrinsics import Intrinsics
+from ..sources.mcap.messages import (
+    CAMERA_INFO,
+    IMAGE,
+    POINT_CLOUD,
+    PROXIMITY_COLOR_FRAME,
+    PROXIMITY_FRAME,
+    TACTILE_FRAME,
+    TEXT,
+    TRANSFORMS,
+    TYPES,
+    Topic,
+)
+
+POSE: Final = "geometry_msgs/msg/PoseWithCovarianceStamped"
+NUMBER: Final = "std_msgs/msg/Float64"
+DIAGNOSTICS: Final = "diagnostic_msgs/msg/DiagnosticArray"
+
+#: Transient local and reliable, in the numbers that every release of rosbag2 understands; without
+#: this, players publish static transforms with settings that subscribers refuse.
+STATIC_QOS: Final = """\
+- history: 1
+  depth: 1
+  reliability: 1
+  durability: 1
+  deadline: {sec: 9223372036, nsec: 854775807}
+  lifespan: {sec: 9223372036, nsec: 854775807}
+  liveliness: 1
+  liveliness_lease_duration: {sec: 9223372036, nsec: 854775807}
+  avoid_ros_namespace_conventions: false
+"""
+
+#: Topics with one message, which players keep for late subscribers.
+SAID_ONCE: Final = (Topic.RIG, Topic.STATIC_TRANSFORMS)
+
+_LAST_STAMP_NS = (2**31) * 10**9 - 1
+_DTYPES: dict[str, np.dtype[Any]] = {
+    "16UC1": np.dtype("<u2"),
+    "rgb8": np.dtype("u1"),
+    "mono8": np.dtype("u1"),
+    "32FC1": np.dtype("<f4"),
+}
+_CHANNELS = {"rgb8": 3}
+
+
+def nanoseconds(time_s: float) -> int:
+    """Return a time in whole nanoseconds, within what a ROS time stamp can hold."""
+    return min(max(round(time_s * 1e9), -(2**31) * 10**9), _LAST_STAMP_NS)
+
+
+class LogClock:
+    """Log times that follow the time stamps and always increase, even where the stamps do not.
+
+    Players sort by log time, so a camera's clock that jumps back must not reorder the frames.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_ns = max(nanoseconds(period_s), 1)
+        self._shift_ns = 0
+        self._last_ns: int | None = None
+
+    def tick(self, stamp_ns: int) -> int:
+        """Return the log time of a frame with this stamp, nanoseconds from 0."""
+        earliest_ns = 0 if self._last_ns is None else self._last_ns + 1
+        if stamp_ns + self._shift_ns < earliest_ns:
+            resume_ns = 0 if self._last_ns is None else self._last_ns + self._period_ns
+            self._shift_ns = resume_ns - stamp_ns
+        self._last_ns = stamp_ns + self._shift_ns
+        return self._last_ns
+
+
+def definition(message_type: str) -> str:
+    """Return the definition of a message type and of the types inside it."""
+    return TYPES.generate_msgdef(message_type, ros_version=2)[0]
+
+
+def type_hash(message_type: str) -> str:
+    """Return the hash by which ROS 2 identifies this definition."""
+    return TYPES.hash_rihs01(message_type)
+
+
+def stamped(template: bytes, stamp_ns: int) -> bytes:
+    """Return a serialised message, whose first field is a header, with another time stamp."""
+    seconds, rest = divmod(stamp_ns, 10**9)
+    return template[:4] + struct.pack("<iI", seconds, rest) + template[12:]
+
+
+def image_head(frame_id: str, encoding: str, shape: tuple[int, int], pixel_bytes: int) -> bytes:
+    """Return a serialised image up to its pixels, which follow unchanged."""
+    height, width = shape
+    row_bytes = width * pixel_bytes
+    empty = _type(IMAGE)(_header(frame_id), height, width, encoding, 0, row_bytes, np.empty(0, np.uint8))
+    return _serialise(empty, IMAGE)[:-4] + struct.pack("<I", height * row_bytes)
+
+
+def camera_info(frame_id: str, lens: Intrinsics) -> bytes:
+    """Return a serialised lens."""
+    k = lens.camera_matrix()
+    region = _type("sensor_msgs/msg/RegionOfInterest")(0, 0, 0, 0, False)
+    message = _type(CAMERA_INFO)(
+        header=_header(frame_id),
+        height=lens.height,
+        width=lens.width,
+        distortion_model="plumb_bob",
+        d=np.array(lens.coefficients),
+        k=k.ravel(),
+        r=np.eye(3).ravel(),
+        p=np.hstack([k, np.zeros((3, 1))]).ravel(),
+        binning_x=0,
+        binning_y=0,
+        roi=region,
+    )
+    return _serialise(message, CAMERA_INFO)
+
+
+def static_transforms(rig: Rig, stamp_ns: int, T_proximity_tactile: Float64Array | None = None) -> bytes:
+    """Return the poses of the cameras in the proximity depth frame.
+
+    Parameters
+    ----------
+    rig : Rig
+        Factory poses; those that it does not know are left out.
+    stamp_ns : int
+    T_proximity_tactile : 4 x 4, optional
+        A calibrated pose, which replaces the rig's.
+    """
+    poses: dict[str, Float64Array] = {}
+    if T_proximity_tactile is not None:
+        poses[TACTILE_FRAME] = T_proximity_tactile
+    elif rig.T_proximity_tactile is not None:
+        poses[TACTILE_FRAME] = np.array(rig.T_proximity_tactile)
+    if rig.proximity_color is not None:
+        poses[PROXIMITY_COLOR_FRAME] = np.linalg.inv(np.array(rig.proximity_color.T_color_depth)).astype(np.float64)
+    return transforms(poses, stamp_ns)
+
+
+def transforms(poses: Mapping[str, Float64Array], stamp_ns: int) -> bytes:
+    """Return poses (4 x 4) of frames, by their names, in the proximity depth frame."""
+    header = _header(PROXIMITY_FRAME, stamp_ns)
+    stamped_pose = _type("geometry_msgs/msg/TransformStamped")
+    vector, transform = _type("geometry_msgs/msg/Vector3"), _type("geometry_msgs/msg/Transform")
+    return _serialise(
+        _type(TRANSFORMS)(
+            [
+                stamped_pose(header, child, transform(vector(*pose[:3, 3].tolist()), _quaternion(pose)))
+                for child, pose in poses.items()
+            ]
+        ),
+        TRANSFORMS,
+    )
+
+
+def pose_with_covariance(pose: Float64Array, covariance: Float64Array, stamp_ns: int) -> bytes:
+    """Return a pose in the proximity depth frame.
+
+    Parameters
+    ----------
+    pose : float64, shape (4, 4)
+    covariance : float64, shape (6, 6)
+        Of x, y, z in metres and of small rotations about the fixed axes x, y, z in radians.
+    stamp_ns : int
+    """
+    point = _type("geometry_msgs/msg/Point")(*pose[:3, 3].tolist())
+    body = _type("geometry_msgs/msg/Pose")(point, _quaternion(pose))
+    known = _type("geometry_msgs/msg/PoseWithCovariance")(body, np.asarray(covariance, np.float64).ravel())
+    return _serialise(_type(POSE)(_header(PROXIMITY_FRAME, stamp_ns), known), POSE)
+
+
+def number(value: float) -> bytes:
+    """Return one number."""
+    return _serialise(_type(NUMBER)(float(value)), NUMBER)
+
+
+def diagnostics(name: str, values: Mapping[str, str], warning: str, stamp_ns: int) -> bytes:
+    """Return named values and, where something is wrong, a sentence.
+
+    Parameters
+    ----------
+    name : str
+        What the values belong to.
+    values : mapping of str to str
+    warning : str
+        Sets the level *warn*; empty for *ok*.
+    stamp_ns : int
+    """
+    status, pair = _type("diagnostic_msgs/msg/DiagnosticStatus"), _type("diagnostic_msgs/msg/KeyValue")
+    entry = status(
+        level=status.WARN if warning else status.OK,
+        name=name,
+        message=warning or "ok",
+        hardware_id="",
+        values=[pair(key, value) for key, value in values.items()],
+    )
+    return _serialise(_type(DIAGNOSTICS)(_header("", stamp_ns), [entry]), DIAGNOSTICS)
+
+
+def text(value: str) -> bytes:
+    """Return a text, serialised."""
+    return _serialise(_type(TEXT)(value), TEXT)
+
+
+def frame_text(frame: SensorFrame) -> bytes:
+    """Return a frame's number and exact time stamps, serialised."""
+    values = {
+        "sequence": int(frame.sequence),
+        "proximity_time_s": float(frame.proximity_time_s),
+        "tactile_time_s": float(frame.tactile_time_s),
+    }
+    return text(json.dumps(values, allow_nan=False))
+
+
+def point_cloud(points: Float32Array, stamp_ns: int, frame_id: str = PROXIMITY_FRAME) -> bytes:
+    """Return a cloud.
+
+    Parameters
+    ----------
+    points : float32, shape (N, 3) or (H, W, 3)
+        Metres. A cloud in the shape of an image has nan where a pixel has no point.
+    stamp_ns : int
+    frame_id : str
+        The frame of the points.
+    """
+    height, width = points.shape[:2] if points.ndim == 3 else (1, len(points))
+    field = _type("sensor_msgs/msg/PointField")
+    message = _type(POINT_CLOUD)(
+        header=_header(frame_id, stamp_ns),
+        height=height,
+        width=width,
+        fields=[field(name, 4 * i, field.FLOAT32, 1) for i, name in enumerate("xyz")],
+        is_bigendian=False,
+        point_step=12,
+        row_step=12 * width,
+        data=np.empty(0, np.uint8),
+        is_dense=points.ndim == 2,
+    )
+    frame = _serialise(message, POINT_CLOUD)  # ends with the length of the data and is_dense
+    data = np.ascontiguousarray(points, "<f4").reshape(-1).view(np.uint8)
+    return b"".join((frame[:-5], struct.pack("<I", data.size), data.data, frame[-1:]))
+
+
+@dataclass(frozen=True)
+class ImageStream:
+    """One image topic, with the parts that all its messages share, serialised once.
+
+    Attributes
+    ----------
+    head : bytes
+        An image message up to its pixels, without a time stamp.
+    lens : bytes or None
+        The camera info that goes with each image.
+    """
+
+    topic: Topic
+    of_tactile: bool
+    shape: tuple[int, int]
+    dtype: np.dtype[Any]
+    channels: int
+    head: bytes
+    lens: bytes | None
+
+    def check(self, image: AnyArray, sequence: int) -> None:
+        """Raise `FrameError` if an image has another size or type than the stream."""
+        shape = self.shape if self.channels == 1 else (*self.shape, self.channels)
+        if image.shape != shape or image.dtype != self.dtype:
+            raise FrameError(
+                f"frame {sequence}: the image for {self.topic} is {image.dtype}, {image.shape}, "
+                f"but the rig needs {self.dtype}, {shape}; use the rig of the camera that took it"
+            )
+
+
+@lru_cache(maxsize=4)
+def image_streams(rig: Rig) -> Mapping[Topic, ImageStream]:
+    """Return the streams of a rig's frames, made once."""
+    proximity, tactile = rig.proximity.intrinsics, rig.tactile.intrinsics
+    color, color_frame = proximity, PROXIMITY_FRAME
+    if rig.proximity_color is not None:
+        color, color_frame = rig.proximity_color.intrinsics, PROXIMITY_COLOR_FRAME
+    streams = (
+        _stream(Topic.PROXIMITY_DEPTH, PROXIMITY_FRAME, "16UC1", proximity),
+        _stream(Topic.PROXIMITY_COLOR, color_frame, "rgb8", color),
+        _stream(Topic.TACTILE_DEPTH, TACTILE_FRAME, "16UC1", tactile, of_tactile=True),
+        _stream(Topic.TACTILE_COLOR, TACTILE_FRAME, "rgb8", tactile, of_tactile=True),
+        _stream(Topic.TRUTH_CONTACT, PROXIMITY_FRAME, "mono8", proximity, with_lens=False),
+        _stream(Topic.TRUTH_DEPTH, PROXIMITY_FRAME, "32FC1", proximity, with_lens=False),
+    )
+    return {stream.topic: stream for stream in streams}
+
+
+def images_of(frame: SensorFrame) -> Iterator[tuple[Topic, AnyArray]]:
+    """Yield the images of a frame with their topics."""
+    yield Topic.PROXIMITY_DEPTH, frame.proximity_depth
+    yield Topic.PROXIMITY_COLOR, frame.proximity_color
+    yield Topic.TACTILE_DEPTH, frame.tactile_depth
+    if frame.tactile_color is not None:
+        yield Topic.TACTILE_COLOR, frame.tactile_color
+    if frame.truth is not None:
+        yield Topic.TRUTH_CONTACT, np.where(frame.truth.contact, np.uint8(255), np.uint8(0))
+        if frame.truth.depth_m is not None:
+            yield Topic.TRUTH_DEPTH, frame.truth.depth_m
+
+
+def _quaternion(pose: Float64Array) -> Any:
+    x, y, z, w = Rotation.from_matrix(pose[:3, :3]).as_quat().tolist()
+    return _type("geometry_msgs/msg/Quaternion")(x, y, z, w)
+
+
+def _header(frame_id: str, stamp_ns: int = 0) -> Any:
+    return _type("std_msgs/msg/Header")(_type("builtin_interfaces/msg/Time")(*divmod(stamp_ns, 10**9)), frame_id)
+
+
+def _serialise(message: Any, message_type: str) -> bytes:
+    return bytes(TYPES.serialize_cdr(message, message_type))
+
+
+def _type(name: str) -> Any:
+    return TYPES.types[name]
+
+
+def _stream(
+    topic: Topic, frame_id: str, encoding: str, lens: Intrinsics, *, of_tactile: bool = False, with_lens: bool = True
+) -> ImageStream:
+    dtype, channels = _DTYPES[encoding], _CHANNELS.get(encoding, 1)
+    return ImageStream(
+        topic=topic,
+        of_tactile=of_tactile,
+        shape=lens.shape,
+        dtype=dtype,
+        channels=channels,
+        head=image_head(frame_id, encoding, lens.shape, dtype.itemsize * channels),
+        lens=camera_info(frame_id, lens) if with_lens else None,
+    )

@@ -1,0 +1,209 @@
+"""Live messages, decoded by MCAP's own ROS 2 decoder, and the mailboxes between frames and sinks."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
+
+from tactune.core import ContactPipeline, load_preset, open_source
+from tactune.core.errors import PublishError
+from tactune.core.model.clouds import deproject
+from tactune.core.model.frames import SensorFrame
+from tactune.core.model.patch import ContactPatch
+from tactune.core.output.messages import definition
+from tactune.core.output.publisher import LIVE_TOPICS, FrameMessages, LiveMessage, Publisher, SinkStatus
+from tactune.core.preset import Preset
+
+WAIT_S = 60
+
+
+def decoded(message: LiveMessage) -> Any:
+    schema = Schema(1, definition(message.type).encode(), "ros2msg", message.type)
+    decode = DecoderFactory().decoder_for("cdr", schema)
+    assert decode is not None
+    return decode(message.data)
+
+
+def points_of(cloud: Any) -> np.ndarray[Any, Any]:
+    assert [(field.name, field.offset, field.datatype, field.count) for field in cloud.fields] == [
+        ("x", 0, 7, 1),
+        ("y", 4, 7, 1),
+        ("z", 8, 7, 1),
+    ]
+    assert (cloud.point_step, cloud.row_step, cloud.is_bigendian) == (12, 12 * cloud.width, False)
+    return np.frombuffer(bytes(cloud.data), "<f4").reshape(cloud.height, cloud.width, 3)
+
+
+@dataclass
+class Pose:
+    T_proximity_object: np.ndarray[Any, Any]
+    covariance: np.ndarray[Any, Any]
+    lost: bool = False
+
+
+@pytest.fixture(scope="module")
+def processed() -> tuple[SensorFrame, ContactPatch, Preset]:
+    preset = load_preset("simulator")
+    with open_source("sim:cup") as source:
+        source.seek(40)
+        frame = source.next_frame()
+        assert frame is not None
+        return frame, ContactPipeline(preset, source.rig).process(frame), preset
+
+
+def test_every_topic_arrives_bit_for_bit(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    frame, patch, preset = processed
+    turn = np.array([[0, -1, 0, 0.1], [1, 0, 0, 0.2], [0, 0, 1, 0.3], [0, 0, 0, 1.0]])
+    covariance = np.arange(36, dtype=np.float64).reshape(6, 6)
+    built = FrameMessages(frame, patch, preset, 5 * 10**9, Pose(turn, covariance))
+    seen = {topic: decoded(message) for topic in LIVE_TOPICS if (message := built.get(topic)) is not None}
+    assert seen.keys() == LIVE_TOPICS.keys()
+
+    assert len(patch.points) > 1000
+    assert np.array_equal(points_of(seen["/contact/patch"])[0], patch.points)
+    assert seen["/contact/area_mm2"].data == patch.area_mm2
+    for name, camera in (("proximity", patch.rig.proximity), ("tactile", patch.rig.tactile)):
+        counts = getattr(frame, f"{name}_depth")
+        cloud = points_of(seen[f"/{name}/points"])
+        known = np.flatnonzero((counts != 0) & (counts != 65535))
+        assert cloud.shape == (*counts.shape, 3)
+        assert np.array_equal(cloud.reshape(-1, 3)[known], deproject(counts, camera, known))
+        assert np.isnan(cloud).all(axis=-1).sum() == counts.size - len(known)
+        assert seen[f"/{name}/points"].is_dense is False
+        image = seen[f"/{name}/depth/image"]
+        assert (image.encoding, image.step) == ("16UC1", 2 * counts.shape[1])
+        assert bytes(image.data) == counts.tobytes()
+        assert bytes(seen[f"/{name}/color/image"].data) == getattr(frame, f"{name}_color").tobytes()
+        lens = seen[f"/{name}/depth/camera_info"]
+        assert lens.header.frame_id == image.header.frame_id == seen[f"/{name}/points"].header.frame_id
+        assert lens.k[0] == camera.intrinsics.fx
+    stamp = seen["/contact/patch"].header.stamp
+    assert stamp.sec * 10**9 + stamp.nanosec == round(frame.proximity_time_s * 1e9) + 5 * 10**9
+
+    pose = seen["/object/pose"].pose
+    assert (pose.pose.position.x, pose.pose.position.y, pose.pose.position.z) == (0.1, 0.2, 0.3)
+    assert np.allclose((pose.pose.orientation.z, pose.pose.orientation.w), np.sqrt(0.5))
+    assert np.array_equal(pose.covariance, covariance.ravel())
+    moving, static = seen["/tf"].transforms, seen["/tf_static"].transforms
+    assert [(t.header.frame_id, t.child_frame_id) for t in moving] == [("proximity_depth_optical_frame", "object")]
+    assert "tactile_depth_optical_frame" in [t.child_frame_id for t in static]
+    values = {pair.key: pair.value for pair in seen["/diagnostics"].status[0].values}
+    assert float(values["total ms"]) == pytest.approx(sum(patch.stage_ms.values()), abs=0.01)
+
+
+def test_a_lost_object_has_no_pose(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    built = FrameMessages(*processed, 0, Pose(np.eye(4), np.eye(6), lost=True))
+    assert built.get("/object/pose") is None
+    assert built.get("/tf") is None
+
+
+class Collecting:
+    """A sink that keeps messages; it can be told to wait before it sends, or to fail."""
+
+    def __init__(self, wanted: Sequence[str]) -> None:
+        self.topics = wanted
+        self.messages: list[LiveMessage] = []
+        self.gate = threading.Event()
+        self.gate.set()
+        self.entered = threading.Event()
+        self.fault: Exception | None = None
+        self.arrived = threading.Condition()
+        self.is_open = False
+
+    def start(self, topics: Mapping[str, str]) -> None:
+        assert topics == LIVE_TOPICS
+        self.is_open = True
+
+    def wanted(self) -> Sequence[str]:
+        return self.topics
+
+    def send(self, messages: Sequence[LiveMessage]) -> None:
+        self.entered.set()
+        assert self.gate.wait(WAIT_S)
+        if self.fault is not None:
+            raise self.fault
+        with self.arrived:
+            self.messages += messages
+            self.arrived.notify_all()
+
+    def close(self) -> None:
+        self.is_open = False
+
+    def status(self) -> SinkStatus:
+        return SinkStatus("collecting", "here", 1)
+
+    def wait_for(self, is_done: Callable[[list[LiveMessage]], bool]) -> None:
+        with self.arrived:
+            assert self.arrived.wait_for(lambda: is_done(self.messages), WAIT_S)
+
+
+def test_a_slow_sink_loses_its_own_frames_and_no_other(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    quick, slow = Collecting(["/contact/area_mm2"]), Collecting(["/contact/area_mm2"])
+    slow.gate.clear()
+    with Publisher([quick, slow]) as publisher:
+        for count in range(1, 6):
+            publisher.put(*processed)
+            assert slow.entered.wait(WAIT_S)
+            quick.wait_for(lambda messages, count=count: len(messages) == count)
+        assert not slow.messages
+        slow.gate.set()
+        slow.wait_for(lambda messages: len(messages) == 2)
+        of_quick, of_slow = publisher.status()
+        assert (of_quick.sent, of_quick.missed) == (5, 0)
+        assert of_slow.missed == 3
+    assert not quick.is_open
+    assert not slow.is_open
+    assert quick.messages[0] is slow.messages[0]  # nothing is encoded twice
+
+
+def test_nothing_is_built_for_nobody(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    frame, patch, preset = processed
+
+    class Unread(ContactPatch):
+        @property
+        def points(self) -> Any:
+            raise AssertionError("read")
+
+    unread = Unread(7, np.empty((0, 3), np.float32), patch.provenance, patch.aligned, patch.rig, {})
+    sink = Collecting([])
+    with Publisher([sink]) as publisher:
+        for _ in range(3):
+            publisher.put(frame, unread, preset)
+        sink.topics = ["/tactune/frame"]
+        publisher.put(frame, unread, preset)
+        sink.wait_for(lambda messages: len(messages) == 1)
+        assert publisher.status()[0].error == ""
+
+
+def test_a_sink_that_fails_is_told_and_goes_on(processed: tuple[SensorFrame, ContactPatch, Preset]) -> None:
+    sink = Collecting(["/tactune/frame"])
+    sink.fault = OSError("the cable is out")
+    with Publisher([sink]) as publisher:
+        for _ in range(WAIT_S * 100):
+            publisher.put(*processed)
+            if publisher.status()[0].error:
+                break
+            threading.Event().wait(0.01)
+        assert publisher.status()[0].error == "the cable is out"
+        sink.fault = None
+        publisher.put(*processed)
+        sink.wait_for(lambda messages: len(messages) == 1)
+
+
+def test_a_sink_that_cannot_start_closes_the_others() -> None:
+    first, second = Collecting([]), Collecting([])
+
+    def refuse(topics: Mapping[str, str]) -> None:
+        raise PublishError("port 8765 is taken")
+
+    second.start = refuse  # type: ignore[method-assign]
+    with pytest.raises(PublishError, match="8765"):
+        Publisher([first, second])
+    assert not first.is_open
