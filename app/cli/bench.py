@@ -1,4 +1,4 @@
-"""The commands ``tactune bench`` and ``tactune bench stability``: run time and numerical error, measured."""
+"""The commands ``tactune bench``, ``tactune bench stability`` and ``tactune bench memory``."""
 
 from __future__ import annotations
 
@@ -9,8 +9,11 @@ from typing import Annotated, Any
 import typer
 
 from ...core.errors import TactuneError
-from .common import CliProgress
+from .common import SOURCE, CliProgress, PresetOption, SourceOption, counted, default_preset, open_with_progress
 from .sensor_table import measure_sensor_table, plan_sensor_table
+
+#: Frames over which ``tactune bench memory`` measures.
+MEASURED_FRAMES = 50
 
 bench_commands = typer.Typer(
     help="Measure run time and error of the pipeline beside other implementations.",
@@ -98,6 +101,55 @@ def stability(
         if changes:
             typer.echo(run.words())
     raise typer.Exit(1 if report.unexplained or run.different else 0)
+
+
+@bench_commands.command()
+def memory(
+    *,
+    source: SourceOption = SOURCE,
+    preset: PresetOption = None,
+    frames: Annotated[
+        int, typer.Option("--frames", min=1, metavar="N", help="Number of frames, processed in turn.")
+    ] = 10,
+    as_json: Annotated[bool, typer.Option("--json", help="Print JSON.")] = False,
+) -> None:
+    """Measure the memory that Python and NumPy allocate per frame, and that of patch.points."""
+    from dataclasses import replace
+    from itertools import cycle, islice
+
+    from ...core.bench.measure import allocation
+    from ...core.contact.pipeline import ContactPipeline
+    from ...core.errors import SourceError
+    from ...core.sources.presets import load_preset
+
+    used = load_preset(preset or default_preset(source))
+    with open_with_progress(source, used.cameras) as opened:
+        shown = list(islice(opened, frames))
+        pipeline = ContactPipeline(used, opened.rig)
+    if not shown:
+        raise SourceError(f"{opened.name} gave no frames; check the source")
+    turn = cycle(shown)
+    largest = max((pipeline.process(frame) for frame in shown), key=lambda patch: len(patch.points))
+    frame_bytes = allocation(lambda: pipeline.process(replace(next(turn))), MEASURED_FRAMES)
+    facts = {
+        "source": opened.name,
+        "contact_test": used.contact_test,
+        "most_points": len(largest.points),
+        "points_bytes": largest.points.nbytes,
+        "contiguous": largest.points.flags.c_contiguous,
+        "copied_when_read": largest.points is not largest.points,
+        "frame_bytes": frame_bytes.peak_bytes,
+        "left_bytes": frame_bytes.left_bytes,
+    }
+    if as_json:
+        typer.echo(json.dumps(facts))
+        return
+    kind = f"{largest.points.dtype}, {'' if facts['contiguous'] else 'not '}C-contiguous"
+    kind += f", {'' if facts['copied_when_read'] else 'not '}copied when read"
+    typer.echo(f"{opened.name}, {used.contact_test} test, {counted(len(shown), 'frame')}")
+    typer.echo(f"patch.points: up to {largest.points.shape}, {kind}, {facts['points_bytes']:,} bytes")
+    typer.echo(f"processing a frame: at most {facts['frame_bytes']:,} bytes, its patch included")
+    typer.echo(f"left after {MEASURED_FRAMES} frames: {facts['left_bytes']:,} bytes")
 
 
 def _names(text: str) -> list[str]:

@@ -9,6 +9,8 @@ import csv
 import io
 import json
 import math
+import os
+import select
 import signal
 import sys
 import threading
@@ -189,6 +191,60 @@ def stop_on_signals() -> Iterator[threading.Event]:
         yield stopped
     finally:
         restore()
+
+
+class LineOutput:
+    """Standard output as a stream of lines for a reader that may be slow or go away.
+
+    Parameters
+    ----------
+    stopped : threading.Event
+        Set by a signal. Set here when the reader has gone.
+
+    Attributes
+    ----------
+    reader_gone : bool
+        Nobody reads the other end of the pipe any more.
+    """
+
+    def __init__(self, stopped: threading.Event) -> None:
+        self.reader_gone = False
+        self._stopped = stopped
+        self._poll: select.poll | None = None
+        # Not a file of the system (or none, or a system without poll): it never makes anybody wait.
+        with suppress(io.UnsupportedOperation, AttributeError):
+            poll = select.poll()
+            poll.register(sys.stdout.fileno(), select.POLLOUT)
+            self._poll = poll
+
+    def write(self, line: str) -> None:
+        """Write a line at once; while the reader does not read, wait until it does or a signal comes."""
+        while not self.look(WAIT_S):
+            if self._stopped.is_set():
+                return
+        try:
+            typer.echo(line)
+        except BrokenPipeError:
+            self._leave()
+
+    def look(self, timeout_s: float = 0.0) -> bool:
+        """Return whether a line can be written without waiting; notice if the reader has gone."""
+        if self._poll is None:
+            return True
+        events = self._poll.poll(1e3 * timeout_s)
+        if any(event & select.POLLERR for _, event in events):
+            self._leave()
+            return False
+        return bool(events)
+
+    def _leave(self) -> None:
+        """End the command, and keep Python from writing the rest to the broken pipe at its exit."""
+        if not self.reader_gone:
+            self.reader_gone = True
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, sys.stdout.fileno())
+            os.close(nowhere)
+        self._stopped.set()
 
 
 # --set FIELD=VALUE

@@ -78,7 +78,8 @@ class Theme(StrEnum):
 def main() -> int:
     """Run the command line and return its exit status.
 
-    0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted.
+    0: done; 1: a check failed; 2: an error that the person can correct, in one sentence; 130: interrupted;
+    141: the reader of standard output has gone (``tactune run --json``).
     """
     if isinstance(sys.stdout, TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # names of files need not be valid Unicode

@@ -22,6 +22,7 @@ from .common import (
     WAIT_S,
     CliProgress,
     FrameCount,
+    LineOutput,
     PresetOption,
     SourceOption,
     counted,
@@ -49,8 +50,10 @@ if TYPE_CHECKING:
 
 Record = dict[str, Any]
 
-#: Exit status after Ctrl+C, as shells use it.
+#: Exit status after Ctrl+C or SIGTERM, as shells use it.
 INTERRUPTED_STATUS = 130
+#: Exit status after the reader of standard output has gone: that of a program that SIGPIPE ends.
+READER_GONE_STATUS = 141
 
 #: Suffix of recordings and of bags of patches.
 MCAP_SUFFIX = ".mcap"
@@ -106,7 +109,9 @@ def run(
         ),
     ] = None,
     file_format: Annotated[Format, typer.Option("--format", help="Format of the files.")] = Format.NPZ,
-    json_lines: Annotated[bool, typer.Option("--json", help="Print one JSON line per frame and no summary.")] = False,
+    json_lines: Annotated[
+        bool, typer.Option("--json", help="Print a JSON line for each frame at once; no summary.")
+    ] = False,
     truth: Annotated[
         bool, typer.Option("--truth", help="Compare with the ground truth of the source (simulator, labels).")
     ] = False,
@@ -189,16 +194,19 @@ def run_frames(options: RunOptions) -> None:
             stop_on_signals() as stopped,
             patch_output(options, source, preset) as save,
         ):
-            records = process_frames(source, step, options, save, stopped, look)
-        if not records and not stopped.is_set():
+            lines = LineOutput(stopped) if options.json_lines else None
+            done, records = process_frames(source, step, options, save, stopped, look, lines)
+        if lines is not None and lines.reader_gone:
+            raise typer.Exit(READER_GONE_STATUS)
+        if not done and not stopped.is_set():
             raise SourceError(f"{source.name} gave no frames; check the source")
         if source.health().message:
             warn(source.health().message)
         warn_of_lost_frames(source, lost_before)
-        if records and not options.json_lines:
+        if records:
             typer.echo(summary(records, source.name, preset.name, options, stopped=stopped.is_set()))
         if stopped.is_set():
-            tell_of_stop(source, len(records), options.frames)
+            tell_of_stop(source, done, options.frames)
 
 
 @contextmanager
@@ -241,7 +249,7 @@ def _cloud(patch: ContactPatch | MethodPatch, frame: SensorFrame, rig: Rig) -> P
 
 
 def tell_of_stop(source: FrameSource, done: int, asked: int | None) -> None:
-    """After Ctrl+C, report the frames done and exit as interrupted, unless all are done or the source is live."""
+    """After a signal, report the frames done and exit as interrupted, unless all are done or the source is live."""
     total = number_of_frames(source, asked)
     if done and total in (None, done):
         return
@@ -260,30 +268,46 @@ def process_frames(
     save: SavePatch,
     stopped: Event,
     look: Watching | None = None,
-) -> list[Record]:
-    """Process and save each frame until ``stopped`` is set; return the records."""
+    lines: LineOutput | None = None,
+) -> tuple[int, list[Record]]:
+    """Process and save each frame until ``stopped`` is set.
+
+    Returns
+    -------
+    done : int
+        Number of frames.
+    records : list of dict
+        What the summary needs of each; none with ``lines``, which may go on for days.
+    """
     records: list[Record] = []
+    done, scored = 0, False
     total = number_of_frames(source, options.frames)
     with CliProgress(quiet=options.json_lines and sys.stdout.isatty()) as progress:
-        while len(records) != total and not stopped.is_set():
+        while done != total and not stopped.is_set():
             if not source.wait(WAIT_S):
+                if lines is not None:
+                    lines.look()
                 continue
             frame = source.next_frame()
             if frame is None:
                 break
             record, patch = step(frame)
+            record["time_s"] = finite_or_none(frame.proximity_time_s)
             if options.truth:
                 record |= truth_record(patch, frame.truth, source.rig)
+                scored |= record["iou"] is not None
             if look is not None:
                 record["watch"] = look(frame)
             save(patch, frame)
-            if options.json_lines:
-                typer.echo(json.dumps(record, allow_nan=False))
-            records.append(record)
-            progress.frames(len(records), total)
-    if options.truth and records and all(record["iou"] is None for record in records):
+            if lines is not None:
+                lines.write(json.dumps(record, allow_nan=False))
+            else:
+                records.append(record)
+            done += 1
+            progress.frames(done, total)
+    if options.truth and done and not scored:
         warn(f"{source.name} has no ground truth; iou, precision, recall and rmse_mm are empty")
-    return records
+    return done, records
 
 
 def make_folder(folder: Path) -> None:

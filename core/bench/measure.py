@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import ctypes
+import gc
 import os
 import platform
 import random
 import subprocess
 import sys
 import time
+import tracemalloc
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -22,6 +24,8 @@ import numpy as np
 #: Length of a turn, seconds: a fast engine runs many times in it, a slow one once.
 _TURN_S = 0.02
 MAX_CALLS_PER_TURN = 25
+#: Calls before memory is compared. Until then, traced objects replace objects that are older than the trace.
+_TRACED_BEFORE = 300
 
 
 @dataclass(frozen=True)
@@ -95,6 +99,39 @@ def peak_bytes(run: Callable[[], Any]) -> int | None:
     before = _status_bytes("VmRSS")
     run()
     return max(0, _status_bytes("VmHWM") - before)
+
+
+@dataclass(frozen=True)
+class Allocation:
+    """Memory that Python and NumPy allocate in one call, its result included, and what many calls leave, bytes."""
+
+    peak_bytes: int
+    left_bytes: int
+
+
+def allocation(call: Callable[[], object], calls: int = 50) -> Allocation:
+    """Return the largest rise of traced memory during a call, and the memory that all calls together leave behind.
+
+    Memory of native libraries is not traced.
+    """
+    tracemalloc.start()
+    try:
+        for _ in range(_TRACED_BEFORE):
+            result = call()
+        gc.collect()
+        first, _ = tracemalloc.get_traced_memory()
+        rises = []
+        for _ in range(calls):
+            before, _ = tracemalloc.get_traced_memory()
+            tracemalloc.reset_peak()
+            result = call()
+            rises.append(tracemalloc.get_traced_memory()[1] - before)
+        gc.collect()
+        last, _ = tracemalloc.get_traced_memory()
+        del result
+    finally:
+        tracemalloc.stop()
+    return Allocation(max(rises), last - first)
 
 
 def bandwidth_bytes_per_s(size_bytes: int = 256 << 20) -> float:

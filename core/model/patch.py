@@ -207,7 +207,11 @@ class ContactPatch:
 
     @property
     def points(self) -> Float32Array:
-        """Float32 (N, 3), metres, proximity depth frame, in row-major pixel order."""
+        """Float32 (N, 3), C-contiguous, metres, proximity depth frame, in row-major pixel order.
+
+        Reading copies nothing. A later frame does not overwrite the array: it lives as long as somebody holds it. Do
+        not write into it, because the same array is returned again for an unchanged frame.
+        """
         return self._points.get() if isinstance(self._points, Lazy) else self._points
 
     @property

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import fcntl
+import gc
 import itertools
 import json
 import os
 import re
+import select
 import signal
 import subprocess
 import sys
+import threading
 import time
+import tracemalloc
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +24,12 @@ import numpy as np
 import pytest
 from mcap.reader import make_reader
 
+from small_recordings import GrowingPress, small_rig
+from tactune.app.cli.common import LineOutput
+from tactune.app.cli.methods import make_step
+from tactune.app.cli.run import RunOptions, process_frames
 from tactune.core.contact.pipeline import ContactPipeline
+from tactune.core.model.frames import SensorFrame
 from tactune.core.model.rig_file import load_rig
 from tactune.core.preset import Preset
 from tactune.core.preset.file import save_preset
@@ -74,6 +85,7 @@ def test_json_lines_say_what_the_patch_is(tactune: Tactune, recording: Path) -> 
     assert [line["sequence"] for line in lines] == [0, 1, 2, 3]
     assert set(lines[0]) == {
         "sequence",
+        "time_s",
         "points",
         "area_mm2",
         "centroid_m",
@@ -246,14 +258,84 @@ def test_a_name_that_is_no_unicode_can_be_printed(recording: Path, tmp_path: Pat
     assert "scene\\udcff" in done.stdout
 
 
-def test_a_reader_that_stops_reading_is_no_error(recording: Path) -> None:
+def test_a_reader_that_stops_reading_ends_the_command_like_sigpipe(recording: Path) -> None:
     command = [*COMMAND, "run", "--source", str(recording), "--json"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         assert process.stdout is not None
         assert process.stderr is not None
         process.stdout.close()
         assert process.stderr.read() == ""
-    assert process.returncode not in (0, 2)
+    assert process.returncode == 141
+
+
+def test_a_killed_reader_of_a_live_source_ends_the_command_with_a_whole_file(recording: Path, tmp_path: Path) -> None:
+    out = tmp_path / "patches.mcap"
+    command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--json", "--out", str(out)]
+    reader = "import sys, time; sys.stdin.readline(); print(flush=True); time.sleep(300)"
+    with (
+        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process,
+        subprocess.Popen([sys.executable, "-c", reader], stdin=process.stdout, stdout=subprocess.PIPE) as reading,
+    ):
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert reading.stdout is not None
+        process.stdout.close()
+        assert reading.stdout.readline() == b"\n"  # a line passes the pipe while the command runs
+        reading.kill()
+        complaints = process.stderr.read()
+        assert process.wait(timeout=300) == 141, complaints
+    with out.open("rb") as file:
+        assert make_reader(file).get_summary().statistics.message_count > 0
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_sigterm_ends_json_lines_of_a_live_source_with_a_whole_line(recording: Path, reads: bool) -> None:
+    """Also where nobody reads and the pipe is full."""
+    read_end, write_end = os.pipe()
+    fcntl.fcntl(write_end, fcntl.F_SETPIPE_SZ, 4096)
+    command = [*COMMAND, "run", "--source", f"live:folder:{recording}", "--json"]
+    with (
+        os.fdopen(read_end, encoding="utf-8") as lines,
+        subprocess.Popen(command, stdout=write_end, stderr=subprocess.PIPE) as process,
+    ):
+        read = [lines.readline(), lines.readline()] if reads else []
+        end = time.monotonic() + 300
+        while not reads and select.select([], [write_end], [], 0)[1] and time.monotonic() < end:
+            time.sleep(0.05)
+        os.close(write_end)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=300) == 0
+        read += lines.readlines()
+    assert read[-1].endswith("}\n")
+    sequences = [line["sequence"] for line in json_lines("".join(read))]
+    assert sequences == sorted(set(sequences))
+
+
+def test_json_lines_of_hours_need_no_memory(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    class Endless(GrowingPress):
+        def read(self, index: int) -> SensorFrame:
+            return replace(super().read(index % 4), sequence=index)
+
+    source, stopped, memory = Endless(small_rig(64), 10**9, True), threading.Event(), []
+    options = RunOptions("small", "default", None, None, "npz", json_lines=True, truth=True)
+    step = make_step(options.method, load_preset("default"), "default", source, None, print)
+
+    def look(patch: object, frame: SensorFrame) -> None:
+        if frame.sequence in (400, 1400):
+            gc.collect()
+            memory.append(tracemalloc.get_traced_memory()[0])
+        if len(memory) == 2:
+            stopped.set()
+
+    tracemalloc.start()
+    try:
+        with (tmp_path / "lines").open("w") as lines:
+            monkeypatch.setattr("sys.stdout", lines)
+            done, _ = process_frames(source, step, options, look, stopped, lines=LineOutput(stopped))
+    finally:
+        tracemalloc.stop()
+    assert done == 1401
+    assert memory[1] - memory[0] < 200 * 1000  # bytes per frame; a record takes more than 1000
 
 
 def test_interrupted_with_finished_files_intact(recording: Path, tmp_path: Path) -> None:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import tracemalloc
-from collections.abc import Callable
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +10,7 @@ import pytest
 from numba.core.errors import NumbaError
 from numba.core.runtime import _nrt_python, rtsys
 
+from tactune.core.bench.measure import allocation
 from tactune.core.contact.kernels.compiling import kernel
 from tactune.core.contact.outliers.statistical import NeighbourMemory, statistical_inliers
 from tactune.core.contact.pipeline import ContactPipeline
@@ -20,9 +20,6 @@ from tactune.core.preset import Preset
 PRESET = Preset(contact_test="tolerance")
 
 FRAMES = 50
-#: Frames until the small objects that kernel calls create are in balance with those that Python's garbage collector
-#: frees.
-WARM_UP = 300
 #: Python's objects of one frame: the patch, its closures, views; far less than any array with an element per point.
 SLACK_BYTES = 32 * 1024
 
@@ -44,9 +41,37 @@ def test_fifty_frames_leave_nothing_behind_and_take_no_more_than_the_results(pip
     provenance = pipeline.process(replace(frame)).provenance
     candidates, inliers = (int((provenance >= least).sum()) for least in (Provenance.OUTLIER, Provenance.SMALL_CLUSTER))
     results = (candidates + inliers + contact) * (8 + 12) + candidates + inliers
-    rise, left_behind = rise_and_rest(lambda: pipeline.process(replace(frame)))
-    assert left_behind < SLACK_BYTES
-    assert rise < results + SLACK_BYTES
+    taken = allocation(lambda: pipeline.process(replace(frame)), FRAMES)
+    assert taken.left_bytes < SLACK_BYTES
+    assert taken.peak_bytes < results + SLACK_BYTES
+
+
+@pytest.mark.parametrize("test", ["membrane", "tolerance"])
+def test_points_are_one_array_that_later_frames_do_not_overwrite(make_rig, make_frame, test):
+    rig = make_rig(width=320, height=240, color=True)
+    pipeline, frame = ContactPipeline(Preset(contact_test=test), rig), make_frame(rig)
+    patch = pipeline.process(frame)
+    points = patch.points
+    assert points is patch.points
+    assert points.flags.c_contiguous
+    assert points.flags.owndata
+    assert (points.dtype, points.shape) == (np.float32, (int(patch.mask.sum()), 3))
+    assert len(points) > 1000
+    before = points.copy()
+    nearer = replace(frame, proximity_depth=frame.proximity_depth - 8, tactile_depth=frame.tactile_depth - 8)
+    assert not np.array_equal(pipeline.process(nearer).points[:1000], before[:1000])
+    assert np.array_equal(points, before)
+
+
+def test_the_membrane_test_takes_a_bounded_number_of_bytes_and_the_command_measures_it(tactune):
+    finished = tactune("bench", "memory", "--source", "sim:cup?press=medium", "--json")
+    facts = json.loads(finished.out)
+    assert facts["contact_test"] == "membrane"
+    assert facts["contiguous"]
+    assert not facts["copied_when_read"]
+    assert facts["points_bytes"] == 12 * facts["most_points"] > 12 * 5000
+    assert facts["frame_bytes"] < 20 * 640 * 480  # bytes per pixel of the proximity camera
+    assert facts["left_bytes"] < SLACK_BYTES
 
 
 def test_outliers_are_searched_in_arrays_from_before(pipeline_and_frame):
@@ -60,28 +85,7 @@ def test_outliers_are_searched_in_arrays_from_before(pipeline_and_frame):
         return statistical_inliers(patch.points, pixels, camera, 20, 2.0, memory)
 
     search()
-    rise, _ = rise_and_rest(search)
-    assert rise < 3 * len(pixels) + SLACK_BYTES
-
-
-def rise_and_rest(call: Callable[[], object]) -> tuple[int, int]:
-    """Return the largest rise of traced memory during a call, and the memory that many calls leave behind, bytes."""
-    tracemalloc.start()
-    try:
-        for _ in range(WARM_UP):
-            result = call()
-        first, _ = tracemalloc.get_traced_memory()
-        rises = []
-        for _ in range(FRAMES):
-            before, _ = tracemalloc.get_traced_memory()
-            tracemalloc.reset_peak()
-            result = call()
-            rises.append(tracemalloc.get_traced_memory()[1] - before)
-        last, _ = tracemalloc.get_traced_memory()
-        del result
-    finally:
-        tracemalloc.stop()
-    return max(rises), last - first
+    assert allocation(search, FRAMES).peak_bytes < 3 * len(pixels) + SLACK_BYTES
 
 
 def test_kernels_take_no_memory_of_their_own(pipeline_and_frame):
